@@ -1,0 +1,1 @@
+"""Pixels in, image-space findings out, never metres."""

@@ -1,0 +1,73 @@
+"""Detections: the boxes of one image as parallel arrays, without identities.
+
+Frame of all boxes: pixels of the image that was handed in, x right, y down, pixel centres at whole numbers
+(OpenCV's convention), so a box that covers the pixel columns 3..5 wholly runs from x1 = 2.5 to x2 = 5.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+Image = npt.NDArray[np.uint8]
+
+
+def check_shape(name: str, array: npt.NDArray[Any], wanted: tuple[int | None, ...]) -> None:
+    """Raise ValueError unless `array` has the shape `wanted` (None matches any length)."""
+    fits = array.ndim == len(wanted) and all(w is None or w == g for w, g in zip(wanted, array.shape, strict=True))
+    if not fits:
+        text = ", ".join("*" if w is None else str(w) for w in wanted)
+        raise ValueError(f"{name}: shape ({text}) wanted, {array.shape} got")
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """What a detector saw in one image; N = 0 means that it saw nothing.
+
+    Attributes:
+        xyxy_px: (N, 4) float64, left, top, right, bottom edge.
+        score: (N,) float64 in [0, 1].
+        class_id: (N,) int64, index into `detection.classes.ROAD_CLASSES`.
+        descriptor: (N, D) float32 appearance vectors; D = 0 when there are none.
+    """
+
+    xyxy_px: FloatArray
+    score: FloatArray
+    class_id: IntArray
+    descriptor: npt.NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        n = len(self.score)
+        check_shape("xyxy_px", self.xyxy_px, (n, 4))
+        check_shape("score", self.score, (n,))
+        check_shape("class_id", self.class_id, (n,))
+        check_shape("descriptor", self.descriptor, (n, None))
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    @classmethod
+    def of(cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, class_id: npt.ArrayLike) -> Detections:
+        """Detections without appearance, from anything that numpy can read as such arrays."""
+        boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)
+        return cls(
+            boxes,
+            np.asarray(score, np.float64).reshape(-1),
+            np.asarray(class_id, np.int64).reshape(-1),
+            np.zeros((len(boxes), 0), np.float32),
+        )
+
+    @classmethod
+    def empty(cls) -> Detections:
+        """No detections."""
+        return cls.of([], [], [])
+
+    def select(self, keep: BoolArray | IntArray) -> Detections:
+        """The rows that a mask or an index array names, in its order."""
+        return Detections(self.xyxy_px[keep], self.score[keep], self.class_id[keep], self.descriptor[keep])

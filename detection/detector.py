@@ -1,0 +1,15 @@
+"""The seam between pixels and boxes: whatever finds road users in one image."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from detection.detections import Detections, Image
+
+
+class Detector(Protocol):
+    """Finds road users in an image; one instance serves one stream of frames from one thread."""
+
+    def detect(self, image: Image) -> Detections:
+        """The road users in `image`, (H, W, 3) uint8 BGR, in that image's pixels."""
+        ...

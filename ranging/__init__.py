@@ -1,0 +1,1 @@
+"""Identities and geometry in, metres out."""

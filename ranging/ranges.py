@@ -1,0 +1,40 @@
+"""Ranges: how far each track is by one method, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from detection.detections import FloatArray, IntArray, check_shape
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """One method's distances for the tracks of one frame.
+
+    Attributes:
+        track_id: (N,) int64, the tracks in the order of the frame's Tracks.
+        distance_m: (N,) z of the object's visible surface on the ray through the box's centre, in the left camera's
+            frame; NaN = not measured.
+        sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
+    """
+
+    track_id: IntArray
+    distance_m: FloatArray
+    sigma_m: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.track_id)
+        check_shape("track_id", self.track_id, (n,))
+        check_shape("distance_m", self.distance_m, (n,))
+        check_shape("sigma_m", self.sigma_m, (n,))
+
+    def __len__(self) -> int:
+        return len(self.track_id)
+
+    @classmethod
+    def unmeasured(cls, track_id: IntArray) -> Ranges:
+        """NaN for every track."""
+        nan = np.full(len(track_id), np.nan)
+        return cls(track_id, nan, nan.copy())

@@ -1,0 +1,1 @@
+"""Cameras, and what two of them see."""

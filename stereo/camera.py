@@ -1,0 +1,58 @@
+"""PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, after the lens terms (OpenCV's k1 k2 p1 p2 k3 ...)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PinholeCamera:
+    """One calibrated camera: axes x right, y down, z forward; pixel centres at whole numbers.
+
+    Attributes:
+        fx_px: focal length in units of the pixel width.
+        fy_px: focal length in units of the pixel height.
+        cx_px: principal point, x.
+        cy_px: principal point, y.
+        width_px: image width.
+        height_px: image height.
+        distortion: OpenCV's lens terms (4, 5, 8, 12 or 14 of them); empty = no distortion.
+    """
+
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    width_px: int
+    height_px: int
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(3, 3) camera matrix K."""
+        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether the lens terms move any pixel."""
+        return any(term != 0.0 for term in self.distortion)
+
+    def without_distortion(self) -> PinholeCamera:
+        """The ideal camera that undistorted images seem to come from."""
+        return replace(self, distortion=())
+
+    def rays(self, xy_px: FloatArray) -> FloatArray:
+        """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1 (so a ray times z in metres is a point)."""
+        x = (xy_px[:, 0] - self.cx_px) / self.fx_px
+        y = (xy_px[:, 1] - self.cy_px) / self.fy_px
+        return np.stack([x, y, np.ones_like(x)], axis=1)
+
+    def project(self, xyz_m: FloatArray) -> FloatArray:
+        """(N, 2) undistorted pixels of points (N, 3) in the camera's frame; NaN for points not in front of it."""
+        z = np.where(xyz_m[:, 2] > 0, xyz_m[:, 2], np.nan)
+        return np.stack([self.fx_px * xyz_m[:, 0] / z + self.cx_px, self.fy_px * xyz_m[:, 1] / z + self.cy_px], axis=1)

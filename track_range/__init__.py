@@ -1,0 +1,1 @@
+"""The application: flags, files, reports and clocks."""

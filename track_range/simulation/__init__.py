@@ -1,0 +1,1 @@
+"""A road of moving objects seen by two eyes, with exact truth."""

@@ -1,0 +1,1 @@
+"""Boxes of each frame in, identities out."""
