@@ -56,5 +56,5 @@ def nms(xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: 
     if len(score) == 0:
         return np.zeros(0, np.int64)
     xywh = np.concatenate([xyxy_px[:, :2], xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
-    kept = cv2.dnn.NMSBoxesBatched(xywh.tolist(), score.tolist(), class_id.tolist(), 0.0, max_iou)
+    kept = cv2.dnn.NMSBoxesBatched(xywh.tolist(), score.tolist(), class_id.tolist(), -1.0, max_iou)
     return np.asarray(kept, np.int64).reshape(-1)

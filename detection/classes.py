@@ -22,15 +22,33 @@ ROAD_CLASS_OF = {
     "pedestrian": "person",
     "cyclist": "bicycle",
     "motorbike": "motorcycle",
+    "van": "car",
+    "person_sitting": "person",
 }
-"""Names of COCO, VOC and KITTI (lower case) -> road class; what is not here is not a road class."""
+"""Names of COCO, VOC and KITTI (lower case) -> road class; what is not here is not a road class.
+
+This is what a detector's word means; what KITTI's truth asks for is narrower (`KITTI_IGNORED`).
+"""
+
+SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
+"""(8,) by class_id: classes of one group are what detectors take for each other on one and the same object."""
 
 KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")
-"""KITTI types that are neither right nor wrong to detect or track: neighbours of a class, or not labelled one by one."""
+"""KITTI types that are neither right nor wrong to detect or track: neighbours of a class, or labelled in lumps."""
 
-COCO_CLASSES = tuple(
-    ["person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light", "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard", "sports ball", "kite", "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket", "bottle", "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange", "broccoli", "carrot", "hot dog", "pizza", "donut", "cake", "chair", "couch", "potted plant", "bed", "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush"]
+# fmt: off
+COCO_CLASSES = (
+    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
+    "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow",
+    "elephant", "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis",
+    "snowboard", "sports ball", "kite", "baseball bat", "baseball glove", "skateboard", "surfboard",
+    "tennis racket", "bottle", "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich",
+    "orange", "broccoli", "carrot", "hot dog", "pizza", "donut", "cake", "chair", "couch", "potted plant", "bed",
+    "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven",
+    "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier",
+    "toothbrush",
 )
+# fmt: on
 """COCO's 80 names in the order of every network trained on it."""
 
 

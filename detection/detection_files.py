@@ -1,0 +1,140 @@
+"""Boxes of somebody's own detector, read from a file.
+
+KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score`, or our own tracks.csv: told from the content.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from detection.boxes import are_sound
+from detection.classes import ROAD_CLASSES, road_class_of_each
+from detection.detections import Detections, FloatArray, IntArray
+from detection.kitti_format import LabelFileError, read_kitti
+
+_MOT_COLUMNS = range(7, 11)
+_PLAIN_COLUMNS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedDetections:
+    """Detections of a whole video, by frame.
+
+    Attributes:
+        frame: (N,) frame number from 0, ascending.
+        detections: (N) boxes in the same order.
+        notes: sentences for the user: what was recognised, what was dropped.
+    """
+
+    frame: IntArray
+    detections: Detections
+    notes: tuple[str, ...]
+
+    def at(self, frame_index: int) -> Detections:
+        """The detections of one frame; none where the file has none."""
+        first, last = np.searchsorted(self.frame, [frame_index, frame_index + 1])
+        return self.detections.select(np.arange(first, last))
+
+
+def read_detections(path: Path, *, unnamed_class_id: int = 0) -> RecordedDetections:
+    """Read a file, or a folder of KITTI object files.
+
+    Args:
+        path: the file or folder.
+        unnamed_class_id: class of every box where the format names none (MOT and plain boxes).
+
+    Raises:
+        LabelFileError: it cannot be read, or is none of the formats.
+    """
+    kind, frame, boxes = _FORMATS[_format_of(path)](path, unnamed_class_id)
+    score, score_note = _as_probability(boxes.score)
+    sound = are_sound(boxes.xyxy_px) & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
+    order = np.flatnonzero(sound)[np.argsort(frame[sound], kind="stable")]
+    notes = [f"{path.name} read as {kind}: {len(order)} boxes."]
+    if len(order) < len(frame):
+        notes.append(f"{len(frame) - len(order)} rows of {path.name} are no box of a road class and were left out.")
+    detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
+    return RecordedDetections(frame[order], detections.select(order), (*notes, *score_note))
+
+
+def _format_of(path: Path) -> str:
+    if path.is_dir():
+        return "kitti"
+    try:
+        with path.open(encoding="utf-8") as file:
+            first = next((line for line in file if line.strip()), "")
+    except OSError as error:
+        raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except UnicodeDecodeError as error:
+        raise LabelFileError(f"{path}: not a text file; detections wanted.") from error
+    if not first:
+        raise LabelFileError(f"{path}: the file is empty; detections wanted.")
+    if "," not in first:
+        return "kitti"
+    return "tracks" if first.startswith("frame,") else "comma"
+
+
+def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
+    labels = read_kitti(path)
+    score = np.where(np.isfinite(labels.score), labels.score, 1.0)
+    class_id = road_class_of_each([str(name) for name in labels.kitti_type])
+    return "KITTI rows", labels.frame, Detections.of(labels.xyxy_px, score, class_id)
+
+
+def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detections]:
+    try:
+        table = np.loadtxt(path, delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise LabelFileError(f"{path}: rows of numbers separated by commas wanted ({error}).") from error
+    class_id = np.full(len(table), unnamed_class_id)
+    name = ROAD_CLASSES[unnamed_class_id]
+    if table.shape[1] == _PLAIN_COLUMNS:
+        boxes = Detections.of(table[:, 1:5], table[:, 5], class_id)
+        return f"rows frame,x1,y1,x2,y2,score of class {name}", table[:, 0].astype(np.int64), boxes
+    if table.shape[1] not in _MOT_COLUMNS:
+        raise LabelFileError(
+            f"{path}: {table.shape[1]} columns; MOTChallenge's frame,id,x,y,w,h,score,... (7 to 10), "
+            "or frame,x1,y1,x2,y2,score (6) wanted."
+        )
+    score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 is MOTChallenge's "no score"
+    boxes = Detections.of(xyxy_from_mot(table[:, 2:6]), score, class_id)
+    return f"MOTChallenge rows of class {name}", table[:, 0].astype(np.int64) - 1, boxes
+
+
+def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
+    """(N, 4) MOTChallenge boxes (left and top counted from 1, width, height) -> our pixels, counted from 0."""
+    left_top = ltwh[:, :2] - 1.0
+    return np.concatenate([left_top, left_top + ltwh[:, 2:]], axis=1)
+
+
+def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
+    wanted = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    try:
+        table = np.array([[float(row[key]) for key in wanted] for row in rows]).reshape(-1, len(wanted))
+        class_id = road_class_of_each([row["class"] for row in rows])
+    except (KeyError, TypeError, ValueError) as error:
+        raise LabelFileError(f"{path}: columns {', '.join(wanted)}, class wanted ({error!r}).") from error
+    seen = table[:, 6] == 1
+    return (
+        "the observed rows of a tracks.csv",
+        table[seen, 0].astype(np.int64),
+        Detections.of(table[seen, 1:5], table[seen, 5], class_id[seen]),
+    )
+
+
+_FORMATS = {"kitti": _read_kitti, "comma": _read_comma, "tracks": _read_tracks_csv}
+
+
+def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+    """Scores in [0, 1]; raw detector margins, which know no bounds, go through a logistic, and a note says so."""
+    if not len(score) or (np.nanmin(score) >= 0 and np.nanmax(score) <= 1):
+        return score, ()
+    squashed = 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50)))
+    span = f"{np.nanmin(score):.2f} .. {np.nanmax(score):.2f}"
+    return squashed, (f"Scores of {span} are no probabilities: taken through a logistic (0 becomes 0.5).",)

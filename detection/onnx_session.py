@@ -1,0 +1,114 @@
+"""OnnxSession: one ONNX network loaded by onnxruntime, with its device, threads and errors in plain words.
+
+Thread spinning is off: on a shared machine two spinning threads are slower than one that sleeps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import onnxruntime as ort
+
+Device = Literal["auto", "cpu", "cuda", "tensorrt"]
+FloatArray32 = npt.NDArray[np.float32]
+
+_PROVIDERS: Mapping[str, tuple[str, ...]] = {
+    "cpu": (),
+    "cuda": ("CUDAExecutionProvider",),
+    "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
+}
+
+
+class ModelError(Exception):
+    """A model that cannot be used; the message says why and what to do."""
+
+
+class OnnxSession:
+    """A network with one image input, ready to run.
+
+    Attributes:
+        path: the model's file.
+        input_shape: the image input's shape; a dimension that the model leaves open is None.
+        metadata: what the exporter wrote into the file; often nothing.
+        device: "cpu", "cuda" or "tensorrt", what it runs on in the end.
+        notes: sentences for the user, such as a device that was not to be had.
+    """
+
+    def __init__(self, path: Path, *, device: Device = "auto", n_threads: int = 0) -> None:
+        """Load the model; `n_threads` 0 = one per core.
+
+        Raises:
+            ModelError: there is no such file, or it is no ONNX network with an image input.
+        """
+        self.path = path
+        self.notes: tuple[str, ...] = ()
+        self._session = self._load(device, n_threads)
+        self.device = _device_of(self._session.get_providers())
+        if device in ("cuda", "tensorrt") and self.device != device:
+            self.notes = (
+                f"--device {device} is not to be had here (onnxruntime offers none); running on {self.device}.",
+            )
+        inputs = self._session.get_inputs()
+        if len(inputs) != 1 or len(inputs[0].shape) != 4:
+            shapes = ", ".join(f"{i.name} {i.shape}" for i in inputs)
+            raise ModelError(f"{path}: one input [batch, 3, height, width] wanted, found: {shapes}.")
+        self._input = inputs[0]
+        self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
+        self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+
+    def _load(self, device: Device, n_threads: int) -> Any:
+        if not self.path.is_file():
+            raise ModelError(f"{self.path}: no such model file.")
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = n_threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # a failure is told once, by us
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            return ort.InferenceSession(str(self.path), options, providers=_providers(device))
+        except Exception as error:  # onnxruntime raises a dozen unrelated types for a broken file
+            reason = str(error).splitlines()[0]
+            raise ModelError(f"{self.path}: not a usable ONNX model ({reason}).") from error
+
+    @property
+    def input_dtype(self) -> type[np.floating[Any]]:
+        """The image input's number type."""
+        return np.float16 if self._input.type == "tensor(float16)" else np.float32
+
+    def output_shapes(self, blob: FloatArray32) -> dict[str, tuple[int, ...]]:
+        """Output names and their true shapes for one input (the file may leave them open); also a warm-up."""
+        outputs = self.run(blob)
+        return {o.name: a.shape for o, a in zip(self._session.get_outputs(), outputs, strict=True)}
+
+    def run(self, blob: FloatArray32) -> list[FloatArray32]:
+        """The outputs, as float32, in the file's order, for one input blob (batch, 3, height, width).
+
+        Raises:
+            ModelError: the network fails on this input.
+        """
+        try:
+            outputs = self._session.run(None, {self._input.name: blob.astype(self.input_dtype, copy=False)})
+        except Exception as error:  # as above
+            raise ModelError(f"{self.path}: the network failed ({str(error).splitlines()[0]}).") from error
+        return [np.asarray(output, np.float32) for output in outputs]
+
+    def sha256(self) -> str:
+        """The model file's checksum, so that a run can be repeated with the very same weights."""
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _providers(device: Device) -> list[str]:
+    wanted = _PROVIDERS["cuda" if device == "auto" else device]
+    there = ort.get_available_providers()
+    return [*(name for name in wanted if name in there), "CPUExecutionProvider"]
+
+
+def _device_of(providers: list[str]) -> str:
+    first = providers[0]
+    return {"TensorrtExecutionProvider": "tensorrt", "CUDAExecutionProvider": "cuda"}.get(first, "cpu")

@@ -1,0 +1,54 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.boxes import are_sound, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
+
+MAX_IOU = 0.4987  # no ratio that hypothesis draws hits it, so float32 against float64 cannot matter
+EDGE = st.floats(-50, 50, allow_nan=False)
+BOXES = st.lists(st.tuples(EDGE, EDGE, st.floats(0.5, 40), st.floats(0.5, 40)), min_size=1, max_size=12).map(
+    lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows])
+)
+
+
+def test_iou_by_hand():
+    a = np.array([[0.0, 0.0, 2.0, 2.0]])
+    b = np.array([[1.0, 1.0, 3.0, 3.0], [0.0, 0.0, 2.0, 2.0], [5.0, 5.0, 6.0, 6.0]])
+    np.testing.assert_allclose(iou(a, b), [[1 / 7, 1.0, 0.0]])
+    np.testing.assert_allclose(share_inside(a, b), [[0.25, 1.0, 0.0]])
+    assert iou(np.zeros((1, 4)), np.zeros((1, 4))) == 0.0
+
+
+@settings(deadline=None)
+@given(BOXES, BOXES)
+def test_iou_is_symmetric_and_at_most_one(a, b):
+    overlap = iou(a, b)
+    np.testing.assert_allclose(overlap, iou(b, a).T)
+    assert ((overlap >= 0) & (overlap <= 1 + 1e-12)).all()
+
+
+@settings(deadline=None)
+@given(BOXES, st.integers(0, 5))
+def test_nms_is_idempotent_and_equals_the_greedy_rule(boxes, seed):
+    score = np.random.default_rng(seed).permutation(len(boxes)) / len(boxes)
+    class_id = np.arange(len(boxes)) % 2
+    kept = nms(boxes, score, class_id, max_iou=MAX_IOU)
+    again = nms(boxes[kept], score[kept], class_id[kept], max_iou=MAX_IOU)
+    assert again.tolist() == list(range(len(kept)))
+    assert kept.tolist() == greedy(boxes, score, class_id)
+
+
+def greedy(boxes, score, class_id):
+    kept: list[int] = []
+    for i in np.argsort(-score, kind="stable"):
+        rivals = [j for j in kept if class_id[j] == class_id[i]]
+        if not rivals or iou(boxes[[i]], boxes[rivals]).max() <= MAX_IOU:
+            kept.append(int(i))
+    return kept
+
+
+def test_layout_and_soundness():
+    np.testing.assert_allclose(xyxy_from_cxcywh(np.array([[5.0, 6.0, 4.0, 2.0]])), [[3, 5, 7, 7]])
+    boxes = np.array([[0, 0, 1, 1], [0, 0, 0, 1], [3, 3, 1, 5], [0, np.nan, 1, 1], [0, 0, np.inf, 1]])
+    assert are_sound(boxes).tolist() == [True, False, False, False, False]
+    assert area_px2(boxes[:3]).tolist() == [1.0, 0.0, 0.0]

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from detection.classes import (
+    COCO_CLASSES,
+    ROAD_CLASSES,
+    SAME_OBJECT_GROUP,
+    ClassNameError,
+    road_class_ids,
+    road_class_of_each,
+)
+
+
+def test_names_and_synonyms():
+    assert road_class_ids(["car", " Pedestrian "]).tolist() == [0, 2]
+    assert road_class_ids([]).tolist() == []
+
+
+def test_an_unknown_name_is_an_error_with_the_nearest_one():
+    with pytest.raises(ClassNameError, match="unknown class 'trcuk': did you mean 'truck'"):
+        road_class_ids(["trcuk"])
+
+
+def test_coco_maps_onto_all_road_classes():
+    road = road_class_of_each(COCO_CLASSES)
+    assert len(COCO_CLASSES) == 80
+    assert {COCO_CLASSES[i]: ROAD_CLASSES[road[i]] for i in np.flatnonzero(road >= 0)} == {
+        "person": "person",
+        "bicycle": "bicycle",
+        "car": "car",
+        "motorcycle": "motorcycle",
+        "bus": "bus",
+        "truck": "truck",
+        "traffic light": "traffic light",
+        "stop sign": "traffic sign",
+    }
+    assert len(SAME_OBJECT_GROUP) == len(ROAD_CLASSES)

@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from detection.classes import ROAD_CLASSES
+from detection.detection_files import read_detections, xyxy_from_mot
+from detection.kitti_format import LabelFileError
+
+KITTI = "{frame} -1 {kind} -1 -1 -10 1 2 11 12 -1 -1 -1 -1000 -1000 -1000 -10 {score}\n"
+
+
+def test_kitti_rows_by_frame(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text(
+        KITTI.format(frame=2, kind="Car", score=0.9)
+        + KITTI.format(frame=0, kind="Pedestrian", score=0.8)
+        + KITTI.format(frame=0, kind="DontCare", score=0.8)
+    )
+    recorded = read_detections(file)
+    assert [ROAD_CLASSES[i] for i in recorded.at(0).class_id] == ["person"]
+    assert len(recorded.at(1)) == 0
+    assert recorded.at(2).xyxy_px.tolist() == [[1, 2, 11, 12]]
+    assert recorded.notes == (
+        "det.txt read as KITTI rows: 2 boxes.",
+        "1 rows of det.txt are no box of a road class and were left out.",
+    )
+
+
+def test_mot_rows_count_from_one(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text("1,-1,11,21,5,6,0.5,-1,-1,-1\n3,-1,1,1,2,2,-1,-1,-1,-1\n3,-1,1,1,0,2,0.9,-1,-1,-1\n")
+    recorded = read_detections(file, unnamed_class_id=2)
+    assert recorded.at(0).xyxy_px.tolist() == [[10, 20, 15, 26]]
+    assert recorded.at(0).class_id.tolist() == [2]
+    assert recorded.at(2).score.tolist() == [1.0]  # -1 = no score, and the empty box is gone
+    np.testing.assert_allclose(xyxy_from_mot(np.array([[1.0, 1.0, 4.0, 5.0]])), [[0, 0, 4, 5]])
+
+
+def test_plain_rows_and_our_own_tracks(tmp_path):
+    plain = tmp_path / "rrc.txt"
+    plain.write_text("0,1,2,3,4,0.5\n")
+    assert read_detections(plain).at(0).xyxy_px.tolist() == [[1, 2, 3, 4]]
+    tracks = tmp_path / "tracks.csv"
+    tracks.write_text(
+        "frame,class,x1_px,y1_px,x2_px,y2_px,score,observed\n4,truck,1,2,3,4,0.5,1\n4,truck,1,2,3,4,0.5,0\n"
+    )
+    recorded = read_detections(tracks)
+    assert [ROAD_CLASSES[i] for i in recorded.at(4).class_id] == ["truck"]
+
+
+def test_margins_become_probabilities_and_it_is_said(tmp_path):
+    file = tmp_path / "det.txt"
+    file.write_text(KITTI.format(frame=0, kind="Car", score=-2) + KITTI.format(frame=0, kind="Car", score=2))
+    recorded = read_detections(file)
+    np.testing.assert_allclose(recorded.at(0).score, [1 / (1 + np.e**2), 1 / (1 + np.e**-2)])
+    assert "logistic" in recorded.notes[1]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"\xff\xfe\xfd\n", "not a text file"),
+        (b"1,2,3\n", "3 columns"),
+        (b"1,a,3,4,5,6\n", "rows of numbers"),
+        (b"frame,class\n1,car\n", "columns frame, x1_px"),
+        (b"hello world\n", "17 columns"),
+    ],
+)
+def test_what_is_no_detection_file_is_said(tmp_path, content, message):
+    file = tmp_path / "det.txt"
+    file.write_bytes(content)
+    with pytest.raises(LabelFileError, match=message):
+        read_detections(file)
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(LabelFileError, match="cannot be read"):
+        read_detections(tmp_path / "none.txt")
+
+
+def test_real_files(shared_data):
+    regionlets = read_detections(shared_data / "kitti_stereo/0003/regionlets.txt")
+    assert 0 <= regionlets.detections.score.min() <= regionlets.detections.score.max() <= 1
+    assert len(read_detections(shared_data / "kitti_labels/rrc/Car/0000.txt").at(0)) > 0
+    assert len(read_detections(shared_data / "mot/MOT15/TUD-Campus/det/det.txt").at(0)) > 0

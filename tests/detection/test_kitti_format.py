@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from detection.kitti_format import LabelFileError, read_kitti
+
+CAR = "3 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1"
+DONT_CARE = "3 -1 DontCare -1 -1 -10 1 2 3 4 -1000 -1000 -1000 -10 -1 -1 -1"
+
+
+def test_a_tracking_file(tmp_path):
+    file = tmp_path / "label.txt"
+    file.write_text(f"{CAR}\n\n{DONT_CARE}\n{CAR} 0.75\n")
+    labels = read_kitti(file)
+    assert labels.frame.tolist() == [3, 3, 3]
+    assert labels.track_id.tolist() == [7, -1, 7]
+    assert labels.kitti_type.tolist() == ["Car", "DontCare", "Car"]
+    assert labels.xyxy_px[0].tolist() == [10, 20, 30, 40]
+    assert labels.size_hwl_m[0].tolist() == [1.5, 1.6, 4.0]
+    assert labels.location_m[0].tolist() == [1.0, 1.7, 12.0]
+    assert labels.rotation_y_rad[0] == 0.1
+    assert labels.has_3d_box.tolist() == [True, False, True]
+    np.testing.assert_equal(labels.score, [np.nan, np.nan, 0.75])
+
+
+def test_a_folder_of_object_files(tmp_path):
+    for number, rest in (("000002", CAR[4:]), ("000010", DONT_CARE[5:])):
+        (tmp_path / f"{number}.txt").write_text(rest + "\n")
+    labels = read_kitti(tmp_path)
+    assert labels.frame.tolist() == [2, 10]
+    assert labels.track_id.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"\xff\xfe\x00\x01", "not a text file"),
+        (b"1 2 Car 0\n", "line 1: 17 columns .* found 4"),
+        (CAR.replace("12.0", "far").encode(), "line 1: a number wanted"),
+        (CAR.replace("12.0", "nan").encode(), "line 1: finite numbers"),
+    ],
+)
+def test_what_is_no_label_file_is_said(tmp_path, content, message):
+    file = tmp_path / "label.txt"
+    file.write_bytes(content)
+    with pytest.raises(LabelFileError, match=message):
+        read_kitti(file)
+
+
+def test_missing_file_and_empty_folder(tmp_path):
+    with pytest.raises(LabelFileError, match="cannot be read"):
+        read_kitti(tmp_path / "none.txt")
+    with pytest.raises(LabelFileError, match="no label files"):
+        read_kitti(tmp_path)
+
+
+def test_real_labels(shared_data):
+    labels = read_kitti(shared_data / "kitti_stereo/0003/label.txt")
+    assert set(labels.kitti_type) >= {"Car", "DontCare"}
+    assert labels.has_3d_box.sum() > 40

@@ -1,0 +1,79 @@
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.letterbox import Letterbox, rectangular_input_hw
+
+SIDE = st.integers(1, 3000)
+
+
+@settings(deadline=None)
+@given(SIDE, SIDE, st.sampled_from([(640, 640), (416, 416), (384, 640)]), st.integers(0, 99))
+def test_there_and_back_is_exact(height, width, input_hw, seed):
+    letterbox = Letterbox.centred((height, width), input_hw)
+    boxes = np.random.default_rng(seed).uniform(-10, 3000, (5, 4))
+    np.testing.assert_allclose(letterbox.to_image(letterbox.to_input(boxes)), boxes, atol=1e-6)
+
+
+@settings(deadline=None)
+@given(SIDE, SIDE)
+def test_the_whole_image_fills_the_resized_part(height, width):
+    letterbox = Letterbox.centred((height, width), (640, 640))
+    whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
+    (x1, y1, x2, y2) = letterbox.to_input(whole)[0]
+    assert (y1, x1) == letterbox.pad_yx
+    assert (y2 - y1, x2 - x1) == pytest.approx(letterbox.resized_hw)
+
+
+@pytest.mark.parametrize(("size_hw", "box"), [((375, 1242), (311, 83, 702, 241)), ((720, 1280), (400, 300, 900, 500))])
+def test_a_drawn_rectangle_keeps_its_edges_within_a_tenth_of_a_pixel(size_hw, box):
+    x1, y1, x2, y2 = box  # pixels x1 .. x2 - 1 are white, so the edges are at x1 - 0.5 and x2 - 0.5
+    image = np.zeros((*size_hw, 3), np.uint8)
+    image[y1:y2, x1:x2] = 255
+    image = cv2.GaussianBlur(image, (0, 0), 3)  # so that sampling every other pixel does not alias the edge
+    letterbox = Letterbox.centred(size_hw, (640, 640))
+    canvas = np.zeros((640, 640, 3), np.uint8)
+    letterbox.paste(image, canvas)
+    white = canvas[..., 0].astype(float) / 255
+    row, column = white[:, white.sum(0).argmax()], white[white.sum(1).argmax()]
+    seen = [edge for line in (column, row) for edge in edges(line)]  # x1, x2, y1, y2 in corner coordinates
+    back = letterbox.to_image(np.array([[seen[0], seen[2], seen[1], seen[3]]]))[0]
+    np.testing.assert_allclose(back, np.array(box) - 0.5, atol=0.1)
+
+
+def edges(line):
+    """First and last edge of the bright run, from the light on either side of the middle."""
+    middle = int(np.average(np.arange(len(line)), weights=line))
+    return middle - line[:middle].sum(), middle + line[middle:].sum()
+
+
+def test_padding_is_left_alone_and_same_size_is_copied():
+    canvas = np.full((32, 64, 3), 114, np.uint8)
+    image = np.random.default_rng(0).integers(0, 255, (32, 32, 3), np.uint8)
+    letterbox = Letterbox.centred((32, 32), (32, 64))
+    letterbox.paste(image, canvas)
+    assert (canvas[:, 16:48] == image).all()
+    assert (canvas[:, :16] == 114).all()
+    assert (canvas[:, 48:] == 114).all()
+
+
+def test_boxes_are_clipped_to_the_outer_border():
+    letterbox = Letterbox.centred((100, 200), (640, 640))
+    clipped = letterbox.to_image_clipped(letterbox.to_input(np.array([[-30.0, 10.0, 500.0, 120.0]])))
+    np.testing.assert_allclose(clipped, [[-0.5, 10.0, 199.5, 99.5]])
+
+
+def test_rectangular_input_of_kitti_and_hd():
+    assert rectangular_input_hw((375, 1242), size_px=640) == (224, 640)
+    assert rectangular_input_hw((720, 1280), size_px=640) == (384, 640)
+    assert rectangular_input_hw((1, 1), size_px=640) == (640, 640)
+    assert rectangular_input_hw((10, 4000), size_px=640) == (32, 640)
+
+
+def test_resize_maps_areas_onto_areas():
+    # The equations hold only while OpenCV's linear resize has no half-pixel shift: a ramp must stay the same ramp.
+    ramp = np.tile(np.arange(200, dtype=np.float32), (4, 1))
+    small = cv2.resize(ramp, (100, 4), interpolation=cv2.INTER_LINEAR)
+    np.testing.assert_allclose(small[0], (np.arange(100) + 0.5) * 2 - 0.5)
