@@ -1,13 +1,26 @@
-"""What a run found in one frame, and the files that keep it: tracks.csv and mot.txt rows."""
+"""What a run found in one frame, and the rows that keep it: tracks.csv and mot.txt.
+
+Rows are flushed frame by frame, so that a killed run leaves every finished frame readable.
+"""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
+
+from detection.classes import ROAD_CLASSES
 from detection.detections import FloatArray
 from ranging.ranges import Ranges
 from stereo.frames import Frame
+from track_range.written import OutputError
+from tracking.mot_format import mot_lines
 from tracking.tracks import Tracks
 
 MEASURED_METHODS = ("mono", "lane", "stereo", "sgbm", "fused")
@@ -15,6 +28,16 @@ MEASURED_METHODS = ("mono", "lane", "stereo", "sgbm", "fused")
 
 FILTERED_METHODS = ("mono_kf", "stereo_kf", "fused_kf")
 """The same after the per-track distance filter."""
+
+COLUMNS = (
+    *("frame", "time_s", "track_id", "class", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px"),
+    *(f"{method}_{what}" for method in MEASURED_METHODS for what in ("m", "sigma_m")),
+    *("closing_mps", "ttc_s"),
+    *(f"{method}_m" for method in FILTERED_METHODS),
+    *("ground_m", "x_m", "y_m"),
+    *(f"{method}_sigma_m" for method in FILTERED_METHODS),
+)
+"""The columns of tracks.csv; an empty cell = not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,3 +59,99 @@ class FrameResult:
     closing_mps: FloatArray
     ttc_s: FloatArray
     xyz_m: FloatArray
+
+
+class ResultRows:
+    """tracks.csv and mot.txt of a run in progress."""
+
+    def __init__(self, folder: Path) -> None:
+        """Begin both files anew.
+
+        Raises:
+            OutputError: they cannot be created.
+        """
+        self.folder = folder
+        try:
+            self._tracks = (folder / "tracks.csv").open("w", encoding="utf-8", newline="")
+            self._mot = (folder / "mot.txt").open("w", encoding="utf-8")
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written to ({error.strerror or error}).") from error
+        self._rows = csv.writer(self._tracks, lineterminator="\n")
+        self._rows.writerow(COLUMNS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._tracks.close()
+        self._mot.close()
+
+    def write(self, result: FrameResult) -> None:
+        """Add the rows of one frame.
+
+        Raises:
+            OutputError: the disk is full, say.
+        """
+        try:
+            self._rows.writerows(_cells(result))
+            self._mot.writelines(mot_lines(result.tracks, result.frame.index))
+            self._tracks.flush()
+            self._mot.flush()
+        except OSError as error:
+            raise OutputError(f"{self.folder}: writing failed ({error.strerror or error}).") from error
+
+
+def _cells(result: FrameResult) -> list[list[str]]:
+    """The frame's rows as text, column by column and then turned."""
+    tracks, n = result.tracks, len(result.tracks)
+    nothing = np.full(n, np.nan)
+
+    def of(method: str, what: str) -> FloatArray:
+        return np.asarray(getattr(result.ranges[method], what)) if method in result.ranges else nothing
+
+    columns = [
+        [str(result.frame.index)] * n,
+        [f"{result.frame.time_s:.6f}"] * n,
+        [str(i) for i in tracks.track_id],
+        [ROAD_CLASSES[c] for c in tracks.class_id],
+        _text(tracks.score, decimals=4),
+        ["1" if o else "0" for o in tracks.observed],
+        *(_text(tracks.xyxy_px[:, edge]) for edge in range(4)),
+        *(_text(of(method, what)) for method in MEASURED_METHODS for what in ("distance_m", "sigma_m")),
+        _text(result.closing_mps),
+        _text(result.ttc_s),
+        *(_text(of(method, "distance_m")) for method in FILTERED_METHODS),
+        _text(of("ground", "distance_m")),
+        _text(result.xyz_m[:, 0]),
+        _text(result.xyz_m[:, 1]),
+        *(_text(of(method, "sigma_m")) for method in FILTERED_METHODS),
+    ]
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _text(values: FloatArray, *, decimals: int = 3) -> list[str]:
+    return ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in values]
+
+
+def read_tracks_csv(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The columns of a tracks.csv: `class` as str, the others float64 with NaN for an empty cell.
+
+    A last row that a killed run left unfinished is dropped.
+
+    Raises:
+        OutputError: the file is not there, or not a tracks.csv.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            header, *rows = csv.reader(file)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: not a readable tracks.csv.") from error
+    whole = [row for row in rows if len(row) == len(header)]
+    turned = zip(*whole, strict=True) if whole else [()] * len(header)
+    return {name: _column(name, cells) for name, cells in zip(header, turned, strict=True)}
+
+
+def _column(name: str, cells: tuple[str, ...]) -> npt.NDArray[Any]:
+    if name == "class":
+        return np.array(cells, np.str_)
+    return np.array([float(cell) if cell else np.nan for cell in cells], np.float64)

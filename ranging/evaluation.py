@@ -1,0 +1,132 @@
+"""How far a method's distances are from the truth, and whether its sigmas are honest.
+
+Tracks are matched to labels frame by frame (one to one, greatest total IoU, at least 0.5, whatever their classes).
+Errors are relative, (measured - true) / true, over 5-100 m, of labels that are not truncated and at most partly hidden.
+`coverage` is the share of matched track-frames that a method measured. The `common` figures are over the track-frames
+that every method measured, so that none can look good by refusing the hard ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from detection.boxes import iou
+from detection.detections import BoolArray, FloatArray, IntArray
+from ranging.truth import Truth
+
+BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)
+"""Edges of the distance bands that errors are reported in."""
+
+MIN_IOU = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class MethodColumn:
+    """One method's distances over a run's track-frames: (N,) metres and (N,) sigma, NaN = not measured."""
+
+    distance_m: FloatArray
+    sigma_m: FloatArray
+
+
+def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
+    """(N,) row of `truth` that each track-frame matches, -1 where none."""
+    matched = np.full(len(frame), -1)
+    for number in np.intersect1d(frame, truth.frame):
+        rows, labels = np.flatnonzero(frame == number), np.flatnonzero(truth.frame == number)
+        overlap = iou(xyxy_px[rows], truth.xyxy_px[labels])
+        row, label = linear_sum_assignment(np.where(overlap >= MIN_IOU, overlap, 0.0), maximize=True)
+        good = overlap[row, label] >= MIN_IOU
+        matched[rows[row[good]]] = labels[label[good]]
+    return matched
+
+
+def score_methods(
+    methods: Mapping[str, MethodColumn],
+    true_m: FloatArray,
+    *,
+    is_road_class: BoolArray,
+    kitti_type: npt.NDArray[np.str_],
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Scores of each method over its own coverage, and over the common one.
+
+    Args:
+        methods: columns of (N,) by method name.
+        true_m: (N,) true distance of each track-frame; NaN = no truth for it.
+        is_road_class: (N,) whether its label is of a road class; others (Van, Tram) appear in `by_class` only.
+        kitti_type: (N,) the label's own word.
+    """
+    in_span = (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
+    mine = {name: _score_with_bands(c, true_m, in_span=in_span & is_road_class) for name, c in methods.items()}
+    for name, column in methods.items():
+        mine[name]["by_class"] = {
+            str(word): _score(column, true_m, in_span & (kitti_type == word)) for word in np.unique(kitti_type[in_span])
+        }
+    ran = [column for column in methods.values() if np.isfinite(column.distance_m).any()]
+    everyone = in_span & is_road_class & np.all([np.isfinite(c.distance_m) for c in ran] or [in_span], axis=0)
+    common = {
+        name: _score_with_bands(c, true_m, in_span=everyone)
+        for name, c in methods.items()
+        if np.isfinite(c.distance_m).any()
+    }
+    return mine, common
+
+
+def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
+    """What can be said of each method without a truth: how many track-frames it measured."""
+    nothing = np.full(len(next(iter(methods.values())).distance_m) if methods else 0, np.nan)
+    return {
+        name: {
+            **_figures(nothing[:0], nothing[:0]),
+            "coverage": _share(np.isfinite(column.distance_m)),
+            "n": int(np.isfinite(column.distance_m).sum()),
+            "bands": [],
+        }
+        for name, column in methods.items()
+    }
+
+
+def _score_with_bands(column: MethodColumn, true_m: FloatArray, *, in_span: BoolArray) -> dict[str, Any]:
+    bands = [
+        {"from_m": low, "to_m": high, **_band(column, true_m, in_span & (true_m >= low) & (true_m < high))}
+        for low, high in pairwise(BANDS_M)
+    ]
+    return {**_score(column, true_m, in_span), "bands": bands}
+
+
+def _band(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
+    score = _score(column, true_m, rows)
+    return {key: score[key] for key in ("n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct")}
+
+
+def _score(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
+    measured = np.isfinite(column.distance_m) & rows
+    error = column.distance_m[measured] / true_m[measured] - 1
+    in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
+    return {"coverage": _share(measured[rows]), "n": int(measured.sum()), **_figures(error, in_sigmas)}
+
+
+def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
+    """Figures of relative errors and of errors in units of sigma; None where there is nothing to say."""
+    known = in_sigmas[np.isfinite(in_sigmas)]
+    return {
+        "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if len(error) else None,
+        "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if len(error) else None,
+        "bias_pct": _rounded(100 * np.median(error)) if len(error) else None,
+        "within_1_sigma": _share(known <= 1),
+        "within_2_sigma": _share(known <= 2),
+    }
+
+
+def _share(yes: BoolArray) -> float | None:
+    return _rounded(yes.mean()) if len(yes) else None
+
+
+def _rounded(value: Any) -> float:
+    return round(float(value), 4)

@@ -1,0 +1,113 @@
+"""Stereo distance: Z = f B / d from the disparity d of a track's box, by patches or from a dense disparity image.
+
+    sigma_Z = Z^2 / (f B) sigma_d: the error grows with the square of the distance.
+(Guo, the binocular paper's eq. 5-6, which takes the disparity at the box's centre.)
+"""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from detection.detections import FloatArray, Image, IntArray
+from ranging.ranges import Ranges
+from stereo.frames import Frame
+from stereo.rig import StereoRig
+from stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
+from tracking.tracks import Tracks
+
+FloatArray32 = npt.NDArray[np.float32]
+
+_PRIOR_LIFETIME_S = 1.0  # after this long without a match a track is searched over the full range again
+
+
+class Matcher(Protocol):
+    """Finds the disparity of single boxes; `stereo.patch_matcher.PatchMatcher` does."""
+
+    def match(
+        self, left: Image, right: Image, xyxy_px: FloatArray, prior_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) disparity_px and (N,) sigma_px of boxes (N, 4); prior_px NaN = search the full range."""
+        ...
+
+
+class PatchRanger:
+    """Ranges each box by matching it alone, about the disparity that its track had last."""
+
+    def __init__(self, rig: StereoRig, matcher: Matcher) -> None:
+        """Range for a rectified rig."""
+        self._rig = rig
+        self._matcher = matcher
+        self._track_id: IntArray = np.zeros(0, np.int64)
+        self._disparity_px: FloatArray = np.zeros(0)
+        self._time_s: FloatArray = np.zeros(0)
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
+        if frame.right is None:
+            return Ranges.unmeasured(tracks.track_id)
+        prior_px = self._prior_px(tracks.track_id, frame.time_s)
+        disparity_px, sigma_px = self._matcher.match(frame.left, frame.right, tracks.xyxy_px, prior_px)
+        self._remember(tracks.track_id, disparity_px, frame.time_s)
+        return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
+
+    def _prior_px(self, track_id: IntArray, time_s: float) -> FloatArray:
+        prior_px = np.full(len(track_id), np.nan)
+        _, here, there = np.intersect1d(track_id, self._track_id, assume_unique=True, return_indices=True)
+        prior_px[here] = np.where(time_s - self._time_s[there] <= _PRIOR_LIFETIME_S, self._disparity_px[there], np.nan)
+        return prior_px
+
+    def _remember(self, track_id: IntArray, disparity_px: FloatArray, time_s: float) -> None:
+        matched = np.isfinite(disparity_px)
+        old = ~np.isin(self._track_id, track_id[matched]) & (time_s - self._time_s <= _PRIOR_LIFETIME_S)
+        self._track_id = np.concatenate([self._track_id[old], track_id[matched]])
+        self._disparity_px = np.concatenate([self._disparity_px[old], disparity_px[matched]])
+        self._time_s = np.concatenate([self._time_s[old], np.full(int(matched.sum()), time_s)])
+
+
+class DenseRanger:
+    """Ranges each box by the median of dense disparity in its inner half; matching runs in a thread of its own."""
+
+    def __init__(self, rig: StereoRig, settings: SgbmSettings | None = None) -> None:
+        """Range for a rectified rig."""
+        self._rig = rig
+        self._sgbm = Sgbm(settings or SgbmSettings.for_rig(rig))
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
+        self._pending: dict[int, Future[FloatArray32]] = {}
+        self.busy_s = 0.0
+
+    def start(self, frame: Frame) -> None:
+        """Begin on a frame's disparity image in the background; `measure` waits for it."""
+        self._pending[frame.index] = self._thread.submit(self._disparity, frame)
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the boxes with enough valid disparities; NaN for the rest."""
+        if frame.index not in self._pending:
+            self.start(frame)
+        disparity = self._pending.pop(frame.index).result()
+        disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px)
+        return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
+
+    def close(self) -> None:
+        """Drop what is pending and end the thread."""
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    def _disparity(self, frame: Frame) -> FloatArray32:
+        if frame.right is None:
+            return np.full(frame.left.shape[:2], np.nan, np.float32)
+        began_s = time.perf_counter()
+        disparity = self._sgbm.dense_disparity(frame.left, frame.right)
+        self.busy_s += time.perf_counter() - began_s
+        return disparity
+
+
+def ranges_of_disparity(
+    rig: StereoRig, track_id: IntArray, *, disparity_px: FloatArray, sigma_px: FloatArray
+) -> Ranges:
+    """Ranges from (N,) disparities and their standard deviations; NaN where a disparity is not positive."""
+    distance_m = rig.distance_m(disparity_px)
+    return Ranges(track_id, distance_m, distance_m**2 / (rig.left.fx_px * rig.baseline_m) * sigma_px)

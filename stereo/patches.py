@@ -1,0 +1,57 @@
+"""The inner half of a box: its middle in width and height, where a detector's box shows the object and little else.
+
++-----------------+
+|    +-------+    |     The same patch serves the patch matcher and the dense map's median,
+|    | inner |    |     so that the two methods are compared on the same pixels.
+|    +-------+    |
++-----------------+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+_SHARE_CUT = 0.25
+"""Share of the box's width (height) cut off at each side."""
+
+
+class Patch(NamedTuple):
+    """A rectangle of whole pixels; all four edges belong to it."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def width_px(self) -> int:
+        """Number of columns."""
+        return self.right - self.left + 1
+
+    @property
+    def height_px(self) -> int:
+        """Number of rows."""
+        return self.bottom - self.top + 1
+
+
+def inner_halves(
+    xyxy_px: FloatArray, image_hw: tuple[int, int], *, margin_px: int, min_side_px: int
+) -> Iterator[Patch | None]:
+    """The inner half of each box (N, 4), cut off `margin_px` from the image's border.
+
+    None where less than `min_side_px` columns or rows are left, or the box is not finite or turned inside out.
+    """
+    height, width = image_hw
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite boxes end as NaN, which is no patch
+        cut = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * _SHARE_CUT
+        first = np.maximum(np.ceil(xyxy_px[:, :2] + cut), margin_px)
+        last = np.minimum(np.floor(xyxy_px[:, 2:] - cut), np.array([width, height]) - 1.0 - margin_px)
+    big_enough = (last - first + 1 >= min_side_px).all(axis=1)  # False for NaN too
+    for i, usable in enumerate(np.asarray(big_enough).tolist()):
+        yield Patch(*first[i].astype(np.int64).tolist(), *last[i].astype(np.int64).tolist()) if usable else None

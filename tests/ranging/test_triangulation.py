@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from ranging.triangulation import DenseRanger, PatchRanger, ranges_of_disparity
+from stereo.camera import PinholeCamera
+from stereo.frames import Frame
+from stereo.rig import StereoRig
+from tracking.tracks import Tracks
+
+RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 0.5)
+
+
+def tracks_of(*ids, box=(100, 60, 200, 140)):
+    n = len(ids)
+    return Tracks(np.array(ids), np.tile(np.array(box, float), (n, 1)), np.full(n, 2), np.ones(n), np.ones(n, bool))
+
+
+def test_depth_and_sigma_by_hand():
+    ranges = ranges_of_disparity(
+        RIG, np.array([1, 2, 3]), disparity_px=np.array([10.0, -1.0, np.nan]), sigma_px=np.array([0.1, 0.1, np.nan])
+    )
+    assert ranges.distance_m[0] == pytest.approx(50.0)  # 1000 px * 0.5 m / 10 px
+    assert ranges.sigma_m[0] == pytest.approx(0.5)  # 50^2 / 500 * 0.1
+    assert np.isnan(ranges.distance_m[1:]).all()
+
+
+class Recorder:
+    """A matcher that says 10 px for every box and keeps the priors it was handed."""
+
+    def __init__(self):
+        self.priors = []
+
+    def match(self, left, right, xyxy_px, prior_px):
+        self.priors.append(prior_px.tolist())
+        return np.full(len(xyxy_px), 10.0), np.full(len(xyxy_px), 0.1)
+
+
+def frame_at(time_s, right=True):
+    image = np.zeros((200, 320, 3), np.uint8)
+    return Frame(round(10 * time_s), time_s, image, image if right else None)
+
+
+def test_a_track_is_searched_about_its_last_disparity_until_it_is_stale():
+    matcher = Recorder()
+    ranger = PatchRanger(RIG, matcher)
+    ranger.measure(tracks_of(1), frame_at(0.0))
+    ranger.measure(tracks_of(2, 1), frame_at(0.1))
+    ranger.measure(tracks_of(2), frame_at(0.2))
+    ranger.measure(tracks_of(1, 2), frame_at(1.15))
+    np.testing.assert_equal(matcher.priors, [[np.nan], [np.nan, 10.0], [10.0], [np.nan, 10.0]])
+
+
+def test_without_a_right_eye_nothing_is_measured():
+    assert np.isnan(PatchRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
+    dense = DenseRanger(RIG)
+    assert np.isnan(dense.measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
+    dense.close()
+
+
+def test_dense_ranging_of_a_textured_wall():
+    noise = np.random.default_rng(0).integers(0, 255, (200, 360), np.uint8)
+    grey = [np.ascontiguousarray(noise[:, shift : shift + 320]) for shift in (0, 20)]
+    left, right = (np.repeat(image[:, :, None], 3, axis=2) for image in grey)
+    dense = DenseRanger(RIG)
+    frame = Frame(0, 0.0, left, right)
+    dense.start(frame)
+    ranges = dense.measure(tracks_of(1), frame)
+    dense.close()
+    assert ranges.distance_m == pytest.approx([25.0], rel=0.01)  # 500 / 20 px
+    assert dense.busy_s > 0

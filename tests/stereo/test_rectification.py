@@ -1,0 +1,143 @@
+"""Rectifying a distorted, turned pair of a synthetic world: equal rows, right disparities."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from stereo.camera import PinholeCamera
+from stereo.rectification import Rectifier, Undistorter
+from stereo.rig import RigError, StereoRig
+
+FloatArray = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+
+LEFT = PinholeCamera(700.0, 705.0, 315.0, 245.0, 640, 480, (-0.25, 0.08, 0.001, -0.0005, 0.0))
+RIGHT = PinholeCamera(710.0, 708.0, 330.0, 236.0, 640, 480, (-0.22, 0.06, -0.0008, 0.0007, 0.0))
+
+
+def motion(rotation_rad: tuple[float, float, float], translation_m: tuple[float, float, float]) -> FloatArray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = cv2.Rodrigues(np.array(rotation_rad, np.float64))[0], translation_m
+    return matrix
+
+
+RIG = StereoRig(LEFT, RIGHT, motion((0.02, -0.03, 0.015), (-0.4, 0.01, 0.02)))
+
+
+def seen(points_m: FloatArray, camera: PinholeCamera, from_left: FloatArray) -> FloatArray:
+    """(N, 2) pixels of points in the left camera's frame, through the lens."""
+    rotation, _ = cv2.Rodrigues(from_left[:3, :3])
+    pixels, _ = cv2.projectPoints(points_m, rotation, from_left[:3, 3], camera.matrix, np.array(camera.distortion))
+    return np.asarray(pixels, np.float64).reshape(-1, 2)
+
+
+def dots(pixels: FloatArray, camera: PinholeCamera) -> Image:
+    """Bright soft spots at subpixel places on black."""
+    image = np.zeros((camera.height_px, camera.width_px))
+    y, x = np.mgrid[: camera.height_px, : camera.width_px]
+    for u, v in pixels:
+        image += 250 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 2.5**2))
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def centroids(image: Image) -> FloatArray:
+    """(N, 2) centres of bright spots, from left to right."""
+    _, label = cv2.connectedComponents((image > 20).astype(np.uint8))
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    weight = image.astype(np.float64)
+    total = np.bincount(label.ravel(), weight.ravel())[1:]
+    centre_x = np.bincount(label.ravel(), (weight * x).ravel())[1:] / total
+    centre_y = np.bincount(label.ravel(), (weight * y).ravel())[1:] / total
+    return np.stack([centre_x, centre_y], axis=1)[np.argsort(centre_x)]
+
+
+def test_points_of_a_synthetic_world_come_out_in_equal_rows_with_the_right_disparity() -> None:
+    points_m = np.array(
+        [[x, y, 6.0 + 2 * i] for i, (x, y) in enumerate([(-1.2, 0.4), (-0.3, -0.9), (1.0, 0.8), (2.2, -0.2)])]
+    )
+    left, right = dots(seen(points_m, LEFT, np.eye(4)), LEFT), dots(seen(points_m, RIGHT, RIG.right_from_left), RIGHT)
+    assert np.abs(centroids(left) - centroids(right))[:, 1].max() > 5  # not rectified yet
+    rectifier = Rectifier(RIG)
+    left_px, right_px = (centroids(image) for image in rectifier.rectify(left, right))
+    assert len(left_px) == len(right_px) == 4
+    assert np.abs(left_px[:, 1] - right_px[:, 1]).max() < 0.15
+    turned_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    # The rectified left camera is the left one turned about its centre: distances to points stay what they were.
+    assert np.allclose(np.linalg.norm(turned_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
+    assert rectifier.rig.is_rectified
+    assert rectifier.rig.baseline_m == pytest.approx(np.linalg.norm(RIG.right_from_left[:3, 3]), rel=1e-6)
+
+
+def test_a_rectified_pair_passes_uncopied() -> None:
+    rig = StereoRig.rectified(LEFT.without_distortion(), 0.5)
+    left, right = np.zeros((2, 480, 640, 3), np.uint8)
+    rectifier = Rectifier(rig)
+    assert rectifier.rig is rig
+    out_left, out_right = rectifier.rectify(left, right)
+    assert out_left is left
+    assert out_right is right
+
+
+def test_colour_is_rectified_as_grey_is() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (480, 640), dtype=np.uint8)
+    rectifier = Rectifier(RIG)
+    grey, _ = rectifier.rectify(image, image)
+    colour, _ = rectifier.rectify(np.dstack([image] * 3), np.dstack([image] * 3))
+    assert grey.shape == (480, 640)
+    assert np.array_equal(colour[..., 1], grey)
+
+
+def test_undistorted_points_lie_where_the_ideal_camera_sees_them() -> None:
+    points_m = np.array([[-2.0, -1.2, 6.0], [-0.5, 1.0, 6.0], [0.6, -0.4, 6.0], [1.8, 1.1, 6.0]])
+    undistorter = Undistorter(LEFT)
+    bent = dots(seen(points_m, LEFT, np.eye(4)), LEFT)
+    ideal_px = undistorter.camera.project(points_m)
+    assert np.abs(centroids(bent) - ideal_px).max() > 3
+    assert np.abs(centroids(undistorter.undistort(bent)) - ideal_px).max() < 0.15
+    assert not undistorter.camera.is_distorted
+
+
+def test_an_undistorted_image_passes_uncopied() -> None:
+    image = np.zeros((480, 640), np.uint8)
+    assert Undistorter(LEFT.without_distortion()).undistort(image) is image
+
+
+@pytest.mark.parametrize(
+    ("rig", "said"),
+    [
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.05, 0.4, 0))), "one above the other"),
+        (
+            StereoRig(LEFT, RIGHT, motion((0, 0, np.pi - 0.01), (-0.4, 0, 0))),
+            "turned against each other by 179 degrees",
+        ),
+        (StereoRig(LEFT, RIGHT, motion((0, 2.0, 0), (-0.4, 0, 0))), "turned against each other by 115 degrees"),
+        (
+            StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.1, 0, 0.4))),
+            "left camera would have to be turned by 76 degrees",
+        ),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (0.4, 0, 0))), "swap left and right"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-400.0, 0, 0))), "in millimetres"),
+    ],
+)
+def test_rigs_that_cannot_be_rectified(rig: StereoRig, said: str) -> None:
+    with pytest.raises(RigError, match=said):
+        Rectifier(rig)
+
+
+def test_lens_terms_that_zoom_wildly_are_refused() -> None:
+    wild = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480, (100.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(RigError, match="would zoom"):
+        Rectifier(StereoRig(wild, wild, motion((0, 0, 0), (-0.4, 0, 0))))
+
+
+def test_images_of_another_size_are_an_error() -> None:
+    small, good = np.zeros((240, 320), np.uint8), np.zeros((480, 640), np.uint8)
+    with pytest.raises(ValueError, match="left: 640x480 px wanted, 320x240 got"):
+        Rectifier(RIG).rectify(small, good)
+    with pytest.raises(ValueError, match="right: 640x480 px wanted, 320x240 got"):
+        Rectifier(RIG).rectify(good, small)
+    with pytest.raises(ValueError, match="image: 640x480 px wanted, 320x240 got"):
+        Undistorter(LEFT).undistort(small)

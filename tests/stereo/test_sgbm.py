@@ -1,0 +1,103 @@
+"""Dense disparity on known shifts, and the median of boxes by hand."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from stereo.camera import PinholeCamera
+from stereo.rig import StereoRig
+from stereo.sgbm import Mode, Sgbm, SgbmSettings, inner_half_median
+
+Image = npt.NDArray[np.uint8]
+
+
+def pair(disparity_px: int, *, width: int = 400) -> tuple[Image, Image]:
+    """A fronto-parallel wall: left(x) = right(x - disparity)."""
+    noise = np.random.default_rng(1).normal(size=(120, width + disparity_px))
+    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    return wall[:, :width].copy(), wall[:, disparity_px : disparity_px + width].copy()
+
+
+@pytest.mark.parametrize("mode", ["3way", "sgbm", "hh", "hh4"])
+def test_a_wall_has_one_disparity(mode: Mode) -> None:
+    left, right = pair(24)
+    disparity = Sgbm(SgbmSettings(mode=mode)).dense_disparity(left, right)
+    assert disparity.shape == left.shape
+    assert disparity.dtype == np.float32
+    inside = disparity[10:-10, 40:-10]
+    assert np.isfinite(inside).mean() > 0.95
+    assert np.nanpercentile(np.abs(inside - 24), 95) < 0.2
+
+
+def test_the_left_border_is_known_where_the_right_eye_sees_it_and_nan_where_not() -> None:
+    left, right = pair(24)
+    disparity = Sgbm().dense_disparity(left, right)
+    assert np.isfinite(disparity[10:-10, 30:128]).mean() > 0.9  # OpenCV alone gives nothing left of column 128
+    assert np.nanmedian(disparity[10:-10, 30:128]) == pytest.approx(24, abs=0.1)
+    columns = np.broadcast_to(np.arange(400), disparity.shape)
+    known = np.isfinite(disparity)
+    assert (disparity[known] <= columns[known]).all()
+
+
+def test_what_is_flat_is_unknown() -> None:
+    flat = np.full((120, 400), 80, np.uint8)
+    assert np.isnan(Sgbm().dense_disparity(flat, flat)).mean() > 0.95
+
+
+def test_colour_is_matched_in_grey() -> None:
+    left, right = pair(24)
+    grey = Sgbm().dense_disparity(left, right)
+    colour = Sgbm().dense_disparity(np.dstack([left] * 3), np.dstack([right] * 3))
+    assert np.array_equal(grey, colour, equal_nan=True)
+
+
+def test_images_of_different_size_are_an_error() -> None:
+    left, right = pair(24)
+    with pytest.raises(ValueError, match="equal shapes"):
+        Sgbm().dense_disparity(left, right[:, :-2])
+
+
+def test_the_median_of_the_inner_half_by_hand() -> None:
+    disparity = np.full((40, 40), np.nan, np.float32)
+    disparity[10:30, 10:30] = 50.0  # the box's inner half
+    disparity[10:30, 10:18] = 48.0
+    disparity[:10] = disparity[30:] = 5.0  # its outer part does not count
+    settings = SgbmSettings(alignment_sigma_px=0.3, shape_share=0.5)
+    median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
+    assert median[0] == 50.0
+    assert sigma[0] == pytest.approx(0.3)  # most pixels agree, so the median deviation is 0
+    disparity[10:30, 10:30] = np.tile(np.arange(40.0, 60.0), (20, 1))
+    median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
+    assert median[0] == 49.5
+    assert sigma[0] == pytest.approx(np.hypot(0.3, 0.5 * 1.4826 * 5.0))
+
+
+def test_a_box_with_too_little_known_or_out_of_sight_is_nan() -> None:
+    disparity = np.full((40, 40), np.nan, np.float32)
+    disparity[10:14, 10:30] = 9.0  # 20 % of the inner half of the first box
+    nan = np.nan
+    boxes = np.array(
+        [
+            [-0.5, -0.5, 39.5, 39.5],
+            [-0.5, 3.5, 39.5, 43.5],
+            [100.0, 0.0, 140.0, 40.0],
+            [nan, 0.0, 40.0, 40.0],
+            [0.0, 0.0, np.inf, 40.0],
+            [30.0, 30.0, 10.0, 10.0],
+            [20.1, 20.1, 20.2, 20.2],
+        ]
+    )
+    median, sigma = inner_half_median(disparity, boxes)
+    assert median[0] == 9.0
+    assert np.isnan(median[1:]).all()
+    assert np.array_equal(np.isnan(median), np.isnan(sigma))
+    assert inner_half_median(disparity, np.zeros((0, 4)))[0].shape == (0,)
+
+
+def test_settings_for_a_rig_are_whole_sixteens() -> None:
+    rig = StereoRig.rectified(PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375), 0.5327)
+    assert SgbmSettings.for_rig(rig).n_disparities == 144  # 721.5 * 0.5327 / 3 = 128.1
+    assert SgbmSettings.for_rig(rig, nearest_m=1000.0).n_disparities == 16

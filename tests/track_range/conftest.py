@@ -1,0 +1,71 @@
+"""Films whose frames can be told apart: each is one level of grey, its number's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+FIRST_LEVEL, LEVEL_STEP = 24, 4
+
+
+def level_image(number: int, *, width_px: int = 64, height_px: int = 48) -> np.ndarray:
+    return np.full((height_px, width_px, 3), FIRST_LEVEL + LEVEL_STEP * number, np.uint8)
+
+
+def number_of(image: np.ndarray) -> int:
+    return round((float(image.mean()) - FIRST_LEVEL) / LEVEL_STEP)
+
+
+def write_film(
+    path: Path,
+    times_s: Sequence[float],
+    *,
+    images: Sequence[np.ndarray] | None = None,
+    codec: str = "libx264",
+    gop: int = 6,
+    rotation: tuple[float, bool, bool] | None = None,
+    options: dict[str, str] | None = None,
+    aspect: Fraction = Fraction(1),
+    rate: int = 10,
+) -> Path:
+    """A film of one image per time: H.264 with B-frames unless told otherwise."""
+    images = [level_image(number) for number in range(len(times_s))] if images is None else images
+    clock = Fraction(1, rate) if codec == "mpeg4" else Fraction(1, 90_000)
+    with av.open(str(path), "w", options=options or {}) as container:
+        stream: Any = container.add_stream(codec, rate=rate)
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        stream.codec_context.time_base, stream.codec_context.gop_size = clock, gop
+        stream.codec_context.sample_aspect_ratio = aspect
+        if rotation is not None:
+            stream.set_display_rotation(*rotation)
+        for time_s, image in zip(times_s, images, strict=True):
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
+            frame.pts, frame.time_base = round(time_s / clock), clock
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.fixture(scope="session")
+def film() -> Callable[..., Path]:
+    """Writes a film: `film(path, times_s, ...)`, see `write_film`."""
+    return write_film
+
+
+@pytest.fixture(scope="session")
+def level() -> Callable[..., np.ndarray]:
+    """The image of a number: `level(number, width_px=64, height_px=48)`."""
+    return level_image
+
+
+@pytest.fixture(scope="session")
+def number_in() -> Callable[[np.ndarray], int]:
+    """The number of a film's image."""
+    return number_of

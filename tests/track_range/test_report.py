@@ -1,0 +1,219 @@
+"""The report: one page that works offline, says the figures, escapes what it is given and is written whole."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from track_range.report import CHARTED_TRACKS, best_method, flattened, report_page, write_report
+from track_range.results import COLUMNS
+from track_range.written import OutputError
+
+VOID = {"meta", "link", "br", "img", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """A page's text, elements and addresses; every element must be closed by its own tag."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.counts: dict[str, int] = {}
+        self.addresses: list[str] = []
+        self.handlers: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+        self.addresses += [value or "" for name, value in attrs if name.split(":")[-1] in ("src", "href", "action")]
+        self.handlers += [name for name, _ in attrs if name.startswith("on")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+
+def columns(*lengths: int, class_name: str = "car", truth: bool = True) -> dict[str, npt.NDArray[Any]]:
+    """tracks.csv's columns with one track of each length, ids from 1; mono, stereo and fused measured."""
+    n = sum(lengths)
+    found: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in COLUMNS}
+    time_s = np.concatenate([np.arange(length) * 0.1 for length in lengths]) if lengths else np.zeros(0)
+    distance_m = 40.0 - time_s
+    found |= {
+        "time_s": time_s,
+        "track_id": np.repeat(np.arange(1.0, len(lengths) + 1), lengths),
+        "class": np.full(n, class_name),
+        "observed": np.ones(n),
+        "mono_m": distance_m * 1.1,
+        "stereo_m": distance_m * 0.99,
+        "fused_m": distance_m,
+        "fused_sigma_m": np.full(n, 0.4),
+        "ttc_s": np.where(time_s > 0.35, 9.5, np.nan),
+    }
+    return found | ({"truth_m": distance_m} if truth else {})
+
+
+def row(median_pct: float | None, **more: Any) -> dict[str, Any]:
+    return {"coverage": 0.93, "n": 41, "median_relative_error_pct": median_pct, "bands": [], **more}
+
+
+def summary(**more: Any) -> dict[str, Any]:
+    return {
+        "frames": 16,
+        "wall_s": 2.0,
+        "frames_per_s": 8.25,
+        "stages_ms": {"read": 2.0, "detect": 61.7, "lane": None},
+        "methods": {"mono": row(7.9), "stereo": row(3.4)},
+        "common": {},
+        "tracks": {"n": 3, "mota": 88.1, "idf1": 91.4, "idsw": 0},
+        "notes": ["The rig was taken from calib.txt."],
+        "truth": "the visible surface",
+        "inputs": {"left": "drive/left.mp4", "right": "drive/right.mp4", "rig": {"file": "calib.txt", "note": None}},
+        "versions": {"numpy": "2.4.6"},
+        "files": {"overlay": "overlay.mp4"},
+        **more,
+    }
+
+
+def test_the_figures_of_the_summary_are_on_the_page() -> None:
+    page = Page(report_page(summary(), columns(9, 5, 7)))
+    for words in (
+        "drive/left.mp4 + drive/right.mp4",
+        "8.2",
+        "61.70",
+        "MOTA % IDF1 %",
+        "88.1 91.4",
+        "median distance error 3.4 %",
+        "stereo, the best where it measured",
+        "The rig was taken from calib.txt.",
+        "Errors are measured against the visible surface.",
+        "rig.file calib.txt",
+        "rig.note -",
+        "numpy 2.4.6",
+        "9 frames, 0.0 to 0.8 s · nearest 39.2 m · shortest time to collision 9.5 s",
+    ):
+        assert words in page.text
+
+
+def test_the_page_needs_nothing_from_elsewhere() -> None:
+    text = report_page(summary(), columns(700, 5, 7))
+    page = Page(text)
+    assert "http" not in text.lower()
+    assert "@import" not in text
+    assert "script" not in page.counts
+    assert "link" not in page.counts
+    assert page.handlers == []
+    assert {address for address in page.addresses if address[:1] != "#"} == {"overlay.mp4"}
+
+
+def test_the_longest_tracks_come_first() -> None:
+    page = Page(report_page(summary(), columns(5, 9, 7)))
+    order = [page.text.index(f"car {track_id}") for track_id in (2, 3, 1)]
+    assert order == sorted(order)
+
+
+def test_classes_files_and_notes_cannot_become_markup() -> None:
+    evil = "<img src=x onerror=alert(1)>$&{{7*7}}"
+    found = summary(
+        notes=[evil],
+        truth=evil,
+        inputs={"left": evil, evil: evil},
+        methods={evil: row(1.0)},
+        stages_ms={evil: 3.0},
+        files={"overlay": 'x/"><script>alert(1)</script>.mp4'},
+    )
+    page = Page(report_page(found, columns(5, class_name=evil)))
+    assert "img" not in page.counts
+    assert "script" not in page.counts
+    assert page.handlers == []
+    assert page.text.count(evil) >= 6
+
+
+def test_a_video_is_embedded_by_its_name_beside_the_page() -> None:
+    page = Page(report_page(summary(files={"overlay": "out dir/overlay 1.mp4"}), columns(5)))
+    assert "overlay%201.mp4" in page.addresses
+    assert page.counts["video"] == 1
+    for files in ({}, {"overlay": None}, None):
+        assert "video" not in Page(report_page(summary(files=files), columns(5))).counts
+
+
+def test_a_run_without_truth_says_so() -> None:
+    found = summary(truth=None, methods={"mono": row(None)})
+    page = Page(report_page(found, columns(9, truth=False)))
+    assert "No truth was given" in page.text
+    assert "median distance error" not in page.text
+    assert "Error against distance" not in page.text
+
+
+def test_a_run_without_tracks_or_figures_still_has_a_page() -> None:
+    page = Page(report_page({"frames": 0}, columns()))
+    assert "No track was confirmed in this run." in page.text
+    assert "The summary holds no figures." in page.text
+    assert "svg" not in page.counts
+
+
+def test_a_run_of_one_frame_has_a_chart() -> None:
+    page = Page(report_page(summary(), columns(1)))
+    assert "1 frame, 0.0 to 0.0 s · nearest 40.0 m" in page.text
+    assert page.counts["svg"] == 3
+
+
+def test_a_single_camera_without_any_distance_is_fine() -> None:
+    found = columns(4, truth=False)
+    found |= {name: np.full(4, np.nan) for name in ("mono_m", "stereo_m", "fused_m", "fused_sigma_m")}
+    page = Page(report_page(summary(truth=None, methods={}, inputs={"video": "dash.mp4"}), found))
+    assert "dash.mp4" in page.text
+    assert "nearest" not in page.text
+
+
+def test_two_thousand_tracks_stay_small() -> None:
+    text = report_page(summary(), columns(*([30] * 2000)))
+    page = Page(text)
+    assert len(text.encode()) < 10_000_000
+    assert f"The {CHARTED_TRACKS} longest of 2000 tracks." in page.text
+    assert page.text.count("30 frames") == CHARTED_TRACKS
+
+
+def test_common_coverage_decides_which_method_is_best() -> None:
+    common = {"mono": row(2.5), "stereo": row(2.6)}
+    assert best_method(summary(common=common)) == ("mono", 2.5, "on common coverage")
+    assert best_method(summary(common={"mono": row(None)})) == ("stereo", 3.4, "where it measured")
+    assert best_method({}) is None
+
+
+def test_nested_settings_become_dotted_names() -> None:
+    assert list(flattened({"a": {"b": 1, "c": {"d": None}}, "e": "x"})) == [("a.b", "1"), ("a.c.d", "-"), ("e", "x")]
+
+
+def test_the_file_is_written_whole_and_replaces_the_one_before(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old", encoding="utf-8")
+    write_report(path, summary(notes=["caf\udce9 \N{SNOWMAN}"]), columns(5))
+    text = path.read_text(encoding="utf-8")
+    assert text.rstrip().endswith("</html>")
+    assert "caf? \N{SNOWMAN}" in text
+    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"report\.html: cannot be written"):
+        write_report(tmp_path / "missing" / "report.html", summary(), columns(3))

@@ -1,0 +1,158 @@
+"""The tables of a summary: their figures, their best ones, and what is left out."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from track_range.tables import Cell, frames_per_s, grids, markdown, method_grid, summary_tables
+
+STEREO = {
+    "coverage": 0.984,
+    "n": 120,
+    "mean_relative_error_pct": 4.31,
+    "median_relative_error_pct": 3.26,
+    "bias_pct": -1.42,
+    "within_1_sigma": 0.61,
+    "within_2_sigma": 0.95,
+    "bands": [
+        {"from_m": 5, "to_m": 10, "n": 0, "mean_relative_error_pct": None},
+        {"from_m": 10, "to_m": 20, "n": 60, "mean_relative_error_pct": 2.04},
+    ],
+}
+MONO = {
+    "coverage": 1.0,
+    "n": 122,
+    "mean_relative_error_pct": 9.96,
+    "median_relative_error_pct": 7.9,
+    "bias_pct": 0.4,
+    "within_1_sigma": 0.70,
+    "within_2_sigma": 0.99,
+    "bands": [{"from_m": 10, "to_m": 20, "n": 62, "mean_relative_error_pct": 8.0}],
+}
+UNMEASURED = dict.fromkeys(["n", *(key for key in STEREO if key not in ("coverage", "n", "bands"))])
+SUMMARY: dict[str, Any] = {
+    "frames": 16,
+    "wall_s": 2.0,
+    "frames_per_s": 8.0,
+    "stages_ms": {"read": 2.0, "detect": 62.5, "lane": None, "sgbm": 0.0},
+    "methods": {"mono": MONO, "stereo": STEREO},
+    "common": {"mono": {**MONO, "n": 118}, "stereo": {**STEREO, "n": 118}},
+    "tracks": {"n": 5, "mota": 88.12, "idf1": 91.0, "idsw": 0},
+    "notes": ["The rig was taken from calib.txt."],
+    "truth": "the visible surface",
+}
+
+
+def texts(rows: tuple[tuple[Cell, ...], ...]) -> list[list[str]]:
+    return [[cell.text for cell in row] for row in rows]
+
+
+def bests(rows: tuple[tuple[Cell, ...], ...]) -> list[list[str]]:
+    return [[cell.text for cell in row if cell.best] for row in rows]
+
+
+def test_method_rows_by_hand() -> None:
+    grid = method_grid("Distance", {"mono": MONO, "stereo": STEREO})
+    assert grid.columns == (
+        *("method", "cover %", "n", "mean %", "median %", "bias %", "in 1\u03c3 %", "in 2\u03c3 %"),
+        "10-20 m",
+    )
+    assert texts(grid.rows) == [
+        ["mono", "100", "122", "10.0", "7.9", "+0.4", "70", "99", "8.0"],
+        ["stereo", "98", "120", "4.3", "3.3", "-1.4", "61", "95", "2.0"],
+    ]
+
+
+def test_best_is_most_coverage_least_error_and_bias_and_shares_nearest_a_normal_distribution() -> None:
+    grid = method_grid("Distance", {"mono": MONO, "stereo": STEREO})
+    assert bests(grid.rows) == [["100", "+0.4", "70"], ["4.3", "3.3", "95", "2.0"]]
+
+
+def test_a_bias_far_below_zero_is_not_the_best() -> None:
+    grid = method_grid("Distance", {"a": {"bias_pct": -30.0}, "b": {"bias_pct": 2.0}})
+    assert bests(grid.rows) == [[], ["+2.0"]]
+
+
+def test_figures_that_read_the_same_are_equally_good() -> None:
+    grid = method_grid("Distance", {"a": {"mean_relative_error_pct": 2.01}, "b": {"mean_relative_error_pct": 2.04}})
+    assert bests(grid.rows) == [["2.0"], ["2.0"]]
+
+
+def test_one_method_alone_is_not_called_best() -> None:
+    assert bests(method_grid("Distance", {"mono": MONO}).rows) == [[]]
+
+
+def test_what_was_not_measured_is_a_dash_and_a_column_of_dashes_is_left_out() -> None:
+    methods = {"mono": MONO, "sgbm": {"coverage": float("nan"), **UNMEASURED, "bands": []}}
+    grid = method_grid("Distance", methods)
+    assert texts(grid.rows)[1] == ["sgbm"] + ["-"] * 8
+    without_truth = method_grid("Distance", {"mono": {"coverage": 0.5, **UNMEASURED, "bands": None}})
+    assert without_truth.columns == ("method", "cover %")
+    assert texts(without_truth.rows) == [["mono", "50"]]
+
+
+def test_stages_that_did_not_run_have_no_row_and_the_whole_run_has_one() -> None:
+    speed = grids(SUMMARY)[2]
+    assert texts(speed.rows) == [["read", "2.00", "500.0"], ["detect", "62.50", "16.0"], ["whole run", "125.00", "8.0"]]
+
+
+def test_the_speed_of_a_run_follows_from_its_frames_and_its_clock() -> None:
+    assert frames_per_s({"frames": 16, "wall_s": 2.0}) == 8.0
+    assert frames_per_s({"frames": 16, "wall_s": 2.0, "frames_per_s": 7.5}) == 7.5
+    assert frames_per_s({"frames": 16, "wall_s": None}) is None
+    assert frames_per_s({"frames": 0, "wall_s": 2.0}) is None
+    assert frames_per_s({}) is None
+
+
+def test_titles_say_what_is_compared() -> None:
+    titles = [grid.title for grid in grids(SUMMARY)]
+    assert titles[1] == "Distance error, on the 118 track-frames that all methods measured"
+    assert titles[2:] == ["Speed", "Tracks"]
+    assert texts(grids(SUMMARY)[3].rows) == [["all", "5", "88.1", "91.0", "0"]]
+
+
+@pytest.mark.parametrize("empty", [{}, {"methods": {}, "common": None, "tracks": None, "stages_ms": {}}])
+def test_an_empty_summary_has_no_tables(empty: dict[str, Any]) -> None:
+    assert grids(empty) == []
+    assert summary_tables(empty) == []
+    assert markdown(empty) == ""
+
+
+def test_markdown_shows_the_same_figures_with_the_best_bold() -> None:
+    lines = markdown(SUMMARY).splitlines()
+    assert "| stereo | 98 | 120 | **4.3** | **3.3** | -1.4 | 61 | **95** | **2.0** |" in lines
+    assert "Truth: the visible surface" in lines
+    assert lines[-1] == "- The rig was taken from calib.txt."
+    assert {line.count("|") for line in lines if line.startswith("| ")} == {10, 4, 6}
+
+
+def test_markdown_keeps_a_pipe_in_a_name() -> None:
+    assert "| a\\|b | 100 |" in markdown({"methods": {"a|b": {"coverage": 1}}})
+
+
+def printed(summary: dict[str, Any], *, width: int) -> str:
+    console = Console(file=io.StringIO(), width=width, force_terminal=False)
+    for table in summary_tables(summary):
+        console.print(table)
+    file = console.file
+    assert isinstance(file, io.StringIO)
+    return file.getvalue()
+
+
+def test_five_bands_fit_on_eighty_columns() -> None:
+    bands = [
+        {"from_m": low, "to_m": high, "n": 100, "mean_relative_error_pct": 10.5}
+        for low, high in ((5, 10), (10, 20), (20, 30), (30, 50), (50, 100))
+    ]
+    shown = printed({"methods": {"stereo_kf": {**STEREO, "n": 12345, "bands": bands}}}, width=80)
+    assert "…" not in shown
+    assert "12345" in shown
+    assert "50-100" in shown
+
+
+def test_rich_markup_in_a_name_is_shown_as_it_is() -> None:
+    assert "[red]x[/]" in printed({"methods": {"[red]x[/]": {"coverage": 1.0}}}, width=80)

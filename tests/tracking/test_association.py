@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from detection.classes import ROAD_CLASSES
+from tracking.association import are_compatible, assigned, iou_cost, widened
+
+
+def test_iou_cost_by_hand() -> None:
+    # 10 x 10 boxes, shifted by half: 50 shared of 150
+    cost = iou_cost(np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[5.0, 0.0, 15.0, 10.0], [0.0, 0.0, 10.0, 10.0]]))
+    np.testing.assert_allclose(cost, [[2 / 3, 0.0]])
+
+
+def test_margin_brings_boxes_together_that_do_not_touch() -> None:
+    left, right = np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[12.0, 0.0, 22.0, 10.0]])
+    assert iou_cost(left, right)[0, 0] == 1.0
+    # widened by 0.3: -3..13 and 9..25, both 16 x 16: 4 * 16 shared of 2 * 256 - 64
+    assert iou_cost(left, right, margin=0.3)[0, 0] == pytest.approx(1 - 64 / 448)
+
+
+def test_widened_by_hand() -> None:
+    np.testing.assert_allclose(widened(np.array([[0.0, 10.0, 10.0, 30.0]]), 0.5), [[-5.0, 0.0, 15.0, 40.0]])
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "may"),
+    [
+        ("car", "car", True),
+        ("car", "truck", True),
+        ("bus", "car", True),
+        ("bicycle", "motorcycle", True),
+        ("person", "bicycle", False),
+        ("person", "car", False),
+        ("traffic light", "traffic sign", False),
+    ],
+)
+def test_classes_that_may_be_one_object(a: str, b: str, may: bool) -> None:
+    ids = [np.array([ROAD_CLASSES.index(name)]) for name in (a, b)]
+    assert are_compatible(ids[0], ids[1])[0, 0] == may
+
+
+def test_the_sum_is_minimised_not_each_row() -> None:
+    # greedy would take (0, 0) at 0.1 and be left with 0.9
+    rows, columns = assigned(np.array([[0.1, 0.2], [0.2, 0.9]]), max_cost=1.0)
+    assert list(zip(rows, columns, strict=True)) == [(0, 1), (1, 0)]
+
+
+def test_a_poor_pair_is_left_alone_and_does_not_push_a_good_one() -> None:
+    # to pair both rows, row 0 would have to give up its 0.1 for 0.5 and row 1 to take 0.85 > 0.7
+    rows, columns = assigned(np.array([[0.1, 0.5], [0.85, np.inf]]), max_cost=0.7)
+    assert list(zip(rows, columns, strict=True)) == [(0, 0)]
+
+
+def test_infinite_cost_forbids() -> None:
+    rows, columns = assigned(np.full((2, 3), np.inf), max_cost=0.9)
+    assert len(rows) == len(columns) == 0
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 3), (2, 0)])
+def test_nothing_to_assign(shape: tuple[int, int]) -> None:
+    rows, columns = assigned(np.zeros(shape), max_cost=0.5)
+    assert rows.dtype == columns.dtype == np.int64
+    assert len(rows) == len(columns) == 0
+
+
+@given(
+    cost=st.tuples(st.integers(1, 4), st.integers(1, 4)).flatmap(lambda s: arrays(float, s, elements=st.floats(0, 1))),
+    max_cost=st.floats(0.1, 0.9),
+)
+@settings(deadline=None)
+def test_no_other_choice_is_cheaper(cost: np.ndarray, max_cost: float) -> None:
+    rows, columns = assigned(cost, max_cost=max_cost)
+    assert len(set(rows)) == len(rows)
+    assert len(set(columns)) == len(columns)
+    assert (cost[rows, columns] <= max_cost).all()
+    total = cost[rows, columns].sum() + max_cost * (len(cost) - len(rows))
+    padded = np.pad(cost, ((0, 0), (0, len(cost))), constant_values=max_cost)  # one column more per row: stay alone
+    choices = permutations(range(padded.shape[1]), len(cost))
+    assert total == pytest.approx(min(padded[np.arange(len(cost)), list(c)].sum() for c in choices))

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import motmetrics
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tracking.evaluation import IgnoreRegions, TrackedBoxes, evaluate_tracks
+from tracking.mot_format import read_mot
+
+WHEEL_DATA = Path(motmetrics.__file__).parent / "data"
+
+
+def boxes_of(rows: list[tuple[int, int, float]], *, class_id: int = 2) -> TrackedBoxes:
+    """Boxes of 10 x 10 px from (frame, id, left edge)."""
+    frame, track_id, x = np.array(rows, np.float64).reshape(-1, 3).T
+    y = np.zeros_like(x)
+    return TrackedBoxes(
+        frame.astype(np.int64),
+        track_id.astype(np.int64),
+        np.stack([x, y, x + 10, y + 10], axis=1),
+        np.full(len(x), class_id),
+    )
+
+
+def golden(name: str, file: str) -> TrackedBoxes:
+    rows = read_mot(WHEEL_DATA / name / file)
+    return TrackedBoxes(rows.frame, rows.track_id, rows.xyxy_px, np.zeros(len(rows), np.int64))
+
+
+# The figures that motmetrics publishes for the sequences inside its wheel.
+@pytest.mark.parametrize(
+    ("name", "mota", "idf1", "idsw", "fp", "fn", "n"),
+    [("TUD-Campus", 52.65, 55.77, 7, 13, 150, 359), ("TUD-Stadtmitte", 56.40, 64.46, 7, 45, 452, 1156)],
+)
+def test_golden_sequences(name: str, mota: float, idf1: float, idsw: int, fp: int, fn: int, n: int) -> None:
+    scores = evaluate_tracks(golden(name, "gt.txt"), golden(name, "test.txt"))
+    assert scores.mota == pytest.approx(mota, abs=0.005)
+    assert scores.idf1 == pytest.approx(idf1, abs=0.005)
+    assert (scores.idsw, scores.fp, scores.fn, scores.n) == (idsw, fp, fn, n)
+
+
+def test_truth_against_itself_is_perfect() -> None:
+    truth = golden("TUD-Campus", "gt.txt")
+    scores = evaluate_tracks(truth, truth)
+    ratios = (scores.mota, scores.motp, scores.idf1, scores.idp, scores.idr)
+    assert ratios == (100.0, 100.0, 100.0, 100.0, 100.0)
+    assert (scores.idsw, scores.fp, scores.fn, scores.frag, scores.mt, scores.ml, scores.n) == (0, 0, 0, 0, 8, 0, 359)
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=5, deadline=None)
+def test_names_of_ids_and_order_of_rows_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth, results = golden("TUD-Campus", "gt.txt"), golden("TUD-Campus", "test.txt")
+    names = rng.permutation(1000)
+    renamed = TrackedBoxes(results.frame, names[results.track_id], results.xyxy_px, results.class_id)
+    assert evaluate_tracks(truth, renamed.select(rng.permutation(len(renamed)))) == evaluate_tracks(truth, results)
+
+
+def test_a_switch_by_hand() -> None:
+    truth = boxes_of([(0, 1, 0), (1, 1, 0), (2, 1, 0), (3, 1, 0)])
+    results = boxes_of([(0, 7, 0), (1, 7, 0), (2, 8, 0), (3, 8, 0)])
+    scores = evaluate_tracks(truth, results)
+    assert (scores.idsw, scores.fp, scores.fn, scores.mt) == (1, 0, 0, 1)
+    assert scores.mota == pytest.approx(75.0)  # 1 - 1 / 4
+    assert scores.idf1 == pytest.approx(50.0)  # one of the two ids explains 2 of 4 boxes
+
+
+def test_motp_is_the_mean_iou_of_the_matches() -> None:
+    # shifted by 2 of 10 px: 80 shared of 120; the second box is hit exactly
+    scores = evaluate_tracks(boxes_of([(0, 1, 0), (0, 2, 50)]), boxes_of([(0, 1, 2), (0, 2, 50)]))
+    assert scores.motp == pytest.approx(100 * (2 / 3 + 1) / 2)
+
+
+def test_an_overlap_of_less_than_half_is_a_miss_and_a_false_box() -> None:
+    scores = evaluate_tracks(boxes_of([(0, 1, 0)]), boxes_of([(0, 1, 4)]))  # 60 of 140
+    assert (scores.fp, scores.fn, scores.mota) == (1, 1, -100.0)
+
+
+def test_another_class_does_not_match() -> None:
+    scores = evaluate_tracks(boxes_of([(0, 1, 0)], class_id=2), boxes_of([(0, 1, 0)], class_id=5))
+    assert (scores.fp, scores.fn) == (1, 1)
+
+
+def test_frames_of_only_one_side_count() -> None:
+    scores = evaluate_tracks(boxes_of([(0, 1, 0), (2, 1, 0)]), boxes_of([(0, 1, 0), (5, 1, 0)]))
+    assert (scores.fp, scores.fn, scores.n) == (1, 1, 2)
+
+
+def test_a_track_lost_and_found_is_fragmented() -> None:
+    truth = boxes_of([(f, 1, 0) for f in range(5)])
+    scores = evaluate_tracks(truth, boxes_of([(f, 1, 0) for f in (0, 1, 3, 4)]))
+    assert (scores.frag, scores.fn, scores.mt, scores.ml) == (1, 1, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("region_frame", "region_x_px", "fp"),
+    [(0, 94.0, 0), (0, 95.0, 0), (0, 96.0, 1), (1, 94.0, 1)],
+    ids=["60 % inside", "half inside", "40 % inside", "other frame"],
+)
+def test_false_boxes_in_ignore_regions_are_dropped(region_frame: int, region_x_px: float, fp: int) -> None:
+    truth, results = boxes_of([(0, 1, 0), (1, 1, 0)]), boxes_of([(0, 1, 0), (1, 1, 0), (0, 2, 90)])
+    ignore = IgnoreRegions(np.array([region_frame]), np.array([[region_x_px, -50.0, region_x_px + 100, 50.0]]))
+    assert evaluate_tracks(truth, results, ignore=ignore).fp == fp
+
+
+def test_a_box_that_matches_truth_is_kept_inside_an_ignore_region() -> None:
+    everything = IgnoreRegions(np.array([0]), np.array([[-100.0, -100.0, 100.0, 100.0]]))
+    truth = boxes_of([(0, 1, 0)])
+    assert evaluate_tracks(truth, boxes_of([(0, 1, 0), (0, 2, 1)]), ignore=everything).mota == 100.0
+
+
+def test_nothing_to_divide_by_is_nan() -> None:
+    empty, one = boxes_of([]), boxes_of([(0, 1, 0)])
+    no_results = evaluate_tracks(one, empty)
+    assert (no_results.mota, no_results.idf1, no_results.fn, no_results.ml) == (0.0, 0.0, 1, 1)
+    assert np.isnan([no_results.motp, no_results.idp]).all()
+    no_truth = evaluate_tracks(empty, one)
+    assert np.isnan([no_truth.mota, no_truth.motp, no_truth.idr]).all()
+    assert no_truth.fp == 1
+    nothing = evaluate_tracks(empty, empty)
+    assert np.isnan([nothing.mota, nothing.motp, nothing.idf1, nothing.idp, nothing.idr]).all()
+
+
+def test_an_id_twice_in_a_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match="track_id: twice in one frame"):
+        boxes_of([(0, 1, 0), (0, 1, 30)])
+
+
+def test_shapes_are_checked() -> None:
+    ids = np.zeros(1, np.int64)
+    with pytest.raises(ValueError, match=r"xyxy_px: shape \(1, 4\) wanted, \(1, 3\) got"):
+        TrackedBoxes(ids, ids, np.zeros((1, 3)), ids)
+    with pytest.raises(ValueError, match=r"xyxy_px: shape \(1, 4\) wanted, \(2, 4\) got"):
+        IgnoreRegions(ids, np.zeros((2, 4)))

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.detections import Detections
+from tracking.mot_format import MotFormatError, MotRows, mot_lines, read_mot
+from tracking.tracks import Tracks
+
+
+def tracks_of(boxes: list[list[float]]) -> Tracks:
+    n = len(boxes)
+    found = Detections.of(boxes, np.full(n, 0.875), np.zeros(n))
+    return Tracks(np.arange(1, n + 1), found.xyxy_px, found.class_id, found.score, np.ones(n, bool))
+
+
+def test_a_line_by_hand() -> None:
+    # our pixel columns 3..5 and rows 0..9: theirs start at 4 and 1
+    assert mot_lines(tracks_of([[2.5, -0.5, 5.5, 9.5]]), 0) == ["1,1,4.00,1.00,3.00,10.00,0.8750,-1,-1,-1\n"]
+
+
+def test_no_tracks_no_lines() -> None:
+    assert mot_lines(Tracks.empty(), 3) == []
+
+
+@given(box=st.tuples(*[st.floats(-100, 3000)] * 2, *[st.floats(0.1, 2000)] * 2), frame=st.integers(0, 10**6))
+@settings(deadline=None)
+def test_written_then_read_is_the_same_box(
+    box: tuple[float, ...], frame: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    x, y, w, h = box
+    path = tmp_path_factory.getbasetemp() / "mot.txt"
+    path.write_text("".join(mot_lines(tracks_of([[x, y, x + w, y + h]]), frame)))
+    rows = read_mot(path)
+    assert rows.frame.tolist() == [frame]
+    np.testing.assert_allclose(rows.xyxy_px, [[x, y, x + w, y + h]], atol=0.0101)
+
+
+def test_ground_truth_of_mot16(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text("1,5,4,1,3,10,1,1,0.25\n\n2,5,5,1,3,10,0,7,1\n")
+    rows = read_mot(path)
+    assert rows.frame.tolist() == [0, 1]
+    assert rows.track_id.tolist() == [5, 5]
+    np.testing.assert_allclose(rows.xyxy_px[0], [2.5, -0.5, 5.5, 9.5])
+    assert rows.score.tolist() == [1.0, 0.0]
+    assert rows.mot_class.tolist() == [1, 7]
+    assert rows.visibility.tolist() == [0.25, 1.0]
+
+
+def test_world_coordinates_of_mot15_are_not_taken_for_a_class(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text("1,1,212,204,20,57,0,-3.1784,16.34,0.45739\n")
+    rows = read_mot(path)
+    assert rows.mot_class.tolist() == [0]
+    assert np.isnan(rows.visibility).all()
+
+
+def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text("")
+    assert len(read_mot(path)) == 0
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("1,1,2,3,4,5", r"line 2: 7 to 10 numbers between commas wanted, 6 got"),
+        ("1 1 2 3 4 5 1", r"line 2: 7 to 10 numbers between commas wanted, 1 got"),
+        ("1,1,x,3,4,5,1", r"line 2: a number wanted \(could not convert string to float: 'x'\)"),
+        ("1,1,nan,3,4,5,1", r"line 2: finite numbers wanted, '1,1,nan,3,4,5,1' got"),
+        ("0,1,2,3,4,5,1", r"line 2: a whole frame from 1 on and a whole id wanted, 0 and 1 got"),
+        ("1.5,1,2,3,4,5,1", r"line 2: a whole frame from 1 on"),
+        ("1,1.5,2,3,4,5,1", r"line 2: a whole frame from 1 on"),
+        ("1,1,2,3,-4,5,1", r"line 2: width and height >= 0 wanted, -4 and 5 got"),
+    ],
+)
+def test_bad_lines_are_named(line: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text(f"1,1,2,3,4,5,1\n{line}\n")
+    with pytest.raises(MotFormatError, match=f"gt.txt, {says}"):
+        read_mot(path)
+
+
+def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
+    with pytest.raises(MotFormatError, match=r"none\.txt: cannot be read as text"):
+        read_mot(tmp_path / "none.txt")
+    (tmp_path / "video.mp4").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(MotFormatError, match=r"video\.mp4: cannot be read as text"):
+        read_mot(tmp_path / "video.mp4")
+
+
+def test_columns_of_unlike_length_are_refused() -> None:
+    ids = np.zeros(2, np.int64)
+    with pytest.raises(ValueError, match=r"score: shape \(2\) wanted, \(1,\) got"):
+        MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))

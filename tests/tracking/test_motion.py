@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from tracking.motion import BoxFilters, MotionNoise, begun, predicted, squared_mahalanobis, updated
+
+NOISE = MotionNoise()
+BOX = np.array([[100.0, 50.0, 140.0, 130.0]])  # centre 120, 90; 40 x 80
+
+
+def oracle(box_cxcywh: np.ndarray, noise: MotionNoise) -> KalmanFilter:
+    """One 8-dimensional filter for a whole box: value and rate of cx, cy, w, h in turn."""
+    filter8 = KalmanFilter(dim_x=8, dim_z=4)
+    filter8.x = np.stack([box_cxcywh, np.zeros(4)], axis=1).reshape(8, 1)
+    height = box_cxcywh[3]
+    filter8.P = np.kron(np.eye(4), np.diag([(noise.measured * height) ** 2, (noise.first_rate * height) ** 2]))
+    filter8.H = np.kron(np.eye(4), [[1.0, 0.0]])
+    return filter8
+
+
+def oracle_step(filter8: KalmanFilter, dt_s: float, height_px: float, z: np.ndarray, noise: MotionNoise) -> None:
+    s2 = height_px**2
+    white = np.array([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]])
+    Q = s2 * (noise.acceleration**2 * white + noise.drift**2 * np.array([[dt_s, 0], [0, 0]]))
+    filter8.predict(F=np.kron(np.eye(4), [[1.0, dt_s], [0.0, 1.0]]), Q=np.kron(np.eye(4), Q))
+    filter8.update(z.reshape(4, 1), R=np.eye(4) * (noise.measured**2 * s2))
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_equals_filterpy_on_random_sequences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = MotionNoise(measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0)
+    boxes = np.concatenate([rng.uniform(0, 500, (3, 2)), rng.uniform(20, 200, (3, 2))], axis=1)
+    ours = begun(np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1), noise)
+    theirs = [oracle(box, noise) for box in boxes]
+    for _ in range(6):
+        dt_s = rng.uniform(0.01, 0.3)
+        moved = boxes + rng.normal(0, 5, (3, 4))
+        xyxy = np.concatenate([moved[:, :2] - moved[:, 2:] / 2, moved[:, :2] + moved[:, 2:] / 2], axis=1)
+        ours = updated(predicted(ours, dt_s, noise), xyxy, noise)
+        for filter8, old, new in zip(theirs, boxes, moved, strict=True):
+            oracle_step(filter8, dt_s, old[3], new, noise)
+        boxes = moved
+    for i, filter8 in enumerate(theirs):
+        np.testing.assert_allclose(ours.x[i].reshape(8), filter8.x.reshape(8), rtol=1e-8, atol=1e-8)
+        for c in range(4):
+            block = filter8.P[2 * c : 2 * c + 2, 2 * c : 2 * c + 2]
+            np.testing.assert_allclose(ours.P[i, c], block, rtol=1e-8, atol=1e-8)
+
+
+@given(first_s=st.floats(0.001, 1.0), second_s=st.floats(0.001, 1.0))
+@settings(deadline=None)
+def test_two_steps_are_one_long_step(first_s: float, second_s: float) -> None:
+    start = updated(predicted(begun(BOX, NOISE), 0.1, NOISE), BOX + np.array([4.0, 1.0, 6.0, 3.0]), NOISE)
+    twice = predicted(predicted(start, first_s, NOISE), second_s, NOISE)
+    once = predicted(start, first_s + second_s, NOISE)
+    np.testing.assert_allclose(twice.x, once.x, rtol=1e-9)
+    np.testing.assert_allclose(twice.P, once.P, rtol=1e-9)
+
+
+def test_rate_of_a_steady_box_is_found_at_10_and_at_30_hz() -> None:
+    rates = []
+    for hz in (10, 30):
+        filters = begun(BOX, NOISE)
+        for i in range(1, 2 * hz + 1):
+            filters = updated(predicted(filters, 1 / hz, NOISE), BOX + 60.0 * i / hz * np.array([1, 0, 1, 0]), NOISE)
+        rates.append(filters.x[0, 0, 1])
+    assert rates[0] == pytest.approx(60.0, abs=2.0)
+    assert rates[1] == pytest.approx(60.0, abs=2.0)
+
+
+def test_unmeasured_box_stays_where_it_was_seen_and_grows_uncertain() -> None:
+    later = predicted(begun(BOX, NOISE), 0.5, NOISE)
+    np.testing.assert_allclose(later.xyxy_px, BOX)
+    # 80 px high: (0.05 * 80)^2 + (1.9 * 80 * 0.5)^2 + 80^2 * (0.27^2 * 0.5 + 0.5^3 / 3)
+    assert later.P[0, 0, 0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
+
+
+def test_a_box_that_shrinks_away_keeps_one_pixel() -> None:
+    filters = begun(BOX, NOISE)
+    x = filters.x.copy()
+    x[0, 2:, 1] = -500.0
+    gone = predicted(BoxFilters(x, filters.P, filters.height_px), 1.0, NOISE)
+    np.testing.assert_allclose(gone.xyxy_px, [[119.5, 89.5, 120.5, 90.5]])
+
+
+def test_squared_mahalanobis_is_the_full_form() -> None:
+    filters = predicted(begun(BOX, NOISE), 0.1, NOISE)
+    z = np.array([[110.0, 44.0, 152.0, 140.0], [100.0, 50.0, 140.0, 130.0]])
+    S = np.diag(filters.P[0, :, 0, 0] + (0.05 * 80) ** 2)
+    innovation = np.array([131.0 - 120.0, 92.0 - 90.0, 42.0 - 40.0, 96.0 - 80.0])
+    expected = innovation @ np.linalg.inv(S) @ innovation
+    np.testing.assert_allclose(squared_mahalanobis(filters, z, NOISE), [[expected, 0.0]])
+
+
+def test_squared_mahalanobis_of_the_models_own_boxes_is_chi_square() -> None:
+    rng = np.random.default_rng(7)
+    filters = predicted(begun(BOX, NOISE), 0.1, NOISE)
+    sigma = np.sqrt(filters.P[0, :, 0, 0] + (0.05 * 80) ** 2)
+    cxcywh = filters.x[0, :, 0] + rng.normal(0, 1, (4000, 4)) * sigma
+    xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
+    distance = squared_mahalanobis(filters, xyxy, NOISE)[0]
+    for share in (0.5, 0.9, 0.99):
+        assert np.mean(distance <= chi2.ppf(share, df=4)) == pytest.approx(share, abs=0.02)
+
+
+def test_rows_are_independent_of_each_other() -> None:
+    two = begun(np.concatenate([BOX, BOX + 200.0]), NOISE)
+    moved = updated(predicted(two, 0.1, NOISE), np.concatenate([BOX + 3.0, BOX + 190.0]), NOISE)
+    alone = updated(predicted(begun(BOX + 200.0, NOISE), 0.1, NOISE), BOX + 190.0, NOISE)
+    np.testing.assert_array_equal(moved.select(np.array([1])).x, alone.x)
+    np.testing.assert_array_equal(moved.select(np.array([True, False])).joined(alone).P, moved.P)
+
+
+def test_no_tracks() -> None:
+    none = predicted(begun(np.zeros((0, 4)), NOISE), 0.1, NOISE)
+    assert len(none) == 0
+    assert none.xyxy_px.shape == (0, 4)
+    assert squared_mahalanobis(none, BOX, NOISE).shape == (0, 1)
+
+
+def test_inputs_are_not_written_to() -> None:
+    filters = begun(BOX, NOISE)
+    x, P = filters.x.copy(), filters.P.copy()
+    updated(predicted(filters, 0.1, NOISE), BOX + 5.0, NOISE)
+    np.testing.assert_array_equal(filters.x, x)
+    np.testing.assert_array_equal(filters.P, P)

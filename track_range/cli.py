@@ -1,0 +1,197 @@
+"""The command line: commands, options, and errors as one sentence.
+
+Exit status: 0 done, 1 an input or output that cannot be used (or the user stopped the run), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from detection.classes import ROAD_CLASSES, ClassNameError
+from detection.kitti_format import LabelFileError
+from detection.onnx_session import ModelError
+from ranging.size_curve import CurveError
+from stereo.rig import RigError
+from track_range.commands.demo import demo as run_demo
+from track_range.commands.fit import fit_curves_of_kitti
+from track_range.commands.run import run as run_video
+from track_range.config import ConfigError, settings_from
+from track_range.video import VideoError
+from track_range.written import OutputError
+
+USER_ERRORS = (
+    ClassNameError,
+    ConfigError,
+    CurveError,
+    LabelFileError,
+    ModelError,
+    OutputError,
+    RigError,
+    VideoError,
+)
+"""Everything that a user's input can cause; anything else is our bug and keeps its traceback."""
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    help="Track every road user in a video and say how far it is, how sure that is, and how fast it closes.",
+    epilog="Examples: track-range --stereo left.mp4 right.mp4 --rig rig.yaml --detector yolov5n.onnx  |  "
+    "track-range --mono dashcam.mp4 --focal-px 1150 --detector yolov5n.onnx  |  track-range demo",
+)
+
+_console = Console()
+_INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    is_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    if is_version:
+        typer.echo(f"track-range {version('track-range')}")
+        raise typer.Exit
+
+
+@app.command("run", help="Track and range one video, or a stereo pair (the word 'run' may be left out).")
+def _run(
+    stereo: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(metavar="LEFT RIGHT", help="Two videos, or folders of numbered images.", rich_help_panel=_INPUT),
+    ] = None,
+    mono: Annotated[Path | None, typer.Option(help="The video of one camera.", rich_help_panel=_INPUT)] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="rig.yaml, KITTI's calib.txt, or OpenCV's stereo calibration. Without it, rig.yaml or calib.txt "
+            "beside the left video is used.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    focal_px: Annotated[
+        float | None,
+        typer.Option(help="Focal length in pixels, for --mono without a rig file.", rich_help_panel=_INPUT),
+    ] = None,
+    detector: Annotated[
+        str | None, typer.Option(metavar="FILE.onnx", help="A YOLOv5 network (ONNX export).", rich_help_panel=_INPUT)
+    ] = None,
+    names: Annotated[
+        str | None,
+        typer.Option(help="The network's class names, a,b,c or a file with one per line.", rich_help_panel=_INPUT),
+    ] = None,
+    detections: Annotated[
+        Path | None,
+        typer.Option(
+            help="Boxes of your own detector: MOT det.txt, KITTI labels or detections, or a tracks.csv.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="KITTI tracking labels to measure against.", rich_help_panel=_INPUT)
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="Repeat a run from its settings.yaml; other options win over it.", rich_help_panel=_INPUT),
+    ] = None,
+    folder_fps: Annotated[
+        float | None, typer.Option(help="Frame rate of folders of images.  [default: 10]", rich_help_panel=_INPUT)
+    ] = None,
+    classes: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,...", help=f"Of: {', '.join(ROAD_CLASSES)}.  [default: all]", rich_help_panel=_WHAT),
+    ] = None,
+    start: Annotated[float | None, typer.Option(metavar="S", help="Start, in seconds.", rich_help_panel=_WHAT)] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Stop after so many seconds.", rich_help_panel=_WHAT)
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Results.  [default: LEFT-track-range, in this folder]", rich_help_panel=_HOW),
+    ] = None,
+    overlay: Annotated[
+        bool | None, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.", rich_help_panel=_HOW)
+    ] = None,
+    sgbm: Annotated[
+        bool | None,
+        typer.Option("--sgbm/--no-sgbm", help="Dense stereo beside the patch matcher (slow).", rich_help_panel=_HOW),
+    ] = None,
+    size: Annotated[
+        int | None,
+        typer.Option(metavar="PX", help="Network input's longer side, if free.  [default: 640]", rich_help_panel=_HOW),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="N", help="Threads of the network.  [default: all]", rich_help_panel=_HOW)
+    ] = None,
+    device: Annotated[
+        str | None, typer.Option(metavar="auto|cpu|cuda|tensorrt", help="Where it runs.", rich_help_panel=_HOW)
+    ] = None,
+) -> None:
+    given: dict[str, Any] = {
+        "stereo": stereo,
+        "mono": mono,
+        "rig": rig,
+        "focal_px": focal_px,
+        "detector": detector,
+        "names": names,
+        "detections": detections,
+        "truth": truth,
+        "folder_fps": folder_fps,
+        "classes": tuple(classes.split(",")) if classes else None,
+        "start_s": start,
+        "duration_s": duration,
+        "out": out,
+        "overlay": overlay,
+        "sgbm": sgbm,
+        "size_px": size,
+        "threads": threads,
+        "device": device,
+    }
+    run_video(settings_from(given, settings), _console)
+
+
+@app.command("demo", help="Simulate a short stereo drive, run the main job on it, and print the tables.")
+def _demo(
+    out: Annotated[Path, typer.Option(help="Where the drive and the results go.")] = Path("track-range-demo"),
+    seed: Annotated[int, typer.Option(help="Another seed is another drive.")] = 0,
+    seconds: Annotated[float, typer.Option(min=0.5, max=60, help="Length of the drive.")] = 6.0,
+) -> None:
+    run_demo(out, _console, seed=seed, seconds=seconds)
+
+
+@app.command("fit", help="Fit the monocular size curves on KITTI tracking labels of your own camera.")
+def _fit(
+    labels: Annotated[Path, typer.Option(help="Folder of label files, one per sequence.")],
+    calib: Annotated[Path, typer.Option(help="Folder of calib files of the same names.")],
+    out: Annotated[Path, typer.Option(help="The curve file to write.")],
+    leave_out: Annotated[str, typer.Option(help="Sequences kept for testing, such as 0005,0009.")] = "",
+    source: Annotated[str, typer.Option(help="What the labels are; kept in the file.")] = "",
+) -> None:
+    fit_curves_of_kitti(labels, calib, out, console=_console, leave_out=leave_out, source=source)
+
+
+def main() -> None:
+    """Entry point of `track-range`."""
+    arguments = sys.argv[1:]
+    if arguments == ["--help"]:  # the main job needs no command word, so its options belong to the first help
+        app(["--help"], standalone_mode=False)
+        arguments = ["run", "--help"]
+    elif arguments and arguments[0].startswith("-") and arguments[0] != "--version":
+        arguments = ["run", *arguments]
+    try:
+        app(arguments)
+    except USER_ERRORS as error:
+        _fail(str(error))
+    except KeyboardInterrupt:
+        _fail("stopped by the user; what was finished is kept.")
+
+
+def _fail(sentence: str) -> None:
+    Console(stderr=True).print(f"track-range: {sentence}", style="red", highlight=False, markup=False, soft_wrap=True)
+    raise SystemExit(1)

@@ -1,0 +1,253 @@
+"""The main job: a video in; tracks.csv, mot.txt, overlay, summary and report out."""
+
+from __future__ import annotations
+
+import platform
+import signal
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ranging.ranger import Ranger
+from ranging.size_regression import SizeRegressionRanger
+from ranging.triangulation import DenseRanger, PatchRanger
+from ranging.truth import Truth, read_truth
+from stereo.frames import Frame
+from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.box_source import BoxSource, open_box_source
+from track_range.config import RunSettings, save_settings
+from track_range.overlay_video import OverlayVideo
+from track_range.pipeline import Pipeline
+from track_range.results import ResultRows, read_tracks_csv
+from track_range.source import Source, open_source
+from track_range.summary import (
+    TRUTH_PROTOCOL,
+    matched_truth,
+    range_scores,
+    stage_times_ms,
+    track_scores,
+    write_summary,
+)
+from track_range.tables import summary_tables
+from track_range.written import make_folder
+from tracking.sort import SortTracker
+
+_LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
+
+
+@dataclass(slots=True, kw_only=True)
+class _Run:
+    """One run: what it was given, and what came of it.
+
+    Attributes:
+        frame_index: the frames finished.
+        wall_s: time for them.
+        stopped_by: what ended the run early, told again once the finished part is safe.
+    """
+
+    settings: RunSettings
+    boxes: BoxSource
+    source: Source
+    truth: Truth | None
+    pipeline: Pipeline
+    frame_index: list[int] = field(default_factory=list)
+    methods: set[str] = field(default_factory=set)
+    wall_s: float = 0.0
+    stopped_by: BaseException | None = None
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for the user on all inputs."""
+        stopped = [f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []
+        return [*self.boxes.notes, *self.source.notes, *stopped]
+
+
+def run(settings: RunSettings, console: Console) -> Path:
+    """Do the whole job, print the tables, and return the folder of the results.
+
+    A run that is interrupted, or that an input fails in the middle of, finishes its files first.
+
+    Raises:
+        KeyboardInterrupt: the user stopped it.
+        Exception: the error of an input that cannot be used, one of `track_range.cli.USER_ERRORS`.
+    """
+    boxes = open_box_source(settings)
+    source = open_source(settings)
+    truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
+    pipeline = _pipeline(settings, source, boxes)
+    this = _Run(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)
+    folder = settings.out_dir
+    make_folder(folder)
+    told = this.notes
+    _tell_notes(console, told)
+    save_settings(settings, folder / "settings.yaml", found=_found(this))
+    _work(this, folder, console)
+    summary = _finish(this, folder)
+    _tell_notes(console, [note for note in this.notes if note not in told])
+    for table in summary_tables(summary):
+        console.print(table)
+    console.print(f"Results in {folder}: tracks.csv, mot.txt, summary.json, report.html", highlight=False)
+    if this.stopped_by is not None:
+        raise this.stopped_by
+    return folder
+
+
+def _pipeline(settings: RunSettings, source: Source, boxes: BoxSource) -> Pipeline:
+    rangers: dict[str, Ranger] = {"mono": SizeRegressionRanger(source.camera)}
+    dense = None
+    if source.rig is not None:
+        rangers["stereo"] = PatchRanger(source.rig, PatchMatcher(PatchMatcherSettings.for_rig(source.rig)))
+        dense = DenseRanger(source.rig) if settings.sgbm else None
+    return Pipeline(camera=source.camera, detect=boxes.detect, tracker=SortTracker(), rangers=rangers, dense=dense)
+
+
+def _work(this: _Run, folder: Path, console: Console) -> None:
+    """Run every frame through the pipeline and write it."""
+    began_s = time.perf_counter()
+    clock = this.pipeline.clock
+    try:
+        with ExitStack() as stack:
+            stack.enter_context(_termination_as_interrupt())
+            rows = stack.enter_context(ResultRows(folder))
+            video = None
+            if this.settings.overlay:
+                video = stack.enter_context(
+                    OverlayVideo(folder / "overlay.mp4", size_px=this.source.size_px, fps=this.source.fps, clock=clock)
+                )
+            results = this.pipeline.run(_timed(this.source.frames, this.pipeline))
+            stack.callback(results.close)
+            advance = stack.enter_context(_progress(console, this.source.n_frames))
+            for result in results:
+                with clock.stage("write"):
+                    rows.write(result)
+                if video is not None:
+                    video.write(result)
+                this.frame_index.append(result.frame.index)
+                this.methods.update(result.ranges)
+                advance()
+    except (KeyboardInterrupt, Exception) as error:
+        if not this.frame_index:
+            raise
+        this.stopped_by = error
+    this.wall_s = time.perf_counter() - began_s
+
+
+def _timed(frames: Iterable[Frame], pipeline: Pipeline) -> Iterator[Frame]:
+    """The frames, the time that each takes to come counted under "read"."""
+    iterator = iter(frames)
+    while True:
+        with pipeline.clock.stage("read"):
+            frame = next(iterator, None)
+        if frame is None:
+            return
+        yield frame
+
+
+@contextmanager
+def _termination_as_interrupt() -> Iterator[None]:
+    """While inside, a polite kill (SIGTERM) ends the run as Ctrl-C does: files are closed first."""
+
+    def interrupt(number: int, at: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class _Advance:
+    """Moves a progress bar by one frame and keeps its rate up to date."""
+
+    def __init__(self, progress: Progress, n_frames: int | None) -> None:
+        self._progress = progress
+        self._task = progress.add_task("frames", total=n_frames, fps=0.0)
+        self._began_s = time.perf_counter()
+        self._n = 0
+
+    def __call__(self) -> None:
+        self._n += 1
+        fps = self._n / max(time.perf_counter() - self._began_s, 1e-9)
+        self._progress.update(self._task, completed=self._n, fps=fps)
+
+
+@contextmanager
+def _progress(console: Console, n_frames: int | None) -> Iterator[_Advance]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[fps]:.1f} fps"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=not console.is_terminal) as progress:
+        yield _Advance(progress, n_frames)
+
+
+def _finish(this: _Run, folder: Path) -> dict[str, Any]:
+    """Measure what was written, and write summary.json and report.html."""
+    from track_range.report import write_report  # matplotlib takes half a second to load, and only the end needs it
+
+    columns = read_tracks_csv(folder / "tracks.csv")
+    n_frames = len(this.frame_index)
+    summary: dict[str, Any] = {
+        "frames": n_frames,
+        "wall_s": round(this.wall_s, 3),
+        "frames_per_s": round(n_frames / this.wall_s, 3) if this.wall_s > 0 else None,
+        "stages_ms": stage_times_ms(this.pipeline.clock.busy_s, n_frames),
+        **range_scores(columns, this.truth, tuple(this.methods)),
+        "tracks": track_scores(columns, this.truth, np.array(this.frame_index, np.int64)),
+        "truth": TRUTH_PROTOCOL if this.truth is not None else None,
+        "notes": this.notes,
+        "inputs": _inputs(this.settings),
+        "files": {"overlay": "overlay.mp4"} if this.settings.overlay else {},
+        "versions": _versions(),
+    }
+    write_summary(folder / "summary.json", summary)
+    if this.truth is not None:
+        columns["truth_m"] = matched_truth(columns, this.truth)[1]
+    write_report(folder / "report.html", summary, columns)
+    return summary
+
+
+def _inputs(settings: RunSettings) -> dict[str, Any]:
+    shown = settings.model_dump(mode="json", exclude_none=True)
+    if settings.stereo is not None:
+        shown["left"], shown["right"] = shown["stereo"]
+    wanted = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "truth")
+    return {key: shown[key] for key in wanted if key in shown}
+
+
+def _found(this: _Run) -> dict[str, Any]:
+    """What the run saw of its inputs, for settings.yaml."""
+    source = this.source
+    camera = source.camera
+    return {
+        **this.boxes.found,
+        "rig": str(source.rig_path) if source.rig_path else None,
+        "focal_px": camera.fx_px,
+        "principal_point_px": [camera.cx_px, camera.cy_px],
+        "baseline_m": source.rig.baseline_m if source.rig else None,
+        "image_size_px": list(source.size_px),
+        "fps": source.fps,
+        "versions": _versions(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+
+
+def _tell_notes(console: Console, notes: Sequence[str]) -> None:
+    for note in notes:
+        console.print(f"- {note}", style="dim", highlight=False, markup=False)

@@ -1,0 +1,130 @@
+"""Settings of a run: what the command line says, what `--settings FILE` says, and the defaults, in that order.
+
+`settings.yaml` in a run's folder holds all of it, so that `track-range --settings DIR/settings.yaml` repeats the run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from track_range.written import write_text
+
+
+class ConfigError(Exception):
+    """Settings that make no sense; the message names the one that is wrong."""
+
+
+class RunSettings(BaseModel):
+    """Everything that decides what a run computes; units are in the names."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    stereo: tuple[Path, Path] | None = None
+    """Left and right video, or folders of numbered images."""
+    mono: Path | None = None
+    """The video of a single camera."""
+    rig: Path | None = None
+    """rig.yaml, KITTI calib.txt or OpenCV's stereo calibration; None = looked for beside the left video."""
+    focal_px: float | None = Field(default=None, gt=0)
+    """Focal length of a camera without a rig file; the principal point is taken as the image's centre."""
+    detector: str | None = None
+    """An ONNX file."""
+    detections: Path | None = None
+    """Boxes from a file in place of a detector."""
+    names: str | None = None
+    """Class names of the detector: a,b,c or a file with one per line."""
+    truth: Path | None = None
+    """KITTI tracking labels to measure against."""
+    out: Path | None = None
+    """Folder of the results; None = named after the left video."""
+    classes: tuple[str, ...] = ()
+    """Road classes wanted; empty = all."""
+    start_s: float = Field(default=0.0, ge=0)
+    duration_s: float | None = Field(default=None, gt=0)
+    folder_fps: float = Field(default=10.0, gt=0)
+    """Frames per second of folders of images, which carry no times."""
+    size_px: int = Field(default=640, ge=32, le=4096)
+    """Longer side of the network's input where the model leaves it open."""
+    threads: int = Field(default=0, ge=0)
+    """Threads of the network; 0 = one per core."""
+    device: Literal["auto", "cpu", "cuda", "tensorrt"] = "auto"
+    overlay: bool = True
+    sgbm: bool = True
+    """Dense matching beside the patch matcher, in stereo runs."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.stereo is None) == (self.mono is None):
+            raise ValueError("give either --stereo LEFT RIGHT or --mono VIDEO")
+        if self.detector is None and self.detections is None:
+            raise ValueError("give --detector FILE.onnx, or --detections FILE with boxes of your own")
+        if self.detector is not None and self.detections is not None:
+            raise ValueError("give --detector or --detections, not both")
+        if self.rig is not None and self.focal_px is not None:
+            raise ValueError("give --rig or --focal-px, not both")
+        if self.focal_px is not None and self.stereo is not None:
+            raise ValueError("--focal-px is for --mono; two cameras need --rig")
+        return self
+
+    @property
+    def left(self) -> Path:
+        """The video that everything is named after."""
+        video = self.mono if self.stereo is None else self.stereo[0]
+        if video is None:
+            raise ConfigError("no video given")
+        return video
+
+    @property
+    def out_dir(self) -> Path:
+        """Where the results go."""
+        return self.out or Path(f"{self.left.stem}-track-range")
+
+
+def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSettings:
+    """Settings from options (None = not given) over those of a settings.yaml.
+
+    Raises:
+        ConfigError: unreadable file, unknown key, or values that contradict each other.
+    """
+    base = _read(file) if file else {}
+    chosen = {key: value for key, value in given.items() if value is not None}
+    for other, mine in (("mono", "stereo"), ("stereo", "mono"), ("detections", "detector"), ("detector", "detections")):
+        if mine in chosen and other not in chosen:
+            base.pop(other, None)
+    try:
+        return RunSettings(**{**base, **chosen})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        reason = first["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"{where}: {reason}." if where else f"{reason}.") from error
+
+
+def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
+    """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
+    run = settings.model_dump(mode="json", exclude_none=True)
+    for key in ("rig", "detector", "detections", "truth", "out", "mono"):
+        if key in run:
+            run[key] = str(Path(run[key]).resolve())
+    if settings.stereo:
+        run["stereo"] = [str(video.resolve()) for video in settings.stereo]
+    write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read ({error.strerror or error}).") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: not YAML.") from error
+    if not isinstance(document, dict) or document.get("track_range_settings") != 1:
+        raise ConfigError(f"{file}: not a settings.yaml of track-range (no 'track_range_settings: 1').")
+    run = document.get("run")
+    if not isinstance(run, dict):
+        raise ConfigError(f"{file}: a section 'run:' wanted.")
+    return run

@@ -1,0 +1,53 @@
+"""overlay.mp4 of a run in progress: frames are drawn and encoded in a thread of their own."""
+
+from __future__ import annotations
+
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from track_range.overlay import Overlay
+from track_range.pipeline import StageClock
+from track_range.results import FrameResult
+from track_range.video import VideoWriter
+
+_WRITE_BEHIND = 4  # frames that may wait to be drawn before the run waits for them
+
+
+class OverlayVideo:
+    """Draws each result onto its frame and writes it; an error while writing reaches the caller at a later frame."""
+
+    def __init__(self, path: Path, *, size_px: tuple[int, int], fps: float, clock: StageClock) -> None:
+        """Begin the video; `clock` is told the time under "write".
+
+        Raises:
+            VideoError: it cannot be written there.
+        """
+        self._writer = VideoWriter(path, width_px=size_px[0], height_px=size_px[1], fps=fps)
+        self._overlay = Overlay()
+        self._clock = clock
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="overlay")
+        self._waiting: deque[Future[None]] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        try:
+            while self._waiting:
+                self._waiting.popleft().result()
+        finally:
+            self._thread.shutdown()
+            self._writer.close()
+
+    def write(self, result: FrameResult) -> None:
+        """Hand over one frame; waits only when several are waiting already."""
+        self._waiting.append(self._thread.submit(self._draw, result))
+        if len(self._waiting) > _WRITE_BEHIND:
+            self._waiting.popleft().result()
+
+    def _draw(self, result: FrameResult) -> None:
+        with self._clock.stage("write"):
+            self._writer.write(self._overlay.draw(result), result.frame.time_s)

@@ -1,0 +1,112 @@
+"""summary.json: what a run measured, how well, and how fast.
+
+Figures without `_pct` are fractions 0..1, except the MOT metrics, which are per cent, and counts.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from detection.classes import ROAD_CLASSES, road_class_of_each
+from detection.detections import IntArray
+from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_methods
+from ranging.truth import MAX_OCCLUDED, Truth
+from track_range.results import FILTERED_METHODS, MEASURED_METHODS
+from track_range.written import write_text
+from tracking.evaluation import IgnoreRegions, TrackedBoxes, evaluate_tracks
+
+Columns = Mapping[str, npt.NDArray[Any]]
+
+TRUTH_PROTOCOL = (
+    "the z at which the ray through a label's box centre first meets its 3-D box (tracks matched to labels one to one "
+    f"at IoU 0.5; labels at 5-100 m, not truncated, occluded <= {MAX_OCCLUDED}; coverage: measured track-frames over "
+    "those with truth)"
+)
+"""What errors are measured against."""
+
+
+def matched_truth(columns: Columns, truth: Truth) -> tuple[IntArray, npt.NDArray[np.float64]]:
+    """(N,) row of `truth` of each track-frame (-1 = none), and its true distance in metres (NaN = none)."""
+    row = match_truth(columns["frame"].astype(np.int64), _boxes(columns), truth)
+    distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
+    return row, distance_m
+
+
+def range_scores(columns: Columns, truth: Truth | None, methods: tuple[str, ...]) -> dict[str, Any]:
+    """The `methods` and `common` sections for the methods that ran."""
+    by_name = {
+        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
+        for name in (*MEASURED_METHODS, *FILTERED_METHODS)
+        if name in methods
+    }
+    if truth is None:
+        return {"methods": coverage_only(by_name), "common": {}}
+    row, true_m = matched_truth(columns, truth)
+    labelled = row >= 0
+    mine, common = score_methods(
+        by_name,
+        true_m,
+        is_road_class=labelled & (truth.class_id[row] >= 0),
+        kitti_type=np.where(labelled, truth.kitti_type[row], ""),
+    )
+    return {"methods": mine, "common": common}
+
+
+def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
+    """The `tracks` section: how many, and with truth the MOT metrics over the classes that the truth labels."""
+    track_id = columns["track_id"].astype(np.int64)
+    counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
+    if truth is None:
+        return counts
+    truth = truth.select(np.isin(truth.frame, frames))
+    named = truth.class_id >= 0
+    class_id = road_class_of_each([str(name) for name in columns["class"]])
+    wanted, got = truth.select(named), _tracked(columns, class_id)
+    scores = evaluate_tracks(
+        TrackedBoxes(wanted.frame, wanted.track_id, wanted.xyxy_px, wanted.class_id),
+        got.select(np.isin(class_id, wanted.class_id)),
+        ignore=IgnoreRegions(truth.frame[~named], truth.xyxy_px[~named]),
+    )
+    figures = {name: _json_number(value) for name, value in asdict(scores).items() if name != "n"}
+    return {
+        **counts,
+        **figures,
+        "n_truth_boxes": scores.n,
+        "classes": [ROAD_CLASSES[c] for c in _unique(wanted.class_id)],
+    }
+
+
+def _tracked(columns: Columns, class_id: IntArray) -> TrackedBoxes:
+    return TrackedBoxes(
+        columns["frame"].astype(np.int64), columns["track_id"].astype(np.int64), _boxes(columns), class_id
+    )
+
+
+def _unique(values: IntArray) -> list[int]:
+    return [int(value) for value in np.unique(values)]
+
+
+def _json_number(value: float) -> float | None:
+    """JSON has no NaN: null is "nothing to divide by"."""
+    return None if np.isnan(value) else round(value, 4)
+
+
+def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, float]:
+    """Milliseconds per frame of each stage."""
+    return {name: round(1e3 * seconds / max(n_frames, 1), 3) for name, seconds in busy_s.items()}
+
+
+def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
+    """Write summary.json, whole or not at all; NaN is not JSON and may not be in it."""
+    write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+
+
+def _boxes(columns: Columns) -> npt.NDArray[np.float64]:
+    return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)

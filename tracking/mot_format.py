@@ -1,0 +1,114 @@
+"""MOTChallenge's text files: frame, id, x, y, w, h, score, then class and visibility or a place in the world.
+
+    ours   pixel centres at whole numbers, so column i covers [i - 0.5, i + 0.5]; edges of a box x1, x2
+    theirs the first pixel is 1 and covers [1, 2], so                x = x1 + 1.5     w = x2 - x1
+    back                                                             x1 = x - 1.5     x2 = x1 + w
+
+A box over our pixel columns 3..5 runs from 2.5 to 5.5; theirs is columns 4, 5, 6: x = 4, w = 3. Rows likewise. Frames
+count from 1 there and from 0 here. Numbers are written with 2 decimals: read back, an edge is right to 0.01 px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from detection.detections import FloatArray, IntArray, check_shape
+from tracking.tracks import Tracks
+
+_CORNER_PX = 1.5
+_COLUMNS_OF_TRUTH = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
+
+
+class MotFormatError(ValueError):
+    """A file that is not in MOTChallenge's format; the message names the file and the line."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotRows:
+    """The rows of one file, in its order; N = 0 for an empty file.
+
+    Attributes:
+        frame: (N,) int64, counted from 0.
+        track_id: (N,) int64; -1 in files of detections.
+        xyxy_px: (N, 4) float64, our pixels.
+        score: (N,) float64; in ground truth 1 = counts, 0 = to be left out.
+        mot_class: (N,) int64, MOTChallenge's number of the class (1 = pedestrian), 0 where the file has none.
+        visibility: (N,) float64 in [0, 1], NaN where the file has none.
+    """
+
+    frame: IntArray
+    track_id: IntArray
+    xyxy_px: FloatArray
+    score: FloatArray
+    mot_class: IntArray
+    visibility: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.frame)
+        check_shape("frame", self.frame, (n,))
+        check_shape("track_id", self.track_id, (n,))
+        check_shape("xyxy_px", self.xyxy_px, (n, 4))
+        check_shape("score", self.score, (n,))
+        check_shape("mot_class", self.mot_class, (n,))
+        check_shape("visibility", self.visibility, (n,))
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+def mot_lines(tracks: Tracks, frame: int) -> list[str]:
+    """One line per track, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
+
+    `frame` counts from 0. Predicted boxes are written like seen ones: the format has no column to tell them apart.
+    """
+    x1, y1, x2, y2 = tracks.xyxy_px.T
+    rows = np.stack([x1 + _CORNER_PX, y1 + _CORNER_PX, x2 - x1, y2 - y1, tracks.score], axis=1)
+    return [
+        f"{frame + 1},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
+        for track_id, (x, y, w, h, score) in zip(tracks.track_id.tolist(), rows.tolist(), strict=True)
+    ]
+
+
+def read_mot(path: Path) -> MotRows:
+    """The rows of a gt.txt, det.txt or result file; blank lines are skipped.
+
+    Raises:
+        MotFormatError: no such file, or a line that is not 7 to 10 numbers with whole frame >= 1 and id, or w, h < 0.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise MotFormatError(f"{path}: cannot be read as text ({error}).") from error
+    rows = [_row(line, f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
+    table = np.array(rows, np.float64).reshape(-1, 9)
+    x1y1 = table[:, 2:4] - _CORNER_PX
+    return MotRows(
+        frame=table[:, 0].astype(np.int64) - 1,
+        track_id=table[:, 1].astype(np.int64),
+        xyxy_px=np.concatenate([x1y1, x1y1 + table[:, 4:6]], axis=1),
+        score=table[:, 6],
+        mot_class=table[:, 7].astype(np.int64),
+        visibility=table[:, 8],
+    )
+
+
+def _row(line: str, where: str) -> list[float]:
+    """frame, id, x, y, w, h, score, class, visibility of one line."""
+    cells = [cell.strip() for cell in line.strip().rstrip(",").split(",")]
+    if not 7 <= len(cells) <= 10:
+        raise MotFormatError(f"{where}: 7 to 10 numbers between commas wanted, {len(cells)} got.")
+    try:
+        row = [float(cell) for cell in cells]
+    except ValueError as error:
+        raise MotFormatError(f"{where}: a number wanted ({error}).") from error
+    if not np.isfinite(row).all():
+        raise MotFormatError(f"{where}: finite numbers wanted, '{line.strip()}' got.")
+    if row[0] < 1 or row[0] % 1 or row[1] % 1:
+        raise MotFormatError(f"{where}: a whole frame from 1 on and a whole id wanted, {cells[0]} and {cells[1]} got.")
+    if min(row[4:6]) < 0:
+        raise MotFormatError(f"{where}: width and height >= 0 wanted, {cells[4]} and {cells[5]} got.")
+    known = len(row) == _COLUMNS_OF_TRUTH
+    return [*row[:7], *(row[7:9] if known else (0.0, np.nan))]
