@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from stereo.alignment import UNCORRECTED_SIGMA_PX
 from stereo.census import MARGIN_PX, CostCurves, cost_curves
 from stereo.frames import Image
 from stereo.patches import Patch, inner_halves
@@ -43,9 +44,7 @@ class PatchMatcherSettings:
         min_depth_bits: least depth of the minimum below the cost of a chance match, in bits of 24 per pixel.
         noise_bits: a minimum must also be deeper than this / sqrt(pixels): 4 times the scatter of chance matches.
         min_rival_share: cost of the next best minimum above the best one, as a share of the depth.
-        alignment_sigma_px: what the eyes' alignment leaves, added to every sigma. The default is that of KITTI's pairs
-            as they stand (2015: 0.49 px too low, frames scatter by 0.35); after a correction use 0.3, for an exact
-            simulation 0.03.
+        alignment_sigma_px: what the eyes' alignment leaves, added to every sigma.
         shape_share: share of the cells' scatter (the object's own depth) that goes into sigma; fitted on KITTI 2015.
     """
 
@@ -57,7 +56,7 @@ class PatchMatcherSettings:
     min_depth_bits: float = 1.5
     noise_bits: float = 48.0
     min_rival_share: float = 0.1
-    alignment_sigma_px: float = 0.55
+    alignment_sigma_px: float = UNCORRECTED_SIGMA_PX
     shape_share: float = 0.3
 
     @classmethod

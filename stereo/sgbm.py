@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo.alignment import UNCORRECTED_SIGMA_PX
 from stereo.frames import Image
 from stereo.patches import inner_halves
 from stereo.rig import StereoRig
@@ -50,7 +51,7 @@ class SgbmSettings:
         speckle_range_px: disparity step that separates two patches.
         pre_filter_cap: where the x-derivative that is compared is cut off.
         min_valid_share: share of a box's inner half that must be known for a median.
-        alignment_sigma_px: what the eyes' alignment leaves, part of every sigma; fitted on KITTI 2015 as it stands.
+        alignment_sigma_px: what the eyes' alignment leaves, added to every sigma.
         shape_share: share of the scatter inside the inner half that goes into sigma; fitted on KITTI 2015.
     """
 
@@ -66,7 +67,7 @@ class SgbmSettings:
     speckle_range_px: int = 2
     pre_filter_cap: int = 63
     min_valid_share: float = 0.2
-    alignment_sigma_px: float = 0.65
+    alignment_sigma_px: float = UNCORRECTED_SIGMA_PX
     shape_share: float = 0.3
 
     @classmethod

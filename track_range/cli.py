@@ -101,11 +101,11 @@ def _run(
         typer.Option(help="Repeat a run from its settings.yaml; other options win over it.", rich_help_panel=_INPUT),
     ] = None,
     folder_fps: Annotated[
-        float | None, typer.Option(help="Frame rate of folders of images.  [default: 10]", rich_help_panel=_INPUT)
+        float | None, typer.Option(help="Frame rate of folders of images (default: 10).", rich_help_panel=_INPUT)
     ] = None,
     classes: Annotated[
         str | None,
-        typer.Option(metavar="A,B,...", help=f"Of: {', '.join(ROAD_CLASSES)}.  [default: all]", rich_help_panel=_WHAT),
+        typer.Option(metavar="A,B,...", help=f"Of: {', '.join(ROAD_CLASSES)} (default: all).", rich_help_panel=_WHAT),
     ] = None,
     start: Annotated[float | None, typer.Option(metavar="S", help="Start, in seconds.", rich_help_panel=_WHAT)] = None,
     duration: Annotated[
@@ -113,7 +113,7 @@ def _run(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Results.  [default: LEFT-track-range, in this folder]", rich_help_panel=_HOW),
+        typer.Option(metavar="DIR", help="Results (default: LEFT-track-range, in this folder).", rich_help_panel=_HOW),
     ] = None,
     overlay: Annotated[
         bool | None, typer.Option("--overlay/--no-overlay", help="Write overlay.mp4.", rich_help_panel=_HOW)
@@ -124,10 +124,10 @@ def _run(
     ] = None,
     size: Annotated[
         int | None,
-        typer.Option(metavar="PX", help="Network input's longer side, if free.  [default: 640]", rich_help_panel=_HOW),
+        typer.Option(metavar="PX", help="Network input's longer side, if free (default: 640).", rich_help_panel=_HOW),
     ] = None,
     threads: Annotated[
-        int | None, typer.Option(metavar="N", help="Threads of the network.  [default: all]", rich_help_panel=_HOW)
+        int | None, typer.Option(metavar="N", help="Threads of the network (default: all).", rich_help_panel=_HOW)
     ] = None,
     device: Annotated[
         str | None, typer.Option(metavar="auto|cpu|cuda|tensorrt", help="Where it runs.", rich_help_panel=_HOW)

@@ -43,8 +43,8 @@ class RunSettings(BaseModel):
     """Folder of the results; None = named after the left video."""
     classes: tuple[str, ...] = ()
     """Road classes wanted; empty = all."""
-    start_s: float = Field(default=0.0, ge=0)
-    duration_s: float | None = Field(default=None, gt=0)
+    start_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    duration_s: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     folder_fps: float = Field(default=10.0, gt=0)
     """Frames per second of folders of images, which carry no times."""
     size_px: int = Field(default=640, ge=32, le=4096)
@@ -99,9 +99,18 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
         return RunSettings(**{**base, **chosen})
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
         reason = first["msg"].removeprefix("Value error, ")
-        raise ConfigError(f"{where}: {reason}." if where else f"{reason}.") from error
+        raise ConfigError(f"{_option(first['loc'])}{reason}.") from error
+
+
+def _option(place: tuple[int | str, ...]) -> str:
+    """The option that a field stands for, with a colon; empty for the settings as a whole."""
+    if not place:
+        return ""
+    name = str(place[0])
+    if name not in RunSettings.model_fields:
+        return f"{name}: "
+    return f"--{name.removesuffix('_s').replace('_', '-').replace('size-px', 'size')}: "
 
 
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:

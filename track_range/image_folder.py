@@ -117,7 +117,7 @@ def _decoded(path: Path) -> Image:
     image = cv2.imdecode(stored, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH) if stored.size else None
     if image is None:
         raise VideoError(
-            f"{path}: this image is damaged and cannot be decoded: replace it, or delete it to have its frame skipped."
+            f"{path}: this image is damaged or of an unknown kind: replace it, or delete it to have its frame skipped."
         )
     if image.dtype == np.uint16:
         image = image.astype(np.uint16, copy=False) >> 8

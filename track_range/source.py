@@ -95,7 +95,7 @@ def _open_single(settings: RunSettings) -> Source:
     if settings.focal_px is not None:
         camera = _camera_of_focal_length(settings.focal_px, size_px)
     elif rig_path is not None:
-        camera, notes = load_camera(rig_path, size_px=size_px)
+        camera, notes = load_camera(rig_path, size_px=size_px, is_grey=reader.is_grey)
     else:
         raise RigError(
             f"{settings.left}: no focal length, so no metres: give --focal-px F or --rig FILE "

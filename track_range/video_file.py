@@ -90,7 +90,7 @@ class VideoFile:
     def _timed(self, from_s: float) -> Generator[tuple[int, float, av.VideoFrame], None, None]:
         """(index, time_s, frame) by time, from the last keyframe before `from_s`."""
         self._log = log = ReadingLog()
-        last_s: float | None = None
+        interval_s = 1 / self.fps
         with _opened(self.path) as (container, stream):
             # AVI knows no timestamps, and with B-frames those that FFmpeg guesses are in disorder.
             is_stamped = not (container.format.name == "avi" and stream.codec_context.has_b_frames)
@@ -102,12 +102,12 @@ class VideoFile:
                 stamp = (frame.dts if frame.pts is None else frame.pts) if is_stamped else None
                 index = log.frame_index(stamp)
                 stamp_s = None if stamp is None else float(stamp * time_base)
-                time_s = strictly_later(stamp_s, last_s, interval_s=1 / self.fps)
+                time_s = strictly_later(stamp_s, log.last_s, interval_s=interval_s)
                 if time_s is None:
                     log.n_backward += 1
                     continue
-                last_s = time_s
-                log.end_s = time_s + (float(frame.duration * time_base) or 1 / self.fps)
+                duration_s = float(frame.duration * time_base) if is_stamped else 0.0
+                log.decoded(time_s, duration_s=duration_s or interval_s, interval_s=interval_s)
                 if not (frame.is_corrupt or log.is_corrupt(stamp)):
                     yield index, time_s, frame
                 elif time_s >= from_s:
@@ -171,6 +171,8 @@ def _video_stream(container: InputContainer) -> VideoStream | None:
 
 def _declared_duration_s(container: InputContainer, stream: VideoStream) -> float | None:
     """How long the header says that the video is; None = it does not say."""
+    if container.format.name == "avi" and stream.frames and stream.average_rate:
+        return float(stream.frames / stream.average_rate)  # its duration is what FFmpeg found, not what was promised
     if stream.duration and stream.time_base:
         return float(stream.duration * stream.time_base)
     is_alone = len(container.streams) == 1  # else it may be the sound that lasts so long

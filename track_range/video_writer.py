@@ -75,6 +75,8 @@ class VideoWriter:
         codec.width, codec.height, codec.pix_fmt = width_px + width_px % 2, height_px + height_px % 2, "yuv420p"
         codec.time_base, codec.thread_count = Fraction(1, _TICKS_HZ), n_threads
         codec.colorspace, codec.color_range = _BT601, _LIMITED_RANGE
+        with self._faults_named():
+            self._container.start_encoding()  # opens the file: a folder that cannot be written is found at once
 
     def write(self, image: Image, time_s: float) -> None:
         """Append an image; its time counts from the first one's.

@@ -1,11 +1,10 @@
 """MOTChallenge's text files: frame, id, x, y, w, h, score, then class and visibility or a place in the world.
 
-    ours   pixel centres at whole numbers, so column i covers [i - 0.5, i + 0.5]; edges of a box x1, x2
-    theirs the first pixel is 1 and covers [1, 2], so                x = x1 + 1.5     w = x2 - x1
-    back                                                             x1 = x - 1.5     x2 = x1 + w
+    theirs  the centre of the first pixel is 1, 1        x = x1 + 1     w = x2 - x1
+    ours    it is 0, 0 (OpenCV)                          x1 = x - 1     x2 = x1 + w
 
-A box over our pixel columns 3..5 runs from 2.5 to 5.5; theirs is columns 4, 5, 6: x = 4, w = 3. Rows likewise. Frames
-count from 1 there and from 0 here. Numbers are written with 2 decimals: read back, an edge is right to 0.01 px.
+A box is its outer edges in both, as points of a plane. Frames count from 1 there and from 0 here. Boxes are written
+with 2 decimals: read back, an edge is right to 0.01 px.
 """
 
 from __future__ import annotations
@@ -15,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from detection.detection_files import xyxy_from_mot
 from detection.detections import FloatArray, IntArray, check_shape
 from tracking.tracks import Tracks
 
-_CORNER_PX = 1.5
+_FIRST_PIXEL = 1  # see `detection.detection_files.xyxy_from_mot`, the way back
 _COLUMNS_OF_TRUTH = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
 
 
@@ -65,7 +65,7 @@ def mot_lines(tracks: Tracks, frame: int) -> list[str]:
     `frame` counts from 0. Predicted boxes are written like seen ones: the format has no column to tell them apart.
     """
     x1, y1, x2, y2 = tracks.xyxy_px.T
-    rows = np.stack([x1 + _CORNER_PX, y1 + _CORNER_PX, x2 - x1, y2 - y1, tracks.score], axis=1)
+    rows = np.stack([x1 + _FIRST_PIXEL, y1 + _FIRST_PIXEL, x2 - x1, y2 - y1, tracks.score], axis=1)
     return [
         f"{frame + 1},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
         for track_id, (x, y, w, h, score) in zip(tracks.track_id.tolist(), rows.tolist(), strict=True)
@@ -84,11 +84,10 @@ def read_mot(path: Path) -> MotRows:
         raise MotFormatError(f"{path}: cannot be read as text ({error}).") from error
     rows = [_row(line, f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
     table = np.array(rows, np.float64).reshape(-1, 9)
-    x1y1 = table[:, 2:4] - _CORNER_PX
     return MotRows(
         frame=table[:, 0].astype(np.int64) - 1,
         track_id=table[:, 1].astype(np.int64),
-        xyxy_px=np.concatenate([x1y1, x1y1 + table[:, 4:6]], axis=1),
+        xyxy_px=xyxy_from_mot(table[:, 2:6]),
         score=table[:, 6],
         mot_class=table[:, 7].astype(np.int64),
         visibility=table[:, 8],

@@ -23,7 +23,9 @@ _MIN_SIZE_PX = 1.0  # a box predicted to shrink stops here: IoU wants a positive
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionNoise:
-    """Standard deviations, in heights of the box; fitted by the innovations' size on KITTI and MOT15 boxes.
+    """Standard deviations, in heights of the box: nwojke/deep_sort's, taken from per frame at 30 Hz to per second.
+
+    Others tried, from about half to double, gained at most 0.1 IDF1 in the mean of KITTI's, MOT15's and MOT17's boxes.
 
     Attributes:
         measured: of a detector's coordinate, heights.

@@ -159,22 +159,21 @@ class SortTracker:
     def _pairs(self, table: _TrackTable, found: Detections) -> tuple[IntArray, IntArray]:
         """Rows of tracks and of boxes that belong together, in three stages, each with what the ones before left."""
         keep = self._settings
-        boxes = table.filters.xyxy_px
-        foreign = ~are_compatible(table.class_id, found.class_id)
-        near = np.where(foreign, np.inf, iou_cost(boxes, found.xyxy_px))
-        wide = np.where(foreign, np.inf, iou_cost(boxes, found.xyxy_px, margin=keep.tentative_margin))
+        boxes, class_id = table.filters.xyxy_px, table.class_id
         strong, recent = found.score >= keep.high_score, table.history.last_s == self._last_s
         stages = (
-            (near, table.confirmed, strong, keep.min_iou),
-            (near, table.confirmed & recent, ~strong, keep.weak_min_iou),
-            (wide, ~table.confirmed, strong, keep.tentative_min_iou),
+            (table.confirmed, strong, keep.min_iou, 0.0),
+            (table.confirmed & recent, ~strong, keep.weak_min_iou, 0.0),
+            (~table.confirmed, strong, keep.tentative_min_iou, keep.tentative_margin),
         )
         rows, columns = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        for cost, tracks, boxes_wanted, min_iou in stages:
-            free_rows = np.flatnonzero(tracks & _without(len(table), rows))
-            free_columns = np.flatnonzero(boxes_wanted & _without(len(found), columns))
-            r, c = assigned(cost[np.ix_(free_rows, free_columns)], max_cost=1 - min_iou)
-            rows, columns = np.append(rows, free_rows[r]), np.append(columns, free_columns[c])
+        for tracks_wanted, boxes_wanted, min_iou, margin in stages:
+            i = np.flatnonzero(tracks_wanted & _without(len(table), rows))
+            j = np.flatnonzero(boxes_wanted & _without(len(found), columns))
+            cost = iou_cost(boxes[i], found.xyxy_px[j], margin=margin)
+            cost[~are_compatible(class_id[i], found.class_id[j])] = np.inf
+            r, c = assigned(cost, max_cost=1 - min_iou)
+            rows, columns = np.append(rows, i[r]), np.append(columns, j[c])
         return rows, columns
 
     def _seen(self, table: _TrackTable, found: Detections, time_s: float) -> _TrackTable:
@@ -211,19 +210,19 @@ class SortTracker:
     def _reported(self, seen: _TrackTable, missing: _TrackTable, time_s: float, image: Image | None) -> Tracks:
         """Confirmed tracks by id: boxes as detected, then what can be predicted of the missing."""
         image_hw = None if image is None else (image.shape[0], image.shape[1])
-        good, boxes = history.filled(missing.history, time_s, gates=self._settings.fill, image_hw=image_hw)
+        rows, boxes = history.filled(missing.history, time_s, gates=self._settings.fill, image_hw=image_hw)
+        missing, seen = missing.select(rows), seen.select(seen.confirmed)
         age_s = time_s - missing.history.last_s
         faded = missing.score * 0.5 ** (age_s / self._settings.score_half_life_s)
-        both = seen.joined(missing)
+        track_id = np.concatenate([seen.track_id, missing.track_id])
         tracks = Tracks(
-            both.track_id,
+            track_id,
             np.concatenate([seen.history.last_xyxy_px, boxes]),
-            both.class_id,
+            np.concatenate([seen.class_id, missing.class_id]),
             np.concatenate([seen.score, faded]),
-            np.arange(len(both)) < len(seen),
+            np.arange(len(track_id)) < len(seen),
         )
-        shown = np.flatnonzero(np.concatenate([seen.confirmed, good]))
-        return tracks.select(shown[np.argsort(both.track_id[shown])])
+        return tracks.select(np.argsort(track_id))
 
 
 def _without(n: int, taken: IntArray) -> BoolArray:

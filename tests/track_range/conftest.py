@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -36,7 +37,7 @@ def write_film(
 ) -> Path:
     """A film of one image per time: H.264 with B-frames unless told otherwise."""
     images = [level_image(number) for number in range(len(times_s))] if images is None else images
-    clock = Fraction(1, rate) if codec == "mpeg4" else Fraction(1, 90_000)
+    clock = Fraction(1, rate if path.suffix == ".avi" else 90_000)  # AVI has frames, not times
     with av.open(str(path), "w", options=options or {}) as container:
         stream: Any = container.add_stream(codec, rate=rate)
         stream.height, stream.width = images[0].shape[:2]
@@ -46,7 +47,7 @@ def write_film(
         if rotation is not None:
             stream.set_display_rotation(*rotation)
         for time_s, image in zip(times_s, images, strict=True):
-            frame = av.VideoFrame.from_ndarray(image, format="bgr24")
+            frame = av.VideoFrame.from_ndarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), format="yuv420p")
             frame.pts, frame.time_base = round(time_s / clock), clock
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))

@@ -71,8 +71,8 @@ def test_old_boxes_are_forgotten_and_a_break_restarts_the_run() -> None:
 
 
 def test_a_steady_track_is_filled() -> None:
-    good, boxes = filled(steady(6), 0.6, gates=FillGates(), image_hw=IMAGE_HW)
-    assert good.tolist() == [True]
+    rows, boxes = filled(steady(6), 0.6, gates=FillGates(), image_hw=IMAGE_HW)
+    assert rows.tolist() == [0]
     np.testing.assert_allclose(boxes, [[130.0, 50.0, 190.0, 90.0]])
 
 
@@ -89,29 +89,32 @@ def test_a_steady_track_is_filled() -> None:
     ids=["too long", "too new", "seen once", "restless", "leaves right", "leaves left"],
 )
 def test_gates_close(history: BoxHistory, time_s: float, gates: FillGates) -> None:
-    assert filled(history, time_s, gates=gates, image_hw=IMAGE_HW)[0].tolist() == [False]
+    assert filled(history, time_s, gates=gates, image_hw=IMAGE_HW)[0].tolist() == []
 
 
 def test_a_box_predicted_inside_out_is_not_filled() -> None:
     history = seen([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
     shrinking = BoxHistory(history.xyxy_px[:, :-1], history.time_s[:, :-1], history.n_running)
-    assert filled(shrinking, 0.6, gates=FillGates(), image_hw=None)[0].tolist() == [False]
+    assert filled(shrinking, 0.6, gates=FillGates(), image_hw=None)[0].tolist() == []
 
 
 def test_without_an_image_the_border_is_not_known() -> None:
-    assert filled(steady(6, x_px=1154.0), 0.6, gates=FillGates(), image_hw=None)[0].tolist() == [True]
+    assert filled(steady(6, x_px=1154.0), 0.6, gates=FillGates(), image_hw=None)[0].tolist() == [0]
 
 
 def test_tracks_do_not_mix() -> None:
     both = steady(6).joined(steady(2, step_px=-3.0))
     alone, _ = median_prediction(steady(2, step_px=-3.0), 0.6)
     np.testing.assert_array_equal(median_prediction(both, 0.6)[0][1:], alone)
+    rows, boxes = filled(both.select(np.array([1, 0])), 0.6, gates=FillGates(), image_hw=IMAGE_HW)
+    assert rows.tolist() == [1]
+    np.testing.assert_array_equal(boxes, median_prediction(both, 0.6)[0][:1])
     assert len(both.select(np.array([False, True]))) == 1
 
 
 def test_no_tracks() -> None:
-    good, boxes = filled(begun(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=FillGates(), image_hw=IMAGE_HW)
-    assert good.shape == (0,)
+    rows, boxes = filled(begun(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=FillGates(), image_hw=IMAGE_HW)
+    assert rows.shape == (0,)
     assert boxes.shape == (0, 4)
 
 

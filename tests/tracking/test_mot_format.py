@@ -19,8 +19,8 @@ def tracks_of(boxes: list[list[float]]) -> Tracks:
 
 
 def test_a_line_by_hand() -> None:
-    # our pixel columns 3..5 and rows 0..9: theirs start at 4 and 1
-    assert mot_lines(tracks_of([[2.5, -0.5, 5.5, 9.5]]), 0) == ["1,1,4.00,1.00,3.00,10.00,0.8750,-1,-1,-1\n"]
+    # the first pixel's centre is 0, 0 for us and 1, 1 for them
+    assert mot_lines(tracks_of([[2.5, 0.0, 5.5, 10.0]]), 0) == ["1,1,3.50,1.00,3.00,10.00,0.8750,-1,-1,-1\n"]
 
 
 def test_no_tracks_no_lines() -> None:
@@ -46,7 +46,7 @@ def test_ground_truth_of_mot16(tmp_path: Path) -> None:
     rows = read_mot(path)
     assert rows.frame.tolist() == [0, 1]
     assert rows.track_id.tolist() == [5, 5]
-    np.testing.assert_allclose(rows.xyxy_px[0], [2.5, -0.5, 5.5, 9.5])
+    np.testing.assert_allclose(rows.xyxy_px[0], [3.0, 0.0, 6.0, 10.0])
     assert rows.score.tolist() == [1.0, 0.0]
     assert rows.mot_class.tolist() == [1, 7]
     assert rows.visibility.tolist() == [0.25, 1.0]

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +9,7 @@ from hypothesis import strategies as st
 
 from detection.classes import ROAD_CLASSES
 from detection.detections import Detections
-from tracking.evaluation import TrackedBoxes, evaluate_tracks
 from tracking.history import FillGates
-from tracking.mot_format import read_mot
 from tracking.sort import SortTracker, TrackerSettings
 from tracking.tracks import Tracks
 
@@ -99,7 +96,7 @@ def test_strong_boxes_choose_first() -> None:
     np.testing.assert_array_equal(tracks.xyxy_px, far.xyxy_px)
 
 
-@pytest.mark.parametrize(("n_missing", "track_id"), [(5, 1), (11, 1), (13, 2)])
+@pytest.mark.parametrize(("n_missing", "track_id"), [(5, 1), (10, 1), (13, 2)])
 def test_a_lost_track_is_recovered_until_its_time_is_up(n_missing: int, track_id: int) -> None:
     frames = [*[car_at(100)] * 5, *[Detections.empty()] * n_missing, car_at(100), car_at(100)]
     out = drive(SortTracker(NO_FILL), frames)
@@ -247,33 +244,3 @@ def test_the_order_of_the_boxes_changes_names_only(seed: int) -> None:
     turned = [found.select(np.arange(len(found))[::-1]) for found in frames]
     for a, b in zip(drive(SortTracker(), frames), drive(SortTracker(), turned), strict=True):
         assert sorted(a.xyxy_px.tolist()) == sorted(b.xyxy_px.tolist())
-
-
-# Measured 2026 with the defaults; a change that costs 1 point is a decision, not an accident.
-@pytest.mark.parametrize(
-    ("name", "frame_s", "image_hw", "mota", "idf1"),
-    [("MOT15/TUD-Stadtmitte", 0.04, (480, 640), 0.0, 0.0), ("MOT15/KITTI-13", 0.1, (375, 1242), 0.0, 0.0)],
-)
-def test_real_pedestrians(
-    name: str, frame_s: float, image_hw: tuple[int, int], mota: float, idf1: float, shared_data: Path
-) -> None:
-    truth = read_mot(shared_data / "mot" / name / "gt" / "gt.txt")
-    found = read_mot(shared_data / "mot" / name / "det" / "det.txt")
-    tracker, image = SortTracker(), np.zeros((*image_hw, 3), np.uint8)
-    out: list[Tracks] = []
-    for frame in range(int(max(truth.frame.max(), found.frame.max())) + 1):
-        now = found.frame == frame
-        boxes = Detections.of(found.xyxy_px[now], np.minimum(found.score[now], 1.0), np.full(now.sum(), PERSON))
-        out.append(tracker.update(boxes, frame * frame_s, image))
-    results = TrackedBoxes(
-        np.repeat(np.arange(len(out)), [len(tracks) for tracks in out]),
-        np.concatenate([tracks.track_id for tracks in out]),
-        np.concatenate([tracks.xyxy_px for tracks in out]),
-        np.concatenate([tracks.class_id for tracks in out]),
-    )
-    counts = truth.score > 0
-    wanted = TrackedBoxes(truth.frame, truth.track_id, truth.xyxy_px, np.full(len(truth), PERSON)).select(counts)
-    scores = evaluate_tracks(wanted, results)
-    print(scores)
-    assert scores.mota == pytest.approx(mota, abs=1.0)
-    assert scores.idf1 == pytest.approx(idf1, abs=1.0)

@@ -107,7 +107,7 @@ Placing = tuple[str, float, float, float, float]
 
 TRAFFIC: tuple[Placing, ...] = (
     ("Car", 0.1, 22.0, AWAY_RAD, 8.4),  # the ego car closes in on it
-    ("Van", 0.0, 50.0, AWAY_RAD, 10.5),  # draws away, partly hidden by the car before it
+    ("Van", 0.0, 50.0, AWAY_RAD, 10.5),  # draws away, largely hidden by the car before it
     ("Car", 3.4, 9.5, AWAY_RAD, 12.5),  # draws away fast, from near
     ("Truck", 3.6, 36.0, AWAY_RAD, 11.0),
     ("Car", 3.5, 62.0, AWAY_RAD, 12.5),

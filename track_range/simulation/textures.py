@@ -42,8 +42,9 @@ def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tupl
 
 def opaque(bgr: FloatArray) -> Image:
     """(H, W, 3) colours, rounded and clipped, as BGRA."""
-    colours = np.clip(np.rint(bgr), 0, 255).astype(np.uint8)
-    return np.dstack([colours, np.full(bgr.shape[:2], 255, np.uint8)])
+    picture = np.full((*bgr.shape[:2], 4), 255, np.uint8)
+    picture[:, :, :3] = np.clip(bgr + 0.5, 0, 255)  # cut to whole numbers: rounded by the half
+    return picture
 
 
 def plain(

@@ -24,7 +24,7 @@ DONT_CARE_BELOW_PX = 10.0
 NEAR_M = 0.1
 """3-D boxes that reach behind the camera are cut off here before they are projected."""
 
-PARTLY_SEEN, LARGELY_SEEN = 0.4, 0.85
+PARTLY_SEEN, LARGELY_SEEN = 0.5, 0.85
 """Visible share from which KITTI's `occluded` is 1 and 0; 2 below."""
 
 UNCUT, HALF_CUT = 0.02, 0.5
@@ -103,8 +103,8 @@ def _label_frame(scene: Scene, time_s: float, *, frame: int, camera: PinholeCame
     edge = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
     inside = np.clip(unclipped, 0, edge)
     nearest_first = np.argsort(location[:, 2], kind="stable")
-    in_view = (_areas(inside) > 0) & (location[:, 2] < FARTHEST_M)  # false for NaN
-    rows = nearest_first[np.take(in_view, nearest_first)]
+    in_view: BoolArray = np.logical_and(_areas(inside) > 0, location[:, 2] < FARTHEST_M)  # false for NaN
+    rows = nearest_first[in_view[nearest_first]]
     location, size, yaw, unclipped, inside = (part[rows] for part in (location, size, yaw, unclipped, inside))
     shares = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)
     outside = 1 - _areas(inside) / _areas(unclipped)

@@ -1,0 +1,31 @@
+"""`python -m benchmarks WORKLOAD [--json FILE]`: run one workload and print its table."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from benchmarks import memory, pipeline
+
+WORKLOADS = {"pipeline": pipeline, "memory": memory}
+"""Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""
+
+
+def main() -> None:
+    """Parse the command line and run the workload."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures here")
+    commands = parser.add_subparsers(dest="workload", required=True)
+    for name, module in WORKLOADS.items():
+        command = commands.add_parser(name, help=(module.__doc__ or "").splitlines()[0])
+        command.add_argument("--json", type=Path, metavar="FILE", default=argparse.SUPPRESS, help="also write here")
+        module.add_options(command)
+    options = parser.parse_args()
+    figures = WORKLOADS[options.workload].measure(options)
+    if options.json:
+        options.json.write_text(json.dumps({options.workload: figures}, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

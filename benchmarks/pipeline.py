@@ -1,0 +1,83 @@
+"""Wall time of a whole stereo run against the detector's inference alone, both on one network thread.
+
+Protocol: a real drive looped to 300 frames; in turn, several times, (a) the network alone on one prepared input, as
+often as there are frames, and (b) `track-range --stereo --threads 1 --no-sgbm` with its overlay, as a process of its
+own, its `wall_s` (first frame asked for to last byte written; not the start of Python). The ratio is taken round by
+round, and the median told, since the machine's speed drifts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.drives import LoopedDrive, add_drive_options, looped
+from detection.onnx_session import OnnxSession
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of this workload."""
+    add_drive_options(parser)
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--rounds", type=int, default=3)
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Run all rounds, print the table, and return its figures (milliseconds per frame)."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drive = looped(options.drive, folder, n_frames=options.frames)
+        rounds = [_round(drive, options, folder / "out") for _ in range(options.rounds)]
+    median = {key: statistics.median(r[key] for r in rounds) for key in rounds[0]}
+    figures = {"frames": options.frames, "rounds": rounds, "median": median}
+    _print(rounds, median)
+    return figures
+
+
+def _round(drive: LoopedDrive, options: argparse.Namespace, out: Path) -> dict[str, float]:
+    alone_ms = _inference_alone_ms(options.detector, n_frames=options.frames)
+    summary = _run(drive, options.detector, out)
+    run_ms = 1e3 * summary["wall_s"] / summary["frames"]
+    return {
+        "inference_alone_ms": alone_ms,
+        "whole_run_ms": run_ms,
+        "ratio": run_ms / alone_ms,
+        **{f"{stage}_ms": value for stage, value in summary["stages_ms"].items() if value},
+    }
+
+
+def _inference_alone_ms(detector: Path, *, n_frames: int) -> float:
+    session = OnnxSession(detector, device="cpu", n_threads=1)
+    height, width = (side or 640 for side in session.input_shape[2:])
+    blob = np.random.default_rng(0).random((1, 3, height, width), np.float32)
+    session.run(blob)
+    began_s = time.perf_counter()
+    for _ in range(n_frames):
+        session.run(blob)
+    return 1e3 * (time.perf_counter() - began_s) / n_frames
+
+
+def _run(drive: LoopedDrive, detector: Path, out: Path) -> dict[str, Any]:
+    command = [str(Path(sys.executable).with_name("track-range")), "--stereo", str(drive.left), str(drive.right)]
+    command += ["--rig", str(drive.rig), "--detector", str(detector), "--out", str(out), "--threads", "1"]
+    subprocess.run([*command, "--no-sgbm", "--device", "cpu"], check=True, stdout=subprocess.DEVNULL)
+    summary: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    return summary
+
+
+def _print(rounds: list[dict[str, float]], median: dict[str, float]) -> None:
+    table = Table("ms per frame", *(f"round {i}" for i in range(1, len(rounds) + 1)), "median", title="pipeline")
+    for key in median:
+        table.add_row(key.removesuffix("_ms"), *(f"{r[key]:.2f}" for r in rounds), f"{median[key]:.2f}")
+    Console().print(table)

@@ -1,0 +1,124 @@
+"""KITTI's calib.txt in all its variants, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereo.rig import RigError
+from stereo.rig_files import left_from_reference_m, load_camera, load_rig
+
+SIZE = (1280, 720)
+
+KITTI = """P0: 700 0 640 0 0 700 360 0 0 0 1 0
+P1: 700 0 640 -350 0 700 360 0 0 0 1 0
+P2: 1000 0 650 50 0 1000 350 2 0 0 1 0.004
+P3: 1000 0 650 -450 0 1000 350 3 0 0 1 0.004
+Tr_velo_cam 1 0 0 0 0 1 0 0 0 0 1 0
+"""
+
+
+def written(folder: Path, text: str, name: str = "calib.txt") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
+    """The one sentence that `load_rig` says; it names the path."""
+    with pytest.raises(RigError) as error:
+        load_rig(path, size_px=size_px)
+    message = str(error.value)
+    assert str(path) in message
+    assert "\n" not in message
+    assert message.endswith(".")
+    return message
+
+
+def test_kitti_by_hand(tmp_path: Path) -> None:
+    path = written(tmp_path, KITTI, "calib.txt")
+    rig, notes = load_rig(path, size_px=SIZE)
+    assert rig.left.fx_px == 1000
+    assert (rig.left.cx_px, rig.left.cy_px, rig.left.width_px, rig.left.height_px) == (650, 350, 1280, 720)
+    assert rig.baseline_m == pytest.approx(0.5)
+    assert rig.is_rectified
+    assert notes == ()
+    grey, _ = load_rig(path, size_px=SIZE, is_grey=True)
+    assert (grey.left.fx_px, grey.baseline_m) == (700, pytest.approx(0.5))
+    # t = K^-1 P[:, 3]: z = 0.004, x = (50 - 650 z) / 1000, y = (2 - 350 z) / 1000
+    assert np.allclose(left_from_reference_m(path, is_grey=False), [0.0474, 0.0006, 0.004])
+    assert np.allclose(left_from_reference_m(path, is_grey=True), 0.0)
+
+
+@pytest.mark.parametrize("form", ["P{n}: {m}", "P{n} {m}", "P_rect_0{n}: {m}", "  P{n}:{m}"])
+def test_kitti_lines_as_its_sets_write_them(tmp_path: Path, form: str) -> None:
+    left, right = (f"1000 0 640 {x} 0 1000 360 0 0 0 1 0" for x in (0, -540))
+    text = "\n".join(form.format(n=n, m=m) for n, m in ((2, left), (3, right)))
+    rig, _ = load_rig(written(tmp_path, text, "calib.txt"), size_px=SIZE)
+    assert rig.baseline_m == pytest.approx(0.54)
+
+
+def test_kitti_with_the_grey_pair_only_serves_colour_and_says_so(tmp_path: Path) -> None:
+    path = written(tmp_path, "".join(KITTI.splitlines(keepends=True)[:2]), "calib.txt")
+    rig, notes = load_rig(path, size_px=SIZE)
+    assert rig.left.fx_px == 700
+    assert len(notes) == 1
+    assert "cameras 0 and 1" in notes[0]
+
+
+def test_kitti_raw_gives_its_size(tmp_path: Path) -> None:
+    text = "S_rect_02: 1.280000e+03 7.200000e+02\nP_rect_02: 1000 0 650 0 0 1000 350 0 0 0 1 0\n"
+    camera, notes = load_camera(written(tmp_path, text, "calib.txt"), size_px=(640, 360))
+    assert camera.fx_px == 500
+    assert "scaled from 1280x720" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "size_px", "baseline_m"),
+    [
+        ("kitti_stereo/0003", (1242, 374), 0.53273),
+        ("kitti_odometry/gray51", (1226, 370), 0.53715),
+        ("kitti2015", (1242, 375), 0.53273),
+    ],
+)
+def test_real_kitti_files(shared_data: Path, name: str, size_px: tuple[int, int], baseline_m: float) -> None:
+    rig, _ = load_rig(shared_data / name / "calib.txt", size_px=size_px)
+    assert rig.baseline_m == pytest.approx(baseline_m, abs=1e-4)
+    assert rig.is_rectified
+
+
+def test_all_kitti_label_calibrations_are_read(shared_data: Path) -> None:
+    paths = sorted((shared_data / "kitti_labels" / "calib").glob("*.txt"))
+    assert len(paths) >= 10
+    for path in paths:
+        assert load_rig(path, size_px=(1242, 375))[0].baseline_m == pytest.approx(0.534, abs=0.005)
+        assert left_from_reference_m(path, is_grey=False)[0] == pytest.approx(0.06, abs=0.002)
+
+
+def test_where_no_size_is_given_the_principal_point_decides(tmp_path: Path) -> None:
+    path = written(tmp_path, KITTI, "calib.txt")
+    load_rig(path, size_px=(1300, 700))
+    message = refused(path, size_px=(640, 480))
+    assert "(650.0, 350.0)" in message
+    assert "640x480" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("P2: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "it has P2 but not P3"),
+        ("P0: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "it has P0 but not P1"),
+        ("P3: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "it has P3 but not P2"),
+        ("P2: 1000 0 640 0 0 1000\n", "P2: 12 numbers are wanted, 6 found"),
+        ("P2: 1000 0 640 x 0 1000 360 0 0 0 1 0\n", "P2: '1000 0 640 x"),
+        ("P2: 0 0 640 0 0 1000 360 0 0 0 1 0\n", "P2: it is not a projection"),
+        ("P2: nan 0 640 0 0 1000 360 0 0 0 1 0\n", "P2: it is not a projection"),
+        (KITTI.replace("-450", "-499950"), "the baseline is 500 m"),
+        (KITTI.replace("-450", "50"), "the baseline is 0 m"),
+        (KITTI.replace("-450", "550"), "swap left and right"),
+    ],
+)
+def test_wrong_kitti_files(tmp_path: Path, text: str, said: str) -> None:
+    assert said in refused(written(tmp_path, text, "calib.txt"))

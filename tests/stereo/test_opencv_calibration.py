@@ -1,0 +1,112 @@
+"""The files of OpenCV's calibration samples, alone and beside each other, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo.rig import RigError
+from stereo.rig_files import left_from_reference_m, load_camera, load_rig
+
+SIZE = (1280, 720)
+
+
+def written(folder: Path, text: str, name: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
+    """The one sentence that `load_rig` says; it names the path."""
+    with pytest.raises(RigError) as error:
+        load_rig(path, size_px=size_px)
+    message = str(error.value)
+    assert str(path) in message
+    assert "\n" not in message
+    assert message.endswith(".")
+    return message
+
+
+def opencv_files(folder: Path, *, baseline: float = 0.12, size: tuple[int, int] | None = None) -> tuple[Path, Path]:
+    """What OpenCV's stereo_calib sample writes."""
+    intrinsics, extrinsics = folder / "intrinsics.yml", folder / "extrinsics.yml"
+    storage = cv2.FileStorage(str(intrinsics), cv2.FILE_STORAGE_WRITE)
+    for number in "12":
+        storage.write(f"M{number}", np.array([[1000.0, 0, 640], [0, 1000, 360], [0, 0, 1]]))
+        storage.write(f"D{number}", np.array([[0.1, 0.01, 0, 0, 0.0]]))
+    if size is not None:
+        storage.write("image_width", size[0])
+        storage.write("image_height", size[1])
+    storage.release()
+    storage = cv2.FileStorage(str(extrinsics), cv2.FILE_STORAGE_WRITE)
+    storage.write("R", np.asarray(cv2.Rodrigues(np.array([0.0, 0.01, 0.0]))[0]))
+    storage.write("T", np.array([[-baseline], [0.0], [0.0]]))
+    storage.write("Q", np.eye(4))
+    storage.release()
+    return intrinsics, extrinsics
+
+
+@pytest.mark.parametrize("given", [0, 1])
+def test_opencv_files_find_each_other(tmp_path: Path, given: int) -> None:
+    path = opencv_files(tmp_path)[given]
+    rig, notes = load_rig(path, size_px=SIZE)
+    assert rig.baseline_m == pytest.approx(0.12)
+    assert rig.left.distortion == (0.1, 0.01, 0.0, 0.0, 0.0)
+    assert rig.right_from_left[0, 2] == pytest.approx(np.sin(0.01))
+    assert (rig.left.width_px, rig.left.height_px) == SIZE
+    assert "baseline 0.12 m" in notes[0]
+    assert np.array_equal(left_from_reference_m(path, is_grey=False), np.zeros(3))
+
+
+def test_opencv_in_one_file_of_the_old_yaml_dialect(tmp_path: Path) -> None:
+    intrinsics, extrinsics = opencv_files(tmp_path)
+    body = [path.read_text().split("---\n", 1)[1] for path in (intrinsics, extrinsics)]
+    single = written(tmp_path, "%YAML:1.0\n---\n" + "".join(body), "stereo.yml")
+    intrinsics.unlink()
+    extrinsics.unlink()
+    assert load_rig(single, size_px=SIZE)[0].baseline_m == pytest.approx(0.12)
+
+
+def test_opencv_with_a_size_is_scaled(tmp_path: Path) -> None:
+    path, _ = opencv_files(tmp_path, size=(2560, 1440))
+    rig, notes = load_rig(path, size_px=SIZE)
+    assert rig.left.fx_px == pytest.approx(500)
+    assert len(notes) == 3
+
+
+def test_opencv_single_camera_file_serves_mono(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 1280)
+    storage.write("image_height", 720)
+    storage.write("camera_matrix", np.array([[1100.0, 0, 640], [0, 1100, 360], [0, 0, 1]]))
+    storage.write("distortion_coefficients", np.zeros((5, 1)))
+    storage.release()
+    camera, _ = load_camera(path, size_px=SIZE)
+    assert camera.fx_px == 1100
+    assert "M2, D2, R and T" in refused(path)
+
+
+def test_opencv_files_that_lack_something(tmp_path: Path) -> None:
+    intrinsics, extrinsics = opencv_files(tmp_path)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for source, said in ((intrinsics, "M2, D2, R and T"), (extrinsics, "no matrix M1")):
+        path = alone / source.name
+        path.write_bytes(source.read_bytes())
+        assert said in refused(path)
+        path.unlink()
+    text = intrinsics.read_text() + extrinsics.read_text().split("---\n", 1)[1]
+    vector = text.replace("R: !!opencv-matrix\n   rows: 3\n   cols: 3", "R: !!opencv-matrix\n   rows: 3\n   cols: 1")
+    head, tail = vector.split("R: !!opencv-matrix", 1)
+    data_from, data_to = tail.index("data: ["), tail.index("]")
+    vector = head + "R: !!opencv-matrix" + tail[:data_from] + "data: [ 0., 0.01, 0. " + tail[data_to:]
+    assert "R has 3 numbers, 9 are wanted" in refused(written(alone, vector, "both.yml"))
+
+
+def test_opencv_baseline_in_millimetres(tmp_path: Path) -> None:
+    assert "the baseline is 120 m" in refused(opencv_files(tmp_path, baseline=120.0)[0])

@@ -1,0 +1,81 @@
+from pathlib import Path
+
+import pytest
+import yaml
+
+from track_range.config import ConfigError, RunSettings, save_settings, settings_from
+
+PAIR = {"stereo": (Path("left.mp4"), Path("right.mp4")), "detector": "m.onnx"}
+
+
+def test_the_results_are_named_after_the_left_video():
+    assert settings_from(PAIR).out_dir == Path("left-track-range")
+    assert settings_from({**PAIR, "out": Path("x")}).out_dir == Path("x")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
+        ({**PAIR, "mono": Path("m.mp4")}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
+        ({"mono": Path("m.mp4")}, "give --detector FILE.onnx, or --detections FILE"),
+        ({**PAIR, "detections": Path("d.txt")}, "give --detector or --detections, not both"),
+        ({**PAIR, "focal_px": 700.0}, "--focal-px is for --mono"),
+        ({**PAIR, "threads": -1}, "--threads: Input should be greater than or equal to 0"),
+        ({**PAIR, "start_s": float("nan")}, "--start: "),
+        ({**PAIR, "device": "abacus"}, "--device: Input should be 'auto', 'cpu', 'cuda' or 'tensorrt'"),
+        ({"mono": Path("m.mp4"), "detector": "m", "rig": Path("r"), "focal_px": 7.0}, "--rig or --focal-px, not both"),
+        ({"mono": Path("m.mp4"), "detector": "m", "focal_px": -7.0}, "--focal-px: Input should be greater than 0"),
+    ],
+)
+def test_contradictions_are_one_sentence(given, message):
+    with pytest.raises(ConfigError) as raised:
+        settings_from(given)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = settings_from({**PAIR, "classes": ("car", "bus"), "duration_s": 2.0, "sgbm": False})
+    save_settings(settings, tmp_path / "settings.yaml", found={"fps": 10.0})
+    again = settings_from({"duration_s": 3.0}, tmp_path / "settings.yaml")
+    assert again.stereo == (tmp_path / "left.mp4", tmp_path / "right.mp4")
+    assert (again.classes, again.sgbm, again.duration_s) == (("car", "bus"), False, 3.0)
+    mono = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")}, tmp_path / "settings.yaml")
+    assert (mono.stereo, mono.detector, mono.mono) == (None, None, Path("m.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("a: [", "not YAML"),
+        ("just text", "no 'track_range_settings: 1'"),
+        ("track_range_settings: 1", "a section 'run:' wanted"),
+        (
+            yaml.safe_dump({"track_range_settings": 1, "run": {"colour": "red", "detector": "m"}}),
+            "colour: Extra inputs",
+        ),
+    ],
+)
+def test_settings_files_that_cannot_be_used(tmp_path, content, message):
+    file = tmp_path / "settings.yaml"
+    file.write_text(content)
+    with pytest.raises(ConfigError, match=message):
+        settings_from({}, file)
+
+
+def test_a_missing_settings_file(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        settings_from({}, tmp_path / "none.yaml")
+
+
+def test_settings_are_frozen():
+    with pytest.raises(ValueError, match="frozen"):
+        settings_from(PAIR).threads = 3
+
+
+def test_every_option_is_in_the_settings():
+    assert {"stereo", "mono", "rig", "focal_px", "detector", "detections", "truth", "out"} <= set(
+        RunSettings.model_fields
+    )
