@@ -3,6 +3,9 @@
     d = sum(d_i / s_i^2) / sum(1 / s_i^2),   s^2 = max(1, chi^2 / (n - 1)) / sum(1 / s_i^2)
 
 The factor (Birge's ratio) widens sigma where the methods contradict each other by more than their sigmas allow.
+Where stereo and mono are further apart than by a factor of 2.5 stereo is left out: an object that is partly hidden can
+look half as large as it is, but none of its class is that much larger or smaller, while a match on what stands in front
+of it, or on the background, can be anywhere. (A first rule; a track's own history will say more.)
 Dense and patch matching look at the same pixels of the same pair and share their errors, so dense matching only stands
 in where patch matching has no answer.
 """
@@ -16,12 +19,14 @@ import numpy as np
 from detection.detections import IntArray
 from ranging.ranges import Ranges
 
+_MAX_SIZE_FACTOR = 2.5
 _STANDS_IN_FOR = {"stereo": "sgbm"}
 
 
 def fuse(by_method: Mapping[str, Ranges], track_id: IntArray) -> Ranges:
     """The fused ranges of `track_id` from mono, lane, stereo and sgbm (those that are there), all in its order."""
-    parts = [_with_stand_in(by_method, name) for name in ("mono", "lane", "stereo") if _has(by_method, name)]
+    by_method = {name: _with_stand_in(by_method, name) for name in ("mono", "lane", "stereo") if _has(by_method, name)}
+    parts = [ranges if name == "mono" else _gated(ranges, by_method.get("mono")) for name, ranges in by_method.items()]
     if not parts:
         return Ranges.unmeasured(track_id)
     distance_m = np.stack([part.distance_m for part in parts])
@@ -34,6 +39,20 @@ def fuse(by_method: Mapping[str, Ranges], track_id: IntArray) -> Ranges:
         chi2 = (weight * (np.where(good, distance_m, 0.0) - mean_m) ** 2).sum(axis=0)
         birge = np.maximum(1.0, chi2 / np.maximum(good.sum(axis=0) - 1, 1))
         return Ranges(track_id, mean_m, np.sqrt(birge / total) + 0.0 * mean_m)
+
+
+def _gated(ranges: Ranges, mono: Ranges | None) -> Ranges:
+    """The ranges, NaN where mono contradicts them beyond any object's size."""
+    if mono is None:
+        return ranges
+    with np.errstate(invalid="ignore"):
+        factor = np.abs(np.log(ranges.distance_m / mono.distance_m))
+        impossible = factor > np.log(_MAX_SIZE_FACTOR)
+    return Ranges(
+        ranges.track_id,
+        np.where(impossible, np.nan, ranges.distance_m),
+        np.where(impossible, np.nan, ranges.sigma_m),
+    )
 
 
 def _has(by_method: Mapping[str, Ranges], name: str) -> bool:

@@ -5,7 +5,8 @@
 d is the distance, v its rate (m/s, negative = closing). A method's sigma has a part that changes from frame to frame
 (box jitter, matching noise) and a part that a track keeps (a tall car stays a tall car): only the first averages out,
 so it alone is R, and the second is added to the filter's own variance afterwards. A measurement beyond 3 sigma is not
-thrown away but counts less, in proportion (Huber). The steps are true time steps.
+thrown away but counts less, in proportion (Huber); three in a row mean that the filter is wrong, and it starts anew.
+The steps are true time steps.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ class FilterSettings:
         initial_rate_sigma_mps: how unknown the rate of a new track is.
         noise_share: part of a method's sigma that is independent from frame to frame.
         outlier_sigma: innovations beyond so many standard deviations count less.
+        max_outliers: so many of them in a row start the track's filter anew.
         max_gap_s: a track without a measurement for longer is NaN, and starts anew.
         max_rate_sigma_mps: the rate is NaN while less certain.
     """
@@ -35,6 +37,7 @@ class FilterSettings:
     initial_rate_sigma_mps: float = 10.0
     noise_share: float = 0.6
     outlier_sigma: float = 3.0
+    max_outliers: int = 3
     max_gap_s: float = 1.0
     max_rate_sigma_mps: float = 4.0
 
@@ -54,7 +57,7 @@ class FilteredRanges:
 
 @dataclass(slots=True)
 class _State:
-    """Parallel arrays over the tracks remembered: mean (N, 2), covariance (N, 2, 2), kept variance, times."""
+    """Parallel arrays over the tracks remembered: mean (N, 2), covariance (N, 2, 2), and (N,) each of the rest."""
 
     track_id: IntArray
     mean: FloatArray
@@ -62,12 +65,14 @@ class _State:
     kept_variance: FloatArray
     time_s: FloatArray
     measured_s: FloatArray
+    n_outliers: IntArray
 
     @classmethod
     def blank(cls, track_id: IntArray) -> _State:
         n = len(track_id)
         nan = np.full(n, np.nan)
-        return cls(track_id, np.full((n, 2), np.nan), np.zeros((n, 2, 2)), nan, nan.copy(), nan.copy())
+        zeros = np.zeros(n, np.int64)
+        return cls(track_id, np.full((n, 2), np.nan), np.zeros((n, 2, 2)), nan, nan.copy(), nan.copy(), zeros)
 
     def rows(self, keep: IntArray) -> _State:
         return _State(*(getattr(self, name)[keep] for name in self.__slots__))
@@ -89,7 +94,8 @@ class DistanceFilter:
         """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered range."""
         state = self._predicted(self._aligned(measured.track_id), time_s)
         has_measurement = np.isfinite(measured.distance_m) & (measured.sigma_m > 0)
-        fresh = has_measurement & np.isnan(state.mean[:, 0])
+        is_lost = state.n_outliers >= self._settings.max_outliers
+        fresh = has_measurement & (np.isnan(state.mean[:, 0]) | is_lost)
         self._start(state, measured, fresh)
         self._correct(state, measured, has_measurement & ~fresh)
         state.measured_s[has_measurement] = time_s
@@ -104,7 +110,7 @@ class DistanceFilter:
         """The remembered rows of `track_id` in its order, blank for new tracks."""
         state = _State.blank(track_id)
         _, here, there = np.intersect1d(track_id, self._state.track_id, assume_unique=True, return_indices=True)
-        for name in ("mean", "covariance", "kept_variance", "time_s", "measured_s"):
+        for name in _State.__slots__[1:]:
             getattr(state, name)[here] = getattr(self._state, name)[there]
         return state
 
@@ -124,6 +130,7 @@ class DistanceFilter:
     def _start(self, state: _State, measured: Ranges, fresh: BoolArray) -> None:
         rate_variance = self._settings.initial_rate_sigma_mps**2
         noise = (self._settings.noise_share * measured.sigma_m[fresh]) ** 2
+        state.n_outliers[fresh] = 0
         state.mean[fresh] = np.stack([measured.distance_m[fresh], np.zeros(len(noise))], axis=1)
         state.covariance[fresh] = np.stack([noise, 0 * noise, 0 * noise, 0 * noise + rate_variance], axis=1).reshape(
             -1, 2, 2
@@ -134,6 +141,7 @@ class DistanceFilter:
         noise = (self._settings.noise_share * measured.sigma_m[known]) ** 2
         innovation = measured.distance_m[known] - mean[:, 0]
         excess = np.abs(innovation) / np.sqrt(covariance[:, 0, 0] + noise) / self._settings.outlier_sigma
+        state.n_outliers[known] = np.where(excess > 1, state.n_outliers[known] + 1, 0)
         noise = noise * np.maximum(1.0, excess) ** 2
         gain = covariance[:, :, 0] / (covariance[:, 0, 0] + noise)[:, None]
         state.mean[known] = mean + gain * innovation[:, None]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import FloatArray, Image, IntArray
+from detection.detections import BoolArray, FloatArray, Image, IntArray
 from ranging.ranges import Ranges
 from stereo.frames import Frame
 from stereo.rig import StereoRig
@@ -23,6 +24,7 @@ from tracking.tracks import Tracks
 FloatArray32 = npt.NDArray[np.float32]
 
 _PRIOR_LIFETIME_S = 1.0  # after this long without a match a track is searched over the full range again
+_FULL_RANGE_EVERY_S = 1.0  # and this often in any case, so that a track that followed an occluder is set free
 
 
 class Matcher(Protocol):
@@ -36,37 +38,71 @@ class Matcher(Protocol):
 
 
 class PatchRanger:
-    """Ranges each box by matching it alone, about the disparity that its track had last."""
+    """Ranges each observed box by matching it alone, about the disparity that its track had last.
+
+    A predicted box is not measured: what hides an object from the detector stands where the box is.
+    """
 
     def __init__(self, rig: StereoRig, matcher: Matcher) -> None:
         """Range for a rectified rig."""
         self._rig = rig
         self._matcher = matcher
-        self._track_id: IntArray = np.zeros(0, np.int64)
-        self._disparity_px: FloatArray = np.zeros(0)
-        self._time_s: FloatArray = np.zeros(0)
+        self._memory = _Disparities.none()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
         if frame.right is None:
             return Ranges.unmeasured(tracks.track_id)
-        prior_px = self._prior_px(tracks.track_id, frame.time_s)
-        disparity_px, sigma_px = self._matcher.match(frame.left, frame.right, tracks.xyxy_px, prior_px)
-        self._remember(tracks.track_id, disparity_px, frame.time_s)
+        seen = np.flatnonzero(tracks.observed)
+        disparity_px, sigma_px = np.full(len(tracks), np.nan), np.full(len(tracks), np.nan)
+        prior_px = self._memory.prior_px(tracks.track_id[seen], frame.time_s)
+        found = self._matcher.match(frame.left, frame.right, tracks.xyxy_px[seen], prior_px)
+        disparity_px[seen], sigma_px[seen] = found
+        self._memory = self._memory.with_matches(
+            tracks.track_id[seen], found[0], is_full_range=np.isnan(prior_px), time_s=frame.time_s
+        )
         return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
 
-    def _prior_px(self, track_id: IntArray, time_s: float) -> FloatArray:
+
+@dataclass(frozen=True, slots=True)
+class _Disparities:
+    """What was matched last: (N,) track, disparity, when, and when the full range was last searched for it."""
+
+    track_id: IntArray
+    disparity_px: FloatArray
+    time_s: FloatArray
+    searched_s: FloatArray
+
+    @classmethod
+    def none(cls) -> _Disparities:
+        nothing = np.zeros(0)
+        return cls(np.zeros(0, np.int64), nothing, nothing, nothing)
+
+    def prior_px(self, track_id: IntArray, time_s: float) -> FloatArray:
+        """(N,) disparity to search about; NaN for a new track, a stale match, or when the full range is due again."""
         prior_px = np.full(len(track_id), np.nan)
-        _, here, there = np.intersect1d(track_id, self._track_id, assume_unique=True, return_indices=True)
-        prior_px[here] = np.where(time_s - self._time_s[there] <= _PRIOR_LIFETIME_S, self._disparity_px[there], np.nan)
+        _, here, there = np.intersect1d(track_id, self.track_id, assume_unique=True, return_indices=True)
+        is_fresh = (time_s - self.time_s[there] <= _PRIOR_LIFETIME_S) & (
+            time_s - self.searched_s[there] <= _FULL_RANGE_EVERY_S
+        )
+        prior_px[here] = np.where(is_fresh, self.disparity_px[there], np.nan)
         return prior_px
 
-    def _remember(self, track_id: IntArray, disparity_px: FloatArray, time_s: float) -> None:
-        matched = np.isfinite(disparity_px)
-        old = ~np.isin(self._track_id, track_id[matched]) & (time_s - self._time_s <= _PRIOR_LIFETIME_S)
-        self._track_id = np.concatenate([self._track_id[old], track_id[matched]])
-        self._disparity_px = np.concatenate([self._disparity_px[old], disparity_px[matched]])
-        self._time_s = np.concatenate([self._time_s[old], np.full(int(matched.sum()), time_s)])
+    def with_matches(
+        self, track_id: IntArray, disparity_px: FloatArray, *, is_full_range: BoolArray, time_s: float
+    ) -> _Disparities:
+        """This memory with the new matches in place of the old ones of the same tracks, and without stale ones."""
+        searched_s = np.full(len(track_id), time_s)
+        _, here, there = np.intersect1d(track_id, self.track_id, assume_unique=True, return_indices=True)
+        searched_s[here] = np.where(is_full_range[here], time_s, self.searched_s[there])
+        new = np.isfinite(disparity_px)
+        old = ~np.isin(self.track_id, track_id[new]) & (time_s - self.time_s <= _PRIOR_LIFETIME_S)
+        return _Disparities(
+            np.concatenate([self.track_id[old], track_id[new]]),
+            np.concatenate([self.disparity_px[old], disparity_px[new]]),
+            np.concatenate([self.time_s[old], np.full(int(new.sum()), time_s)]),
+            np.concatenate([self.searched_s[old], searched_s[new]]),
+        )
 
 
 class DenseRanger:
@@ -85,11 +121,12 @@ class DenseRanger:
         self._pending[frame.index] = self._thread.submit(self._disparity, frame)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes with enough valid disparities; NaN for the rest."""
+        """Distances of the observed boxes with enough valid disparities; NaN for the rest."""
         if frame.index not in self._pending:
             self.start(frame)
         disparity = self._pending.pop(frame.index).result()
         disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px)
+        disparity_px = np.where(tracks.observed, disparity_px, np.nan)
         return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
 
     def close(self) -> None:

@@ -109,13 +109,11 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     tracks, ranges = result.tracks, result.ranges
     identity = f"{class_names[int(tracks.class_id[row])]} {int(tracks.track_id[row])}"
     named = Span(identity, small_px, BOLD, track_colour(int(tracks.track_id[row])))
-    fused = ranges.get("fused")
-    if fused is None or not np.isfinite(fused.distance_m[row]):
-        lines = [[Span("- m", large_px, BOLD, WHITE), named]]
-    else:
-        metres = Span(f"{distance_text(fused.distance_m[row])} m", large_px, BOLD, WHITE)
-        sigma = Span(f"±{distance_text(fused.sigma_m[row])}", small_px, REGULAR, WHITE)
-        lines = [[metres, sigma, named]]
+    known = (ranges[name] for name in ("fused", "fused_kf") if name in ranges)  # a predicted box is not measured
+    shown = next((found for found in known if np.isfinite(found.distance_m[row])), None)
+    metres = Span(f"{distance_text(shown.distance_m[row]) if shown else '-'} m", large_px, BOLD, WHITE)
+    sigma = [Span(f"±{distance_text(shown.sigma_m[row])}", small_px, REGULAR, WHITE)] if shown else []
+    lines = [[metres, *sigma, named]]
     methods = [(letter, ranges[name]) for name, letter in METHOD_LETTERS.items() if name in ranges]
     if methods:
         figures = "  ".join(f"{letter} {distance_text(found.distance_m[row])}" for letter, found in methods)

@@ -48,6 +48,7 @@ class _Eye:
     n_after: int = 0  # and since the last pair
     first_s: float | None = None
     last_s: float = 0.0
+    is_over: bool = False
 
     @property
     def n_unpaired(self) -> int:
@@ -60,10 +61,13 @@ class _Eye:
 
     @property
     def n_unread(self) -> int:
-        return max(0, (self.reader.n_frames or 0) - self.n_read)
+        """Frames still to come; a damaged file announces more than it has."""
+        return 0 if self.is_over else max(0, (self.reader.n_frames or 0) - self.n_read)
 
     def taken(self, frame: VideoFrame | None) -> VideoFrame | None:
-        if frame is not None:
+        if frame is None:
+            self.is_over = True
+        else:
             self.n_read += 1
             self.first_s = frame.time_s if self.first_s is None else self.first_s
             self.last_s = frame.time_s

@@ -48,8 +48,8 @@ class VideoFile:
         with _opened(path) as (container, stream):
             rate_hz = stream.average_rate or stream.guessed_rate
             self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
-            self._declared_s = _declared_duration_s(container, stream)
-            self.n_frames = stream.frames or (round(self._declared_s * self.fps) if self._declared_s else None)
+            declared_s, is_end = _declared_duration_s(container, stream)
+            self.n_frames: int | None = stream.frames or None
             if stream.sample_aspect_ratio not in (None, 0, 1):
                 self._file_notes.append(f"{path}: its pixels are not square; the images are used as they are stored.")
         with closing(self._timed(-math.inf)) as timed:
@@ -57,6 +57,9 @@ class VideoFile:
         if first is None:
             raise VideoError(f"{path}: no frame of this video can be decoded: it is damaged or cut short, record anew.")
         _, self.first_time_s, frame = first
+        self._declared_end_s = declared_s if is_end else self.first_time_s + declared_s
+        if self.n_frames is None and declared_s:
+            self.n_frames = max(1, round((self._declared_end_s - self.first_time_s) * self.fps))
         self._axes = _display_axes(frame)
         if self._axes != _UPRIGHT:
             self._file_notes.append(f"{path}: turned upright, as its metadata says.")
@@ -84,8 +87,7 @@ class VideoFile:
                 if time_s >= from_s - TIME_EPSILON_S:
                     self._log.n_used += 1
                     yield VideoFrame(index, time_s, self._checked(self._upright(frame)))
-        end_s = self.first_time_s + (self._declared_s or 0.0)
-        self._log.note_shortfall(end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
+        self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
 
     def _timed(self, from_s: float) -> Generator[tuple[int, float, av.VideoFrame], None, None]:
         """(index, time_s, frame) by time, from the last keyframe before `from_s`."""
@@ -169,14 +171,15 @@ def _video_stream(container: InputContainer) -> VideoStream | None:
     return next((stream for stream in films if stream.codec_context is not None), None)
 
 
-def _declared_duration_s(container: InputContainer, stream: VideoStream) -> float | None:
-    """How long the header says that the video is; None = it does not say."""
+def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tuple[float, bool]:
+    """How long the header says that the video is, 0 = it does not say; and whether that counts from time 0."""
     if container.format.name == "avi" and stream.frames and stream.average_rate:
-        return float(stream.frames / stream.average_rate)  # its duration is what FFmpeg found, not what was promised
-    if stream.duration and stream.time_base:
-        return float(stream.duration * stream.time_base)
+        return float(stream.frames / stream.average_rate), False  # its duration is what FFmpeg found, not the promise
+    is_matroska = container.format.name.startswith("matroska")
+    if stream.duration and stream.time_base and not is_matroska:
+        return float(stream.duration * stream.time_base), False
     is_alone = len(container.streams) == 1  # else it may be the sound that lasts so long
-    return container.duration / av.time_base if container.duration and is_alone else None
+    return (container.duration or 0) / av.time_base if is_alone else 0.0, is_matroska
 
 
 def _demuxed(container: InputContainer, stream: VideoStream, log: ReadingLog) -> Iterator[Packet[VideoStream] | None]:

@@ -72,6 +72,15 @@ def test_one_wild_measurement_moves_the_distance_little():
     assert tracker.update(measured([1], [60.0]), 2.0).ranges.distance_m[0] == pytest.approx(30, abs=2)
 
 
+def test_a_track_that_is_plainly_elsewhere_is_followed_after_three_measurements():
+    tracker = DistanceFilter()
+    for step in range(20):
+        tracker.update(measured([1], [15.0]), step * 0.1)
+    moved = [tracker.update(measured([1], [60.0]), 2.0 + step * 0.1).ranges.distance_m[0] for step in range(4)]
+    assert moved[0] < 20
+    assert moved[3] == pytest.approx(60.0)
+
+
 def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
     tracker = DistanceFilter(FilterSettings(noise_share=0.6))
     for step in range(50):

@@ -47,7 +47,24 @@ def test_a_track_is_searched_about_its_last_disparity_until_it_is_stale():
     ranger.measure(tracks_of(2, 1), frame_at(0.1))
     ranger.measure(tracks_of(2), frame_at(0.2))
     ranger.measure(tracks_of(1, 2), frame_at(1.15))
-    np.testing.assert_equal(matcher.priors, [[np.nan], [np.nan, 10.0], [10.0], [np.nan, 10.0]])
+    np.testing.assert_equal(matcher.priors, [[np.nan], [np.nan, 10.0], [10.0], [np.nan, np.nan]])
+
+
+def test_the_full_range_is_searched_again_every_second():
+    matcher = Recorder()
+    ranger = PatchRanger(RIG, matcher)
+    for step in range(25):
+        ranger.measure(tracks_of(1), frame_at(step * 0.1))
+    assert [i for i, prior in enumerate(matcher.priors) if np.isnan(prior[0])] == [0, 11, 22]
+
+
+def test_predicted_boxes_are_not_measured():
+    tracks = tracks_of(1, 2)
+    hidden = Tracks(tracks.track_id, tracks.xyxy_px, tracks.class_id, tracks.score, np.array([True, False]))
+    matcher = Recorder()
+    ranges = PatchRanger(RIG, matcher).measure(hidden, frame_at(0.0))
+    np.testing.assert_allclose(ranges.distance_m, [50.0, np.nan])
+    assert len(matcher.priors[0]) == 1
 
 
 def test_without_a_right_eye_nothing_is_measured():

@@ -180,6 +180,18 @@ def test_the_start_offset_of_a_stream_decides(tmp_path: Path, film: Callable[...
     assert video.counts == PairCounts(7, 3, 1)
 
 
+def test_a_right_video_that_was_cut_short(tmp_path: Path, film: Callable[..., Path]) -> None:
+    images = list(np.random.default_rng(3).integers(0, 256, (40, 48, 64, 3), np.uint8))
+    left, right = (film(tmp_path / f"{side}.mkv", times(40), images=images) for side in ("left", "right"))
+    right.write_bytes(right.read_bytes()[: right.stat().st_size // 2])
+    video = StereoVideo(VideoReader(left), VideoReader(right))
+    n = len(indices(video))
+    assert 10 <= n <= 30
+    assert video.counts == PairCounts(n, 40 - n, 0)
+    assert f"The right video ends {(40 - n) / 10:.2f} s earlier than the left one" in video.notes[0]
+    assert f"reading ended after {n} frames" in video.right.notes[0]
+
+
 def test_real_pair(shared_data: Path) -> None:
     left, right = (VideoReader(shared_data / "kitti_stereo" / "0003" / f"{side}.mp4") for side in ("left", "right"))
     video = StereoVideo(left, right)

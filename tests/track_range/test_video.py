@@ -47,12 +47,13 @@ def test_a_film_without_colour_is_grey(tmp_path: Path, film: Film) -> None:
     assert VideoReader(film(tmp_path / "film.mp4", EVEN_S[:3])).is_grey
 
 
-@pytest.mark.parametrize("suffix", ["mp4", "mkv"])
+@pytest.mark.parametrize("suffix", ["mp4", "mkv", "mov"])
 def test_the_start_offset_of_a_stream_is_kept(tmp_path: Path, film: Film, suffix: str) -> None:
     reader = VideoReader(film(tmp_path / f"late.{suffix}", [0.7, 0.8, 0.9]))
     assert [frame.time_s for frame in reader] == pytest.approx([0.7, 0.8, 0.9])
     assert reader.first_time_s == pytest.approx(0.7)
     assert [frame.index for frame in reader] == [0, 1, 2]
+    assert (reader.n_frames, reader.notes) == (3, ())  # the time before is no part that was lost
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts", "avi"])

@@ -137,9 +137,9 @@ def test_times_closer_than_a_tick_still_increase(tmp_path: Path, level: Callable
 
 
 def test_another_shape_is_refused(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
-    with VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0) as writer:
-        with pytest.raises(ValueError, match=r"image: shape \(48, 64, 3\) wanted, \(48, 60, 3\) got"):
-            writer.write(level(0, width_px=60), 0.0)
+    writer = VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
+    with writer, pytest.raises(ValueError, match=r"image: shape \(48, 64, 3\) wanted, \(48, 60, 3\) got"):
+        writer.write(level(0, width_px=60), 0.0)
 
 
 def test_a_closed_writer_takes_no_images(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:

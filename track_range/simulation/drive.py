@@ -144,10 +144,11 @@ def kitti_text(labels: KittiLabels) -> str:
     alpha_rad = np.where(labels.has_3d_box, _wrapped(labels.rotation_y_rad - bearing_rad), -10.0)
     lines = []
     for row in range(len(labels)):
-        numbers = [*labels.xyxy_px[row], *labels.size_hwl_m[row], *labels.location_m[row], labels.rotation_y_rad[row]]
+        numbers = [alpha_rad[row], *labels.xyxy_px[row], *labels.size_hwl_m[row], *labels.location_m[row]]
+        numbers.append(labels.rotation_y_rad[row])
         words = [
-            f"{labels.frame[row]} {labels.track_id[row]} {labels.kitti_type[row]} {labels.truncated[row]:.0f}",
-            f"{labels.occluded[row]} {alpha_rad[row]:.6f}",
+            f"{labels.frame[row]} {labels.track_id[row]} {labels.kitti_type[row]}",
+            f"{labels.truncated[row]:.0f} {labels.occluded[row]}",
             *(f"{number:.6f}".rstrip("0").rstrip(".") for number in numbers),
         ]
         if np.isfinite(labels.score[row]):

@@ -34,8 +34,8 @@ SIZE_HWL_M = {
 }
 """Mean sizes by KITTI type (means of KITTI's labels; a person without the swing of arms and legs)."""
 
-SIZE_SPREAD = 0.04
-"""Standard deviation of a road user's size, as a share of the mean."""
+SIZE_SPREAD = 0.08
+"""How far height, width and length may be from the mean, as a share of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,23 +105,26 @@ class Scene:
 Placing = tuple[str, float, float, float, float]
 """KITTI type, x, z at time 0, heading, speed."""
 
+CROSSING_Z_M = 62.0
+"""Where somebody crosses the road; nobody parks there."""
+
 TRAFFIC: tuple[Placing, ...] = (
-    ("Car", 0.1, 22.0, AWAY_RAD, 8.4),  # the ego car closes in on it
-    ("Van", 0.0, 50.0, AWAY_RAD, 10.5),  # draws away, largely hidden by the car before it
-    ("Car", 3.4, 9.5, AWAY_RAD, 12.5),  # draws away fast, from near
-    ("Truck", 3.6, 36.0, AWAY_RAD, 11.0),
+    ("Car", 0.1, 22.0, AWAY_RAD, 9.0),  # the ego car closes in on it
+    ("Van", 0.0, 68.0, AWAY_RAD, 10.5),  # draws away, largely hidden by the car before it
+    ("Car", 3.3, 9.5, AWAY_RAD, 12.5),  # draws away fast, from near
+    ("Truck", 3.6, 36.0, AWAY_RAD, 12.0),
     ("Car", 3.5, 62.0, AWAY_RAD, 12.5),
-    ("Cyclist", 4.95, 20.0, AWAY_RAD, 4.5),  # is overtaken
+    ("Cyclist", 4.85, 20.0, AWAY_RAD, 4.5),  # is overtaken
 )
 
 PEOPLE: tuple[Placing, ...] = (
-    ("Pedestrian", -9.2, 62.0, 0.0, 0.9),  # crosses from the left
+    ("Pedestrian", 0.2, CROSSING_Z_M, np.pi, 1.0),  # crosses to the left between two oncoming cars
     ("Pedestrian", 8.6, 14.5, AWAY_RAD, 1.4),
     ("Pedestrian", 9.4, 34.0, TOWARDS_RAD, 1.3),
     ("Pedestrian", 8.5, 44.0, 0.4, 0.0),  # waits
     ("Pedestrian", -8.6, 26.0, TOWARDS_RAD, 1.2),
     ("Pedestrian", -9.4, 26.4, TOWARDS_RAD, 1.2),
-    ("Pedestrian", -8.7, 47.0, AWAY_RAD, 1.5),
+    ("Pedestrian", -8.7, 40.0, AWAY_RAD, 1.5),
 )
 
 ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
@@ -136,15 +139,15 @@ VIEW_M = 110.0
 def make_scene(seed: int = 0, *, seconds: float = 6.0) -> Scene:
     """A town road with traffic both ways, parked cars and people; the seed moves and sizes everything a little.
 
-    The same vehicles and people start every scene (`TRAFFIC`, `PEOPLE`); oncoming and parked cars line the way for as
-    long as the drive lasts.
+    The same vehicles and people start every scene (`TRAFFIC`, `PEOPLE`), placed so that nobody runs into anybody for
+    ten seconds; oncoming and parked cars line the way for as long as the drive lasts.
     """
     rng = np.random.default_rng([seed, 1])
     until_m = 10.0 * seconds + VIEW_M
     placings = [*TRAFFIC, *PEOPLE, *_oncoming(rng, until_m + ONCOMING_SPEED_MPS * seconds), *_parked(rng, until_m)]
     users = []
     for track_id, (kitti_type, x_m, z_m, heading_rad, speed_mps) in enumerate(placings):
-        height, width, length = np.array(SIZE_HWL_M[kitti_type]) * (1 + SIZE_SPREAD * rng.uniform(-2, 2, 3))
+        height, width, length = np.array(SIZE_HWL_M[kitti_type]) * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))
         dx_m, dz_m = rng.uniform(-1, 1, 2) * (0.08, 0.5)
         users.append(
             RoadUser(
@@ -174,6 +177,7 @@ def _parked(rng: np.random.Generator, until_m: float) -> list[Placing]:
     placings: list[Placing] = []
     for x_m, heading_rad in ((6.55, AWAY_RAD), (-6.55, TOWARDS_RAD)):
         places_m = np.arange(12.0, until_m, PARKED_SPACING_M)
+        places_m = places_m[np.abs(places_m - CROSSING_Z_M) > PARKED_SPACING_M / 2]
         for z_m in places_m[rng.uniform(size=len(places_m)) < PARKED_SHARE]:
             kitti_type = "Van" if rng.uniform() < 0.2 else "Car"
             placings.append((kitti_type, x_m, float(z_m), heading_rad + float(rng.normal(0, 0.02)), 0.0))

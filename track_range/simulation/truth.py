@@ -66,7 +66,8 @@ def projected_boxes_px(corners_m: FloatArray, camera: PinholeCamera) -> FloatArr
     xy_px = camera.project(points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
     low = np.where(seen[:, :, None], xy_px, np.inf).min(axis=1)
     high = np.where(seen[:, :, None], xy_px, -np.inf).max(axis=1)
-    return np.where(seen.any(axis=1)[:, None], np.concatenate([low, high], axis=1), np.nan)
+    boxes = np.concatenate([low, high], axis=1)
+    return np.where(np.isfinite(boxes), boxes, np.nan)
 
 
 def visible_shares(
@@ -89,7 +90,7 @@ def visible_shares(
         np.repeat(location_m, n_rays, axis=0),
         size_hwl_m=np.repeat(size_hwl_m, n_rays, axis=0),
         rotation_y_rad=np.repeat(rotation_y_rad, n_rays),
-    ).reshape(n, n, -1)  # object that is met, object whose box the ray belongs to, ray
+    ).reshape(n, n, N_RAYS**2)  # object that is met, object whose box the ray belongs to, ray
     first_m = np.where(np.isnan(met_m), np.inf, met_m).min(axis=0, initial=np.inf)
     own_m = met_m[np.arange(n), np.arange(n)]
     n_own = np.isfinite(own_m).sum(axis=1)
@@ -103,7 +104,7 @@ def _label_frame(scene: Scene, time_s: float, *, frame: int, camera: PinholeCame
     edge = np.array([camera.width_px - 1, camera.height_px - 1] * 2, np.float64)
     inside = np.clip(unclipped, 0, edge)
     nearest_first = np.argsort(location[:, 2], kind="stable")
-    in_view: BoolArray = np.logical_and(_areas(inside) > 0, location[:, 2] < FARTHEST_M)  # false for NaN
+    in_view = (_areas(inside) > 0) & (location[:, 2] < FARTHEST_M)  # false for NaN
     rows = nearest_first[in_view[nearest_first]]
     location, size, yaw, unclipped, inside = (part[rows] for part in (location, size, yaw, unclipped, inside))
     shares = visible_shares(inside, location, size_hwl_m=size, rotation_y_rad=yaw, camera=camera)

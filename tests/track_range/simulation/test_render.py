@@ -1,0 +1,153 @@
+"""Rendered pairs measured against the geometry they were made from."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo.rig import StereoRig
+from track_range.simulation.render import Renderer, kitti_like_rig, render
+from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene
+from track_range.simulation.street import FAR_M, stretches
+from track_range.simulation.truth import label_scene
+
+RIG = kitti_like_rig()
+F, CX, CY = RIG.left.fx_px, RIG.left.cx_px, RIG.left.cy_px
+
+
+def road_user(track_id, kitti_type="Car", *, x=0.0, back_z=15.0, size=(1.6, 1.8, 4.0)):
+    return RoadUser(
+        track_id=track_id,
+        kitti_type=kitti_type,
+        size_hwl_m=size,
+        start_xz_m=(x, back_z + size[2] / 2),
+        rotation_y_rad=AWAY_RAD,
+    )
+
+
+def disparity_px(left, right, xyxy, *, near_px):
+    """The shift of least squared difference, by trying all in steps of 0.1 px and a parabola through the best three."""
+    x1, y1, x2, y2 = xyxy
+    x, y = np.meshgrid(np.arange(x1, x2, dtype=np.float32), np.arange(y1, y2, dtype=np.float32))
+    patch = left[y1:y2, x1:x2].astype(np.float32)
+    tried = near_px + np.arange(-2.0, 2.01, 0.1)
+    seen = [cv2.remap(right, x - np.float32(d), y, cv2.INTER_CUBIC).astype(np.float32) for d in tried]
+    cost = [float(np.square(patch - one).mean()) for one in seen]
+    k = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
+    before, best, after = cost[k - 1 : k + 2]
+    return tried[k] + 0.05 * (before - after) / (before - 2 * best + after)
+
+
+@pytest.fixture(scope="module")
+def backs():
+    """Three backs of vehicles at known depth that hide nothing of each other, in both eyes."""
+    users = (
+        road_user(0, x=-3.0, back_z=10.0),
+        road_user(1, x=0.3, back_z=20.0),
+        road_user(2, "Truck", x=9.0, back_z=50.0, size=(3.3, 2.5, 9.0)),
+    )
+    renderer = Renderer(Scene(seed=3, road_users=users), RIG)
+    return users, renderer.render(0.0, eye="left"), renderer.render(0.0, eye="right")
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_disparity_of_a_face_is_focal_length_times_baseline_over_depth(backs, index):
+    users, left, right = backs
+    one = users[index]
+    height, width, length = one.size_hwl_m
+    x, z = one.start_xz_m[0], one.start_xz_m[1] - length / 2
+    low, high = (0.2, 0.55) if one.kitti_type == "Car" else (0.35, 0.95)
+    box = [CX + F * (x - 0.4 * width) / z, CY + F * (1.65 - high * height) / z]
+    box += [CX + F * (x + 0.4 * width) / z, CY + F * (1.65 - low * height) / z]
+    wanted = F * 0.54 / z
+    measured = disparity_px(left, right, np.rint(box).astype(int), near_px=round(wanted) + 0.3)
+    assert measured == pytest.approx(wanted, abs=0.1)
+
+
+def test_a_wrong_depth_would_be_noticed(backs):
+    _, left, right = backs
+    box = np.rint([CX + F * -0.4 / 20, CY + F * 0.8 / 20, CX + F * 1.0 / 20, CY + F * 1.3 / 20]).astype(int)
+    measured = disparity_px(left, right, box, near_px=F * 0.54 / 20)
+    assert abs(measured - F * 0.54 / 20.3) > 0.15
+
+
+def test_the_road_has_the_disparity_of_its_depth():
+    # Row by row, as depth changes with the row; without noise, since a row of road holds little to match.
+    renderer = Renderer(Scene(seed=3, road_users=()), RIG, noise_grey=0)
+    left, right = renderer.render(0.0, eye="left"), renderer.render(0.0, eye="right")
+    for row in range(200, 360, 16):  # 43 m to 6.4 m
+        wanted = F * 0.54 / (F * 1.65 / (row - CY))
+        measured = disparity_px(left, right, (500, row, 800, row + 1), near_px=round(wanted) + 0.3)
+        assert measured == pytest.approx(wanted, abs=0.15)
+
+
+def test_an_object_is_drawn_where_its_label_says():
+    users = (road_user(0, "Truck", x=-1.0, back_z=14.0, size=(3.0, 2.5, 8.0)),)
+    scene = Scene(seed=5, road_users=users)
+    with_it, without = (Renderer(one, RIG, noise_grey=0).render(0.0) for one in (scene, replace(scene, road_users=())))
+    changed = np.abs(with_it.astype(int) - without).max(axis=2) > 12
+    rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
+    x1, y1, x2, y2 = label_scene(scene, [0.0], camera=RIG.left).xyxy_px[0]
+    # The shadow on the road reaches 0.15 m beyond the sides and behind: only the top is the body's alone.
+    assert rows[0] == pytest.approx(y1, abs=1.0)
+    shadow_px = F * 0.15 / 14.0
+    assert x1 - shadow_px - 1 <= columns[0] <= x1 + 1
+    assert x2 - 1 <= columns[-1] <= x2 + shadow_px + 1
+    assert y2 - 1 <= rows[-1] <= y2 + 6
+
+
+def test_what_is_nearer_hides_what_is_farther():
+    near, far = road_user(0, back_z=10.0, size=(1.6, 2.4, 4.0)), road_user(1, back_z=30.0)
+    both = Renderer(Scene(seed=1, road_users=(far, near)), RIG, noise_grey=0).render(0.0)
+    alone = Renderer(Scene(seed=1, road_users=(near,)), RIG, noise_grey=0).render(0.0)
+    face = np.s_[int(CY + F * 0.75 / 10) : int(CY + F * 1.5 / 10), int(CX - F * 1.0 / 10) : int(CX + F * 1.0 / 10)]
+    np.testing.assert_array_equal(both[face], alone[face])
+    assert not np.array_equal(both, alone)
+
+
+def test_a_vehicle_that_passes_the_camera_is_drawn_up_to_the_image_edge():
+    users = (road_user(0, "Truck", x=-3.5, back_z=-3.0, size=(3.3, 2.5, 12.0)),)  # reaches from behind to 9 m ahead
+    with_it, without = (Renderer(Scene(seed=5, road_users=some), RIG, noise_grey=0).render(0.0) for some in (users, ()))
+    changed = np.abs(with_it.astype(int) - without).max(axis=2) > 12
+    assert changed[100:300, :20].mean() > 0.8
+
+
+def test_the_same_scene_gives_the_same_pixels_and_noise_is_as_asked():
+    small = kitti_like_rig(width_px=310, height_px=94)
+    scene = Scene(seed=2, road_users=(road_user(0),))
+    clean = Renderer(scene, small, noise_grey=0).render(0.3)
+    noisy = render(scene, 0.3, rig=small)
+    assert noisy.shape == (94, 310, 3)
+    assert noisy.dtype == np.uint8
+    np.testing.assert_array_equal(noisy, render(scene, 0.3, rig=small))
+    error = noisy.astype(float) - clean
+    inside = (clean > 10) & (clean < 245)
+    assert error[inside].std() == pytest.approx(2.02, abs=0.05)  # 2 grey levels, and 0.29 from rounding
+    assert abs(error[inside].mean()) < 0.05
+
+
+def test_the_eyes_do_not_share_their_noise():
+    small = kitti_like_rig(width_px=310, height_px=94)
+    scene = Scene(seed=2, road_users=())
+    clean, noisy = Renderer(scene, small, noise_grey=0), Renderer(scene, small)
+    left, right = (noisy.render(0.0, eye=eye).astype(float) - clean.render(0.0, eye=eye) for eye in ("left", "right"))
+    assert abs(np.corrcoef(left.ravel(), right.ravel())[0, 1]) < 0.03
+
+
+def test_only_rectified_rigs_are_drawn():
+    turned = np.eye(4)
+    turned[:3, 3] = -0.5, 0.1, 0.0
+    with pytest.raises(ValueError, match="rectified pairs"):
+        Renderer(Scene(seed=0, road_users=()), StereoRig(RIG.left, RIG.left, turned))
+
+
+@pytest.mark.parametrize("ego_m", [0.0, 1.7, 35.9, 48.0, 100.3])
+def test_stretches_of_road_touch_each_other_and_stay_within_a_period(ego_m):
+    pieces = list(stretches(ego_m))
+    starts = np.array([start for start, _ in pieces])
+    ends = starts + [length for _, length in pieces]
+    np.testing.assert_array_equal(starts[1:], ends[:-1])
+    assert starts[0] <= ego_m
+    assert ends[-1] >= ego_m + FAR_M
+    assert (np.floor(starts / 48.0) == np.ceil(ends / 48.0) - 1).all()
