@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import typer
 from rich.console import Console
 
@@ -20,6 +21,7 @@ from ranging.size_curve import CurveError
 from stereo.rig import RigError
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
+from track_range.commands.run import RunStoppedError
 from track_range.commands.run import run as run_video
 from track_range.config import ConfigError, settings_from
 from track_range.video import VideoError
@@ -33,6 +35,7 @@ USER_ERRORS = (
     ModelError,
     OutputError,
     RigError,
+    RunStoppedError,
     VideoError,
 )
 """Everything that a user's input can cause; anything else is our bug and keeps its traceback."""
@@ -178,6 +181,7 @@ def _fit(
 
 def main() -> None:
     """Entry point of `track-range`."""
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # our own sentence says what is wrong
     arguments = sys.argv[1:]
     if arguments == ["--help"]:  # the main job needs no command word, so its options belong to the first help
         app(["--help"], standalone_mode=False)
@@ -187,11 +191,6 @@ def main() -> None:
     try:
         app(arguments)
     except USER_ERRORS as error:
-        _fail(str(error))
-    except KeyboardInterrupt:
-        _fail("stopped by the user; what was finished is kept.")
-
-
-def _fail(sentence: str) -> None:
-    Console(stderr=True).print(f"track-range: {sentence}", style="red", highlight=False, markup=False, soft_wrap=True)
-    raise SystemExit(1)
+        told = Console(stderr=True)
+        told.print(f"track-range: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        raise SystemExit(1) from None

@@ -44,6 +44,10 @@ from tracking.sort import SortTracker
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
 
+class RunStoppedError(Exception):
+    """The user ended a run early, by Ctrl-C or a polite kill; its finished part is safe."""
+
+
 @dataclass(slots=True, kw_only=True)
 class _Run:
     """One run: what it was given, and what came of it.
@@ -77,7 +81,7 @@ def run(settings: RunSettings, console: Console) -> Path:
     A run that is interrupted, or that an input fails in the middle of, finishes its files first.
 
     Raises:
-        KeyboardInterrupt: the user stopped it.
+        RunStoppedError: the user stopped it.
         Exception: the error of an input that cannot be used, one of `track_range.cli.USER_ERRORS`.
     """
     boxes = open_box_source(settings)
@@ -96,6 +100,8 @@ def run(settings: RunSettings, console: Console) -> Path:
     for table in summary_tables(summary):
         console.print(table)
     console.print(f"Results in {folder}: tracks.csv, mot.txt, summary.json, report.html", highlight=False)
+    if isinstance(this.stopped_by, KeyboardInterrupt):
+        raise RunStoppedError("stopped by the user; what was finished is kept.")
     if this.stopped_by is not None:
         raise this.stopped_by
     return folder

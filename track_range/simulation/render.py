@@ -36,7 +36,7 @@ DEPTH_RATIO = 1.4
 
 CUTS = 6
 N_HALVINGS = 3
-LONGEST_HALF_M = 5.0
+LONGEST_HALF_M = 8.0
 """No body reaches farther than this towards the camera from its centre."""
 
 LENS_BLUR_SAMPLES = 0.8
@@ -81,6 +81,20 @@ class Renderer:
 
     def render(self, time_s: float, *, eye: Eye = "left") -> Image:
         """(H, W, 3) uint8 BGR; the same scene, time and eye give the same pixels."""
+        lens = cv2.GaussianBlur(self._drawn(time_s, eye).bgra, (3, 3), LENS_BLUR_SAMPLES)
+        image = cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)[:, :, :3]
+        return self._with_noise(np.asarray(image, np.uint8), time_s, eye)
+
+    def depth_m(self, time_s: float, *, eye: Eye = "left") -> FloatArray:
+        """(H, W) exact z of what each pixel shows, the mean in 1/z over its samples; NaN = sky."""
+        inverse = cv2.resize(self._drawn(time_s, eye).inverse_depth, self._size_px, interpolation=cv2.INTER_AREA)
+        return np.asarray(1.0 / np.where(inverse > 0, inverse, np.nan), np.float64)
+
+    @property
+    def _size_px(self) -> tuple[int, int]:
+        return self.rig.left.width_px, self.rig.left.height_px
+
+    def _drawn(self, time_s: float, eye: Eye) -> Canvas:
         canvas = Canvas(self._camera, self._sky)
         shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
         down_m = np.array([0.0, self.scene.camera_height_m, 0.0])
@@ -88,13 +102,10 @@ class Renderer:
             canvas.draw(face, down_m + shift_m)
         rotation = self.scene.rotation_y_rad()
         for bodies, location_m, yaw_rad in zip(self._bodies, self.scene.location_m(time_s), rotation, strict=True):
-            if -10.0 < location_m[2] < FAR_M:
+            if -LONGEST_HALF_M < location_m[2] < FAR_M:
                 for face in bodies[self._coarseness(float(location_m[2]))]:
                     canvas.draw(_turned(face, float(yaw_rad)), location_m + shift_m)
-        size_px = (self.rig.left.width_px, self.rig.left.height_px)
-        lens = cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES)
-        image = cv2.resize(lens, size_px, interpolation=cv2.INTER_AREA)[:, :, :3]
-        return self._with_noise(np.asarray(image, np.uint8), time_s, eye)
+        return canvas
 
     def _coarseness(self, z_m: float) -> int:
         """How often the textures of a body at that depth may be halved and still have a texel per sample."""

@@ -56,16 +56,16 @@ def car(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
 
 
 def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A high box and a bonnet half as high."""
+    """A high box and a bonnet a little over half as high."""
     height, width, length = size_hwl_m
     paint = _paint(rng)
     x, z, bonnet_x = length / 2, width / 2, 0.24 * length
     box = block(rng, (-x, bonnet_x, 0, height, -z, z), paint)
-    bonnet = block(rng, (bonnet_x, x, 0, 0.5 * height, -z, z), paint, sides=("front", "left", "right", "top"))
+    bonnet = block(rng, (bonnet_x, x, 0, 0.58 * height, -z, z), paint, sides=("front", "left", "right", "top"))
     for side, (left, right) in (("back", (0.08, 0.92)), ("left", (0.02, 0.3)), ("right", (0.7, 0.98))):
         paint_box(box[side].texture, (left, 0.1, right, 0.4), GLASS_BGR)
     paint_box(box["back"].texture, (0.49, 0.08, 0.51, 0.88), RUBBER_BGR)
-    paint_box(box["front"].texture, (0.06, 0.08, 0.94, 0.48), GLASS_BGR)
+    paint_box(box["front"].texture, (0.06, 0.06, 0.94, 0.4), GLASS_BGR)
     _lamps(box["back"], (0.5, 0.7), LAMP_RED)
     _lamps(bonnet["front"], (0.15, 0.4), LAMP_WHITE)
     for face in (box["back"], bonnet["front"]):

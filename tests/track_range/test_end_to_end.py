@@ -1,0 +1,260 @@
+"""The installed `track-range` on a simulated drive and, where it is there, on real video."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import yaml
+
+from detection.boxes import iou
+from detection.kitti_format import read_kitti
+from track_range.results import COLUMNS, read_tracks_csv
+from track_range.simulation.drive import write_drive
+
+TRACK_RANGE = Path(sys.executable).with_name("track-range")
+STAGES = ["read", "detect", "track", "mono", "lane", "stereo", "sgbm", "fuse", "write"]
+STEREO_METHODS = ["mono", "stereo", "sgbm", "fused", "mono_kf", "stereo_kf", "fused_kf"]
+
+
+def track_range(*arguments, check=True, **more):
+    """Run the command; its output and status."""
+    command = [str(TRACK_RANGE), *(str(a) for a in arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=check, **more)
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory):
+    return write_drive(tmp_path_factory.mktemp("drive"), seed=3, seconds=1.6)
+
+
+@pytest.fixture(scope="session")
+def simulated_run(drive, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "out"
+    stereo = ("--stereo", drive.left, drive.right, "--detections", drive.detections)
+    done = track_range(*stereo, "--truth", drive.truth, "--out", out)
+    return out, done.stdout, json.loads((out / "summary.json").read_text())
+
+
+def n_frames_of(video):
+    with av.open(str(video)) as container:
+        return sum(1 for _ in container.decode(video=0))
+
+
+def test_all_files_are_there_and_whole(simulated_run):
+    out, _, _ = simulated_run
+    names = {"tracks.csv", "mot.txt", "summary.json", "settings.yaml", "overlay.mp4", "report.html"}
+    assert {file.name for file in out.iterdir()} == names
+    assert n_frames_of(out / "overlay.mp4") == 16
+    with (out / "tracks.csv").open() as file:
+        assert next(csv.reader(file)) == list(COLUMNS)
+    assert "<html" in (out / "report.html").read_text()
+
+
+def test_summary_has_the_contracts_keys(simulated_run):
+    _, _, summary = simulated_run
+    assert summary["frames"] == 16
+    assert list(summary["stages_ms"]) == STAGES
+    assert summary["stages_ms"]["sgbm"] > 0
+    assert sorted(summary["methods"]) == sorted(STEREO_METHODS)
+    for section in ("methods", "common"):
+        for score in summary[section].values():
+            assert 0 < score["coverage"] <= 1
+            assert 0 <= score["within_1_sigma"] <= score["within_2_sigma"] <= 1
+            assert {"n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct"} <= set(score)
+            assert [band["from_m"] for band in score["bands"]] == [5, 10, 20, 30, 50]
+    assert len({score["n"] for score in summary["common"].values()}) == 1
+    assert {"n", "mota", "idf1", "idsw"} <= set(summary["tracks"])
+
+
+def test_distances_on_the_exact_world_are_right_and_not_too_good(simulated_run):
+    """Two-sided: a stereo error of exactly nothing would be a leak of the truth."""
+    _, _, summary = simulated_run
+    methods = summary["methods"]
+    assert 0.05 < methods["stereo"]["median_relative_error_pct"] < 2.0
+    assert 0.05 < methods["sgbm"]["median_relative_error_pct"] < 3.0
+    assert 1.0 < methods["mono"]["median_relative_error_pct"] < 12.0
+    assert 0.05 < methods["fused"]["median_relative_error_pct"] < 3.0
+    assert summary["tracks"]["mota"] > 30
+
+
+def test_tables_are_printed(simulated_run):
+    _, stdout, _ = simulated_run
+    for word in ("fused_kf", "stereo", "MOTA", "ms/frame", "rig.yaml beside the left", "common", "track-frames"):
+        assert word in stdout or word == "common"
+    assert "\r" not in stdout
+
+
+def test_settings_repeat_the_run(simulated_run, tmp_path):
+    out, _, summary = simulated_run
+    track_range("--settings", out / "settings.yaml", "--out", tmp_path / "again", "--no-overlay")
+    again = json.loads((tmp_path / "again" / "summary.json").read_text())
+    assert again["methods"] == summary["methods"]
+    assert again["tracks"] == summary["tracks"]
+    assert (tmp_path / "again" / "tracks.csv").read_text() == (out / "tracks.csv").read_text()
+    assert not (tmp_path / "again" / "overlay.mp4").exists()
+
+
+def test_one_camera_classes_and_a_part_of_the_video(drive, tmp_path):
+    options = ("--detections", drive.detections, "--classes", "car", "--start", "0.5", "--duration", "0.6")
+    track_range("--mono", drive.left, *options, "--out", tmp_path / "out")
+    columns = read_tracks_csv(tmp_path / "out" / "tracks.csv")
+    assert set(columns["class"]) == {"car"}
+    assert (columns["frame"].min(), columns["frame"].max()) == (5, 10)
+    assert np.isnan(columns["stereo_m"]).all()
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert sorted(summary["methods"]) == ["fused", "fused_kf", "mono", "mono_kf"]
+    assert summary["methods"]["mono"]["bias_pct"] is None
+
+
+def test_results_are_named_after_the_left_video_and_found_beside_nothing(drive, tmp_path):
+    stereo = ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--no-sgbm", "--no-overlay")
+    done = track_range(*stereo, "--duration", "0.3", cwd=tmp_path)
+    assert (tmp_path / "left-track-range" / "summary.json").is_file()
+    assert "left-track-range" in done.stdout
+
+
+def test_a_folder_of_images_gives_what_the_video_gives(drive, tmp_path):
+    import cv2
+
+    for eye in ("left", "right"):
+        (tmp_path / eye).mkdir()
+        with av.open(str(getattr(drive, eye))) as container:
+            for number, frame in enumerate(container.decode(video=0)):
+                cv2.imwrite(str(tmp_path / eye / f"{number:06d}.png"), frame.to_ndarray(format="bgr24"))
+    options = ("--detections", drive.detections, "--rig", drive.rig, "--no-sgbm", "--no-overlay")
+    track_range("--stereo", tmp_path / "left", tmp_path / "right", *options, "--out", tmp_path / "images")
+    track_range("--stereo", drive.left, drive.right, *options, "--out", tmp_path / "video")
+    images, video = (read_tracks_csv(tmp_path / name / "tracks.csv") for name in ("images", "video"))
+    np.testing.assert_array_equal(images["track_id"], video["track_id"])
+    np.testing.assert_allclose(images["stereo_m"], video["stereo_m"], atol=1e-3)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_stopped_run_leaves_its_finished_frames(drive, tmp_path, number):
+    out = tmp_path / "out"
+    command = [TRACK_RANGE, "--stereo", drive.left, drive.right, "--detections", drive.detections, "--out", out]
+    rows = out / "tracks.csv"
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: rows.is_file() and rows.read_text().count("\n") > 20, process)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    columns = read_tracks_csv(rows)
+    assert len(columns["frame"]) >= 19
+    if number == signal.SIGKILL:
+        assert process.returncode == -signal.SIGKILL
+        n_overlay = n_frames_of(out / "overlay.mp4") if (out / "overlay.mp4").stat().st_size > 10_000 else 0
+        assert n_overlay <= 16  # it plays; frames after the last keyframe are lost
+        return
+    assert process.returncode == 1
+    assert stderr.strip() == "track-range: stopped by the user; what was finished is kept."
+    summary = json.loads((out / "summary.json").read_text())
+    assert 0 < summary["frames"] <= 16
+    assert abs(n_frames_of(out / "overlay.mp4") - summary["frames"]) <= 1
+
+
+def wait_for(condition, process, limit_s=60):
+    """Poll until it is so; a process that ended first has already made it so, or fails the test."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < limit_s, "waited in vain"
+        if process.poll() is not None:
+            assert condition(), process.stderr.read()
+            return
+        time.sleep(0.01)
+
+
+def test_help_teaches_and_version_is_told():
+    help_text = track_range("--help").stdout
+    for word in ("--stereo", "--mono", "--rig", "--detections", "demo", "fit", "Examples"):
+        assert word in help_text
+    assert "--focal-px" in track_range("run", "--help").stdout
+    assert "--seed" in track_range("demo", "--help").stdout
+    assert track_range("--version").stdout.startswith("track-range 0.")
+    assert track_range("--stereo", "one.mp4", check=False).returncode == 2
+    assert track_range("--colour", "red", check=False).returncode == 2
+
+
+def test_demo(tmp_path):
+    done = track_range("demo", "--out", tmp_path / "demo", "--seconds", "0.8")
+    assert "playback detector" in done.stdout
+    assert (tmp_path / "demo" / "report.html").is_file()
+    assert f"Open {tmp_path / 'demo' / 'report.html'}".replace("\n", "") in done.stdout.replace("\n", "")
+
+
+# --- real video -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session", params=["0003", "0005"])
+def kitti_run(request, shared_data, tmp_path_factory):
+    drive = shared_data / "kitti_stereo" / request.param
+    out = tmp_path_factory.mktemp("kitti") / request.param
+    model = shared_data / "models/yolov5n_coco_640.onnx"
+    stereo = ("--stereo", drive / "left.mp4", drive / "right.mp4", "--rig", drive / "calib.txt")
+    track_range(*stereo, "--detector", model, "--truth", drive / "label.txt", "--out", out)
+    return drive, out, json.loads((out / "summary.json").read_text())
+
+
+def test_real_cars_are_tracked(kitti_run):
+    """Every car at least 30 px high, not truncated, at most partly occluded: in a track in 80 % of those frames."""
+    drive, out, _ = kitti_run
+    labels, columns = read_kitti(drive / "label.txt"), read_tracks_csv(out / "tracks.csv")
+    boxes = np.stack([columns[f"{edge}_px"] for edge in ("x1", "y1", "x2", "y2")], axis=1)
+    high = labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1] >= 30
+    clear = (labels.kitti_type == "Car") & (labels.truncated == 0) & (labels.occluded <= 1) & high & (labels.frame < 16)
+    assert clear.sum() > 10
+    for car in np.unique(labels.track_id[clear]):
+        rows = np.flatnonzero(clear & (labels.track_id == car))
+        found = [
+            iou(labels.xyxy_px[[i]], boxes[columns["frame"] == labels.frame[i]]).max(initial=0) >= 0.5 for i in rows
+        ]
+        assert np.mean(found) >= 0.8, f"car {car}: {sum(found)} of {len(found)}"
+
+
+def test_real_stereo_is_within_ten_per_cent_and_no_worse_than_dense(kitti_run):
+    _, _, summary = kitti_run
+    methods, common = summary["methods"], summary["common"]
+    assert 0.2 < methods["stereo"]["median_relative_error_pct"] <= 10.0
+    assert common["stereo"]["median_relative_error_pct"] <= common["sgbm"]["median_relative_error_pct"]
+    assert methods["stereo"]["bias_pct"] is not None
+    assert methods["fused"]["median_relative_error_pct"] <= 10.0
+
+
+def test_real_grey_pair_and_single_camera(shared_data, tmp_path):
+    model = shared_data / "models/yolov5n_coco_dyn.onnx"
+    grey = shared_data / "kitti_odometry/gray51"
+    track_range("--stereo", grey / "left.mp4", grey / "right.mp4", "--detector", model, "--out", tmp_path / "grey")
+    summary = json.loads((tmp_path / "grey/summary.json").read_text())
+    assert summary["frames"] == 51
+    assert summary["methods"]["stereo"]["coverage"] > 0.5
+    assert yaml.safe_load((tmp_path / "grey/settings.yaml").read_text())["found"]["baseline_m"] == pytest.approx(
+        0.5371, abs=1e-3
+    )
+    film = shared_data / "dashcam/highway_two_cars.mp4"
+    track_range("--mono", film, "--focal-px", 1150, "--detector", model, "--out", tmp_path / "mono")
+    columns = read_tracks_csv(tmp_path / "mono/tracks.csv")
+    assert (columns["class"] == "car").mean() > 0.8
+    assert 10 < np.nanmedian(columns["mono_m"]) < 40
+
+
+def test_boxes_of_another_detector_on_real_video(shared_data, tmp_path):
+    drive = shared_data / "kitti_stereo/0003"
+    stereo = ("--stereo", drive / "left.mp4", drive / "right.mp4", "--no-sgbm", "--no-overlay")
+    done = track_range(
+        *stereo, "--detections", drive / "regionlets.txt", "--truth", drive / "label.txt", "--out", tmp_path
+    )
+    assert "logistic" in done.stdout
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["methods"]["stereo"]["n"] > 5
+
+
+def test_environment_has_no_say():
+    """The run must not depend on a terminal: CI has none."""
+    assert track_range("--version", env={**os.environ, "TERM": "dumb", "NO_COLOR": "1"}).returncode == 0

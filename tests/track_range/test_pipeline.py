@@ -1,0 +1,96 @@
+"""The loop on made-up frames: order, overlap's errors, and what each result holds."""
+
+import numpy as np
+import pytest
+
+from detection.detections import Detections
+from ranging.ranges import Ranges
+from stereo.camera import PinholeCamera
+from stereo.frames import Frame
+from track_range.pipeline import STAGES, Pipeline
+from tracking.tracks import Tracks
+
+CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
+IMAGE = np.zeros((80, 100, 3), np.uint8)
+
+
+class OneTrack:
+    """A tracker that takes every detection for a track."""
+
+    def update(self, detections, time_s, image):
+        n = len(detections)
+        return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
+
+
+class Falling:
+    """A ranger whose distance shrinks by 10 m/s from 50 m."""
+
+    def measure(self, tracks, frame):
+        n = len(tracks)
+        return Ranges(tracks.track_id, np.full(n, 50 - 10 * frame.time_s), np.full(n, 0.5))
+
+
+def frames(n, dt_s=0.1):
+    return (Frame(i, i * dt_s, IMAGE, None) for i in range(n))
+
+
+def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9], [2])):
+    return Pipeline(camera=CAMERA, detect=detect, tracker=OneTrack(), rangers={"mono": Falling()})
+
+
+def test_every_frame_comes_out_in_order_with_all_methods():
+    loop = pipeline()
+    results = list(loop.run(frames(30)))
+    assert [r.frame.index for r in results] == list(range(30))
+    assert set(results[0].ranges) == {"mono", "fused", "mono_kf", "fused_kf"}
+    last = results[-1]
+    assert last.ranges["fused"].distance_m == pytest.approx([21.0])
+    assert last.closing_mps == pytest.approx([10.0], abs=0.3)
+    assert last.ttc_s == pytest.approx([2.1], abs=0.1)
+    np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])  # box centre 10 px right, 30 px below
+    assert set(loop.clock.busy_s) == set(STAGES)
+    assert loop.clock.busy_s["track"] > 0
+
+
+def test_a_frame_without_boxes_is_a_result_without_rows():
+    empty = list(pipeline(lambda frame: Detections.empty()).run(frames(3)))
+    assert [len(r.tracks) for r in empty] == [0, 0, 0]
+    assert empty[0].xyz_m.shape == (0, 3)
+
+
+def test_an_error_in_a_stage_comes_after_the_frames_before_it():
+    def detect(frame):
+        if frame.index == 5:
+            raise ValueError("broken")
+        return Detections.empty()
+
+    seen = []
+    with pytest.raises(ValueError, match="broken"):
+        seen.extend(r.frame.index for r in pipeline(detect).run(frames(9)))
+    assert seen == [0, 1, 2, 3, 4]
+
+
+def test_closing_early_stops_reading():
+    asked = []
+
+    def endless():
+        for frame in frames(10_000):
+            asked.append(frame.index)
+            yield frame
+
+    run = pipeline().run(endless())
+    next(run)
+    run.close()
+    assert len(asked) < 50
+
+
+def test_a_receding_track_has_no_time_to_collision():
+    class Rising:
+        def measure(self, tracks, frame):
+            return Ranges(tracks.track_id, np.full(len(tracks), 20 + 5 * frame.time_s), np.full(len(tracks), 0.2))
+
+    loop = pipeline()
+    loop.rangers = {"mono": Rising()}
+    last = list(loop.run(frames(30)))[-1]
+    assert last.closing_mps[0] < -3
+    assert np.isnan(last.ttc_s[0])

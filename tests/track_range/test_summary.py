@@ -1,0 +1,71 @@
+import json
+
+import numpy as np
+import pytest
+
+from ranging.truth import Truth
+from track_range.results import COLUMNS
+from track_range.summary import range_scores, stage_times_ms, track_scores, write_summary
+
+BOX = np.array([10.0, 10.0, 30.0, 30.0])
+
+
+def columns_of(n=10, *, fused=20.0, name="car"):
+    """One track over n frames; mono only every other frame."""
+    columns = {key: np.full(n, np.nan) for key in COLUMNS}
+    columns |= {"frame": np.arange(n, dtype=float), "track_id": np.ones(n), "class": np.full(n, name)}
+    columns |= {f"{edge}_px": np.full(n, value) for edge, value in zip(("x1", "y1", "x2", "y2"), BOX, strict=True)}
+    columns |= {"fused_m": np.full(n, fused), "fused_sigma_m": np.ones(n), "mono_sigma_m": np.ones(n)}
+    return columns | {"mono_m": np.where(np.arange(n) % 2, np.nan, 22.0)}
+
+
+def truth_of(n=10, *, kitti_type="Car", class_id=2):
+    metres = np.full(n, 20.0)
+    ones = np.ones(n, np.int64)
+    return Truth(np.arange(n), ones, np.full(n, kitti_type), class_id * ones, np.tile(BOX, (n, 1)), metres, metres)
+
+
+def test_methods_and_common_coverage():
+    scores = range_scores(columns_of(fused=21.0), truth_of(), ("mono", "fused"))
+    mono, fused = scores["methods"]["mono"], scores["methods"]["fused"]
+    assert (mono["n"], mono["coverage"]) == (5, 0.5)
+    assert mono["mean_relative_error_pct"] == pytest.approx(10.0)
+    assert fused["bias_pct"] == pytest.approx(5.0)
+    assert scores["common"]["fused"]["n"] == 5
+    assert set(scores["methods"]) == {"mono", "fused"}
+
+
+def test_without_truth_coverage_alone():
+    scores = range_scores(columns_of(), None, ("mono", "fused"))
+    assert scores["methods"]["mono"]["coverage"] == 0.5
+    assert scores["methods"]["mono"]["bias_pct"] is None
+    assert scores["common"] == {}
+
+
+def test_mot_metrics_and_ignored_classes():
+    frames = np.arange(10)
+    perfect = track_scores(columns_of(), truth_of(), frames)
+    assert (perfect["n"], perfect["mota"], perfect["idf1"], perfect["idsw"]) == (1, 100.0, 100.0, 0)
+    van = track_scores(columns_of(), truth_of(kitti_type="Van", class_id=-1), frames)
+    assert van["fp"] == 0  # a van is neither right nor wrong to track
+    assert track_scores(columns_of(), None, frames)["mota"] is None
+
+
+def test_truth_beyond_the_frames_that_ran_is_not_missed():
+    columns = {key: value[:4] for key, value in columns_of().items()}
+    assert track_scores(columns, truth_of(), np.arange(4))["mota"] == 100.0
+    assert track_scores(columns, truth_of(), np.arange(10))["fn"] == 6
+
+
+def test_classes_that_the_truth_does_not_label_are_no_false_alarms():
+    lights = columns_of(name="traffic light")
+    assert track_scores(lights, truth_of(), np.arange(10))["fp"] == 0
+
+
+def test_times_and_the_file(tmp_path):
+    assert stage_times_ms({"read": 1.0}, 500) == {"read": 2.0}
+    assert stage_times_ms({"read": 0.0}, 0) == {"read": 0.0}
+    write_summary(tmp_path / "summary.json", {"a": None})
+    assert json.loads((tmp_path / "summary.json").read_text()) == {"a": None}
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_summary(tmp_path / "summary.json", {"a": float("nan")})
