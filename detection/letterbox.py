@@ -52,14 +52,18 @@ class Letterbox:
         y, x = self.pad_yx
         return np.array([x, y, x, y], np.float64)
 
-    def paste(self, image: Image, canvas: Image) -> None:
-        """Write the scaled image into `canvas` (input height, input width, 3); the padding there is left as it is."""
-        (y, x), (h, w) = self.pad_yx, self.resized_hw
-        inside = canvas[y : y + h, x : x + w]
+    def scaled(self, image: Image) -> Image:
+        """The image at `resized_hw`; the same array where that is its size."""
         if self.resized_hw == self.image_hw:
-            inside[...] = image
-        else:
-            cv2.resize(image, (w, h), dst=inside, interpolation=cv2.INTER_LINEAR)
+            return image
+        height, width = self.resized_hw
+        return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+    @property
+    def inside(self) -> tuple[slice, slice]:
+        """Rows and columns of the input that the scaled image takes."""
+        (y, x), (height, width) = self.pad_yx, self.resized_hw
+        return slice(y, y + height), slice(x, x + width)
 
     def to_input(self, xyxy_px: FloatArray) -> FloatArray:
         """(N, 4) boxes in the image's pixels -> in the network's corner coordinates."""

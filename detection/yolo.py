@@ -92,9 +92,9 @@ class YoloDetector:
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR; best score first."""
         letterbox = self._letterbox_of(image)
-        letterbox.paste(image, self._canvas)
-        blob = cv2.dnn.blobFromImage(self._canvas, 1 / 255, swapRB=True)
-        return self._decode(self._session.run(np.asarray(blob, np.float32))[0][0], letterbox)
+        rows, columns = letterbox.inside  # the padding stays from the first image on
+        self._blob[:, :, rows, columns] = cv2.dnn.blobFromImage(letterbox.scaled(image), 1 / 255, swapRB=True)
+        return self._decode(self._session.run(self._blob)[0][0], letterbox)
 
     def _decode(self, rows: FloatArray32, letterbox: Letterbox) -> Detections:
         """Boxes of the raw rows (N, 5 + C)."""
@@ -114,7 +114,7 @@ class YoloDetector:
         image_hw = (image.shape[0], image.shape[1])
         if self._letterbox is None or self._letterbox.image_hw != image_hw:
             self._letterbox = Letterbox.centred(image_hw, self._input_hw(image_hw))
-            self._canvas = np.full((*self._letterbox.input_hw, 3), _PAD_GREY, np.uint8)
+            self._blob = np.full((1, 3, *self._letterbox.input_hw), _PAD_GREY / 255, np.float32)
         return self._letterbox
 
     def _input_hw(self, image_hw: tuple[int, int]) -> tuple[int, int]:

@@ -8,6 +8,8 @@ that of the slowest stage, not the sum of all.
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 from collections import deque
 from collections.abc import Generator, Iterable
@@ -15,8 +17,19 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
+_NICENESS = 10  # of 19; about a tenth of the weight of an ordinary thread
 
-def prefetch(items: Iterable[T], *, depth: int) -> Generator[T, None, None]:
+
+def give_way() -> None:
+    """Let the calling thread, and those that it starts, run only where more urgent ones leave room (Linux only).
+
+    With fewer cores than busy threads, decoding and drawing would else take turns with inference, which all wait for.
+    """
+    if sys.platform == "linux":  # elsewhere a niceness belongs to the whole process
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+
+
+def prefetch(items: Iterable[T], *, depth: int, gives_way: bool = False) -> Generator[T, None, None]:
     """The same items in the same order, made in a thread that is at most `depth` items ahead.
 
     The thread starts with the first item asked for. It ends, and closes `items` if that is a generator, when the items
@@ -26,19 +39,20 @@ def prefetch(items: Iterable[T], *, depth: int) -> Generator[T, None, None]:
     Args:
         items: iterated in the thread alone.
         depth: items waiting or being made beyond the one that the caller holds, at least 1.
+        gives_way: see `give_way`.
 
     Raises:
         ValueError: `depth` below 1.
     """
     if depth < 1:
         raise ValueError(f"depth: at least 1 wanted, {depth} got")
-    return _consume(items, depth)
+    return _consume(items, depth, gives_way)
 
 
-def _consume(items: Iterable[T], depth: int) -> Generator[T, None, None]:
+def _consume(items: Iterable[T], depth: int, gives_way: bool) -> Generator[T, None, None]:
     belt: _Belt[T] = _Belt(depth)
     # A daemon, so that a caller who dies with the generator still in a traceback does not keep the program from ending.
-    thread = threading.Thread(target=_produce, args=(items, belt), name="prefetch", daemon=True)
+    thread = threading.Thread(target=_produce, args=(items, belt, gives_way), name="prefetch", daemon=True)
     del items  # from here on they are the thread's alone
     thread.start()
     try:
@@ -53,9 +67,11 @@ def _consume(items: Iterable[T], depth: int) -> Generator[T, None, None]:
         belt.error = None  # its traceback holds this frame, which holds the belt
 
 
-def _produce(items: Iterable[T], belt: _Belt[T]) -> None:
+def _produce(items: Iterable[T], belt: _Belt[T], gives_way: bool) -> None:
     error: BaseException | None = None
     try:
+        if gives_way:
+            give_way()
         _fill(items, belt)
     except BaseException as raised:  # whatever it is, the caller must see it
         error = raised

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from track_range.overlap import give_way
 from track_range.overlay import Overlay
 from track_range.pipeline import StageClock
 from track_range.results import FrameResult
@@ -28,7 +29,7 @@ class OverlayVideo:
         self._writer = VideoWriter(path, width_px=size_px[0], height_px=size_px[1], fps=fps)
         self._overlay = Overlay()
         self._clock = clock
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="overlay")
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="overlay", initializer=give_way)
         self._waiting: deque[Future[None]] = deque()
 
     def __enter__(self) -> Self:

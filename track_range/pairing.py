@@ -119,11 +119,15 @@ class StereoVideo:
 
     def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         self._start()
-        ahead = (prefetch(self.left, depth=_READ_AHEAD), prefetch(self.right, depth=_READ_AHEAD))
+        ahead = (self._ahead(self.left), self._ahead(self.right))
         with closing(ahead[0]), closing(ahead[1]):
             yield from self._pairs(ahead)
         if not self._n_pairs:
             raise VideoError(self._why_nothing_pairs())
+
+    @staticmethod
+    def _ahead(reader: VideoReader) -> Generator[VideoFrame, None, None]:
+        return prefetch(reader, depth=_READ_AHEAD, gives_way=True)
 
     def _pairs(self, ahead: _Ahead) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         """The frame that is behind is paired with the other eye's, unless its successor is nearer to that."""

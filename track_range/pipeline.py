@@ -39,7 +39,7 @@ _DETECT_AHEAD = 2
 
 
 class StageClock:
-    """Seconds spent in each stage, counted from whichever thread does the work."""
+    """Seconds by the clock in each stage, waiting for a free core included, counted from whichever thread works."""
 
     def __init__(self) -> None:
         """Start at zero."""
@@ -80,7 +80,7 @@ class Pipeline:
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """The results of each frame in order; closing the generator ends the threads."""
-        detected = prefetch(self._detected(prefetch(frames, depth=_READ_AHEAD)), depth=_DETECT_AHEAD)
+        detected = prefetch(self._detected(prefetch(frames, depth=_READ_AHEAD, gives_way=True)), depth=_DETECT_AHEAD)
         try:
             for frame, detections in detected:
                 yield self._result(frame, detections)

@@ -40,7 +40,8 @@ class Source:
         fps: nominal frame rate.
         size_px: width and height of the frames.
         opening_notes: sentences for the user on the rig.
-        watchers: readers and checks whose own notes (pairing, damage) are complete only after the last frame.
+        readers: one per eye.
+        watchers: pairing and checks whose notes, like the readers', are complete only after the last frame.
     """
 
     frames: Iterator[Frame]
@@ -52,12 +53,19 @@ class Source:
     fps: float
     size_px: tuple[int, int]
     opening_notes: tuple[str, ...]
-    watchers: tuple[_Noting, ...]
+    readers: tuple[VideoReader, ...]
+    watchers: tuple[_Noting, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is worth telling so far."""
-        return (*self.opening_notes, *itertools.chain.from_iterable(watcher.notes for watcher in self.watchers))
+        watched = itertools.chain.from_iterable(one.notes for one in (*self.readers, *self.watchers))
+        return (*self.opening_notes, *watched)
+
+    @property
+    def busy_s(self) -> float:
+        """Time spent reading and decoding so far, both eyes added."""
+        return sum(reader.busy_s for reader in self.readers)
 
 
 class _Noting(Protocol):
@@ -114,7 +122,7 @@ def _open_single(settings: RunSettings) -> Source:
         fps=reader.fps,
         size_px=size_px,
         opening_notes=(*found, *notes),
-        watchers=(reader,),
+        readers=(reader,),
     )
 
 
@@ -144,7 +152,8 @@ def _open_pair(settings: RunSettings, left_path: Path, right_path: Path) -> Sour
         fps=left.fps,
         size_px=size_px,
         opening_notes=(*found, *notes),
-        watchers=(left, right, video, alignment),
+        readers=(left, right),
+        watchers=(video, alignment),
     )
 
 

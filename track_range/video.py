@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+import time
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -32,6 +33,7 @@ class VideoReader:
         fps: nominal rate.
         first_time_s: time of the file's first frame (whatever `start_s` is).
         n_frames: frames to expect; an estimate; None = unknown.
+        busy_s: time spent reading and decoding so far.
 
     Raises:
         VideoError: missing, no video, nothing decodes. While iterating: no frame in the part asked for, an image that
@@ -55,6 +57,7 @@ class VideoReader:
         self._from_s = (self.first_time_s if origin_s is None else origin_s) + start_s
         self._until_s = math.inf if duration_s is None else self._from_s + duration_s
         self.n_frames = self._expected()
+        self.busy_s = 0.0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -64,7 +67,7 @@ class VideoReader:
     def __iter__(self) -> Generator[VideoFrame, None, None]:
         is_empty = True
         with closing(self._source.frames(self._from_s, self._until_s)) as frames:
-            for frame in frames:
+            while (frame := self._timed(frames)) is not None:
                 is_empty = False
                 yield frame
         if is_empty:
@@ -73,6 +76,12 @@ class VideoReader:
                 f"{self.path}: no frame from {self._from_s:.2f} s {part}, where its own time starts at "
                 f"{self.first_time_s:.2f} s: choose another start or duration."
             )
+
+    def _timed(self, frames: Iterator[VideoFrame]) -> VideoFrame | None:
+        began_s = time.perf_counter()
+        frame = next(frames, None)
+        self.busy_s += time.perf_counter() - began_s
+        return frame
 
     def _expected(self) -> int | None:
         n_total = self._source.n_frames

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import platform
 import signal
+import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -21,7 +22,6 @@ from ranging.ranger import Ranger
 from ranging.size_regression import SizeRegressionRanger
 from ranging.triangulation import DenseRanger, PatchRanger
 from ranging.truth import Truth, read_truth
-from stereo.frames import Frame
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.box_source import BoxSource, open_box_source
 from track_range.config import RunSettings, save_settings
@@ -41,6 +41,9 @@ from track_range.tables import summary_tables
 from track_range.written import make_folder
 from tracking.sort import SortTracker
 
+# A thread that comes back from inference waits at most so long for Python's lock; the default of 5 ms is a tenth of a
+# frame.
+_SWITCH_INTERVAL_S = 0.0005
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
 
@@ -123,13 +126,14 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
     try:
         with ExitStack() as stack:
             stack.enter_context(_termination_as_interrupt())
+            sys.setswitchinterval(_SWITCH_INTERVAL_S)
             rows = stack.enter_context(ResultRows(folder))
             video = None
             if this.settings.overlay:
                 video = stack.enter_context(
                     OverlayVideo(folder / "overlay.mp4", size_px=this.source.size_px, fps=this.source.fps, clock=clock)
                 )
-            results = this.pipeline.run(_timed(this.source.frames, this.pipeline))
+            results = this.pipeline.run(this.source.frames)
             stack.callback(results.close)
             advance = stack.enter_context(_progress(console, this.source.n_frames))
             for result in results:
@@ -145,17 +149,7 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
             raise
         this.stopped_by = error
     this.wall_s = time.perf_counter() - began_s
-
-
-def _timed(frames: Iterable[Frame], pipeline: Pipeline) -> Iterator[Frame]:
-    """The frames, the time that each takes to come counted under "read"."""
-    iterator = iter(frames)
-    while True:
-        with pipeline.clock.stage("read"):
-            frame = next(iterator, None)
-        if frame is None:
-            return
-        yield frame
+    clock.busy_s["read"] = this.source.busy_s
 
 
 @contextmanager
