@@ -91,7 +91,7 @@ def grids(summary: Mapping[str, Any]) -> list[Grid]:
     methods, common = summary.get("methods") or {}, summary.get("common") or {}
     n_common = max((figure(found, "n") or 0 for found in common.values()), default=0)
     found = [
-        method_grid("Distance error, each method where it measured", methods),
+        method_grid("Distance error, each method where it measured" if common else "Coverage of each method", methods),
         method_grid(f"Distance error, on the {n_common:.0f} track-frames that all methods measured", common),
         speed_grid(summary),
         track_grid(summary.get("tracks") or {}),

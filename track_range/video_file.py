@@ -8,6 +8,7 @@ Time increases strictly, indices count every frame of the file, images are uprig
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from fractions import Fraction
@@ -27,7 +28,7 @@ from detection.detections import Image
 from track_range.reading_log import ReadingLog
 from track_range.video_frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 
-_DECODER_THREADS = 2  # left and right decode beside each other, and a detector wants cores too
+_DECODER_THREADS = 1 if (os.cpu_count() or 1) <= 2 else 2  # left and right decode beside each other and a detector
 _FALLBACK_RATE_HZ = 25.0  # where a file states no rate at all
 _SHORTFALL_FRAMES = 2.5  # a file that ends so much before its header's duration was cut short
 _UPRIGHT = (1, 0, 0, 1)

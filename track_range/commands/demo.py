@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
+from rich.progress import Progress
 
 from track_range.commands.run import run
 from track_range.config import RunSettings
@@ -24,7 +25,14 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0) ->
         "(true boxes with jitter, misses and false alarms), so only tracking and ranging are at work.",
         highlight=False,
     )
-    drive = write_drive(out / "drive", seed=seed, seconds=seconds)
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("rendering", total=None)
+        drive = write_drive(
+            out / "drive",
+            seed=seed,
+            seconds=seconds,
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
     settings = RunSettings(
         stereo=(drive.left, drive.right),
         rig=drive.rig,

@@ -1,0 +1,218 @@
+"""Every input that a user can get wrong, through the installed command: one sentence, status 1, no traceback."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import yaml
+
+from track_range.simulation.drive import write_drive
+
+TRACK_RANGE = Path(sys.executable).with_name("track-range")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return write_drive(tmp_path_factory.mktemp("drive"), seed=5, seconds=0.5)
+
+
+@pytest.fixture
+def fails(tmp_path):
+    """Run the command with a pair's options replaced; hand back its one sentence."""
+
+    def run(*arguments, status=1):
+        command = [str(TRACK_RANGE), *(str(a) for a in arguments)]
+        done = subprocess.run([*command, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False)
+        assert done.returncode == status, done.stderr
+        assert "Traceback" not in done.stderr
+        lines = [line for line in done.stderr.splitlines() if line.strip()]
+        assert len(lines) == 1, done.stderr
+        assert lines[0].startswith("track-range: ")
+        return lines[0]
+
+    return run
+
+
+@pytest.fixture
+def options(drive):
+    """`options(right=..., rig=...)`: the arguments of a good run, with some replaced."""
+
+    def arguments(**changed):
+        files = {"left": drive.left, "right": drive.right, "rig": drive.rig, "detections": drive.detections} | changed
+        rest = [part for key in files if key not in ("left", "right") for part in (f"--{key}", files[key])]
+        return ["--stereo", files["left"], files["right"], *rest, "--no-sgbm", "--no-overlay"]
+
+    return arguments
+
+
+def junk(path, content):
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "there is no such file or folder"),
+        (b"", "the file is empty"),
+        (b"this is no video at all " * 50, "not a video, or damaged from its start"),
+        ("half", "an MP4 without its index, so cut short"),
+    ],
+    ids=["missing", "empty", "text", "truncated"],
+)
+def test_videos(fails, options, drive, tmp_path, content, message):
+    video = tmp_path / "v.mp4"
+    if content == "half":
+        remuxed = tmp_path / "plain.mp4"  # moov at the end, as cameras write it, so half a file cannot be opened
+        with av.open(str(drive.left)) as source, av.open(str(remuxed), "w") as target:
+            stream = target.add_stream_from_template(source.streams.video[0])
+            for packet in source.demux(video=0):
+                if packet.dts is not None:
+                    packet.stream = stream
+                    target.mux(packet)
+        content = remuxed.read_bytes()[: remuxed.stat().st_size // 2]
+    if content is not None:
+        junk(video, content)
+    sentence = fails(*options(left=video))
+    assert str(video) in sentence
+    assert message in sentence
+
+
+def test_a_video_cut_short_is_used_as_far_as_it_goes(drive, tmp_path):
+    long = write_drive(tmp_path / "long", seed=5, seconds=1.5)  # a fragment per second: the second one is cut
+    right = junk(tmp_path / "cut.mp4", long.right.read_bytes()[: int(long.right.stat().st_size * 0.9)])
+    files = ("--stereo", long.left, right, "--rig", long.rig, "--detections", long.detections)
+    command = [str(TRACK_RANGE), *map(str, files), "--no-sgbm", "--no-overlay", "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "right video ends" in " ".join(done.stdout.split())
+    frames = {int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]}
+    assert 9 <= max(frames) < 14
+
+
+def test_an_empty_folder_and_no_rig(fails, options, drive, tmp_path):
+    (tmp_path / "images").mkdir()
+    assert "images" in fails(*options(left=tmp_path / "images"))
+    lonely = shutil.copy(drive.left, tmp_path / "lonely.mp4")
+    assert "give --rig" in fails("--stereo", lonely, drive.right, "--detections", drive.detections)
+    assert "--focal-px" in fails("--mono", lonely, "--detections", drive.detections)
+
+
+def changed_rig(drive, path, **changes):
+    rig = yaml.safe_load(drive.rig.read_text())
+    for key, value in changes.items():
+        if key == "x_m":
+            rig["right_from_left"]["translation_m"][0] = value
+        else:
+            rig["left"][key] = rig["right"][key] = value
+    path.write_text(yaml.safe_dump(rig))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "messages"),
+    [
+        ({"x_m": 0.0}, ["baseline", "0"]),
+        ({"x_m": 0.54}, ["baseline", "-0.54"]),
+        ({"x_m": -540.0}, ["baseline", "540", "millimetres"]),
+        ({"width_px": 640, "height_px": 480}, ["640x480", "1240x376"]),
+        ({"fx_px": -700.0}, ["fx", "-700"]),
+        ({"fx_px": "wide"}, ["fx"]),
+        ({"focus": 3}, ["focus"]),
+    ],
+    ids=["zero", "negative", "millimetres", "size", "focal", "word", "unknown"],
+)
+def test_rigs(fails, options, drive, tmp_path, changes, messages):
+    sentence = fails(*options(rig=changed_rig(drive, tmp_path / "rig.yaml", **changes)))
+    assert all(message in sentence for message in messages), sentence
+
+
+def test_rig_files_that_are_none(fails, options, tmp_path):
+    assert "none.yaml" in fails(*options(rig=tmp_path / "none.yaml"))
+    assert "r.yaml" in fails(*options(rig=junk(tmp_path / "r.yaml", b"\x00\x01\xff")))
+    assert "r.yaml" in fails(*options(rig=junk(tmp_path / "r.yaml", b"hello: world")))
+    kitti = "P2: 700 0 10 0 0 700 170 0 0 0 1 0\nP3: 700 0 10 -380 0 700 170 0 0 0 1 0\n"
+    assert "middle third" in fails(*options(rig=junk(tmp_path / "calib.txt", kitti.encode())))
+
+
+def test_a_rig_of_twice_the_size_is_scaled_and_it_is_said(options, drive, tmp_path):
+    rig = yaml.safe_load(drive.rig.read_text())
+    for eye in ("left", "right"):
+        rig[eye] = {k: v if k == "distortion" else 2 * v for k, v in rig[eye].items()}
+    big = junk(tmp_path / "big.yaml", yaml.safe_dump(rig).encode())
+    command = [str(TRACK_RANGE), *map(str, options(rig=big)), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "scaled" in done.stdout
+    found = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]
+    assert found["focal_px"] == pytest.approx(yaml.safe_load(drive.rig.read_text())["left"]["fx_px"], rel=1e-3)
+
+
+def test_swapped_eyes(fails, options, drive):
+    assert "swapped" in fails(*options(left=drive.right, right=drive.left))
+
+
+def test_models(fails, drive, tmp_path):
+    pair = ("--stereo", drive.left, drive.right, "--detector")
+    assert "no such model file" in fails(*pair, tmp_path / "none.onnx")
+    assert "not a usable ONNX model" in fails(*pair, junk(tmp_path / "m.onnx", b"\x08\x07junk"))
+
+
+def test_a_model_with_unknown_outputs(fails, drive, shared_data):
+    pair = ("--stereo", drive.left, drive.right, "--detector")
+    sentence = fails(*pair, shared_data / "models/twinlitenet_360x640.onnx")
+    assert "unknown outputs drivable [1, 2, 360, 640]" in sentence
+    assert "YOLOv5" in sentence
+
+
+def test_truth_detections_and_classes(fails, options, drive, tmp_path):
+    assert "cannot be read" in fails(*options(truth=tmp_path / "none.txt"))
+    assert "line 1" in fails(*options(truth=junk(tmp_path / "t.txt", b"1 2 3\n")))
+    assert "not a text file" in fails(*options(detections=junk(tmp_path / "d.txt", b"\xff\xfe\x00")))
+    assert "did you mean 'truck'" in fails(*options(classes="trcuk"))
+
+
+def test_nan_boxes_are_left_out_and_the_run_goes_on(options, drive, tmp_path):
+    rows = drive.detections.read_text().splitlines()
+    plain = [f"{r[0]},{','.join(r[6:10])},{r[17]}" for r in (row.split() for row in rows)]
+    boxes = junk(tmp_path / "boxes.csv", "\n".join([*plain, "0,nan,1,2,3,0.9", "0,5,5,1,1,0.9"]).encode())
+    command = [str(TRACK_RANGE), *map(str, options(detections=boxes, classes="car")), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "2 rows of boxes.csv are no box" in " ".join(done.stdout.split())
+
+
+def test_an_output_folder_that_cannot_be_written(drive, options, tmp_path):
+    blocked = junk(tmp_path / "file", b"")
+    command = [str(TRACK_RANGE), *map(str, options()), "--out", str(blocked / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "no results can be written there" in done.stderr
+
+
+def test_contradicting_options_and_a_window_past_the_end(fails, options, drive):
+    assert "not both" in fails(*options(), "--detector", "m.onnx")
+    assert "either --stereo LEFT RIGHT or --mono" in fails("--detections", drive.detections)
+    assert "start" in fails(*options(), "--start", "1000")
+    assert "--threads" in fails(*options(), "--threads", "-2")
+
+
+def test_left_and_right_of_different_rate_length_and_start(drive, options, tmp_path):
+    """Every other frame of the right eye, the first of them missing: what pairs is used, the rest is told."""
+    right = tmp_path / "right.mkv"
+    with av.open(str(drive.right)) as source, av.open(str(right), "w") as target:
+        stream = target.add_stream("libx264", rate=5)
+        stream.width, stream.height, stream.pix_fmt = 1240, 376, "yuv420p"
+        for number, frame in enumerate(source.decode(video=0)):
+            if number in (2, 4):
+                fresh = av.VideoFrame.from_ndarray(frame.to_ndarray(format="yuv420p"), format="yuv420p")
+                fresh.pts, fresh.time_base = frame.pts, frame.time_base
+                target.mux(stream.encode(fresh))
+        target.mux(stream.encode(None))
+    command = [str(TRACK_RANGE), *map(str, options(right=right)), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    told = " ".join(done.stdout.split())
+    assert "starts 0.20 s later" in told
+    frames = np.unique([int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]])
+    assert set(frames) <= {2, 4}
