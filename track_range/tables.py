@@ -119,14 +119,17 @@ def band_error_pct(row: Mapping[str, Any], band: tuple[float, float]) -> float |
 
 
 def speed_grid(summary: Mapping[str, Any]) -> Grid:
-    """One row per stage that ran, and the whole run by the wall's clock: stages overlap in threads."""
+    """One row per stage that ran, and the whole run by the wall's clock.
+
+    Stages overlap in threads; those that give way to inference (read, write) count the time that they wait for a core.
+    """
     found = summary.get("stages_ms") or {}
     stages = {name: ms for name in found if (ms := figure(found, name))}
     fps = frames_per_s(summary)
     names = list(stages) + (["whole run"] if fps else [])
     values = [*stages.values(), 1000.0 / fps] if fps else list(stages.values())
     columns = [Column("ms/frame", values, "{:.2f}"), Column("frames/s", [1000.0 / ms for ms in values])]
-    return grid_of("Speed", "stage", names, columns)
+    return grid_of("Speed, stages overlap", "stage", names, columns)
 
 
 def frames_per_s(summary: Mapping[str, Any]) -> float | None:

@@ -111,7 +111,7 @@ def test_the_speed_of_a_run_follows_from_its_frames_and_its_clock() -> None:
 def test_titles_say_what_is_compared() -> None:
     titles = [grid.title for grid in grids(SUMMARY)]
     assert titles[1] == "Distance error, on the 118 track-frames that all methods measured"
-    assert titles[2:] == ["Speed", "Tracks"]
+    assert titles[2:] == ["Speed, stages overlap", "Tracks"]
     assert texts(grids(SUMMARY)[3].rows) == [["all", "5", "88.1", "91.0", "0"]]
 
 
