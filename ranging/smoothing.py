@@ -34,8 +34,8 @@ class FilterSettings:
     """
 
     acceleration_mps2: float = 2.0
-    initial_rate_sigma_mps: float = 10.0
-    noise_share: float = 0.6
+    initial_rate_sigma_mps: float = 15.0
+    noise_share: float = 0.4
     outlier_sigma: float = 3.0
     max_outliers: int = 3
     max_gap_s: float = 1.0

@@ -30,8 +30,12 @@ from tracking.tracks import Tracks
 
 STAGES = ("read", "detect", "track", "mono", "lane", "stereo", "sgbm", "fuse", "write")
 
-NOISE_SHARES: Mapping[str, float] = {"mono": 0.4, "stereo": 0.7, "fused": 0.6}
-"""Methods with a distance filter, and the part of their sigma that is independent from frame to frame."""
+NOISE_SHARES: Mapping[str, float] = {"mono": 0.4, "stereo": 0.3, "fused": 0.35}
+"""Methods with a distance filter, and the part of their sigma that is independent from frame to frame.
+
+From repeatability, without any truth, on a drive that no error is quoted for (KITTI odometry, 51 grey pairs): scatter
+about a parabola over five frames, divided by sigma, median 0.31, 0.17 and 0.28; a little more for outliers.
+"""
 
 _MIN_CLOSING_MPS = 0.3  # slower than this is "not closing": the time to collision would be minutes of noise
 _READ_AHEAD = 4

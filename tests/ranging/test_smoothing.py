@@ -23,7 +23,7 @@ def test_equals_filterpy_with_uneven_steps():
         z = 90 - 8 * t + rng.normal()
         result = ours.update(measured([7], [z]), t)
         if i == 0:
-            oracle.x, oracle.P, oracle.R = np.array([[z], [0.0]]), np.diag([1.0, 100.0]), np.eye(1)
+            oracle.x, oracle.P, oracle.R = np.array([[z], [0.0]]), np.diag([1.0, 225.0]), np.eye(1)
         else:
             dt = t - time_s[i - 1]
             oracle.F = np.array([[1, dt], [0, 1]])
