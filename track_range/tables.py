@@ -121,7 +121,7 @@ def band_error_pct(row: Mapping[str, Any], band: tuple[float, float]) -> float |
 def speed_grid(summary: Mapping[str, Any]) -> Grid:
     """One row per stage that ran, and the whole run by the wall's clock.
 
-    Stages overlap in threads; those that give way to inference (read, write) count the time that they wait for a core.
+    Stages overlap in threads; detect and sgbm are timed by the wall's clock, the others by their processor time.
     """
     found = summary.get("stages_ms") or {}
     stages = {name: ms for name in found if (ms := figure(found, name))}

@@ -9,9 +9,11 @@ from contextlib import closing
 from pathlib import Path
 
 from track_range.image_folder import ImageFolder
-from track_range.video_file import VideoFile
+from track_range.video_file import DECODER_THREADS, VideoFile
 from track_range.video_frame import VideoError, VideoFrame
 from track_range.video_writer import VideoWriter
+
+_now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
 __all__ = ["VideoError", "VideoFrame", "VideoReader", "VideoWriter"]
 
@@ -33,7 +35,8 @@ class VideoReader:
         fps: nominal rate.
         first_time_s: time of the file's first frame (whatever `start_s` is).
         n_frames: frames to expect; an estimate; None = unknown.
-        busy_s: time spent reading and decoding so far.
+        busy_s: time spent reading and decoding so far: processor time, or time by the wall where FFmpeg decodes in
+            threads of its own.
 
     Raises:
         VideoError: missing, no video, nothing decodes. While iterating: no frame in the part asked for, an image that
@@ -78,9 +81,9 @@ class VideoReader:
             )
 
     def _timed(self, frames: Iterator[VideoFrame]) -> VideoFrame | None:
-        began_s = time.perf_counter()
+        began_s = _now_s()
         frame = next(frames, None)
-        self.busy_s += time.perf_counter() - began_s
+        self.busy_s += _now_s() - began_s
         return frame
 
     def _expected(self) -> int | None:

@@ -28,7 +28,7 @@ from detection.detections import Image
 from track_range.reading_log import ReadingLog
 from track_range.video_frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 
-_DECODER_THREADS = 1 if (os.cpu_count() or 1) <= 2 else 2  # left and right decode beside each other and a detector
+DECODER_THREADS = 1 if (os.cpu_count() or 1) <= 2 else 2  # left and right decode beside each other and a detector
 _FALLBACK_RATE_HZ = 25.0  # where a file states no rate at all
 _SHORTFALL_FRAMES = 2.5  # a file that ends so much before its header's duration was cut short
 _UPRIGHT = (1, 0, 0, 1)
@@ -149,7 +149,7 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         if stream is None or container.format.name == "tty":  # FFmpeg takes any text for terminal art
             raise VideoError(f"{path}: holds no video: name a video file, or a folder of numbered images.")
         stream.thread_type = "AUTO"
-        stream.thread_count = _DECODER_THREADS
+        stream.thread_count = DECODER_THREADS
         yield container, stream
 
 
