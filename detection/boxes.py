@@ -51,10 +51,11 @@ def are_sound(xyxy_px: FloatArray) -> BoolArray:
 def nms(xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: float) -> IntArray:
     """Indices of the boxes kept, best score first: greedy suppression within each class.
 
-    OpenCV's batched NMS does the work; it shifts each class by an offset so that classes never overlap.
+    OpenCV's batched NMS does the work. It keeps classes apart by shifting each by a multiple of the largest coordinate,
+    which does so only while none is negative.
     """
     if len(score) == 0:
         return np.zeros(0, np.int64)
-    xywh = np.concatenate([xyxy_px[:, :2], xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
+    xywh = np.concatenate([xyxy_px[:, :2] - xyxy_px.min() + 1.0, xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
     kept = cv2.dnn.NMSBoxesBatched(xywh.tolist(), score.tolist(), class_id.tolist(), -1.0, max_iou)
     return np.asarray(kept, np.int64).reshape(-1)

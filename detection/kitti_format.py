@@ -78,7 +78,7 @@ def read_kitti(path: Path) -> KittiLabels:
     rows = [row for row in _rows(path) if row[1]]
     if not rows:
         raise LabelFileError(f"{path}: the file is empty; KITTI labels wanted.")
-    return _labels([_numbered(path, line, words) for line, words in rows])
+    return _labels([_numbered(path, line, words, n_found=len(words)) for line, words in rows])
 
 
 def _read_folder(folder: Path) -> KittiLabels:
@@ -89,7 +89,7 @@ def _read_folder(folder: Path) -> KittiLabels:
     for file in files:
         for line, words in _rows(file):
             if words:
-                rows.append(_numbered(file, line, [file.stem, "-1", *words]))
+                rows.append(_numbered(file, line, [file.stem, "-1", *words], n_found=len(words)))
     return _labels(rows)
 
 
@@ -103,12 +103,12 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     return [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
 
 
-def _numbered(path: Path, line: int, words: list[str]) -> tuple[str, list[float]]:
+def _numbered(path: Path, line: int, words: list[str], *, n_found: int) -> tuple[str, list[float]]:
     """Type and the other columns as numbers, score NaN where there is none."""
     if len(words) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
         raise LabelFileError(
             f"{path}, line {line}: {_TRACKING_COLUMNS} columns (18 with a score) of KITTI's tracking format wanted, "
-            f"or in a folder of object labels {_OBJECT_COLUMNS} (16); found {len(words)}."
+            f"or {_OBJECT_COLUMNS} (16) of object labels, one file per image in a folder; found {n_found}."
         )
     try:
         numbers = [float(word) for word in (*words[:2], *words[3:])]

@@ -148,7 +148,7 @@ def _class_names(
     if names:
         found, source = tuple(names), "as given"
     elif "names" in metadata:
-        found, source = _listed(ast.literal_eval(metadata["names"])), "from the model's metadata"
+        found, source = _names_in_metadata(path, metadata["names"]), "from the model's metadata"
     elif sidecar.is_file():
         found, source = _names_in_yaml(sidecar), f"from {sidecar.name} beside it"
     elif n_classes == len(COCO_CLASSES):
@@ -162,10 +162,20 @@ def _class_names(
     return found, source
 
 
+def _names_in_metadata(path: Path, text: str) -> tuple[str, ...]:
+    """Names as Ultralytics' exporter writes them: a Python mapping or list as text."""
+    try:
+        return _listed(ast.literal_eval(text))
+    except (SyntaxError, ValueError, TypeError) as error:
+        raise ModelError(
+            f"{path}: its metadata 'names' is no list of names ({text[:40]}); give them with --names."
+        ) from error
+
+
 def _names_in_yaml(path: Path) -> tuple[str, ...]:
     try:
         return _listed(yaml.safe_load(path.read_text(encoding="utf-8"))["names"])
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise ModelError(f"{path}: a list 'names: [a, b, ...]' wanted ({type(error).__name__}).") from error
 
 

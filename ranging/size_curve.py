@@ -88,7 +88,11 @@ class SizeCurves:
         return distance_m, distance_m * np.sqrt(variance)
 
     def save(self, path: Path) -> None:
-        """Write the curves as JSON, whole or not at all."""
+        """Write the curves as JSON, whole or not at all.
+
+        Raises:
+            CurveError: the file cannot be written.
+        """
         document = {
             "track_range_size_curves": CURVE_VERSION,
             "equation": "log d_m = intercept + per_log_height log(h/fy) + per_log_width log(w/fx) + per_bearing |x/z|",
@@ -96,8 +100,11 @@ class SizeCurves:
             "height_only": {name: asdict(curve) for name, curve in self.height_only.items()},
         }
         partial = path.with_name(path.name + ".part")
-        partial.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-        partial.replace(path)
+        try:
+            partial.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+            partial.replace(path)
+        except OSError as error:
+            raise CurveError(f"{path}: cannot be written ({error.strerror or error}).") from error
 
 
 def _table(curves: Mapping[str, SizeCurve]) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from detection.boxes import are_sound
 from detection.classes import KITTI_IGNORED, ROAD_CLASS_OF
 from detection.detections import BoolArray, FloatArray, IntArray
 from detection.kitti_format import KittiLabels
@@ -64,7 +65,8 @@ def samples_of_kitti(
 ) -> SizeSamples:
     """Fully visible, untruncated labels at 5-100 m of one sequence; distance to the visible surface."""
     ignored = np.isin(labels.kitti_type, KITTI_IGNORED)
-    labels = labels.select(labels.has_3d_box & (labels.truncated == 0) & (labels.occluded == 0) & ~ignored)
+    visible = (labels.truncated == 0) & (labels.occluded == 0) & are_sound(labels.xyxy_px)
+    labels = labels.select(labels.has_3d_box & visible & ~ignored)
     size = labels.xyxy_px[:, 2:] - labels.xyxy_px[:, :2]
     rays = camera.rays((labels.xyxy_px[:, :2] + labels.xyxy_px[:, 2:]) / 2)
     distance_m = surface_distance_m(

@@ -24,7 +24,7 @@ class FilterSettings:
     """Settings of a distance filter.
 
     Attributes:
-        acceleration_mps2: spectral density of the acceleration, per root hertz.
+        acceleration_noise: q is its square: how far the speed wanders, m/s per root second.
         initial_rate_sigma_mps: how unknown the rate of a new track is.
         noise_share: part of a method's sigma that is independent from frame to frame.
         outlier_sigma: innovations beyond so many standard deviations count less.
@@ -33,7 +33,7 @@ class FilterSettings:
         max_rate_sigma_mps: the rate is NaN while less certain.
     """
 
-    acceleration_mps2: float = 2.0
+    acceleration_noise: float = 2.0
     initial_rate_sigma_mps: float = 15.0
     noise_share: float = 0.4
     outlier_sigma: float = 3.0
@@ -94,8 +94,7 @@ class DistanceFilter:
         """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered range."""
         state = self._predicted(self._aligned(measured.track_id), time_s)
         has_measurement = np.isfinite(measured.distance_m) & (measured.sigma_m > 0)
-        is_lost = state.n_outliers >= self._settings.max_outliers
-        fresh = has_measurement & (np.isnan(state.mean[:, 0]) | is_lost)
+        fresh = has_measurement & (np.isnan(state.mean[:, 0]) | self._is_lost(state, measured))
         self._start(state, measured, fresh)
         self._correct(state, measured, has_measurement & ~fresh)
         state.measured_s[has_measurement] = time_s
@@ -121,11 +120,25 @@ class DistanceFilter:
         state.mean[:, 0] += dt * state.mean[:, 1]
         transition = np.tile(np.eye(2), (len(dt), 1, 1))
         transition[:, 0, 1] = dt
-        q = self._settings.acceleration_mps2**2
+        q = self._settings.acceleration_noise**2
         noise = q * np.stack([dt**3 / 3, dt**2 / 2, dt**2 / 2, dt], axis=1).reshape(-1, 2, 2)
         state.covariance = transition @ state.covariance @ transition.transpose(0, 2, 1) + noise
         state.time_s = np.full(len(dt), time_s)
         return state
+
+    def _is_lost(self, state: _State, measured: Ranges) -> BoolArray:
+        """(N,) whether this measurement completes a row of outliers; one that fits ends the row instead."""
+        is_outlier = self._excess(state, measured) > 1  # NaN, where there is no filter or no measurement, is none
+        state.n_outliers = np.where(
+            np.isfinite(measured.distance_m), is_outlier * (state.n_outliers + 1), state.n_outliers
+        )
+        return np.asarray(state.n_outliers >= self._settings.max_outliers)
+
+    def _excess(self, state: _State, measured: Ranges) -> FloatArray:
+        """(N,) size of the innovation in units of the largest one that counts fully."""
+        noise = (self._settings.noise_share * measured.sigma_m) ** 2
+        innovation = np.abs(measured.distance_m - state.mean[:, 0])
+        return innovation / np.sqrt(state.covariance[:, 0, 0] + noise) / self._settings.outlier_sigma
 
     def _start(self, state: _State, measured: Ranges, fresh: BoolArray) -> None:
         rate_variance = self._settings.initial_rate_sigma_mps**2
@@ -140,9 +153,7 @@ class DistanceFilter:
         mean, covariance = state.mean[known], state.covariance[known]
         noise = (self._settings.noise_share * measured.sigma_m[known]) ** 2
         innovation = measured.distance_m[known] - mean[:, 0]
-        excess = np.abs(innovation) / np.sqrt(covariance[:, 0, 0] + noise) / self._settings.outlier_sigma
-        state.n_outliers[known] = np.where(excess > 1, state.n_outliers[known] + 1, 0)
-        noise = noise * np.maximum(1.0, excess) ** 2
+        noise = noise * np.maximum(1.0, self._excess(state, measured)[known]) ** 2
         gain = covariance[:, :, 0] / (covariance[:, 0, 0] + noise)[:, None]
         state.mean[known] = mean + gain * innovation[:, None]
         state.covariance[known] = covariance - gain[:, :, None] * covariance[:, None, 0, :]

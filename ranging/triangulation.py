@@ -111,7 +111,8 @@ class DenseRanger:
     def __init__(self, rig: StereoRig, settings: SgbmSettings | None = None) -> None:
         """Range for a rectified rig."""
         self._rig = rig
-        self._sgbm = Sgbm(settings or SgbmSettings.for_rig(rig))
+        self._settings = settings or SgbmSettings.for_rig(rig)
+        self._sgbm = Sgbm(self._settings)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
         self._pending: dict[int, Future[FloatArray32]] = {}
         self.busy_s = 0.0
@@ -125,7 +126,7 @@ class DenseRanger:
         if frame.index not in self._pending:
             self.start(frame)
         disparity = self._pending.pop(frame.index).result()
-        disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px)
+        disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px, settings=self._settings)
         disparity_px = np.where(tracks.observed, disparity_px, np.nan)
         return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
 

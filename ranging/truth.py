@@ -33,7 +33,6 @@ class Truth:
         class_id: (N,) road class; -1 = to be ignored in detection and tracking scores.
         xyxy_px: (N, 4) box.
         distance_m: (N,) to the visible surface; NaN = no 3-D box, or not to be scored (truncated, hidden).
-        centre_m: (N,) z of the 3-D box's centre; NaN as above.
     """
 
     frame: IntArray
@@ -42,7 +41,6 @@ class Truth:
     class_id: IntArray
     xyxy_px: FloatArray
     distance_m: FloatArray
-    centre_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -56,11 +54,12 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
     """Read KITTI tracking labels as the truth for the left `camera`.
 
     Raises:
-        LabelFileError: the file cannot be read, or has no 3-D boxes.
+        LabelFileError: the file cannot be read, has no 3-D boxes, or no identities.
     """
     labels = read_kitti(path)
     if not labels.has_3d_box.any():
         raise LabelFileError(f"{path}: no label has a 3-D box, so it tells no distances; KITTI tracking labels wanted.")
+    _check_identities(labels, path)
     scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
     distance_m = np.where(scored, _surface_m(labels, camera, left_from_reference_m), np.nan)
     road = road_class_of_each([str(name) for name in labels.kitti_type])
@@ -71,8 +70,20 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
         class_id=np.where(np.isin(labels.kitti_type, KITTI_IGNORED), -1, road),
         xyxy_px=labels.xyxy_px,
         distance_m=distance_m,
-        centre_m=np.where(scored, labels.location_m[:, 2] + left_from_reference_m[2], np.nan),
     )
+
+
+def _check_identities(labels: KittiLabels, path: Path) -> None:
+    """Refuse object labels, which name no one, and an identity that is in two places at once."""
+    named = ~np.isin(labels.kitti_type, KITTI_IGNORED)
+    if (labels.track_id[named] < 0).any():
+        raise LabelFileError(f"{path}: its labels have no identities (id -1); KITTI tracking labels wanted.")
+    pairs, counts = np.unique(np.stack([labels.frame[named], labels.track_id[named]]), axis=1, return_counts=True)
+    if (counts > 1).any():
+        frame, track_id = pairs[:, counts > 1][:, 0]
+        raise LabelFileError(
+            f"{path}: id {track_id} stands twice in frame {frame}; an object can be in one place only."
+        )
 
 
 def _surface_m(labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray) -> FloatArray:

@@ -40,7 +40,7 @@ def parse_opencv(text: str, path: Path) -> Calibration:
     values = dict(_matrices(text, path))
     sibling = _sibling(path, values)
     if sibling is not None:
-        values = {**_matrices(sibling.read_text(encoding="utf-8", errors="replace"), sibling), **values}
+        values = {**_matrices(_text(sibling), sibling), **values}
     if "camera_matrix" in values:
         values.setdefault("M1", values["camera_matrix"])
         values.setdefault("D1", values.get("distortion_coefficients", np.zeros(0)))
@@ -55,6 +55,13 @@ def parse_opencv(text: str, path: Path) -> Calibration:
     baseline_m = float(np.linalg.norm(right_from_left[:3, 3]))
     note = f"{path}: baseline {baseline_m:.4g} m, if the chessboard's squares were given in metres."
     return Calibration(left, _camera(values, "2", path), right_from_left, notes=(note,))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}).") from error
 
 
 def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> PinholeCamera:

@@ -50,7 +50,7 @@ class StereoRig:
     def baseline_m(self) -> float:
         """Distance between the two eyes, negative when the right camera stands left of the left one."""
         translation = self.right_from_left[:3, 3]
-        return float(-np.sign(translation[0]) * np.linalg.norm(translation))
+        return float(np.copysign(np.linalg.norm(translation), -translation[0]))
 
     @property
     def is_rectified(self) -> bool:

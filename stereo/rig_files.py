@@ -99,15 +99,19 @@ def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> 
 
 
 def load_camera(
-    path: Path, *, size_px: tuple[int, int], is_grey: bool = False
+    path: Path, *, size_px: tuple[int, int] | None, is_grey: bool = False
 ) -> tuple[PinholeCamera, tuple[str, ...]]:
     """The only, or left, camera of a file, for images of `size_px` = (width, height), and notes to tell the user.
+
+    `size_px` None = there are no images to fit it to; the camera's size may then be 0.
 
     Raises:
         RigError: the file cannot be read, is no calibration, is implausible or for other images.
     """
     found = _parsed(_text_of(path), path, is_grey=is_grey)
     check_camera(found.left, f"{path}: left")
+    if size_px is None:
+        return found.left, found.notes
     camera, notes = fitted_to_size(found.left, size_px, path)
     check_camera(camera, f"{path}: left")
     return camera, (*found.notes, *notes)

@@ -38,6 +38,12 @@ def test_nms_is_idempotent_and_equals_the_greedy_rule(boxes, seed):
     assert kept.tolist() == greedy(boxes, score, class_id)
 
 
+def test_nms_keeps_classes_apart_left_of_the_image():
+    box = [-20.0, -20.0, -10.0, -10.0]
+    kept = nms(np.array([box, box]), np.array([0.9, 0.8]), np.array([0, 1]), max_iou=0.5)
+    assert kept.tolist() == [0, 1]
+
+
 def greedy(boxes, score, class_id):
     kept: list[int] = []
     for i in np.argsort(-score, kind="stable"):

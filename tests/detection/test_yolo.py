@@ -90,6 +90,10 @@ def test_class_names_from_option_metadata_sidecar_and_default(tmp_path):
         YoloDetector(model)
     told = write_model(tmp_path / "told.onnx", two, metadata={"names": "{0: 'bus', 1: 'truck'}"})
     assert YoloDetector(told).names == ("bus", "truck")
+    for nonsense in ("bus truck", "7", "{"):
+        odd = write_model(tmp_path / "odd.onnx", two, metadata={"names": nonsense})
+        with pytest.raises(ModelError, match="its metadata 'names' is no list of names"):
+            YoloDetector(odd)
     silent = YoloDetector(write_model(tmp_path / "coco.onnx", rows_with()))
     assert len(silent.names) == 80
     assert any("COCO" in note for note in silent.notes)

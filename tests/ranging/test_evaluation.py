@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from detection.kitti_format import LabelFileError
+from detection.kitti_format import LabelFileError, read_kitti
 from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_methods
 from ranging.truth import Truth, read_truth
 from stereo.camera import PinholeCamera
@@ -17,7 +17,6 @@ def truth_of(frame, boxes, distance_m):
         np.full(n, "Car"),
         np.full(n, 2),
         np.array(boxes, float),
-        np.array(distance_m),
         np.array(distance_m),
     )
 
@@ -86,8 +85,13 @@ def test_truth_from_labels(tmp_path):
     truth = read_truth(file, camera, np.array([0.0, 0.0, 1.0]))  # the left camera stands a metre behind the reference
     assert truth.class_id.tolist() == [2, -1, 2, -1]
     assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)  # rear at 18 m, a metre further from the left camera
-    assert truth.centre_m[0] == 21.0
     assert np.isnan(truth.distance_m[1:]).all()
+    file.write_text("\n".join([rows[0], rows[0]]))
+    with pytest.raises(LabelFileError, match="id 1 stands twice in frame 0"):
+        read_truth(file, camera, np.zeros(3))
+    file.write_text(rows[0].replace("0 1 Car", "0 -1 Car"))
+    with pytest.raises(LabelFileError, match="its labels have no identities"):
+        read_truth(file, camera, np.zeros(3))
     file.write_text(rows[-1])
     with pytest.raises(LabelFileError, match="no label has a 3-D box"):
         read_truth(file, camera, np.zeros(3))
@@ -96,6 +100,7 @@ def test_truth_from_labels(tmp_path):
 def test_real_labels_meet_their_boxes(shared_data):
     camera = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 1242, 375)
     truth = read_truth(shared_data / "kitti_stereo/0003/label.txt", camera, np.array([0.0599, 0.0002, 0.0027]))
-    gap = (truth.centre_m - truth.distance_m)[np.isfinite(truth.distance_m)]
+    centre_m = read_kitti(shared_data / "kitti_stereo/0003/label.txt").location_m[:, 2]
+    gap = (centre_m - truth.distance_m)[np.isfinite(truth.distance_m)]
     assert len(gap) > 25
     assert 0.5 < np.median(gap) < 2.5  # a car's centre lies about two metres behind the surface that is seen

@@ -5,6 +5,7 @@ from ranging.triangulation import DenseRanger, PatchRanger, ranges_of_disparity
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
 from stereo.rig import StereoRig
+from stereo.sgbm import SgbmSettings
 from tracking.tracks import Tracks
 
 RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 0.5)
@@ -85,3 +86,14 @@ def test_dense_ranging_of_a_textured_wall():
     dense.close()
     assert ranges.distance_m == pytest.approx([25.0], rel=0.01)  # 500 / 20 px
     assert dense.busy_s > 0
+
+
+def test_dense_sigma_follows_its_settings():
+    left = np.random.default_rng(0).integers(0, 255, (200, 320, 3), np.uint8)
+    same = Frame(0, 0.0, left, np.roll(left, -20, axis=1))
+    ranges = []
+    for sigma_px in (0.5, 0.05):
+        dense = DenseRanger(RIG, SgbmSettings(alignment_sigma_px=sigma_px))
+        ranges.append(dense.measure(tracks_of(1), same))
+        dense.close()
+    assert ranges[0].sigma_m[0] > 3 * ranges[1].sigma_m[0]

@@ -22,7 +22,7 @@ def columns_of(n=10, *, fused=20.0, name="car"):
 def truth_of(n=10, *, kitti_type="Car", class_id=2):
     metres = np.full(n, 20.0)
     ones = np.ones(n, np.int64)
-    return Truth(np.arange(n), ones, np.full(n, kitti_type), class_id * ones, np.tile(BOX, (n, 1)), metres, metres)
+    return Truth(np.arange(n), ones, np.full(n, kitti_type), class_id * ones, np.tile(BOX, (n, 1)), metres)
 
 
 def test_methods_and_common_coverage():

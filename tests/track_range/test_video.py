@@ -289,7 +289,9 @@ def test_a_file_cut_in_half_is_used_as_far_as_it_goes(
     frames = [(frame.index, frame.time_s) for frame in reader]
     assert 10 <= len(frames) <= 30
     assert frames == list(enumerate(whole))[: len(frames)]
-    assert any(f"reading ended after {len(frames)} frames" in note for note in reader.notes)
+    # A fragmented file does not say how long it was to be, and FFmpeg's threads may or may not try its torn last frame.
+    told = (f"reading ended after {len(frames)} frames", "1 damaged frame left out")
+    assert any(words in note for words in told for note in reader.notes)
 
 
 def test_a_transport_stream_cut_in_half_just_ends(tmp_path: Path, film: Film) -> None:

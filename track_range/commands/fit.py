@@ -12,8 +12,6 @@ from ranging.size_curve import SizeCurves
 from ranging.size_curve_fit import SizeSamples, fit_curves, samples_of_kitti
 from stereo.rig_files import left_from_reference_m, load_camera
 
-_KITTI_SIZE_PX = (1242, 375)  # KITTI's calib files have no size; only the middle-third check depends on it
-
 
 def fit_curves_of_kitti(
     labels: Path, calib: Path, out: Path, *, console: Console, leave_out: str = "", source: str = ""
@@ -24,7 +22,11 @@ def fit_curves_of_kitti(
         LabelFileError, RigError, CurveError: labels, calibration, or too few of them.
     """
     excluded = {name.strip() for name in leave_out.split(",") if name.strip()}
-    files = [file for file in sorted(labels.glob("*.txt")) if file.stem not in excluded]
+    all_files = sorted(labels.glob("*.txt"))
+    unknown = excluded - {file.stem for file in all_files}
+    if unknown:  # a slip here would fit on what is kept for testing
+        raise LabelFileError(f"{labels}: no sequence {', '.join(sorted(unknown))} to leave out.")
+    files = [file for file in all_files if file.stem not in excluded]
     if not files:
         raise LabelFileError(f"{labels}: no label files such as 0000.txt.")
     samples = SizeSamples.joined([_samples(file, calib / file.name, number) for number, file in enumerate(files)])
@@ -36,7 +38,7 @@ def fit_curves_of_kitti(
 
 
 def _samples(labels: Path, calib: Path, sequence: int) -> SizeSamples:
-    camera, _ = load_camera(calib, size_px=_KITTI_SIZE_PX)
+    camera, _ = load_camera(calib, size_px=None)
     shift_m = left_from_reference_m(calib, is_grey=False)
     return samples_of_kitti(read_kitti(labels), camera, shift_m, sequence=sequence)
 
