@@ -32,11 +32,11 @@ def add_drive_options(parser: argparse.ArgumentParser) -> None:
 def looped(drive: Path, folder: Path, *, n_frames: int) -> LoopedDrive:
     """The drive repeated to at least `n_frames` frames, in `folder`."""
     for name in ("left.mp4", "right.mp4"):
-        _loop_video(drive / name, folder / name, n_frames=n_frames)
+        loop_video(drive / name, folder / name, n_frames=n_frames)
     return LoopedDrive(folder / "left.mp4", folder / "right.mp4", drive / "calib.txt")
 
 
-def _loop_video(source: Path, target: Path, *, n_frames: int) -> None:
+def loop_video(source: Path, target: Path, *, n_frames: int) -> None:
     """Copy the packets again and again, each round later by the video's length."""
     with av.open(str(target), "w") as writer:
         stream = None

@@ -27,11 +27,13 @@ class RecordedDetections:
     Attributes:
         frame: (N,) frame number from 0, ascending.
         detections: (N) boxes in the same order.
+        is_rectified: whether the boxes are in rectified pixels, as our own tracks are, not in the video's own.
         notes: sentences for the user: what was recognised, what was dropped.
     """
 
     frame: IntArray
     detections: Detections
+    is_rectified: bool
     notes: tuple[str, ...]
 
     def at(self, frame_index: int) -> Detections:
@@ -50,7 +52,8 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0) -> RecordedDetecti
     Raises:
         LabelFileError: it cannot be read, or is none of the formats.
     """
-    kind, frame, boxes = _FORMATS[_format_of(path)](path, unnamed_class_id)
+    file_format = _format_of(path)
+    kind, frame, boxes = _FORMATS[file_format](path, unnamed_class_id)
     score, score_note = _as_probability(boxes.score)
     sound = are_sound(boxes.xyxy_px) & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
     order = np.flatnonzero(sound)[np.argsort(frame[sound], kind="stable")]
@@ -58,7 +61,7 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0) -> RecordedDetecti
     if len(order) < len(frame):
         notes.append(f"{len(frame) - len(order)} rows of {path.name} are no box of a road class and were left out.")
     detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
-    return RecordedDetections(frame[order], detections.select(order), (*notes, *score_note))
+    return RecordedDetections(frame[order], detections.select(order), file_format == "tracks", (*notes, *score_note))
 
 
 def _format_of(path: Path) -> str:

@@ -29,6 +29,7 @@ MIN_SAMPLES = 100
 """Fewer boxes of a class are refused: a curve needs several objects at several distances."""
 
 _MIN_SIGMA_RELATIVE = 0.03
+_SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))  # of log height and log width: distance always falls with size
 _HUBER_SCALE = 0.1  # residuals of log d beyond 10 % count linearly
 
 STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
@@ -154,16 +155,14 @@ def _design(samples: SizeSamples, *, use_width: bool) -> FloatArray:
 
 
 def _solve(samples: SizeSamples, *, use_width: bool) -> FloatArray:
-    """Huber fit; slopes in size may not be positive, so that distance always falls with size."""
+    """Huber fit within `_SLOPE_BOUNDS`: few objects leave the slopes of height and width open, but not their sign."""
     design, log_distance = _design(samples, use_width=use_width), np.log(samples.distance_m)
-    start = np.zeros(design.shape[1])
-    start[1] = -1.0
-    upper = np.full_like(start, np.inf)
-    upper[1 : 3 if use_width else 2] = 0.0
-    start[1 : 3 if use_width else 2] -= 1e-3  # strictly inside the bounds
+    free = (-np.inf, np.inf)
+    bounds = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T
+    start = np.array([0.0, -1.0, *([-0.1] if use_width else []), 0.0])
 
     def residuals(x: FloatArray) -> FloatArray:
         return np.asarray(design @ x - log_distance)
 
-    result = least_squares(residuals, start, bounds=(-np.inf, upper), loss="huber", f_scale=_HUBER_SCALE)
+    result = least_squares(residuals, start, bounds=bounds, loss="huber", f_scale=_HUBER_SCALE)
     return np.asarray(result.x)

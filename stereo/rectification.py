@@ -8,6 +8,7 @@ are measured along the turned left camera's z axis.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -46,8 +47,9 @@ class Rectifier:
         self._size_px = (rig.left.width_px, rig.left.height_px)
         self._right_size_px = (rig.right.width_px, rig.right.height_px)
         self._maps: tuple[Maps, Maps] | None = None
+        self._left_view: _View | None = None
         if not rig.is_rectified:
-            self.rig, self._maps = _rectified(rig)
+            self.rig, self._maps, self._left_view = _rectified(rig)
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
         """Both images, (H, W) or (H, W, 3), rectified; the same arrays where the rig is rectified already.
@@ -63,6 +65,10 @@ class Rectifier:
             return left, right
         return _remapped(left, self._maps[0]), _remapped(right, self._maps[1])
 
+    def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
+        """Boxes (N, 4) of the left video's own pixels -> of its rectified images."""
+        return xyxy_px if self._left_view is None else self._left_view.boxes(xyxy_px)
+
 
 class Undistorter:
     """Takes the lens terms out of the images of one camera.
@@ -74,7 +80,8 @@ class Undistorter:
     def __init__(self, camera: PinholeCamera) -> None:
         self.camera = camera.without_distortion()
         self._size_px = (camera.width_px, camera.height_px)
-        self._maps = _maps(camera, np.eye(3), camera.matrix, self._size_px) if camera.is_distorted else None
+        self._view = _View(camera, np.eye(3), camera.matrix)
+        self._maps = _maps(self._view, self._size_px) if camera.is_distorted else None
 
     def undistort(self, image: Image) -> Image:
         """The image, (H, W) or (H, W, 3), without distortion; the same array where there is none.
@@ -85,9 +92,33 @@ class Undistorter:
         _check_size(image, self._size_px, "image")
         return image if self._maps is None else _remapped(image, self._maps)
 
+    def boxes(self, xyxy_px: FloatArray) -> FloatArray:
+        """Boxes (N, 4) of the video's own pixels -> of its undistorted images."""
+        return xyxy_px if self._maps is None else self._view.boxes(xyxy_px)
 
-def _rectified(rig: StereoRig) -> tuple[StereoRig, tuple[Maps, Maps]]:
-    """The rectified rig, and the maps of its left and right image."""
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """How a camera's image is to look: turned by `turn` (3, 3), seen through the ideal camera `matrix` (3, 3 or 4)."""
+
+    camera: PinholeCamera
+    turn: cv2.typing.MatLike
+    matrix: cv2.typing.MatLike
+
+    def boxes(self, xyxy_px: FloatArray) -> FloatArray:
+        """Boxes (N, 4) as this view shows them: each edge goes where its middle goes."""
+        if not len(xyxy_px):
+            return xyxy_px
+        x1, y1, x2, y2 = xyxy_px.T
+        x, y = (x1 + x2) / 2, (y1 + y2) / 2
+        middles = np.stack([x1, y, x, y1, x2, y, x, y2], axis=1).reshape(-1, 1, 2)
+        lens, new = _lens_terms(self.camera), np.ascontiguousarray(self.matrix[:, :3])
+        moved = cv2.undistortPoints(middles, self.camera.matrix, lens, R=self.turn, P=new).reshape(-1, 4, 2)
+        return np.stack([moved[:, 0, 0], moved[:, 1, 1], moved[:, 2, 0], moved[:, 3, 1]], axis=1).astype(np.float64)
+
+
+def _rectified(rig: StereoRig) -> tuple[StereoRig, tuple[Maps, Maps], _View]:
+    """The rectified rig, the maps of its left and right image, and how the left one looks."""
     _check_rotation(rig.right_from_left[:3, :3])
     size_px = (rig.left.width_px, rig.left.height_px)
     left_turn, right_turn, left_projection, right_projection, *_ = cv2.stereoRectify(
@@ -106,9 +137,9 @@ def _rectified(rig: StereoRig) -> tuple[StereoRig, tuple[Maps, Maps]]:
     _check_zoom(focal_px, rig.left)
     baseline_m = -float(right_projection[0, 3]) / focal_px
     camera = PinholeCamera(focal_px, focal_px, float(left_projection[0, 2]), float(left_projection[1, 2]), *size_px)
-    left = _maps(rig.left, left_turn, left_projection, size_px)
-    right = _maps(rig.right, right_turn, right_projection, size_px)
-    return StereoRig.rectified(camera, baseline_m), (left, right)
+    left = _View(rig.left, left_turn, left_projection)
+    right = _View(rig.right, right_turn, right_projection)
+    return StereoRig.rectified(camera, baseline_m), (_maps(left, size_px), _maps(right, size_px)), left
 
 
 def _check_rotation(right_from_left: FloatArray) -> None:
@@ -141,10 +172,10 @@ def _check_zoom(focal_px: float, camera: PinholeCamera) -> None:
         raise RigError(f"the rig: rectifying would zoom by {zoom:.2g}; the lens terms are wrong, calibrate again.")
 
 
-def _maps(camera: PinholeCamera, turn: cv2.typing.MatLike, new: cv2.typing.MatLike, size_px: tuple[int, int]) -> Maps:
+def _maps(view: _View, size_px: tuple[int, int]) -> Maps:
     """Where each pixel of the new image comes from, in OpenCV's fixed-point form (1/32 px), its fastest."""
     whole, fraction = cv2.initUndistortRectifyMap(
-        camera.matrix, _lens_terms(camera), turn, new[:, :3], size_px, cv2.CV_16SC2
+        view.camera.matrix, _lens_terms(view.camera), view.turn, view.matrix[:, :3], size_px, cv2.CV_16SC2
     )
     return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
 

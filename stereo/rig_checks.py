@@ -71,6 +71,12 @@ def check_rig(rig: StereoRig, source: object) -> None:
             f"{source}: the rotation of right_from_left is none (R^T R differs from the identity by {deviation:.3g}, "
             f"determinant {np.linalg.det(rotation):.3g}); give the 3 x 3 matrix row by row."
         )
+    x_m, y_m, _ = rig.right_from_left[:3, 3]
+    if abs(y_m) > abs(x_m):
+        raise RigError(
+            f"{source}: the eyes stand one above the other ({y_m:.3g} m in y, {x_m:.3g} m in x); "
+            "only eyes side by side can be used."
+        )
     _check_baseline(rig.baseline_m, source)
 
 

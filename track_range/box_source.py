@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ import numpy as np
 
 from detection.classes import road_class_ids
 from detection.detection_files import read_detections
-from detection.detections import Detections
+from detection.detections import Detections, FloatArray, IntArray
+from detection.detector import Detector
 from detection.onnx_session import ModelError
 from detection.yolo import YoloDetector, YoloSettings
 from stereo.frames import Frame
@@ -24,17 +25,19 @@ class BoxSource:
 
     Attributes:
         detect: boxes of a frame.
+        frames: (M,) frame numbers that a file of boxes has boxes for; empty for a detector.
         found: what settings.yaml should say of it.
         notes: sentences for the user.
     """
 
     detect: Callable[[Frame], Detections]
+    frames: IntArray
     found: dict[str, Any]
     notes: tuple[str, ...]
 
 
-def open_box_source(settings: RunSettings) -> BoxSource:
-    """The detector or the file that the settings name.
+def open_box_source(settings: RunSettings, rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
+    """The detector or the file that the settings name; boxes of a file are taken to the frames' rectified pixels.
 
     Raises:
         ModelError, LabelFileError: it cannot be used.
@@ -42,33 +45,38 @@ def open_box_source(settings: RunSettings) -> BoxSource:
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
-        return _recorded(settings.detections, class_id)
+        return _recorded(settings.detections, class_id, rectified_boxes)
     path = Path(settings.detector or "")
     if not path.is_file():
         raise ModelError(
             f"{path}: no such model file; --detector wants an ONNX file, such as YOLOv5's official export "
             "(no detector is packaged yet)."
         )
-    detector = YoloDetector(
+    network = YoloDetector(
         path,
         YoloSettings(class_id=class_id, size_px=settings.size_px),
         names=_names(settings.names),
         device=settings.device,
         n_threads=settings.threads,
     )
-    found = {"file": path.name, "sha256": detector.sha256(), "names": list(detector.names), "device": detector.device}
-    return BoxSource(lambda frame: detector.detect(frame.left), {"detector": found}, detector.notes)
+    detector: Detector = network
+    found = {"file": path.name, "sha256": network.sha256(), "names": list(network.names), "device": network.device}
+    nothing = np.zeros(0, np.int64)
+    return BoxSource(lambda frame: detector.detect(frame.left), nothing, {"detector": found}, network.notes)
 
 
-def _recorded(path: Path, class_id: tuple[int, ...]) -> BoxSource:
+def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
     # MOTChallenge files name no class: a single --classes names it, else they are people, as MOTChallenge's are
     recorded = read_detections(path, unnamed_class_id=class_id[0] if len(class_id) == 1 else 0)
+    if not recorded.is_rectified:
+        boxes = recorded.detections
+        recorded = replace(recorded, detections=replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px)))
 
     def detect(frame: Frame) -> Detections:
         found = recorded.at(frame.index)
         return found.select(np.isin(found.class_id, class_id)) if class_id else found
 
-    return BoxSource(detect, {"detections": path.name}, recorded.notes)
+    return BoxSource(detect, np.unique(recorded.frame), {"detections": path.name}, recorded.notes)
 
 
 def _names(option: str | None) -> tuple[str, ...]:

@@ -96,6 +96,13 @@ def _run(
             rich_help_panel=_INPUT,
         ),
     ] = None,
+    curves: Annotated[
+        Path | None,
+        typer.Option(
+            help="Size curves for the monocular distance, made by `track-range fit` (default: the packaged ones).",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="KITTI tracking labels to measure against.", rich_help_panel=_INPUT)
     ] = None,
@@ -136,26 +143,11 @@ def _run(
         str | None, typer.Option(metavar="auto|cpu|cuda|tensorrt", help="Where it runs.", rich_help_panel=_HOW)
     ] = None,
 ) -> None:
-    given: dict[str, Any] = {
-        "stereo": stereo,
-        "mono": mono,
-        "rig": rig,
-        "focal_px": focal_px,
-        "detector": detector,
-        "names": names,
-        "detections": detections,
-        "truth": truth,
-        "folder_fps": folder_fps,
-        "classes": tuple(classes.split(",")) if classes else None,
-        "start_s": start,
-        "duration_s": duration,
-        "out": out,
-        "overlay": overlay,
-        "sgbm": sgbm,
-        "size_px": size,
-        "threads": threads,
-        "device": device,
-    }
+    given: dict[str, Any] = dict(locals())
+    given["classes"] = tuple(classes.split(",")) if classes else None
+    for option, field in (("start", "start_s"), ("duration", "duration_s"), ("size", "size_px")):
+        given[field] = given.pop(option)
+    del given["settings"]
     run_video(settings_from(given, settings), _console)
 
 

@@ -29,7 +29,7 @@ class RunSettings(BaseModel):
     """The video of a single camera."""
     rig: Path | None = None
     """rig.yaml, KITTI calib.txt or OpenCV's stereo calibration; None = looked for beside the left video."""
-    focal_px: float | None = Field(default=None, gt=0)
+    focal_px: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Focal length of a camera without a rig file; the principal point is taken as the image's centre."""
     detector: str | None = None
     """An ONNX file."""
@@ -37,6 +37,8 @@ class RunSettings(BaseModel):
     """Boxes from a file in place of a detector."""
     names: str | None = None
     """Class names of the detector: a,b,c or a file with one per line."""
+    curves: Path | None = None
+    """Size curves for the monocular distance, as `track-range fit` writes them; None = the packaged ones."""
     truth: Path | None = None
     """KITTI tracking labels to measure against."""
     out: Path | None = None
@@ -45,7 +47,7 @@ class RunSettings(BaseModel):
     """Road classes wanted; empty = all."""
     start_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     duration_s: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    folder_fps: float = Field(default=10.0, gt=0)
+    folder_fps: float = Field(default=10.0, gt=0, allow_inf_nan=False)
     """Frames per second of folders of images, which carry no times."""
     size_px: int = Field(default=640, ge=32, le=4096)
     """Longer side of the network's input where the model leaves it open."""
@@ -92,9 +94,10 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
     """
     base = _read(file) if file else {}
     chosen = {key: value for key, value in given.items() if value is not None}
-    for other, mine in (("mono", "stereo"), ("stereo", "mono"), ("detections", "detector"), ("detector", "detections")):
-        if mine in chosen and other not in chosen:
-            base.pop(other, None)
+    for one, other in (("mono", "stereo"), ("detections", "detector"), ("rig", "focal_px")):
+        for given_one, replaced in ((one, other), (other, one)):
+            if given_one in chosen and replaced not in chosen:
+                base.pop(replaced, None)
     try:
         return RunSettings(**{**base, **chosen})
     except ValidationError as error:
@@ -116,9 +119,11 @@ def _option(place: tuple[int | str, ...]) -> str:
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
     run = settings.model_dump(mode="json", exclude_none=True)
-    for key in ("rig", "detector", "detections", "truth", "out", "mono"):
+    for key in ("rig", "detector", "detections", "curves", "truth", "out", "mono"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
+    if settings.names and Path(settings.names).is_file():
+        run["names"] = str(Path(settings.names).resolve())
     if settings.stereo:
         run["stereo"] = [str(video.resolve()) for video in settings.stereo]
     write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
@@ -134,6 +139,6 @@ def _read(file: Path) -> dict[str, Any]:
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: not a settings.yaml of track-range (no 'track_range_settings: 1').")
     run = document.get("run")
-    if not isinstance(run, dict):
+    if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
         raise ConfigError(f"{file}: a section 'run:' wanted.")
     return run

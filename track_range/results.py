@@ -6,9 +6,13 @@ Rows are flushed frame by frame, so that a killed run leaves every finished fram
 from __future__ import annotations
 
 import csv
+import math
+from array import array
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from sys import intern
 from types import TracebackType
 from typing import Any, Self
 
@@ -71,11 +75,13 @@ class ResultRows:
             OutputError: they cannot be created.
         """
         self.folder = folder
-        try:
-            self._tracks = (folder / "tracks.csv").open("w", encoding="utf-8", newline="")
-            self._mot = (folder / "mot.txt").open("w", encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written to ({error.strerror or error}).") from error
+        with ExitStack() as opening:
+            try:
+                self._tracks = opening.enter_context((folder / "tracks.csv").open("w", encoding="utf-8", newline=""))
+                self._mot = opening.enter_context((folder / "mot.txt").open("w", encoding="utf-8"))
+            except OSError as error:
+                raise OutputError(f"{folder}: cannot be written to ({error.strerror or error}).") from error
+            self._files = opening.pop_all()
         self._rows = csv.writer(self._tracks, lineterminator="\n")
         self._rows.writerow(COLUMNS)
 
@@ -83,8 +89,7 @@ class ResultRows:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._tracks.close()
-        self._mot.close()
+        self._files.close()
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of one frame.
@@ -143,15 +148,24 @@ def read_tracks_csv(path: Path) -> dict[str, npt.NDArray[Any]]:
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            header, *rows = csv.reader(file)
-    except (OSError, ValueError) as error:
+            rows = csv.reader(file)
+            header = next(rows)
+            numbers = {name: array("d") for name in header if name != "class"}
+            classes: list[str] = []
+            for row in rows:
+                _take(row, header, numbers, classes)
+    except (OSError, ValueError, StopIteration) as error:
         raise OutputError(f"{path}: not a readable tracks.csv.") from error
-    whole = [row for row in rows if len(row) == len(header)]
-    turned = zip(*whole, strict=True) if whole else [()] * len(header)
-    return {name: _column(name, cells) for name, cells in zip(header, turned, strict=True)}
+    columns: dict[str, npt.NDArray[Any]] = {name: np.array(column) for name, column in numbers.items()}
+    return {name: np.array(classes, np.str_) if name == "class" else columns[name] for name in header}
 
 
-def _column(name: str, cells: tuple[str, ...]) -> npt.NDArray[Any]:
-    if name == "class":
-        return np.array(cells, np.str_)
-    return np.array([float(cell) if cell else np.nan for cell in cells], np.float64)
+def _take(row: list[str], header: list[str], numbers: dict[str, array[float]], classes: list[str]) -> None:
+    """Add a whole row to the columns; as numbers, since a long run has millions of cells."""
+    if len(row) != len(header):
+        return
+    for name, cell in zip(header, row, strict=True):
+        if name == "class":
+            classes.append(intern(cell))
+        else:
+            numbers[name].append(float(cell) if cell else math.nan)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +17,7 @@ from stereo.camera import PinholeCamera
 from stereo.frames import Frame
 from stereo.rectification import Rectifier, Undistorter
 from stereo.rig import RigError, StereoRig
+from stereo.rig_checks import check_camera
 from stereo.rig_files import find_rig, left_from_reference_m, load_camera, load_rig
 from track_range.config import RunSettings
 from track_range.pairing import StereoVideo
@@ -34,6 +36,7 @@ class Source:
         frames: rectified (one camera: undistorted) frames; can be run through once.
         camera: the left camera that they seem to come from.
         rig: the pair; None = one camera.
+        rectified_boxes: boxes (N, 4) of the left video's own pixels -> of the frames' pixels.
         left_from_reference_m: (3,) shift that takes labels of the rig's reference camera into the left one's frame.
         rig_path: where the geometry comes from; None = `--focal-px`.
         n_frames: how many to expect; None = unknown.
@@ -44,9 +47,10 @@ class Source:
         watchers: pairing and checks whose notes, like the readers', are complete only after the last frame.
     """
 
-    frames: Iterator[Frame]
+    frames: Generator[Frame, None, None]
     camera: PinholeCamera
     rig: StereoRig | None
+    rectified_boxes: Callable[[FloatArray], FloatArray]
     left_from_reference_m: FloatArray
     rig_path: Path | None
     n_frames: int | None
@@ -102,6 +106,7 @@ def _open_single(settings: RunSettings) -> Source:
     notes: tuple[str, ...] = ()
     if settings.focal_px is not None:
         camera = _camera_of_focal_length(settings.focal_px, size_px)
+        check_camera(camera, "--focal-px")
     elif rig_path is not None:
         camera, notes = load_camera(rig_path, size_px=size_px, is_grey=reader.is_grey)
     else:
@@ -116,6 +121,7 @@ def _open_single(settings: RunSettings) -> Source:
         frames=frames,
         camera=undistorter.camera,
         rig=None,
+        rectified_boxes=undistorter.boxes,
         left_from_reference_m=shift_m,
         rig_path=rig_path,
         n_frames=reader.n_frames,
@@ -143,9 +149,10 @@ def _open_pair(settings: RunSettings, left_path: Path, right_path: Path) -> Sour
     frames = alignment.watched(_rectified_pairs(video, rectifier, size_px))
     first = next(frames, None)  # swapped eyes are found before anything is written
     return Source(
-        frames=itertools.chain([] if first is None else [first], frames),
+        frames=_first_and_rest(first, frames),
         camera=rectifier.rig.left,
         rig=rectifier.rig,
+        rectified_boxes=rectifier.left_boxes,
         left_from_reference_m=left_from_reference_m(rig_path, is_grey=left.is_grey),
         rig_path=rig_path,
         n_frames=left.n_frames,
@@ -155,6 +162,14 @@ def _open_pair(settings: RunSettings, left_path: Path, right_path: Path) -> Sour
         readers=(left, right),
         watchers=(video, alignment),
     )
+
+
+def _first_and_rest(first: Frame | None, rest: Generator[Frame, None, None]) -> Generator[Frame, None, None]:
+    """Both in order; closing this closes the rest, and with it the videos."""
+    with closing(rest):
+        if first is not None:
+            yield first
+            yield from rest
 
 
 def _rig_path(settings: RunSettings) -> tuple[Path | None, tuple[str, ...]]:
@@ -177,12 +192,15 @@ def _common_size_px(left: VideoReader, right: VideoReader) -> tuple[int, int]:
     return min(w for w, _ in sizes), min(h for _, h in sizes)
 
 
-def _rectified_pairs(video: StereoVideo, rectifier: Rectifier, size_px: tuple[int, int]) -> Iterator[Frame]:
+def _rectified_pairs(
+    video: StereoVideo, rectifier: Rectifier, size_px: tuple[int, int]
+) -> Generator[Frame, None, None]:
     width_px, height_px = size_px
-    for left, right in video:
-        images = (eye.image[:height_px, :width_px] for eye in (left, right))
-        left_image, right_image = rectifier.rectify(*images)
-        yield _frame(video.left, left, left_image, right_image)
+    with closing(iter(video)) as pairs:
+        for left, right in pairs:
+            images = (eye.image[:height_px, :width_px] for eye in (left, right))
+            left_image, right_image = rectifier.rectify(*images)
+            yield _frame(video.left, left, left_image, right_image)
 
 
 def _frame(reader: VideoReader, left: VideoFrame, left_image: Image, right_image: Image | None) -> Frame:
@@ -196,11 +214,12 @@ class _AlignmentWatch:
         self.notes: tuple[str, ...] = ()
         self._is_settled = False
 
-    def watched(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        for number, frame in enumerate(frames):
-            if not self._is_settled and number < _MAX_CHECKED_PAIRS:
-                self._look(frame)
-            yield frame
+    def watched(self, frames: Generator[Frame, None, None]) -> Generator[Frame, None, None]:
+        with closing(frames):
+            for number, frame in enumerate(frames):
+                if not self._is_settled and number < _MAX_CHECKED_PAIRS:
+                    self._look(frame)
+                yield frame
 
     def _look(self, frame: Frame) -> None:
         if frame.right is None:
@@ -211,7 +230,7 @@ class _AlignmentWatch:
                 f"left and right are swapped: {100 * check.negative_share:.0f} % of {check.n_matches} matched points "
                 "lie further right in the right image; hand the videos over the other way round."
             )
-        self._is_settled = check.eye_order != "unknown"
+        self._is_settled = check.is_conclusive
         if self._is_settled and abs(check.row_offset_px) > _MAX_ROW_OFFSET_PX:
             self.notes = (
                 f"Rows of left and right are {check.row_offset_px:+.1f} px apart: the rig does not fit these videos "

@@ -97,6 +97,15 @@ def test_fit_finds_the_height_and_an_honest_sigma():
     assert np.sqrt((error**2).mean()) == pytest.approx(curve.sigma_relative, rel=0.01)
 
 
+def test_what_is_fitted_can_be_loaded_even_where_the_labels_say_little(tmp_path):
+    """One truck seen from one side: its width explains everything, and its height nothing."""
+    distance_m = np.linspace(20, 21, 150)
+    sizes = np.stack([2.5 / distance_m, 3.0 / 20 * np.ones(150)], axis=1)
+    samples = SizeSamples(np.full(150, "truck"), np.zeros(150, np.int64), sizes, np.zeros(150), distance_m)
+    fit_curves(samples, source="").save(tmp_path / "c.json")
+    assert load_curves(tmp_path / "c.json").whole["truck"].per_log_height <= -0.1
+
+
 def test_one_sequence_is_enough_to_fit_but_its_sigma_has_a_floor():
     samples = world()
     one = samples.select(samples.sequence == 0)

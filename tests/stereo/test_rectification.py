@@ -71,6 +71,27 @@ def test_points_of_a_synthetic_world_come_out_in_equal_rows_with_the_right_dispa
     assert rectifier.rig.baseline_m == pytest.approx(np.linalg.norm(RIG.right_from_left[:3, 3]), rel=1e-6)
 
 
+def test_boxes_move_as_the_points_on_their_edges_do() -> None:
+    rectifier, undistorter = Rectifier(RIG), Undistorter(LEFT)
+    turn = cv2.stereoRectify(
+        *(LEFT.matrix, np.array(LEFT.distortion), RIGHT.matrix, np.array(RIGHT.distortion), (640, 480)),
+        *(RIG.right_from_left[:3, :3].copy(), RIG.right_from_left[:3, 3:].copy()),
+        alpha=0,
+    )[0]
+    corners_m = np.array([[-3.2, -0.5, 8.0], [-1.8, 0.6, 8.0]])
+    middles_m = np.array([[-3.2, 0.05, 8.0], [-2.5, -0.5, 8.0], [-1.8, 0.05, 8.0], [-2.5, 0.6, 8.0]])
+    raw = seen(middles_m, LEFT, np.eye(4))
+    box = np.array([[raw[0, 0], raw[1, 1], raw[2, 0], raw[3, 1]]])
+    turned = rectifier.rig.left.project(corners_m @ turn.T).reshape(1, 4)
+    np.testing.assert_allclose(rectifier.left_boxes(box), turned, atol=6.0)  # the turn tilts the edges a little
+    straight = LEFT.without_distortion().project(corners_m).reshape(1, 4)
+    np.testing.assert_allclose(undistorter.boxes(box), straight, atol=1.0)
+    assert np.abs(box - straight).max() > 2.0  # which is more than the tolerance: the lens did move them
+    ideal = Undistorter(LEFT.without_distortion())
+    assert ideal.boxes(box) is box
+    assert undistorter.boxes(np.zeros((0, 4))).shape == (0, 4)
+
+
 def test_a_rectified_pair_passes_uncopied() -> None:
     rig = StereoRig.rectified(LEFT.without_distortion(), 0.5)
     left, right = np.zeros((2, 480, 640, 3), np.uint8)

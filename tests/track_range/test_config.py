@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from track_range.config import ConfigError, RunSettings, save_settings, settings_from
+from track_range.config import ConfigError, save_settings, settings_from
 
 PAIR = {"stereo": (Path("left.mp4"), Path("right.mp4")), "detector": "m.onnx"}
 
@@ -26,6 +26,8 @@ def test_the_results_are_named_after_the_left_video():
         ({**PAIR, "device": "abacus"}, "--device: Input should be 'auto', 'cpu', 'cuda' or 'tensorrt'"),
         ({"mono": Path("m.mp4"), "detector": "m", "rig": Path("r"), "focal_px": 7.0}, "--rig or --focal-px, not both"),
         ({"mono": Path("m.mp4"), "detector": "m", "focal_px": -7.0}, "--focal-px: Input should be greater than 0"),
+        ({"mono": Path("m.mp4"), "detector": "m", "focal_px": float("inf")}, "--focal-px: Input should be a finite"),
+        ({**PAIR, "folder_fps": float("inf")}, "--folder-fps: Input should be a finite"),
     ],
 )
 def test_contradictions_are_one_sentence(given, message):
@@ -42,6 +44,12 @@ def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
     again = settings_from({"duration_s": 3.0}, tmp_path / "settings.yaml")
     assert again.stereo == (tmp_path / "left.mp4", tmp_path / "right.mp4")
     assert (again.classes, again.sgbm, again.duration_s) == (("car", "bus"), False, 3.0)
+    (tmp_path / "classes.txt").write_text("person\ncar\n")
+    save_settings(settings_from({**PAIR, "names": "classes.txt"}), tmp_path / "named.yaml", found={})
+    assert settings_from({}, tmp_path / "named.yaml").names == str(tmp_path / "classes.txt")
+    single = {"mono": Path("m.mp4"), "detector": "m.onnx", "rig": Path("rig.yaml")}
+    save_settings(settings_from(single), tmp_path / "single.yaml", found={})
+    assert settings_from({"focal_px": 700.0}, tmp_path / "single.yaml").rig is None
     mono = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")}, tmp_path / "settings.yaml")
     assert (mono.stereo, mono.detector, mono.mono) == (None, None, Path("m.mp4"))
 
@@ -52,6 +60,7 @@ def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
         ("a: [", "not YAML"),
         ("just text", "no 'track_range_settings: 1'"),
         ("track_range_settings: 1", "a section 'run:' wanted"),
+        ("track_range_settings: 1\nrun: {1: 2}", "a section 'run:' wanted"),
         (
             yaml.safe_dump({"track_range_settings": 1, "run": {"colour": "red", "detector": "m"}}),
             "colour: Extra inputs",
@@ -73,9 +82,3 @@ def test_a_missing_settings_file(tmp_path):
 def test_settings_are_frozen():
     with pytest.raises(ValueError, match="frozen"):
         settings_from(PAIR).threads = 3
-
-
-def test_every_option_is_in_the_settings():
-    assert {"stereo", "mono", "rig", "focal_px", "detector", "detections", "truth", "out"} <= set(
-        RunSettings.model_fields
-    )

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import platform
-import signal
-import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -19,12 +16,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ranging.ranger import Ranger
+from ranging.size_curve import SizeCurves, load_curves
 from ranging.size_regression import SizeRegressionRanger
 from ranging.triangulation import DenseRanger, PatchRanger
 from ranging.truth import Truth, read_truth
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.box_source import BoxSource, open_box_source
 from track_range.config import RunSettings, save_settings
+from track_range.interrupts import deaf_to_interrupts, termination_as_interrupt
+from track_range.overlap import short_switch_interval
 from track_range.overlay_video import OverlayVideo
 from track_range.pipeline import Pipeline
 from track_range.results import ResultRows, read_tracks_csv
@@ -41,9 +41,6 @@ from track_range.tables import summary_tables
 from track_range.written import make_folder
 from tracking.sort import SortTracker
 
-# A thread that comes back from inference waits at most so long for Python's lock; the default of 5 ms is a tenth of a
-# frame.
-_SWITCH_INTERVAL_S = 0.0005
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
 
@@ -75,7 +72,21 @@ class _Run:
     def notes(self) -> list[str]:
         """Sentences for the user on all inputs."""
         stopped = [f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []
-        return [*self.boxes.notes, *self.source.notes, *stopped]
+        return [*self.boxes.notes, *self.source.notes, *stopped, *self._strangers()]
+
+    def _strangers(self) -> list[str]:
+        """A file of boxes or labels none of whose frames came up: usually another video's, or numbered otherwise."""
+        given = {
+            "--detections": self.boxes.frames,
+            "--truth": self.truth.frame if self.truth else self.boxes.frames[:0],
+        }
+        done = np.array(self.frame_index, np.int64)
+        return [
+            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for those of the video, "
+            f"{done.min()} to {done.max()}: is it of another video, or numbered otherwise?"
+            for option, frames in given.items()
+            if len(frames) and len(done) and not np.isin(frames, done).any()
+        ]
 
 
 def run(settings: RunSettings, console: Console) -> Path:
@@ -87,22 +98,36 @@ def run(settings: RunSettings, console: Console) -> Path:
         RunStoppedError: the user stopped it.
         Exception: the error of an input that cannot be used, one of `track_range.cli.USER_ERRORS`.
     """
-    boxes = open_box_source(settings)
+    with termination_as_interrupt():
+        try:
+            return _run(settings, console)
+        except KeyboardInterrupt:
+            raise RunStoppedError("stopped by the user before any frame was finished.") from None
+
+
+def _run(settings: RunSettings, console: Console) -> Path:
+    curves = load_curves(settings.curves)
+    began_s = time.perf_counter()
     source = open_source(settings)
-    truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
-    pipeline = _pipeline(settings, source, boxes)
-    this = _Run(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)
-    folder = settings.out_dir
-    make_folder(folder)
-    told = this.notes
-    _tell_notes(console, told)
-    save_settings(settings, folder / "settings.yaml", found=_found(this))
-    _work(this, folder, console)
-    summary = _finish(this, folder)
+    with closing(source.frames):
+        boxes = open_box_source(settings, source.rectified_boxes)
+        truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
+        pipeline = _pipeline(settings, source, boxes, curves)
+        this = _Run(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)
+        folder = settings.out_dir
+        make_folder(folder)
+        told = this.notes
+        _tell_notes(console, told)
+        save_settings(settings, folder / "settings.yaml", found=_found(this))
+        opened_s = time.perf_counter() - began_s
+        _work(this, folder, console)
+        this.wall_s += opened_s
+    with deaf_to_interrupts():
+        summary = _finish(this, folder)
     _tell_notes(console, [note for note in this.notes if note not in told])
     for table in summary_tables(summary):
         console.print(table)
-    console.print(f"Results in {folder}: tracks.csv, mot.txt, summary.json, report.html", highlight=False)
+    _tell_files(console, settings, folder)
     if isinstance(this.stopped_by, KeyboardInterrupt):
         raise RunStoppedError("stopped by the user; what was finished is kept.")
     if this.stopped_by is not None:
@@ -110,8 +135,14 @@ def run(settings: RunSettings, console: Console) -> Path:
     return folder
 
 
-def _pipeline(settings: RunSettings, source: Source, boxes: BoxSource) -> Pipeline:
-    rangers: dict[str, Ranger] = {"mono": SizeRegressionRanger(source.camera)}
+def _tell_files(console: Console, settings: RunSettings, folder: Path) -> None:
+    overlay = "overlay.mp4, " if settings.overlay else ""
+    names = f"{overlay}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
+    console.print(f"Results in {folder}: {names}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeCurves) -> Pipeline:
+    rangers: dict[str, Ranger] = {"mono": SizeRegressionRanger(source.camera, curves)}
     dense = None
     if source.rig is not None:
         rangers["stereo"] = PatchRanger(source.rig, PatchMatcher(PatchMatcherSettings.for_rig(source.rig)))
@@ -125,8 +156,7 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
     clock = this.pipeline.clock
     try:
         with ExitStack() as stack:
-            stack.enter_context(_termination_as_interrupt())
-            sys.setswitchinterval(_SWITCH_INTERVAL_S)
+            stack.enter_context(short_switch_interval())
             rows = stack.enter_context(ResultRows(folder))
             video = None
             if this.settings.overlay:
@@ -150,20 +180,6 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
         this.stopped_by = error
     this.wall_s = time.perf_counter() - began_s
     clock.busy_s["read"] = this.source.busy_s
-
-
-@contextmanager
-def _termination_as_interrupt() -> Iterator[None]:
-    """While inside, a polite kill (SIGTERM) ends the run as Ctrl-C does: files are closed first."""
-
-    def interrupt(number: int, at: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 class _Advance:
@@ -224,7 +240,7 @@ def _inputs(settings: RunSettings) -> dict[str, Any]:
     shown = settings.model_dump(mode="json", exclude_none=True)
     if settings.stereo is not None:
         shown["left"], shown["right"] = shown["stereo"]
-    wanted = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "truth")
+    wanted = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
     return {key: shown[key] for key in wanted if key in shown}
 
 

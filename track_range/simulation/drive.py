@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from detection.detections import FloatArray
 from detection.kitti_format import KittiLabels
 from stereo.camera import PinholeCamera
 from stereo.rig import StereoRig
+from stereo.rig_files import save_rig
 from track_range.simulation.playback import play_back
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
@@ -79,7 +79,7 @@ def write_drive(
     times_s = np.arange(n_frames) / fps
     truth = label_scene(scene, times_s.tolist(), camera=rig.left)
     image_size_px = (rig.left.width_px, rig.left.height_px)
-    write_text(drive.rig, rig_as_yaml(rig))
+    save_rig(rig, drive.rig)
     write_text(drive.truth, kitti_text(truth))
     detections = play_back(truth, seed=seed, image_size_px=image_size_px)
     write_text(drive.detections, kitti_text(detections))
@@ -107,35 +107,6 @@ def _write_videos(
 
 def _writer(path: Path, camera: PinholeCamera, fps: float) -> VideoWriter:
     return VideoWriter(path, width_px=camera.width_px, height_px=camera.height_px, fps=fps, crf=NEAR_LOSSLESS_CRF)
-
-
-def rig_as_yaml(rig: StereoRig) -> str:
-    """A rig in the project's own rig.yaml format."""
-    return yaml.safe_dump(
-        {
-            "track_range_rig": 1,
-            "left": _camera_fields(rig.left),
-            "right": _camera_fields(rig.right),
-            "right_from_left": {
-                "rotation": rig.right_from_left[:3, :3].tolist(),
-                "translation_m": rig.right_from_left[:3, 3].tolist(),
-            },
-        },
-        sort_keys=False,
-        default_flow_style=None,
-    )
-
-
-def _camera_fields(camera: PinholeCamera) -> dict[str, float | list[float]]:
-    return {
-        "fx_px": camera.fx_px,
-        "fy_px": camera.fy_px,
-        "cx_px": camera.cx_px,
-        "cy_px": camera.cy_px,
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "distortion": list(camera.distortion),
-    }
 
 
 def kitti_text(labels: KittiLabels) -> str:
