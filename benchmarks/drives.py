@@ -14,11 +14,12 @@ REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().par
 
 @dataclass(frozen=True, slots=True)
 class LoopedDrive:
-    """A stereo drive repeated until it is long enough; `rig` is the original's."""
+    """A stereo drive repeated until it is long enough; `rig` is the original's, image_hw (height, width)."""
 
     left: Path
     right: Path
     rig: Path
+    image_hw: tuple[int, int]
 
 
 def add_drive_options(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +34,10 @@ def looped(drive: Path, folder: Path, *, n_frames: int) -> LoopedDrive:
     """The drive repeated to at least `n_frames` frames, in `folder`."""
     for name in ("left.mp4", "right.mp4"):
         loop_video(drive / name, folder / name, n_frames=n_frames)
-    return LoopedDrive(folder / "left.mp4", folder / "right.mp4", drive / "calib.txt")
+    with av.open(str(drive / "left.mp4")) as reader:
+        codec = reader.streams.video[0].codec_context
+        image_hw = (codec.height, codec.width)
+    return LoopedDrive(folder / "left.mp4", folder / "right.mp4", drive / "calib.txt", image_hw)
 
 
 def loop_video(source: Path, target: Path, *, n_frames: int) -> None:

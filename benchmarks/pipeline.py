@@ -2,8 +2,9 @@
 
 Protocol: a real drive looped to 300 frames; in turn, several times, (a) the network alone on one prepared input, as
 often as there are frames, and (b) `track-range --stereo --threads 1 --no-sgbm` with its overlay, as a process of its
-own, its `wall_s` (first frame asked for to last byte written; not the start of Python). The ratio is taken round by
-round, and the median told, since the machine's speed drifts.
+own, its `wall_s` (from opening the videos, the model and the rig to the last frame's last byte; not the start of Python
+before, nor the summary and the report after). The ratio is taken round by round, and the median told, since the
+machine's speed drifts.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import LoopedDrive, add_drive_options, looped
+from detection.letterbox import rectangular_input_hw
 from detection.onnx_session import OnnxSession
+from detection.yolo import YoloSettings
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +49,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _round(drive: LoopedDrive, options: argparse.Namespace, out: Path) -> dict[str, float]:
-    alone_ms = _inference_alone_ms(options.detector, n_frames=options.frames)
+    alone_ms = _inference_alone_ms(options.detector, n_frames=options.frames, image_hw=drive.image_hw)
     summary = _run(drive, options.detector, out)
     run_ms = 1e3 * summary["wall_s"] / summary["frames"]
     return {
@@ -57,9 +60,10 @@ def _round(drive: LoopedDrive, options: argparse.Namespace, out: Path) -> dict[s
     }
 
 
-def _inference_alone_ms(detector: Path, *, n_frames: int) -> float:
+def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, int]) -> float:
     session = OnnxSession(detector, device="cpu", n_threads=1)
-    height, width = (side or 640 for side in session.input_shape[2:])
+    free_hw = rectangular_input_hw(image_hw, size_px=YoloSettings().size_px)  # what the run takes where it may choose
+    height, width = (fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True))
     blob = np.random.default_rng(0).random((1, 3, height, width), np.float32)
     session.run(blob)
     began_s = time.perf_counter()

@@ -80,8 +80,8 @@ def check_pair(left: Image, right: Image) -> PairCheck:
     if len(left_px) == 0:
         return PairCheck(0, float("nan"), float("nan"), "unknown")
     row_offset = right_px[:, 1] - left_px[:, 1]
-    median_px = _mode_px(row_offset)
-    agreeing = np.abs(row_offset - median_px) <= _ROW_TOLERANCE_PX
+    fullest_px = _mode_px(row_offset)
+    agreeing = np.abs(row_offset - fullest_px) <= _ROW_TOLERANCE_PX
     disparity_px = (left_px - right_px)[agreeing, 0]
     return PairCheck(
         n_matches=int(agreeing.sum()),

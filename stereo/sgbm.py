@@ -52,7 +52,7 @@ class SgbmSettings:
         pre_filter_cap: where the x-derivative that is compared is cut off.
         min_valid_share: share of a box's inner half that must be known for a median.
         alignment_sigma_px: what the eyes' alignment leaves, added to every sigma.
-        shape_share: share of the scatter inside the inner half that goes into sigma; fitted on KITTI 2015.
+        shape_share: share of the scatter inside the inner half that goes into sigma; as the patch matcher's.
     """
 
     min_disparity: int = 0

@@ -8,8 +8,9 @@ Here, with real times and the median taken of the last k steps, which forgives o
 
     l(t) = l(t') + (t - t') median_i((l_i - l_(i-1)) / (t_i - t_(i-1)))      t': when the track was last seen
 
-and only where the gates below let it. `SortTracker`'s MOTA / IDF1, per cent, on stored boxes (13 KITTI sequences each,
-6 of MOT15, MOT17-05), one setting for all:
+and only where the gates below let it. `SortTracker`'s MOTA / IDF1, per cent, on stored boxes (RRC boxes of 13 KITTI
+tracking sequences, 6 of MOT15, MOT17-05), one setting for all. The gates were chosen on these very sequences: the table
+ranks the variants, it does not say how well they do elsewhere.
 
     predicted                      KITTI cars    KITTI pedestrians  MOT15        MOT17-05
     nothing                        86.9 / 91.4   57.5 / 69.3        44.1 / 51.2  48.1 / 57.8

@@ -1,4 +1,8 @@
-"""Patch matcher and dense median on the labelled cars of KITTI's stereo pairs, against their true disparities."""
+"""Patch matcher and dense median on the labelled cars of KITTI's stereo pairs, against their true disparities.
+
+The share of the objects' own depth in sigma was chosen on these pairs, so what is asserted of sigma only guards against
+change; the drives of `test_end_to_end.py` are what it was not chosen on.
+"""
 
 from __future__ import annotations
 
