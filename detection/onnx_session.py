@@ -51,7 +51,8 @@ class OnnxSession:
         self.device = _device_of(self._session.get_providers())
         if device in ("cuda", "tensorrt") and self.device != device:
             self.notes = (
-                f"--device {device} is not to be had here (not built in, or its libraries are missing); running on {self.device}.",
+                f"--device {device} is not to be had here (not built in, or its libraries are missing): "
+                f"running on {self.device}.",
             )
         inputs = self._session.get_inputs()
         if len(inputs) != 1 or len(inputs[0].shape) != 4:

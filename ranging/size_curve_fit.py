@@ -158,11 +158,11 @@ def _solve(samples: SizeSamples, *, use_width: bool) -> FloatArray:
     """Huber fit within `_SLOPE_BOUNDS`: few objects leave the slopes of height and width open, but not their sign."""
     design, log_distance = _design(samples, use_width=use_width), np.log(samples.distance_m)
     free = (-np.inf, np.inf)
-    bounds = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T
+    low, high = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T
     start = np.array([0.0, -1.0, *([-0.1] if use_width else []), 0.0])
 
     def residuals(x: FloatArray) -> FloatArray:
         return np.asarray(design @ x - log_distance)
 
-    result = least_squares(residuals, start, bounds=bounds, loss="huber", f_scale=_HUBER_SCALE)
+    result = least_squares(residuals, start, bounds=(low, high), loss="huber", f_scale=_HUBER_SCALE)
     return np.asarray(result.x)
