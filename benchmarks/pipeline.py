@@ -2,9 +2,9 @@
 
 Protocol: a real drive looped to 300 frames; in turn, several times, (a) the network alone on one prepared input, as
 often as there are frames, and (b) `track-range --stereo --threads 1 --no-sgbm` with its overlay, as a process of its
-own, its `wall_s` (from opening the videos, the model and the rig to the last frame's last byte; not the start of Python
-before, nor the summary and the report after). The ratio is taken round by round, and the median told, since the
-machine's speed drifts.
+own, its `wall_s` (opening the videos, and all frames to the last byte of the last one; not the start of Python and the
+loading of the network before, nor the summary and the report after). The ratio is taken round by round, and the median
+told, since the machine's speed drifts.
 """
 
 from __future__ import annotations

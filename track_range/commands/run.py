@@ -54,7 +54,7 @@ class _Run:
 
     Attributes:
         frame_index: the frames finished.
-        wall_s: time for them.
+        wall_s: time for them, from opening the videos to the last byte of the last one; not for loading the network.
         stopped_by: what ended the run early, told again once the finished part is safe.
     """
 
@@ -109,6 +109,7 @@ def _run(settings: RunSettings, console: Console) -> Path:
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
     source = open_source(settings)
+    opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
     with closing(source.frames):
         boxes = open_box_source(settings, source.rectified_boxes)
         truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
@@ -119,7 +120,6 @@ def _run(settings: RunSettings, console: Console) -> Path:
         told = this.notes
         _tell_notes(console, told)
         save_settings(settings, folder / "settings.yaml", found=_found(this))
-        opened_s = time.perf_counter() - began_s
         _work(this, folder, console)
         this.wall_s += opened_s
     with deaf_to_interrupts():
