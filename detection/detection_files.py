@@ -68,7 +68,7 @@ def _format_of(path: Path) -> str:
     if path.is_dir():
         return "kitti"
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             first = next((line for line in file if line.strip()), "")
     except OSError as error:
         raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
@@ -90,9 +90,9 @@ def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
 
 def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detections]:
     try:
-        table = np.loadtxt(path, delimiter=",", ndmin=2)
+        table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
-        raise LabelFileError(f"{path}: rows of numbers separated by commas wanted ({error}).") from error
+        raise LabelFileError(f"{path}: rows of numbers separated by commas, all of one length, wanted.") from error
     class_id = np.full(len(table), unnamed_class_id)
     name = ROAD_CLASSES[unnamed_class_id]
     if table.shape[1] == _PLAIN_COLUMNS:
@@ -116,13 +116,13 @@ def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
 
 def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     wanted = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
-    with path.open(encoding="utf-8", newline="") as file:
+    with path.open(encoding="utf-8-sig", newline="") as file:
         rows = list(csv.DictReader(file))
     try:
         table = np.array([[float(row[key]) for key in wanted] for row in rows]).reshape(-1, len(wanted))
         class_id = road_class_of_each([row["class"] for row in rows])
     except (KeyError, TypeError, ValueError) as error:
-        raise LabelFileError(f"{path}: columns {', '.join(wanted)}, class wanted ({error!r}).") from error
+        raise LabelFileError(f"{path}: columns {', '.join(wanted)}, class wanted, with a number in each.") from error
     seen = table[:, 6] == 1
     return (
         "the observed rows of a tracks.csv",

@@ -41,6 +41,15 @@ def fuse(by_method: Mapping[str, Ranges], track_id: IntArray) -> Ranges:
         return Ranges(track_id, mean_m, np.sqrt(birge / total) + 0.0 * mean_m)
 
 
+def contributors(by_method: Mapping[str, Ranges], track_id: IntArray) -> IntArray:
+    """(N,) which of mono, lane, stereo and sgbm have an answer for each track, as bits 1, 2, 4 and 8."""
+    bits = np.zeros(len(track_id), np.int64)
+    for position, name in enumerate(("mono", "lane", "stereo", "sgbm")):
+        if name in by_method:
+            bits |= np.isfinite(by_method[name].distance_m).astype(np.int64) << position
+    return bits
+
+
 def _gated(ranges: Ranges, mono: Ranges | None) -> Ranges:
     """The ranges, NaN where mono contradicts them beyond any object's size."""
     if mono is None:

@@ -4,9 +4,11 @@
 
 d is the distance, v its rate (m/s, negative = closing). A method's sigma has a part that changes from frame to frame
 (box jitter, matching noise) and a part that a track keeps (a tall car stays a tall car): only the first averages out,
-so it alone is R, and the second is added to the filter's own variance afterwards. A measurement beyond 3 sigma is not
-thrown away but counts less, in proportion (Huber); three in a row mean that the filter is wrong, and it starts anew.
-The steps are true time steps.
+so it alone is R, and the second is added to the filter's own variance afterwards. Where a measurement comes about in
+another way than the one before (a method joined or left the fusion), the kept part is another one, too: its variance is
+given to d, so that the step is taken for what it is and not for speed. A measurement beyond 3 sigma is not thrown away
+but counts less, in proportion (Huber); three in a row mean that the filter is wrong, and it starts anew. The steps are
+true time steps.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ class FilterSettings:
         outlier_sigma: innovations beyond so many standard deviations count less.
         max_outliers: so many of them in a row start the track's filter anew.
         max_gap_s: a track without a measurement for longer is NaN, and starts anew.
-        max_rate_sigma_mps: the rate is NaN while less certain.
+        max_rate_sigma_mps: the rate is NaN while less certain,
+        min_steady_s: and for so long after the filter's start or a change of way: a false alarm costs more than a
+            late one.
     """
 
     acceleration_noise: float = 2.0
@@ -39,7 +43,8 @@ class FilterSettings:
     outlier_sigma: float = 3.0
     max_outliers: int = 3
     max_gap_s: float = 1.0
-    max_rate_sigma_mps: float = 4.0
+    max_rate_sigma_mps: float = 3.0
+    min_steady_s: float = 0.35
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +71,25 @@ class _State:
     time_s: FloatArray
     measured_s: FloatArray
     n_outliers: IntArray
+    way: IntArray
+    steady_since_s: FloatArray
 
     @classmethod
     def blank(cls, track_id: IntArray) -> _State:
         n = len(track_id)
-        nan = np.full(n, np.nan)
-        zeros = np.zeros(n, np.int64)
-        return cls(track_id, np.full((n, 2), np.nan), np.zeros((n, 2, 2)), nan, nan.copy(), nan.copy(), zeros)
+        kept_variance, time_s, measured_s, steady_since_s = np.full((4, n), np.nan)
+        n_outliers, way = np.zeros((2, n), np.int64)
+        return cls(
+            track_id=track_id,
+            mean=np.full((n, 2), np.nan),
+            covariance=np.zeros((n, 2, 2)),
+            kept_variance=kept_variance,
+            time_s=time_s,
+            measured_s=measured_s,
+            n_outliers=n_outliers,
+            way=way,
+            steady_since_s=steady_since_s,
+        )
 
     def rows(self, keep: IntArray) -> _State:
         return _State(*(getattr(self, name)[keep] for name in self.__slots__))
@@ -90,16 +107,24 @@ class DistanceFilter:
         self._settings = settings or FilterSettings()
         self._state = _State.blank(np.zeros(0, np.int64))
 
-    def update(self, measured: Ranges, time_s: float) -> FilteredRanges:
-        """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered range."""
+    def update(self, measured: Ranges, time_s: float, *, way: IntArray | None = None) -> FilteredRanges:
+        """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered range.
+
+        `way` (N,): a number for how each measurement came about; None = always in the same way.
+        """
         state = self._predicted(self._aligned(measured.track_id), time_s)
         has_measurement = np.isfinite(measured.distance_m) & (measured.sigma_m > 0)
+        way = np.zeros(len(measured), np.int64) if way is None else way
+        kept_variance = (1 - self._settings.noise_share**2) * measured.sigma_m**2
+        is_another = has_measurement & (way != state.way) & np.isfinite(state.mean[:, 0])
+        state.covariance[is_another, 0, 0] += (state.kept_variance + kept_variance)[is_another]
+        state.steady_since_s[is_another] = time_s
+        state.way = np.where(has_measurement, way, state.way)
         fresh = has_measurement & (np.isnan(state.mean[:, 0]) | self._is_lost(state, measured))
         self._start(state, measured, fresh)
         self._correct(state, measured, has_measurement & ~fresh)
         state.measured_s[has_measurement] = time_s
-        share = self._settings.noise_share
-        state.kept_variance[has_measurement] = (1 - share**2) * measured.sigma_m[has_measurement] ** 2
+        state.kept_variance[has_measurement] = kept_variance[has_measurement]
         absent = self._state.rows(np.flatnonzero(~np.isin(self._state.track_id, measured.track_id)))
         recent = np.flatnonzero(time_s - absent.measured_s <= self._settings.max_gap_s)
         self._state = state.joined(absent.rows(recent))
@@ -144,6 +169,7 @@ class DistanceFilter:
         rate_variance = self._settings.initial_rate_sigma_mps**2
         noise = (self._settings.noise_share * measured.sigma_m[fresh]) ** 2
         state.n_outliers[fresh] = 0
+        state.steady_since_s[fresh] = state.time_s[fresh]
         state.mean[fresh] = np.stack([measured.distance_m[fresh], np.zeros(len(noise))], axis=1)
         state.covariance[fresh] = np.stack([noise, 0 * noise, 0 * noise, 0 * noise + rate_variance], axis=1).reshape(
             -1, 2, 2
@@ -162,5 +188,6 @@ class DistanceFilter:
         sigma_m = np.sqrt(state.covariance[:, 0, 0] + state.kept_variance)
         distance_m = np.where(state.mean[:, 0] > 0, state.mean[:, 0], np.nan)
         certain = np.sqrt(state.covariance[:, 1, 1]) <= self._settings.max_rate_sigma_mps
+        certain &= state.time_s - state.steady_since_s >= self._settings.min_steady_s
         ranges = Ranges(state.track_id, distance_m, np.where(np.isnan(distance_m), np.nan, sigma_m))
         return FilteredRanges(ranges, np.where(certain & np.isfinite(distance_m), state.mean[:, 1], np.nan))

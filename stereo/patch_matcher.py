@@ -63,7 +63,8 @@ class PatchMatcherSettings:
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0) -> PatchMatcherSettings:
         """Settings that reach as near as `nearest_m` with a rectified rig."""
-        return cls(max_disparity_px=math.ceil(rig.left.fx_px * rig.baseline_m / nearest_m))
+        reach_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
+        return cls(max_disparity_px=math.ceil(reach_px))
 
 
 class PatchMatcher:

@@ -19,8 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 BASELINE_M = (0.01, 5.0)
 """Plausible distance between the two eyes."""
 
-_FOCAL_PER_WIDTH = (0.1, 100.0)
-"""Plausible focal length as a multiple of the image's width: 157 degrees .. 0.6 degrees of view."""
+_FOCAL_PER_WIDTH = (0.1, 20.0)
+"""Plausible focal length as a multiple of the image's width: 157 degrees .. 3 degrees of view."""
 
 _ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R^T R from the identity; files carry six digits or more."""
@@ -114,6 +114,11 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
             )
     if not (math.isfinite(camera.cx_px) and math.isfinite(camera.cy_px)):
         raise RigError(f"{source}: the principal point is ({camera.cx_px:g}, {camera.cy_px:g}); give it in pixels.")
+    if camera.width_px and not (0 <= camera.cx_px <= camera.width_px and 0 <= camera.cy_px <= camera.height_px):
+        raise RigError(
+            f"{source}: the principal point ({camera.cx_px:g}, {camera.cy_px:g}) lies outside the image of "
+            f"{camera.width_px}x{camera.height_px} px."
+        )
     terms = camera.distortion
     if len(terms) not in _LENS_TERMS or not all(math.isfinite(term) for term in terms):
         raise RigError(f"{source}: the distortion is {list(terms)}; 0, 4, 5, 8, 12 or 14 finite numbers are wanted.")

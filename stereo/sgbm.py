@@ -73,7 +73,7 @@ class SgbmSettings:
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 3.0) -> SgbmSettings:
         """Settings that reach as near as `nearest_m` with a rectified rig."""
-        disparity_px = rig.left.fx_px * rig.baseline_m / nearest_m
+        disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls(n_disparities=max(16 * math.ceil(disparity_px / 16), 16))
 
 

@@ -23,7 +23,7 @@ from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
 from track_range.commands.run import run as run_video
-from track_range.config import ConfigError, settings_from
+from track_range.config import ConfigError, UsageError, settings_from
 from track_range.video import VideoError
 from track_range.written import OutputError
 
@@ -154,7 +154,7 @@ def _run(
 @app.command("demo", help="Simulate a short stereo drive, run the main job on it, and print the tables.")
 def _demo(
     out: Annotated[Path, typer.Option(help="Where the drive and the results go.")] = Path("track-range-demo"),
-    seed: Annotated[int, typer.Option(help="Another seed is another drive.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed is another drive.")] = 0,
     seconds: Annotated[float, typer.Option(min=0.5, max=60, help="Length of the drive.")] = 6.0,
 ) -> None:
     run_demo(out, _console, seed=seed, seconds=seconds)
@@ -175,7 +175,7 @@ def main() -> None:
     """Entry point of `track-range`."""
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # our own sentence says what is wrong
     arguments = sys.argv[1:]
-    if arguments == ["--help"]:  # the main job needs no command word, so its options belong to the first help
+    if arguments in ([], ["-h"], ["--help"]):  # the main job needs no command word
         app(["--help"], standalone_mode=False)
         arguments = ["run", "--help"]
     elif arguments and arguments[0].startswith("-") and arguments[0] != "--version":
@@ -185,4 +185,4 @@ def main() -> None:
     except USER_ERRORS as error:
         told = Console(stderr=True)
         told.print(f"track-range: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        raise SystemExit(1) from None
+        raise SystemExit(2 if isinstance(error, UsageError) else 1) from None

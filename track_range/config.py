@@ -18,6 +18,10 @@ class ConfigError(Exception):
     """Settings that make no sense; the message names the one that is wrong."""
 
 
+class UsageError(ConfigError):
+    """Options that contradict each other or are out of range: wrong usage, not a wrong input."""
+
+
 class RunSettings(BaseModel):
     """Everything that decides what a run computes; units are in the names."""
 
@@ -47,11 +51,11 @@ class RunSettings(BaseModel):
     """Road classes wanted; empty = all."""
     start_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     duration_s: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    folder_fps: float = Field(default=10.0, gt=0, allow_inf_nan=False)
+    folder_fps: float = Field(default=10.0, ge=0.01, le=1000)
     """Frames per second of folders of images, which carry no times."""
     size_px: int = Field(default=640, ge=32, le=4096)
     """Longer side of the network's input where the model leaves it open."""
-    threads: int = Field(default=0, ge=0)
+    threads: int = Field(default=0, ge=0, le=256)
     """Threads of the network; 0 = one per core."""
     device: Literal["auto", "cpu", "cuda", "tensorrt"] = "auto"
     overlay: bool = True
@@ -90,7 +94,8 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
     """Settings from options (None = not given) over those of a settings.yaml.
 
     Raises:
-        ConfigError: unreadable file, unknown key, or values that contradict each other.
+        UsageError: options that are wrong, or contradict each other.
+        ConfigError: an unreadable file, or an unknown key or wrong value in it.
     """
     base = _read(file) if file else {}
     chosen = {key: value for key, value in given.items() if value is not None}
@@ -103,7 +108,8 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
     except ValidationError as error:
         first = error.errors()[0]
         reason = first["msg"].removeprefix("Value error, ")
-        raise ConfigError(f"{_option(first['loc'])}{reason}.") from error
+        in_file = bool(first["loc"]) and str(first["loc"][0]) not in chosen
+        raise (ConfigError if in_file else UsageError)(f"{_option(first['loc'])}{reason}.") from error
 
 
 def _option(place: tuple[int | str, ...]) -> str:

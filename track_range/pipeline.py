@@ -16,7 +16,7 @@ from threading import Lock
 import numpy as np
 
 from detection.detections import Detections, FloatArray
-from ranging.fusion import fuse
+from ranging.fusion import contributors, fuse
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
 from ranging.smoothing import DistanceFilter, FilterSettings
@@ -123,10 +123,11 @@ class Pipeline:
             return self._fused(frame, tracks, ranges)
 
     def _fused(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges]) -> FrameResult:
+        way = contributors(ranges, tracks.track_id)
         ranges["fused"] = fuse(ranges, tracks.track_id)
         rate_mps = np.full(len(tracks), np.nan)
         for name in NOISE_SHARES.keys() & ranges.keys():
-            filtered = self._filter(name).update(ranges[name], frame.time_s)
+            filtered = self._filter(name).update(ranges[name], frame.time_s, way=way if name == "fused" else None)
             ranges[f"{name}_kf"] = filtered.ranges
             rate_mps = filtered.rate_mps if name == "fused" else rate_mps
         closing_mps = -rate_mps

@@ -89,7 +89,11 @@ class ResultRows:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._files.close()
+        try:
+            self._files.close()
+        except OSError as failed:  # a full disk is told once, by the write that met it first
+            if error is None:
+                raise OutputError(f"{self.folder}: writing failed ({failed.strerror or failed}).") from failed
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of one frame.

@@ -26,6 +26,10 @@ from track_range.video import VideoError, VideoFrame, VideoReader
 _CODEC_CROP_PX = 2  # video codecs want even sizes, so one eye may have lost a row or a column
 _MAX_CHECKED_PAIRS = 10  # so many pairs are looked at until one shows enough to tell left from right
 _MAX_ROW_OFFSET_PX = 1.5
+_UNMATCHED = (
+    f"In the first {_MAX_CHECKED_PAIRS} pairs left and right share too few points in equal rows to check the rig by: "
+    "do the two videos and the rig belong together?"
+)
 
 
 @dataclass(slots=True)
@@ -219,6 +223,8 @@ class _AlignmentWatch:
             for number, frame in enumerate(frames):
                 if not self._is_settled and number < _MAX_CHECKED_PAIRS:
                     self._look(frame)
+                if not self._is_settled and number == _MAX_CHECKED_PAIRS:
+                    self.notes = (_UNMATCHED,)
                 yield frame
 
     def _look(self, frame: Frame) -> None:

@@ -1,7 +1,7 @@
 """VideoWriter: H.264 in a fragmented MP4, which plays up to its last fragment however the program ends.
 
-A fragment is closed, and handed to the system, at each keyframe, at least once a second. Times are kept:
-pts = (time_s - first time_s) * 90 kHz.
+A fragment is closed, and handed to the system, after a fifth of a second of film; a keyframe, to which players can
+jump, comes once a second. Times are kept: pts = (time_s - first time_s) * 90 kHz.
 """
 
 from __future__ import annotations
@@ -24,8 +24,13 @@ from track_range.video_frame import VideoError
 
 _ENCODER = "libx264"
 _TICKS_HZ = 90_000  # MPEG's clock: every common frame rate is a whole number of its ticks
-_KEYFRAME_INTERVAL_S = 1.0  # what a killed run can lose
-_MUXER_OPTIONS = {"movflags": "frag_keyframe+empty_moov+default_base_moof", "flush_packets": "1"}
+_KEYFRAME_INTERVAL_S = 1.0
+_FRAGMENT_US = 200_000  # what a killed run can lose
+_MUXER_OPTIONS = {
+    "movflags": "empty_moov+default_base_moof",
+    "frag_duration": str(_FRAGMENT_US),
+    "flush_packets": "1",
+}
 _BT601 = 5  # AVCOL_SPC_BT470BG; what cv2's I420 conversion computes, so players must be told
 _LIMITED_RANGE = 1  # AVCOL_RANGE_MPEG: 16..235
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,3 +40,25 @@ def make_folder(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(f"{folder}: no results can be written there ({error.strerror or error}).") from error
+
+
+RESULT_NAMES = ("tracks.csv", "mot.txt", "summary.json", "settings.yaml", "overlay.mp4", "report.html")
+"""The files of a run."""
+
+
+def clear_results(folder: Path, *, keep: Iterable[Path]) -> None:
+    """Remove an earlier run's files, so that what is found later is all of one run.
+
+    Raises:
+        OutputError: one of them is among the inputs in `keep`, or cannot be removed.
+    """
+    inputs = {path.resolve() for path in keep}
+    for name in RESULT_NAMES:
+        file = folder / name
+        if file.resolve() in inputs:
+            raise OutputError(f"{file} is an input of this run and would be overwritten: choose another --out folder.")
+    try:
+        for name in RESULT_NAMES:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: an earlier run's files cannot be removed ({error.strerror or error}).") from error

@@ -90,6 +90,20 @@ def test_two_wild_ones_and_a_good_one_do_not_restart_the_filter():
     assert result.rate_mps[0] == pytest.approx(-10, abs=2.5)
 
 
+def test_a_step_between_ways_of_measuring_is_no_speed():
+    """Mono says 6.6 m, stereo 4.4 m: where one takes over from the other nothing has moved."""
+    rates = {}
+    for name, ways in (("told", (0, 1)), ("not told", (0, 0))):
+        tracker = DistanceFilter()
+        for step in range(16):
+            way, distance_m = (ways[0], 6.6) if step < 8 else (ways[1], 4.4)
+            result = tracker.update(measured([1], [distance_m], 0.6), step * 0.1, way=np.array([way]))
+            rates.setdefault(name, []).append(abs(result.rate_mps[0]))
+    assert np.nanmax(rates["told"]) < 0.5 < 2.0 < np.nanmax(rates["not told"])
+    assert np.isnan(rates["told"][8:11]).all()  # and for a third of a second nothing is said
+    assert np.isfinite(rates["told"][12:]).all()
+
+
 def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
     tracker = DistanceFilter(FilterSettings(noise_share=0.6))
     for step in range(50):

@@ -191,11 +191,39 @@ def test_an_output_folder_that_cannot_be_written(drive, options, tmp_path):
     assert "no results can be written there" in done.stderr
 
 
-def test_contradicting_options_and_a_window_past_the_end(fails, options, drive):
-    assert "not both" in fails(*options(), "--detector", "m.onnx")
-    assert "either --stereo LEFT RIGHT or --mono" in fails("--detections", drive.detections)
+def test_contradicting_options_are_wrong_usage(fails, options, drive):
+    assert "not both" in fails(*options(), "--detector", "m.onnx", status=2)
+    assert "either --stereo LEFT RIGHT or --mono" in fails("--detections", drive.detections, status=2)
+    assert "--threads" in fails(*options(), "--threads", "-2", status=2)
+    assert "--threads" in fails(*options(), "--threads", "100000", status=2)
+    assert "--device" in fails(*options(), "--device", "abacus", status=2)
+
+
+def test_a_window_past_the_end(fails, options):
     assert "start" in fails(*options(), "--start", "1000")
-    assert "--threads" in fails(*options(), "--threads", "-2")
+
+
+def test_inputs_are_never_overwritten_and_old_results_never_mixed(drive, tmp_path):
+    folder = tmp_path / "one"
+    folder.mkdir()
+    video = shutil.copy(drive.left, folder / "overlay.mp4")
+    run = [str(TRACK_RANGE), "--mono", str(video), "--rig", str(drive.rig), "--detections", str(drive.detections)]
+    refused = subprocess.run([*run, "--out", str(folder)], capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "overlay.mp4 is an input of this run and would be overwritten" in refused.stderr
+    assert video.read_bytes() == drive.left.read_bytes()
+    subprocess.run([*run, "--out", str(tmp_path / "two")], check=True, capture_output=True)
+    assert (tmp_path / "two/overlay.mp4").is_file()
+    subprocess.run([*run, "--out", str(tmp_path / "two"), "--no-overlay"], check=True, capture_output=True)
+    assert not (tmp_path / "two/overlay.mp4").exists()
+
+
+def test_a_pipe_that_closes_costs_no_results(drive, options, tmp_path):
+    command = [str(TRACK_RANGE), *map(str, options()), "--out", str(tmp_path / "out")]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "out/report.html").is_file()
 
 
 def test_left_and_right_of_different_rate_length_and_start(drive, options, tmp_path):

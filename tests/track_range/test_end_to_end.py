@@ -173,7 +173,7 @@ def test_a_stopped_run_leaves_its_finished_frames(long_drive, tmp_path, number):
     n_overlay = n_frames_of(out / "overlay.mp4")
     if number == signal.SIGKILL:
         assert process.returncode == -signal.SIGKILL
-        assert n_overlay >= 10  # all but the last second
+        assert n_overlay >= 20  # all but the last few, which may have waited to be drawn
         return
     assert process.returncode == 1
     assert stderr.strip() == "track-range: stopped by the user; what was finished is kept."

@@ -100,7 +100,8 @@ def test_a_killed_run_leaves_a_film_that_plays(tmp_path: Path, number_in: Callab
     )
     assert ended.returncode == -signal.SIGKILL
     frames = [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in VideoReader(path)]
-    assert frames == [(number, number / 10, number) for number in range(30)]  # all but the second it was in
+    assert len(frames) >= 32  # all but the fragment it was in
+    assert frames == [(number, number / 10, number) for number in range(len(frames))]
 
 
 def test_frames_land_while_the_film_is_being_written(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:

@@ -41,4 +41,5 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0) ->
         out=out,
     )
     run(settings, console)
-    console.print(f"Open {out / 'report.html'} in a browser; {out / 'overlay.mp4'} is the video.", highlight=False)
+    told = f"Open {out / 'report.html'} in a browser; {out / 'overlay.mp4'} is the video."
+    console.print(told, highlight=False, markup=False, soft_wrap=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -38,7 +38,7 @@ from track_range.summary import (
     write_summary,
 )
 from track_range.tables import summary_tables
-from track_range.written import make_folder
+from track_range.written import clear_results, make_folder
 from tracking.sort import SortTracker
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
@@ -117,6 +117,7 @@ def _run(settings: RunSettings, console: Console) -> Path:
         this = _Run(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)
         folder = settings.out_dir
         make_folder(folder)
+        clear_results(folder, keep=_input_files(settings))
         told = this.notes
         _tell_notes(console, told)
         save_settings(settings, folder / "settings.yaml", found=_found(this))
@@ -125,9 +126,7 @@ def _run(settings: RunSettings, console: Console) -> Path:
     with deaf_to_interrupts():
         summary = _finish(this, folder)
     _tell_notes(console, [note for note in this.notes if note not in told])
-    for table in summary_tables(summary):
-        console.print(table)
-    _tell_files(console, settings, folder)
+    _tell_results(console, settings, summary, folder)
     if isinstance(this.stopped_by, KeyboardInterrupt):
         raise RunStoppedError("stopped by the user; what was finished is kept.")
     if this.stopped_by is not None:
@@ -135,10 +134,34 @@ def _run(settings: RunSettings, console: Console) -> Path:
     return folder
 
 
-def _tell_files(console: Console, settings: RunSettings, folder: Path) -> None:
+def _tell_results(console: Console, settings: RunSettings, summary: dict[str, Any], folder: Path) -> None:
     overlay = "overlay.mp4, " if settings.overlay else ""
     names = f"{overlay}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
-    console.print(f"Results in {folder}: {names}", highlight=False, markup=False, soft_wrap=True)
+    with _nobody_may_listen():
+        for table in summary_tables(summary):
+            console.print(table)
+        console.print(f"Results in {folder}: {names}", highlight=False, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def _nobody_may_listen() -> Iterator[None]:
+    """A closed pipe, a full disk or a terminal without sigma ends the telling, not the run."""
+    with suppress(OSError, UnicodeError, SystemExit):  # SystemExit is what Rich makes of a closed pipe
+        yield
+
+
+def _input_files(settings: RunSettings) -> list[Path]:
+    """Every file that the run reads."""
+    named = (
+        *(settings.stereo or ()),
+        settings.mono,
+        settings.rig,
+        settings.detections,
+        settings.truth,
+        settings.curves,
+    )
+    words = (settings.detector, settings.names)
+    return [*(path for path in named if path is not None), *(Path(word) for word in words if word is not None)]
 
 
 def _pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeCurves) -> Pipeline:
@@ -206,7 +229,7 @@ def _progress(console: Console, n_frames: int | None) -> Iterator[_Advance]:
         TextColumn("{task.fields[fps]:.1f} fps"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield _Advance(progress, n_frames)
 
 
@@ -265,5 +288,6 @@ def _versions() -> dict[str, str]:
 
 
 def _tell_notes(console: Console, notes: Sequence[str]) -> None:
-    for note in notes:
-        console.print(f"- {note}", style="dim", highlight=False, markup=False)
+    with _nobody_may_listen():
+        for note in notes:
+            console.print(f"- {note}", style="dim", highlight=False, markup=False)

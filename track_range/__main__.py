@@ -1,0 +1,20 @@
+"""Entry point of `track-range` and of `python -m track_range`."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """Run the command line; the libraries are loaded in here, so that Ctrl-C meanwhile gets one sentence, too."""
+    try:
+        from track_range.cli import main as command_line
+
+        command_line()
+    except KeyboardInterrupt:
+        sys.stderr.write("track-range: stopped by the user.\n")
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()
