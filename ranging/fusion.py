@@ -20,13 +20,13 @@ from detection.detections import IntArray
 from ranging.ranges import Ranges
 
 _MAX_SIZE_FACTOR = 2.5
+_BIT_OF = {"mono": 1, "lane": 2, "stereo": 4}
 _STANDS_IN_FOR = {"stereo": "sgbm"}
 
 
 def fuse(by_method: Mapping[str, Ranges], track_id: IntArray) -> Ranges:
     """The fused ranges of `track_id` from mono, lane, stereo and sgbm (those that are there), all in its order."""
-    by_method = {name: _with_stand_in(by_method, name) for name in ("mono", "lane", "stereo") if _has(by_method, name)}
-    parts = [ranges if name == "mono" else _gated(ranges, by_method.get("mono")) for name, ranges in by_method.items()]
+    parts = list(_parts(by_method).values())
     if not parts:
         return Ranges.unmeasured(track_id)
     distance_m = np.stack([part.distance_m for part in parts])
@@ -42,12 +42,19 @@ def fuse(by_method: Mapping[str, Ranges], track_id: IntArray) -> Ranges:
 
 
 def contributors(by_method: Mapping[str, Ranges], track_id: IntArray) -> IntArray:
-    """(N,) which of mono, lane, stereo and sgbm have an answer for each track, as bits 1, 2, 4 and 8."""
+    """(N,) which methods `fuse` makes each track's distance from: bits 1, 2, 4, 8 for mono, lane, stereo, sgbm."""
     bits = np.zeros(len(track_id), np.int64)
-    for position, name in enumerate(("mono", "lane", "stereo", "sgbm")):
-        if name in by_method:
-            bits |= np.isfinite(by_method[name].distance_m).astype(np.int64) << position
+    for name, used in _parts(by_method).items():
+        own = by_method[name].distance_m if name in by_method else np.full(len(track_id), np.nan)
+        stands_in = np.isfinite(used.distance_m) & np.isnan(own)
+        bits |= np.where(stands_in, 8, _BIT_OF[name]) * np.isfinite(used.distance_m)
     return bits
+
+
+def _parts(by_method: Mapping[str, Ranges]) -> dict[str, Ranges]:
+    """What is fused: each method that is there, with its stand-in where it is silent, without what no size explains."""
+    used = {name: _with_stand_in(by_method, name) for name in _BIT_OF if _has(by_method, name)}
+    return {name: found if name == "mono" else _gated(found, used.get("mono")) for name, found in used.items()}
 
 
 def _gated(ranges: Ranges, mono: Ranges | None) -> Ranges:

@@ -40,9 +40,7 @@ about a parabola over five frames, divided by sigma, median 0.31, 0.17 and 0.28;
 _MIN_CLOSING_MPS = 0.3  # slower than this is "not closing": the time to collision would be minutes of noise
 _READ_AHEAD = 4
 _DETECT_AHEAD = 2
-
-
-_BY_THE_WALL = ("detect",)
+_BY_THE_WALL = ("detect",)  # stages whose time is the wall's, since they have threads of their own
 
 
 class StageClock:

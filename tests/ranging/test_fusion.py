@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ranging.fusion import fuse
+from ranging.fusion import contributors, fuse
 from ranging.ranges import Ranges
 
 ONE = np.array([1])
@@ -36,6 +36,16 @@ def test_dense_stands_in_for_patches_only_where_they_are_silent():
     assert fuse({"stereo": silent, "sgbm": dense}, ONE).distance_m == pytest.approx([30.0])
     assert fuse({"stereo": ranges(20.0, 1.0), "sgbm": dense}, ONE).distance_m == pytest.approx([20.0])
     assert fuse({"sgbm": dense}, ONE).distance_m == pytest.approx([30.0])
+
+
+def test_contributors_are_those_that_count():
+    mono, stereo, dense, silent = ranges(20.0, 2.0), ranges(21.0, 1.0), ranges(22.0, 1.0), ranges(np.nan, np.nan)
+    assert contributors({"mono": mono, "stereo": stereo, "sgbm": dense}, ONE) == 5
+    assert contributors({"mono": mono, "stereo": stereo, "sgbm": silent}, ONE) == 5  # dense has no say beside patches
+    assert contributors({"mono": mono, "stereo": silent, "sgbm": dense}, ONE) == 9
+    assert contributors({"mono": mono, "sgbm": dense}, ONE) == 9
+    assert contributors({"mono": mono, "stereo": ranges(5.0, 0.1)}, ONE) == 1  # left out: no size explains it
+    assert contributors({"mono": silent}, ONE) == 0
 
 
 def test_nobody_measured():

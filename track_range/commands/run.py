@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ranging.ranger import Ranger
 from ranging.size_curve import SizeCurves, load_curves
@@ -22,6 +22,7 @@ from ranging.triangulation import DenseRanger, PatchRanger
 from ranging.truth import Truth, read_truth
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.box_source import BoxSource, open_box_source
+from track_range.commands.progress import frame_progress
 from track_range.config import RunSettings, save_settings
 from track_range.interrupts import deaf_to_interrupts, termination_as_interrupt
 from track_range.overlap import short_switch_interval
@@ -124,9 +125,12 @@ def _run(settings: RunSettings, console: Console) -> Path:
         _work(this, folder, console)
         this.wall_s += opened_s
     with deaf_to_interrupts():
-        summary = _finish(this, folder)
-    _tell_notes(console, [note for note in this.notes if note not in told])
-    _tell_results(console, settings, summary, folder)
+        columns = read_tracks_csv(folder / "tracks.csv")
+        summary = _summary(this, columns)
+        _tell_notes(console, [note for note in this.notes if note not in told])
+        _tell_tables(console, summary)  # before they are written: a full disk may be why the run ended
+        _keep(this, summary, columns, folder)
+    _tell_files(console, settings, folder)
     if isinstance(this.stopped_by, KeyboardInterrupt):
         raise RunStoppedError("stopped by the user; what was finished is kept.")
     if this.stopped_by is not None:
@@ -134,12 +138,16 @@ def _run(settings: RunSettings, console: Console) -> Path:
     return folder
 
 
-def _tell_results(console: Console, settings: RunSettings, summary: dict[str, Any], folder: Path) -> None:
-    overlay = "overlay.mp4, " if settings.overlay else ""
-    names = f"{overlay}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
+def _tell_tables(console: Console, summary: dict[str, Any]) -> None:
     with _nobody_may_listen():
         for table in summary_tables(summary):
             console.print(table)
+
+
+def _tell_files(console: Console, settings: RunSettings, folder: Path) -> None:
+    overlay = "overlay.mp4, " if settings.overlay else ""
+    names = f"{overlay}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
+    with _nobody_may_listen():
         console.print(f"Results in {folder}: {names}", highlight=False, markup=False, soft_wrap=True)
 
 
@@ -188,7 +196,7 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
                 )
             results = this.pipeline.run(this.source.frames)
             stack.callback(results.close)
-            advance = stack.enter_context(_progress(console, this.source.n_frames))
+            advance = stack.enter_context(frame_progress(console, this.source.n_frames))
             for result in results:
                 with clock.stage("write"):
                     rows.write(result)
@@ -205,41 +213,10 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
     clock.busy_s["read"] = this.source.busy_s
 
 
-class _Advance:
-    """Moves a progress bar by one frame and keeps its rate up to date."""
-
-    def __init__(self, progress: Progress, n_frames: int | None) -> None:
-        self._progress = progress
-        self._task = progress.add_task("frames", total=n_frames, fps=0.0)
-        self._began_s = time.perf_counter()
-        self._n = 0
-
-    def __call__(self) -> None:
-        self._n += 1
-        fps = self._n / max(time.perf_counter() - self._began_s, 1e-9)
-        self._progress.update(self._task, completed=self._n, fps=fps)
-
-
-@contextmanager
-def _progress(console: Console, n_frames: int | None) -> Iterator[_Advance]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[fps]:.1f} fps"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        yield _Advance(progress, n_frames)
-
-
-def _finish(this: _Run, folder: Path) -> dict[str, Any]:
-    """Measure what was written, and write summary.json and report.html."""
-    from track_range.report import write_report  # matplotlib takes half a second to load, and only the end needs it
-
-    columns = read_tracks_csv(folder / "tracks.csv")
+def _summary(this: _Run, columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """What was measured, from the rows that were written."""
     n_frames = len(this.frame_index)
-    summary: dict[str, Any] = {
+    return {
         "frames": n_frames,
         "wall_s": round(this.wall_s, 3),
         "frames_per_s": round(n_frames / this.wall_s, 3) if this.wall_s > 0 else None,
@@ -252,11 +229,16 @@ def _finish(this: _Run, folder: Path) -> dict[str, Any]:
         "files": {"overlay": "overlay.mp4"} if this.settings.overlay else {},
         "versions": _versions(),
     }
+
+
+def _keep(this: _Run, summary: dict[str, Any], columns: dict[str, npt.NDArray[Any]], folder: Path) -> None:
+    """Write summary.json and report.html."""
+    from track_range.report import write_report  # matplotlib takes half a second to load, and only the end needs it
+
     write_summary(folder / "summary.json", summary)
     if this.truth is not None:
         columns["truth_m"] = matched_truth(columns, this.truth)[1]
     write_report(folder / "report.html", summary, columns)
-    return summary
 
 
 def _inputs(settings: RunSettings) -> dict[str, Any]:

@@ -1,0 +1,39 @@
+"""The progress bar of a run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+
+class _Advance:
+    """Moves a progress bar by one frame and keeps its rate up to date."""
+
+    def __init__(self, progress: Progress, n_frames: int | None) -> None:
+        self._progress = progress
+        self._task = progress.add_task("frames", total=n_frames, fps=0.0)
+        self._began_s = time.perf_counter()
+        self._n = 0
+
+    def __call__(self) -> None:
+        self._n += 1
+        fps = self._n / max(time.perf_counter() - self._began_s, 1e-9)
+        self._progress.update(self._task, completed=self._n, fps=fps)
+
+
+@contextmanager
+def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[[], None]]:
+    """A bar with frames, rate and time left; the callable moves it by one frame. Without a terminal: nothing."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[fps]:.1f} fps"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        yield _Advance(progress, n_frames)
