@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from detection.detections import BoolArray, FloatArray, IntArray
+
+_NMS_BLOCK = 128
+"""Boxes compared with each other at once: larger wastes comparisons, smaller wastes calls."""
 
 
 def xyxy_from_cxcywh(cxcywh: FloatArray) -> FloatArray:
@@ -48,14 +50,60 @@ def are_sound(xyxy_px: FloatArray) -> BoolArray:
     return np.asarray(finite & (xyxy_px[:, 2] > xyxy_px[:, 0]) & (xyxy_px[:, 3] > xyxy_px[:, 1]))
 
 
-def nms(xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: float) -> IntArray:
-    """Indices of the boxes kept, best score first: greedy suppression within each class.
+def nms(
+    xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: float, max_boxes: int | None = None
+) -> IntArray:
+    """Indices of the boxes kept, best score first: greedy suppression within each class, ended at `max_boxes`.
 
-    OpenCV's batched NMS does the work. It keeps classes apart by shifting each by a multiple of the largest coordinate,
-    which does so only while none is negative.
+    Of equal scores the earlier comes first. Boxes go block by block in the order of their scores, so that with a limit
+    only the best of thousands are ever looked at.
     """
-    if len(score) == 0:
-        return np.zeros(0, np.int64)
-    xywh = np.concatenate([xyxy_px[:, :2] - xyxy_px.min() + 1.0, xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
-    kept = cv2.dnn.NMSBoxesBatched(xywh.tolist(), score.tolist(), class_id.tolist(), -1.0, max_iou)
-    return np.asarray(kept, np.int64).reshape(-1)
+    order = np.argsort(-score, kind="stable")
+    columns = _columns_apart(xyxy_px, class_id)[:, order]
+    limit = len(order) if max_boxes is None else max_boxes
+    kept = np.zeros(0, np.int64)
+    for start in range(0, len(order), _NMS_BLOCK):
+        if len(kept) >= limit:
+            break
+        block = columns[:, start : start + _NMS_BLOCK]
+        rest = np.flatnonzero(~_overlap(columns[:, kept], block, max_iou=max_iou).any(axis=0))
+        block = block[:, rest]
+        kept = np.concatenate([kept, start + rest[_survivors(_overlap(block, block, max_iou=max_iou))]])
+    return np.asarray(order[kept[:limit]])
+
+
+def _columns_apart(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
+    """(5, N) left, top, right, bottom and area, shifted sideways so that boxes of different classes cannot meet."""
+    span_px = float(np.ptp(xyxy_px)) + 1.0 if len(xyxy_px) else 0.0
+    left, top, right, bottom = xyxy_px.T
+    shift_px = class_id * span_px
+    return np.stack([left + shift_px, top, right + shift_px, bottom, area_px2(xyxy_px)])
+
+
+def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:
+    """(N, M) whether boxes of `a` (5, N) and `b` (5, M) have IoU > max_iou.
+
+    IoU > t is shared > t / (1 + t) * (area a + area b): no division, and a third of `iou`'s time.
+    """
+    width = np.minimum(a[2][:, None], b[2])
+    width -= np.maximum(a[0][:, None], b[0])
+    height = np.minimum(a[3][:, None], b[3])
+    height -= np.maximum(a[1][:, None], b[1])
+    np.maximum(width, 0.0, out=width)
+    width *= height  # where the height is negative, so is the product: below any area
+    return np.asarray(width > max_iou / (1.0 + max_iou) * (a[4][:, None] + b[4]))
+
+
+def _survivors(overlaps: BoolArray) -> BoolArray:
+    """(N,) which of N boxes, best first, survive, given which pairs overlap too much.
+
+    "Survives = no better survivor overlaps it" is iterated from "all survive": after k rounds the first k are final,
+    and it ends as soon as nothing changes, in practice after a few.
+    """
+    better_overlaps = np.triu(overlaps, 1)
+    survives: BoolArray = np.ones(len(overlaps), np.bool_)
+    while True:
+        now = np.logical_not(better_overlaps[survives].any(axis=0))
+        if np.array_equal(now, survives):
+            return survives
+        survives = now

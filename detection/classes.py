@@ -51,6 +51,14 @@ COCO_CLASSES = (
 # fmt: on
 """COCO's 80 names in the order of every network trained on it."""
 
+# fmt: off
+VOC_CLASSES = (
+    "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",
+    "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
+)
+# fmt: on
+"""Pascal VOC's 20 names, in their order."""
+
 
 class ClassNameError(ValueError):
     """A class name that is no road class; the message names the nearest one."""

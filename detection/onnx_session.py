@@ -81,11 +81,6 @@ class OnnxSession:
         """The image input's number type."""
         return np.float16 if self._input.type == "tensor(float16)" else np.float32
 
-    def output_shapes(self, blob: FloatArray32) -> dict[str, tuple[int, ...]]:
-        """Output names and their true shapes for one input (the file may leave them open); also a warm-up."""
-        outputs = self.run(blob)
-        return {o.name: a.shape for o, a in zip(self._session.get_outputs(), outputs, strict=True)}
-
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
         """The outputs, as float32, in the file's order, for one input blob (batch, 3, height, width).
 
@@ -95,13 +90,61 @@ class OnnxSession:
         try:
             outputs = self._session.run(None, {self._input.name: blob.astype(self.input_dtype, copy=False)})
         except Exception as error:  # as above
-            raise ModelError(f"{self.path}: the network failed ({str(error).splitlines()[0]}).") from error
+            raise self._failure(error) from error
         return [np.asarray(output, np.float32) for output in outputs]
+
+    def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
+        """The network with buffers for one image of this size; one trial run tells the outputs' true shapes.
+
+        Raises:
+            ModelError: the network does not take this size.
+        """
+        return BoundNetwork(self, input_hw)
+
+    def _failure(self, error: Exception) -> ModelError:
+        return ModelError(f"{self.path}: the network failed ({str(error).splitlines()[0]}).")
 
     def sha256(self) -> str:
         """The model file's checksum, so that a run can be repeated with the very same weights."""
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+class BoundNetwork:
+    """A network bound to buffers of its own (onnxruntime's io binding): a run copies and allocates nothing.
+
+    Attributes:
+        blob: (1, 3, height, width) the input, float32 or float16 as the network wants; fill it, then `run`.
+        output_shapes: names and shapes of the outputs, in the file's order.
+    """
+
+    def __init__(self, session: OnnxSession, input_hw: tuple[int, int]) -> None:
+        self._owner = session
+        self.blob = np.zeros((1, 3, *input_hw), session.input_dtype)
+        network, name = session._session, session._input.name
+        try:
+            outputs = network.run(None, {name: self.blob})
+        except Exception as error:  # onnxruntime raises a dozen unrelated types
+            raise session._failure(error) from error
+        self._buffers = [np.empty_like(np.asarray(output), order="C") for output in outputs]
+        names = [output.name for output in network.get_outputs()]
+        self.output_shapes = {key: buffer.shape for key, buffer in zip(names, self._buffers, strict=True)}
+        self._binding = network.io_binding()
+        self._binding.bind_cpu_input(name, self.blob)
+        for key, buffer in zip(names, self._buffers, strict=True):
+            self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
+
+    def run(self) -> list[FloatArray32]:
+        """The outputs for what `blob` holds, as float32, in the file's order; overwritten by the next run.
+
+        Raises:
+            ModelError: the network fails on this input.
+        """
+        try:
+            self._owner._session.run_with_iobinding(self._binding)
+        except Exception as error:  # as above
+            raise self._owner._failure(error) from error
+        return [buffer.astype(np.float32, copy=False) for buffer in self._buffers]
 
 
 def _providers(device: Device) -> list[str]:

@@ -13,10 +13,9 @@ from detection.classes import road_class_ids
 from detection.detection_files import read_detections
 from detection.detections import Detections, FloatArray, IntArray
 from detection.detector import Detector
-from detection.onnx_session import ModelError
-from detection.yolo import YoloDetector, YoloSettings
 from stereo.frames import Frame
-from track_range.config import ConfigError, RunSettings
+from track_range.config import RunSettings
+from track_range.detector_options import DetectorOptions, open_detector
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,13 +26,13 @@ class BoxSource:
         detect: boxes of a frame.
         frames: (M,) frame numbers that a file of boxes has boxes for; empty for a detector.
         found: what settings.yaml should say of it.
-        notes: sentences for the user.
+        notes: sentences for the user, on what it is and, later, on what it did.
     """
 
     detect: Callable[[Frame], Detections]
     frames: IntArray
     found: dict[str, Any]
-    notes: tuple[str, ...]
+    notes: Callable[[], tuple[str, ...]]
 
 
 def open_box_source(settings: RunSettings, rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
@@ -47,22 +46,37 @@ def open_box_source(settings: RunSettings, rectified_boxes: Callable[[FloatArray
     if settings.detections is not None:
         return _recorded(settings.detections, class_id, rectified_boxes)
     path = Path(settings.detector or "")
-    if not path.is_file():
-        raise ModelError(
-            f"{path}: no such model file; --detector wants an ONNX file, such as YOLOv5's official export "
-            "(no detector is packaged yet)."
-        )
-    network = YoloDetector(
-        path,
-        YoloSettings(class_id=class_id, size_px=settings.size_px),
-        names=_names(settings.names),
-        device=settings.device,
-        n_threads=settings.threads,
-    )
+    network = open_detector(path, detector_options(settings))
     detector: Detector = network
-    found = {"file": path.name, "sha256": network.sha256(), "names": list(network.names), "device": network.device}
+    session = network.session
+    found = {
+        "file": path.name,
+        "sha256": session.sha256(),
+        "family": network.model.family,
+        "names": list(network.model.names),
+        "device": session.device,
+    }
     nothing = np.zeros(0, np.int64)
-    return BoxSource(lambda frame: detector.detect(frame.left), nothing, {"detector": found}, network.notes)
+    return BoxSource(
+        detect=lambda frame: detector.detect(frame.left),
+        frames=nothing,
+        found={"detector": found},
+        notes=lambda: network.notes,
+    )
+
+
+def detector_options(settings: RunSettings) -> DetectorOptions:
+    """What a run's settings say of its detector."""
+    return DetectorOptions(
+        names=settings.names,
+        anchors=settings.anchors,
+        letterbox=settings.letterbox,
+        min_score=settings.min_score,
+        size_px=settings.size_px,
+        threads=settings.threads,
+        device=settings.device,
+        classes=settings.classes,
+    )
 
 
 def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
@@ -76,17 +90,4 @@ def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[
         found = recorded.at(frame.index)
         return found.select(np.isin(found.class_id, class_id)) if class_id else found
 
-    return BoxSource(detect, np.unique(recorded.frame), {"detections": path.name}, recorded.notes)
-
-
-def _names(option: str | None) -> tuple[str, ...]:
-    """Class names from `a,b,c` or from a file with one per line."""
-    if option is None:
-        return ()
-    path = Path(option)
-    if "," in option or not path.suffix:
-        return tuple(name.strip() for name in option.split(","))
-    try:
-        return tuple(line.strip() for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"--names {option}: no readable text file with one name per line.") from error
+    return BoxSource(detect, np.unique(recorded.frame), {"detections": path.name}, lambda: recorded.notes)

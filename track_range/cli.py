@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 
 from detection.classes import ROAD_CLASSES, ClassNameError
+from detection.input_format import LETTERBOXES
 from detection.kitti_format import LabelFileError
 from detection.onnx_session import ModelError
 from ranging.size_curve import CurveError
@@ -83,11 +84,32 @@ def _run(
         typer.Option(help="Focal length in pixels, for --mono without a rig file.", rich_help_panel=_INPUT),
     ] = None,
     detector: Annotated[
-        str | None, typer.Option(metavar="FILE.onnx", help="A YOLOv5 network (ONNX export).", rich_help_panel=_INPUT)
+        str | None,
+        typer.Option(
+            metavar="FILE|NAME",
+            help="A YOLO network: an ONNX file, or a name of `models list`.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     names: Annotated[
         str | None,
         typer.Option(help="The network's class names, a,b,c or a file with one per line.", rich_help_panel=_INPUT),
+    ] = None,
+    anchors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'W,H ... / W,H ...'",
+            help="Anchors of raw YOLO heads, a group per output (default: the model's own, or YOLOv4-tiny's).",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    letterbox: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WORD",
+            help=f"How the network wants images: {LETTERBOXES} (default: as its family does).",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     detections: Annotated[
         Path | None,
@@ -116,6 +138,14 @@ def _run(
     classes: Annotated[
         str | None,
         typer.Option(metavar="A,B,...", help=f"Of: {', '.join(ROAD_CLASSES)} (default: all).", rich_help_panel=_WHAT),
+    ] = None,
+    min_score: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S[,CLASS=S...]",
+            help="Weakest boxes taken from the detector, such as 0.1,car=0.3 (default: 0.1).",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
     start: Annotated[float | None, typer.Option(metavar="S", help="Start, in seconds.", rich_help_panel=_WHAT)] = None,
     duration: Annotated[

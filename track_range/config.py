@@ -41,6 +41,12 @@ class RunSettings(BaseModel):
     """Boxes from a file in place of a detector."""
     names: str | None = None
     """Class names of the detector: a,b,c or a file with one per line."""
+    anchors: str | None = None
+    """Anchors of a detector with raw heads: 81,82 135,169 344,319 / 23,27 37,58 81,82."""
+    letterbox: str | None = None
+    """Where the image lies in the detector's input, such as centred-114."""
+    min_score: str | None = None
+    """Weakest boxes taken from the detector: 0.1, or 0.1,car=0.3; None = 0.1."""
     curves: Path | None = None
     """Size curves for the monocular distance, as `track-range fit` writes them; None = the packaged ones."""
     truth: Path | None = None

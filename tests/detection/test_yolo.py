@@ -1,36 +1,17 @@
 """The detector on small ONNX files that the tests write, and on the real YOLOv5n where it is there."""
 
 import numpy as np
-import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 
 from detection.boxes import iou
 from detection.classes import ROAD_CLASSES
+from detection.model_facts import ModelOptions
 from detection.onnx_session import ModelError
 from detection.yolo import YoloDetector, YoloSettings
+from tests.detection.onnx_models import write_model
 
 N_ROWS = 3 * (8 * 8 + 4 * 4 + 2 * 2)  # a 64 x 64 input with strides 8, 16, 32
 CAR, TRUCK = 2, 7
-
-
-def write_model(path, rows, *, metadata=None, input_shape=(1, 3, 64, 64)):
-    """A network whose output is `rows` (1, N, columns) whatever it sees."""
-    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, input_shape)
-    output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, rows.shape)
-    zero = helper.make_tensor("zero", TensorProto.FLOAT, [1], [0.0])
-    nodes = [
-        helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-        helper.make_node("Add", ["rows", "nothing"], ["output0"]),
-    ]
-    weights = [zero, numpy_helper.from_array(rows.astype(np.float32), "rows")]
-    graph = helper.make_graph(nodes, "constant", [image], [output], weights)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
-    model.ir_version = 9
-    helper.set_model_props(model, metadata or {})
-    onnx.save(model, path)
-    return path
 
 
 def rows_with(*boxes, n_classes=80):
@@ -63,8 +44,15 @@ def test_weak_foreign_duplicate_and_nan_boxes_are_dropped(tmp_path):
         (50, 32, 8, 8, np.nan, {CAR: 1.0}),
         (50, 32, 0, 8, 0.9, {CAR: 1.0}),
     )
-    found = YoloDetector(write_model(tmp_path / "m.onnx", rows)).detect(np.zeros((64, 64, 3), np.uint8))
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows))
+    assert not any("NaN" in note for note in detector.notes)
+    found = detector.detect(np.zeros((64, 64, 3), np.uint8))
     assert [ROAD_CLASSES[c] for c in found.class_id] == ["car"]
+    assert [note for note in detector.notes if "NaN" in note] == [
+        "The network gave NaN or infinite numbers: 2 boxes dropped."
+    ]
+    detector.detect(np.zeros((64, 64, 3), np.uint8))
+    assert detector.n_unsound == 4
 
 
 def test_classes_wanted(tmp_path):
@@ -73,37 +61,53 @@ def test_classes_wanted(tmp_path):
     assert [ROAD_CLASSES[c] for c in detector.detect(np.zeros((64, 64, 3), np.uint8)).class_id] == ["person"]
 
 
-def test_class_names_from_option_metadata_sidecar_and_default(tmp_path):
-    two = rows_with((32, 32, 16, 8, 0.8, {1: 0.9}), n_classes=2)
-    model = write_model(tmp_path / "two.onnx", two)
-    with pytest.raises(ModelError, match="2 classes without names; give them with --names"):
-        YoloDetector(model)
-    with pytest.raises(ModelError, match="2 classes, but 3 names"):
-        YoloDetector(model, names=("a", "b", "c"))
-    with pytest.raises(ModelError, match="none of its classes"):
-        YoloDetector(model, names=("cat", "dog"))
-    assert YoloDetector(model, names=("person", "bus")).names == ("person", "bus")
-    (tmp_path / "two.yaml").write_text("names: {0: person, 1: car}")
-    assert YoloDetector(model).names == ("person", "car")
-    (tmp_path / "two.yaml").write_text("labels: []")
-    with pytest.raises(ModelError, match=r"two\.yaml: a list 'names:"):
-        YoloDetector(model)
-    told = write_model(tmp_path / "told.onnx", two, metadata={"names": "{0: 'bus', 1: 'truck'}"})
-    assert YoloDetector(told).names == ("bus", "truck")
-    for nonsense in ("bus truck", "7", "{"):
-        odd = write_model(tmp_path / "odd.onnx", two, metadata={"names": nonsense})
-        with pytest.raises(ModelError, match="its metadata 'names' is no list of names"):
-            YoloDetector(odd)
-    silent = YoloDetector(write_model(tmp_path / "coco.onnx", rows_with()))
-    assert len(silent.names) == 80
-    assert any("COCO" in note for note in silent.notes)
+def test_a_class_may_have_a_threshold_of_its_own(tmp_path):
+    rows = rows_with((32, 32, 16, 8, 1.0, {CAR: 0.4}), (12, 32, 8, 8, 1.0, {0: 0.4}), (50, 32, 8, 8, 1.0, {0: 0.6}))
+    settings = YoloSettings(min_score=0.3, class_min_score=((0, 0.5),))
+    found = YoloDetector(write_model(tmp_path / "m.onnx", rows), settings).detect(np.zeros((64, 64, 3), np.uint8))
+    assert [ROAD_CLASSES[c] for c in found.class_id] == ["person", "car"]
 
 
-@pytest.mark.parametrize("shape", [(1, 84, 84), (1, N_ROWS), (1, N_ROWS, 5), (1, 84, 85)])
-def test_unknown_outputs_are_named_with_the_layouts_known(tmp_path, shape):
-    model = write_model(tmp_path / "m.onnx", np.zeros(shape))
-    with pytest.raises(ModelError, match=r"unknown outputs output0 \[1, .*known layouts: YOLOv5"):
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((8, 8), np.uint8),
+        np.zeros((8, 8, 3), np.uint16),
+        np.zeros((0, 8, 3), np.uint8),
+        np.zeros((8, 8, 4), np.uint8),
+    ],
+)
+def test_what_is_no_colour_image_is_refused(tmp_path, image):
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()))
+    with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) of uint8 wanted"):
+        detector.detect(image)
+
+
+def test_the_smallest_and_very_large_images_pass(tmp_path):
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with((32, 32, 16, 8, 0.8, {CAR: 0.9}))))
+    assert detector.detect(np.zeros((1, 1, 3), np.uint8)).xyxy_px.tolist() == [[-0.125, -0.0625, 0.125, 0.0625]]
+    (huge,) = detector.detect(np.zeros((6000, 8000, 3), np.uint8)).xyxy_px
+    np.testing.assert_allclose(huge, [2999.5, 2499.5, 4999.5, 3499.5])
+
+
+def test_a_network_that_wants_half_precision(tmp_path):
+    rows = rows_with((32, 32, 16, 8, 0.8, {CAR: 0.5}))
+    model = write_model(tmp_path / "m.onnx", rows, is_half=True)
+    found = YoloDetector(model).detect(np.zeros((64, 64, 3), np.uint8))
+    np.testing.assert_allclose(found.score, [0.4], atol=1e-3)
+
+
+def test_networks_of_another_task_are_refused(tmp_path):
+    model = write_model(tmp_path / "m.onnx", rows_with(), metadata={"task": "segment"})
+    with pytest.raises(ModelError, match="a 'segment' network, not a detector"):
         YoloDetector(model)
+
+
+def test_no_wanted_class(tmp_path):
+    with pytest.raises(ModelError, match=r"none of its classes \(cat, dog, \.\.\.\) is a wanted road class"):
+        YoloDetector(
+            write_model(tmp_path / "m.onnx", rows_with(n_classes=2)), options=ModelOptions(names=("cat", "dog"))
+        )
 
 
 def test_files_that_are_no_model(tmp_path):
@@ -124,7 +128,7 @@ def test_files_that_are_no_model(tmp_path):
 
 def test_a_device_that_is_not_here_falls_back_with_one_note(tmp_path):
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()), device="tensorrt")
-    if detector.device == "tensorrt":
+    if detector.session.device == "tensorrt":
         pytest.skip("TensorRT is here")
     assert sum("--device tensorrt" in note for note in detector.notes) == 1
 

@@ -73,7 +73,7 @@ class _Run:
     def notes(self) -> list[str]:
         """Sentences for the user on all inputs."""
         stopped = [f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []
-        return [*self.boxes.notes, *self.source.notes, *stopped, *self._strangers()]
+        return [*self.boxes.notes(), *self.source.notes, *stopped, *self._strangers()]
 
     def _strangers(self) -> list[str]:
         """A file of boxes or labels none of whose frames came up: usually another video's, or numbered otherwise."""

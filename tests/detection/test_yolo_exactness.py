@@ -1,0 +1,198 @@
+"""Boxes to the pixel: a drawn rectangle comes back where it was, and the references' own arithmetic agrees.
+
+The references are written out here as their authors' code does it, step by step, with nothing of ours:
+YOLOv5 (letterbox, non_max_suppression), YOLOX (preproc, demo_postprocess), YOLOv4-tiny (letterbox_image, DecodeBox).
+"""
+
+import math
+
+import cv2
+import numpy as np
+import onnxruntime
+import pytest
+
+from detection.boxes import nms
+from detection.classes import SAME_OBJECT_GROUP, road_class_of_each
+from detection.input_format import InputFormat
+from detection.letterbox import Letterbox
+from detection.yolo import YoloDetector, YoloSettings
+from tests.detection.onnx_models import write_rectangle_finder
+
+ABOVE = 0.1
+
+
+@pytest.mark.parametrize("letterbox", ["centred-0", "centred-114", "top-left-114", "stretch"])
+@pytest.mark.parametrize("size_hw", [(96, 160), (211, 97), (256, 256), (200, 256)])
+def test_a_drawn_rectangle_comes_back_within_a_tenth_of_a_pixel(tmp_path, letterbox, size_hw):
+    grey = {"centred-0": 0, "stretch": 0}.get(letterbox, 114)
+    told = {"letterbox": letterbox, "names": "['car']"}
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=grey / 255, metadata=told)
+    detector = YoloDetector(path, n_threads=1)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        box = drawn_box(rng, size_hw)
+        np.testing.assert_allclose(detector.detect(picture(size_hw, box, grey)).xyxy_px[0], box - 0.5, atol=0.1)
+
+
+@pytest.mark.parametrize("size_hw", [(375, 1242), (720, 1280), (1080, 1920)])
+def test_no_half_pixel_is_lost_where_images_shrink(tmp_path, size_hw):
+    # Taking every second or fifth pixel finds a hard edge only to within that step; a shift would show in the mean.
+    told = {"letterbox": "centred-114", "names": "['car']"}
+    detector = YoloDetector(write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=114 / 255, metadata=told))
+    rng = np.random.default_rng(1)
+    boxes = [drawn_box(rng, size_hw) for _ in range(60)]
+    errors = [detector.detect(picture(size_hw, box, 114)).xyxy_px[0] - (box - 0.5) for box in boxes]
+    step_px = size_hw[1] / 256
+    spread_of_mean_px = step_px / math.sqrt(12 * len(boxes))
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=3 * spread_of_mean_px)
+    assert spread_of_mean_px < step_px / 4  # half a network pixel would be far outside
+
+
+def drawn_box(rng, size_hw):
+    """Whole-pixel edges x1, y1, x2, y2: columns x1 .. x2 - 1 are bright."""
+    (y1, y2), (x1, x2) = (np.sort(rng.choice(np.arange(2, side - 2), 2, replace=False)) for side in size_hw)
+    return np.array([x1, y1, max(x2, x1 + 12), max(y2, y1 + 12)], float).clip(0, [*size_hw[::-1], *size_hw[::-1]])
+
+
+def picture(size_hw, box, grey):
+    image = np.full((*size_hw, 3), grey, np.uint8)
+    x1, y1, x2, y2 = box.astype(int)
+    image[y1:y2, x1:x2] = 255
+    return image
+
+
+def yolov5_letterbox(image, new_hw, colour):
+    """letterbox() of YOLOv5's utils/augmentations.py with auto=False: the image, gain and padding (w, h)."""
+    ratio = min(new_hw[0] / image.shape[0], new_hw[1] / image.shape[1])
+    unpadded = round(image.shape[1] * ratio), round(image.shape[0] * ratio)
+    dw, dh = (new_hw[1] - unpadded[0]) / 2, (new_hw[0] - unpadded[1]) / 2
+    image = cv2.resize(image, unpadded, interpolation=cv2.INTER_LINEAR)
+    top, bottom, left, right = round(dh - 0.1), round(dh + 0.1), round(dw - 0.1), round(dw + 0.1)
+    padded = cv2.copyMakeBorder(image, top, bottom, left, right, cv2.BORDER_CONSTANT, value=(colour,) * 3)
+    return padded, ratio, (dw, dh)
+
+
+def yolov5_blob(image, hw):
+    padded, ratio, pad = yolov5_letterbox(image, hw, 114)
+    return np.ascontiguousarray(padded.transpose(2, 0, 1)[::-1])[None].astype(np.float32) / 255, ratio, pad
+
+
+def yolox_blob(image, hw):
+    """preproc() of YOLOX's data_augment.py."""
+    padded = np.full((*hw, 3), 114, np.uint8)
+    ratio = min(hw[0] / image.shape[0], hw[1] / image.shape[1])
+    resized_wh = int(image.shape[1] * ratio), int(image.shape[0] * ratio)
+    padded[: resized_wh[1], : resized_wh[0]] = cv2.resize(image, resized_wh, interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(padded.transpose(2, 0, 1), np.float32)[None], ratio, (0, 0)
+
+
+def yolov4_tiny_blob(image, hw):
+    padded, ratio, pad = yolov5_letterbox(image, hw, 128)
+    return np.ascontiguousarray(padded.transpose(2, 0, 1)[::-1])[None].astype(np.float32) / 255, ratio, pad
+
+
+def sigmoid(x):
+    return 1 / (1 + math.exp(-x))
+
+
+def yolov5_rows(outputs, _):
+    """The rows as non_max_suppression() of YOLOv5 makes them, with the best class only."""
+    for cx, cy, w, h, objectness, *classes in outputs[0][0].tolist():
+        best = int(np.argmax(classes))
+        yield cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, objectness * classes[best], best
+
+
+def yolox_rows(outputs, hw):
+    """demo_postprocess() of YOLOX's demo_utils.py."""
+    rows = iter(outputs[0][0].tolist())
+    for stride in (8, 16, 32):
+        for j in range(hw[0] // stride):
+            for i in range(hw[1] // stride):
+                x, y, w, h, objectness, *classes = next(rows)
+                cx, cy, w, h = (x + i) * stride, (y + j) * stride, math.exp(w) * stride, math.exp(h) * stride
+                best = int(np.argmax(classes))
+                yield cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, objectness * classes[best], best
+
+
+def yolov4_tiny_rows(outputs, hw):
+    """The usual DecodeBox of YOLOv4-tiny ports: anchors, masks 3,4,5 and 1,2,3."""
+    anchors = [(10, 14), (23, 27), (37, 58), (81, 82), (135, 169), (344, 319)]
+    for head, mask in zip(outputs, ((3, 4, 5), (1, 2, 3)), strict=True):
+        n_rows, n_columns = head.shape[2:]
+        grid = head[0].reshape(3, -1, n_rows, n_columns)
+        for a, j, i in np.ndindex(3, n_rows, n_columns):
+            if grid[a, 4, j, i] < -3:  # the score would be under 0.05
+                continue
+            tx, ty, tw, th, to, *classes = grid[a, :, j, i].tolist()
+            cx, cy = (sigmoid(tx) + i) * hw[1] / n_columns, (sigmoid(ty) + j) * hw[0] / n_rows
+            w, h = math.exp(tw) * anchors[mask[a]][0], math.exp(th) * anchors[mask[a]][1]
+            best = int(np.argmax(classes))
+            yield cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, sigmoid(to) * sigmoid(classes[best]), best
+
+
+FAMILIES = {
+    "yolov5n_coco_640": (yolov5_blob, yolov5_rows, (640, 640)),
+    "yolov5n_coco_dyn": (yolov5_blob, yolov5_rows, None),
+    "yolox_nano_416": (yolox_blob, yolox_rows, (416, 416)),
+    "yolov4tiny_voc_416": (yolov4_tiny_blob, yolov4_tiny_rows, (416, 416)),
+}
+IMAGES = ["highway 1280x720", "kitti 1242x375"]
+
+
+@pytest.fixture(scope="module")
+def images(shared_data):
+    files = {"highway": "dashcam/highway_two_cars.mp4", "kitti": "kitti_stereo/0005/left.mp4"}
+    return {name: cv2.VideoCapture(str(shared_data / file)).read()[1] for name, file in files.items()}
+
+
+@pytest.mark.parametrize("name", IMAGES)
+@pytest.mark.parametrize("model", FAMILIES)
+def test_candidates_equal_the_reference(shared_data, images, model, name):
+    image = images[name.split()[0]]
+    path = shared_data / "models" / f"{model}.onnx"
+    detector = YoloDetector(path, YoloSettings(min_score=ABOVE), n_threads=1)
+    detector.fill(image)
+    blob_of, rows_of, hw = FAMILIES[model]
+    hw = hw or detector.input_hw
+    blob, ratio, pad = blob_of(image, hw)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    outputs = session.run(None, {session.get_inputs()[0].name: blob})
+    road = road_class_of_each(detector.model.names)
+    wanted = np.array([row for row in rows_of(outputs, hw) if row[4] >= ABOVE and road[row[5]] >= 0])
+    assert len(wanted) >= 5
+
+    candidates = detector.model.decoder.decode(detector.infer(), detector._min_score)
+    n = len(candidates.score)
+    assert n == len(wanted)
+    found = np.column_stack([candidates.xyxy_net, candidates.score, candidates.class_index])
+    order = [int(np.abs(found[:, :5] - row[:5]).max(axis=1).argmin()) for row in wanted]
+    assert sorted(order) == list(range(n))
+    np.testing.assert_allclose(found[order, :4], wanted[:, :4], atol=1e-3)
+    np.testing.assert_allclose(found[order, 4:], wanted[:, 4:], atol=1e-5)
+
+    class_id = road[wanted[:, 5].astype(int)]
+    kept = wanted[nms(wanted[:, :4], wanted[:, 4], SAME_OBJECT_GROUP[class_id], max_iou=0.5)]
+    # Where the resized image is whole pixels, the references' inverse is exact too, but for the half pixel between
+    # corners and centres; elsewhere (KITTI) theirs is up to 0.7 network pixels off at the far edge.
+    exact = all((side * ratio) % 1 == 0 for side in image.shape[:2])
+    back = ((kept[:, :4] - [*pad, *pad]) / ratio).clip(0, [*image.shape[1::-1]] * 2) - 0.5
+    final = detector.detect(image)
+    np.testing.assert_allclose(final.xyxy_px, back, atol=1e-3 if exact else 0.7 / ratio)
+    np.testing.assert_allclose(final.score, kept[:, 4], atol=1e-5)
+    assert exact == name.startswith("highway")
+
+
+@pytest.mark.parametrize("size_hw", [(375, 1242), (720, 1280), (31, 17)])
+def test_inputs_equal_the_references(size_hw):
+    image = np.random.default_rng(0).integers(0, 256, (*size_hw, 3), np.uint8)
+    forms = {
+        yolov5_blob: InputFormat(),
+        yolox_blob: InputFormat(placement="top-left", colours="bgr", divisor=1.0),
+        yolov4_tiny_blob: InputFormat(pad_grey=128),
+    }
+    for blob_of, form in forms.items():
+        letterbox = Letterbox.placed(form.placement, size_hw, (416, 416))
+        blob = np.empty((1, 3, 416, 416), np.float32)
+        form.blank(blob)
+        form.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
+        np.testing.assert_allclose(blob, blob_of(image, (416, 416))[0], rtol=1e-6)

@@ -1,0 +1,242 @@
+"""Which family a network is, told by its outputs; its boxes by hand for every layout; what options may say of it."""
+
+import numpy as np
+import pytest
+
+from detection.classes import COCO_CLASSES, ROAD_CLASSES, VOC_CLASSES
+from detection.model_facts import ModelOptions
+from detection.onnx_session import ModelError
+from detection.yolo import YoloDetector
+from tests.detection.onnx_models import write_model
+
+CELLS = 8 * 8 + 4 * 4 + 2 * 2  # a 64 x 64 input with strides 8, 16, 32
+BLACK = np.zeros((64, 64, 3), np.uint8)
+CAR, PERSON = 2, 0
+
+
+def logit(p):
+    return np.log(p / (1 - p))
+
+
+def heads(*shapes, n_columns, n_anchors=3):
+    """Raw heads of (rows, columns) cells in which nothing is found."""
+    found = [np.zeros((1, n_anchors * n_columns, *shape)) for shape in shapes]
+    for head in found:
+        head.reshape(n_anchors, n_columns, *head.shape[2:])[:, 4:] = -20.0
+    return found
+
+
+def family_of(tmp_path, *outputs, **options):
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", *outputs), options=ModelOptions(**options))
+    return detector.model.family
+
+
+def test_every_layout_is_recognised(tmp_path):
+    assert family_of(tmp_path, np.zeros((1, 3 * CELLS, 85))) == "YOLOv5"
+    assert family_of(tmp_path, np.zeros((1, 3 * (CELLS + 1), 85))) == "YOLOv5"  # one grid more, of stride 64
+    assert family_of(tmp_path, np.zeros((1, 3 * 20, 85))) == "YOLOv4-tiny"
+    assert family_of(tmp_path, np.zeros((1, CELLS, 85))) == "YOLOX"
+    assert family_of(tmp_path, np.zeros((1, 24, CELLS))) == "YOLOv8/YOLO11"
+    assert family_of(tmp_path, *heads((2, 2), (4, 4), n_columns=85)) == "YOLOv4-tiny"
+    assert family_of(tmp_path, *heads((8, 8), (4, 4), (2, 2), n_columns=85)) == "YOLOv4"
+    assert family_of(tmp_path, np.zeros((1, 60, 1, 4)), np.zeros((1, 60, 80))) == "YOLOv4-tiny"
+    assert family_of(tmp_path, np.zeros((1, 252, 80)), np.zeros((1, 252, 4))) == "YOLOv4"
+    grids = [np.zeros((1, 3, side, side, 85)) for side in (8, 4, 2)]
+    assert family_of(tmp_path, np.zeros((1, 3 * CELLS, 85)), *grids) == "YOLOv5"  # older exports leave the grids beside
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        [(1, 83, 85)],
+        [(1, 3 * CELLS)],
+        [(1, 3 * CELLS, 5)],
+        [(1, 300, 6)],
+        [(2, CELLS, 85)],
+        [(1, 255, 2, 2)],
+        [(1, 255, 2, 2), (1, 75, 4, 4)],
+        [(1, 256, 2, 2), (1, 256, 4, 4)],
+        [(1, 60, 1, 4), (1, 61, 80)],
+    ],
+)
+def test_unknown_outputs_are_named_with_the_layouts_known(tmp_path, shapes):
+    model = write_model(tmp_path / "m.onnx", *(np.zeros(shape) for shape in shapes))
+    with pytest.raises(ModelError, match=r"unknown outputs output0 \[\d+, .*known layouts: YOLOv5 \[1, 3 n"):
+        YoloDetector(model)
+
+
+def test_yolov8_columns_by_hand(tmp_path):
+    columns = np.zeros((1, 24, CELLS))
+    columns[0, :4, 5] = 32, 32, 16, 8
+    car, bird = VOC_CLASSES.index("car"), VOC_CLASSES.index("bird")
+    columns[0, 4 + car, 5] = 0.7
+    columns[0, 4 + bird, 6] = 0.9
+    columns[0, 4 + car, 7] = np.nan
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", columns))
+    found = detector.detect(BLACK)
+    np.testing.assert_allclose(found.xyxy_px, [[23.5, 27.5, 39.5, 35.5]], atol=1e-5)
+    np.testing.assert_allclose(found.score, [0.7], atol=1e-6)
+    assert detector.n_unsound == 1
+
+
+def test_yolox_cells_by_hand(tmp_path):
+    rows = np.zeros((1, CELLS, 85))
+    last = 8 * 8 + 4 * 4 + 3  # the last cell: stride 32, column 1, row 1
+    rows[0, last, :5] = 0.25, -0.5, np.log(0.5), np.log(0.25), 0.8
+    rows[0, last, 5 + PERSON] = 0.5
+    rows[0, 9, :5] = 0, 0, 1000, 0, 0.9  # column 1, row 1 of stride 8, too wide for any float
+    rows[0, 9, 5 + CAR] = 1
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows))
+    found = detector.detect(BLACK)
+    # centre (1.25, 0.5) * 32 = (40, 16), size 16 x 8
+    np.testing.assert_allclose(found.xyxy_px, [[31.5, 11.5, 47.5, 19.5]], atol=1e-5)
+    np.testing.assert_allclose(found.score, [0.4], atol=1e-6)
+    assert detector.n_unsound == 1
+
+
+@pytest.mark.parametrize("is_fine_first", [False, True])
+def test_raw_heads_by_hand_in_either_order(tmp_path, is_fine_first):
+    coarse, fine = heads((2, 2), (4, 4), n_columns=25)
+    car = VOC_CLASSES.index("car")
+    fine.reshape(3, 25, 4, 4)[1, :, 2, 3] = -20.0
+    fine.reshape(3, 25, 4, 4)[1, :5, 2, 3] = logit(0.25), logit(0.5), np.log(0.5), 0.0, logit(0.8)
+    fine.reshape(3, 25, 4, 4)[1, 5 + car, 2, 3] = logit(0.9)
+    model = write_model(tmp_path / "m.onnx", *((fine, coarse) if is_fine_first else (coarse, fine)))
+    detector = YoloDetector(model)
+    found = detector.detect(BLACK)
+    # stride 16, anchor 37 x 58 of the masks 1,2,3: centre (3.25, 2.5) * 16 = (52, 40), size 18.5 x 58
+    np.testing.assert_allclose(found.xyxy_px, [[42.25, 10.5, 60.75, 63.5]], atol=1e-4)
+    assert [ROAD_CLASSES[c] for c in found.class_id] == ["car"]
+    np.testing.assert_allclose(found.score, [0.72], atol=1e-6)
+    assert detector.model.names == VOC_CLASSES
+    assert detector.model.input_format.letterbox == "centred-128"
+    assert detector.model.facts["anchors"].source == "default of YOLOv4-tiny"
+
+    told = YoloDetector(model, options=ModelOptions(anchors="8,8 8,8 8,8 / 8,8 8,8 8,8", letterbox="stretch"))
+    np.testing.assert_allclose(told.detect(BLACK).xyxy_px, [[49.5, 35.5, 53.5, 43.5]], atol=1e-4)
+    assert told.model.facts["anchors"].source == "as given"
+
+
+def test_scale_x_y_stretches_centres(tmp_path):
+    coarse, fine = heads((2, 2), (4, 4), n_columns=6)
+    coarse[0, :6, 0, 1] = 20.0, 0.0, 0.0, 0.0, 20.0, 20.0
+    told = {"names": '["car"]', "scale_x_y": "[1.1, 1.0]", "anchors": "[[[8, 8]], [[4, 4]]]"}
+    one = [head[:, :6] for head in (coarse, fine)]
+    found = YoloDetector(write_model(tmp_path / "m.onnx", *one, metadata=told)).detect(BLACK)
+    # x: 1.1 * 1 - 0.05 + 1 = 2.05 cells of 32 px = 65.6; its box is cut off at the image's edge
+    np.testing.assert_allclose(found.xyxy_px, [[61.1, 11.5, 63.5, 19.5]], atol=1e-4)
+
+
+def test_corner_boxes_by_hand(tmp_path):
+    boxes, scores = np.zeros((1, 60, 1, 4)), np.zeros((1, 60, 80))
+    boxes[0, 7, 0] = 0.25, 0.5, 0.5, 0.75
+    scores[0, 7, CAR] = 0.6
+    found = YoloDetector(write_model(tmp_path / "m.onnx", boxes, scores)).detect(BLACK)
+    np.testing.assert_allclose(found.xyxy_px, [[15.5, 31.5, 31.5, 47.5]], atol=1e-5)
+
+
+def test_a_detector_of_nothing_finds_nothing_in_any_layout(tmp_path):
+    silent = [
+        [np.zeros((1, 3 * CELLS, 85))],
+        [np.zeros((1, CELLS, 85))],
+        [np.zeros((1, 24, CELLS))],
+        heads((2, 2), (4, 4), n_columns=85),
+        [np.zeros((1, 60, 1, 4)), np.zeros((1, 60, 80))],
+    ]
+    for outputs in silent:
+        assert len(YoloDetector(write_model(tmp_path / "m.onnx", *outputs)).detect(BLACK)) == 0
+
+
+def test_class_names_from_option_metadata_sidecar_and_default(tmp_path):
+    two = np.zeros((1, 3 * CELLS, 7))
+    model = write_model(tmp_path / "two.onnx", two)
+    with pytest.raises(ModelError, match="2 classes without names; give them with --names"):
+        YoloDetector(model)
+    with pytest.raises(ModelError, match="2 classes, but 3 names"):
+        YoloDetector(model, options=ModelOptions(names=("a", "b", "c")))
+    assert names_of(model, names=("person", "bus")) == ("person", "bus")
+    (tmp_path / "two.yaml").write_text("names: {0: person, 1: car}")
+    assert names_of(model) == ("person", "car")
+    assert names_of(model, names=("person", "bus")) == ("person", "bus")
+    told = write_model(tmp_path / "told.onnx", two, metadata={"names": "{0: 'bus', 1: 'truck'}"})
+    (tmp_path / "told.yaml").write_text("names: [person, car]")
+    assert names_of(told) == ("bus", "truck")
+    assert names_of(write_model(tmp_path / "coco.onnx", np.zeros((1, 3 * CELLS, 85)))) == COCO_CLASSES
+    assert names_of(write_model(tmp_path / "voc.onnx", np.zeros((1, 3 * CELLS, 25)))) == VOC_CLASSES
+
+
+def names_of(model, **options):
+    return YoloDetector(model, options=ModelOptions(**options)).model.names
+
+
+@pytest.mark.parametrize("nonsense", ["bus truck", "7", "{", "[]"])
+def test_metadata_without_a_list_of_names(tmp_path, nonsense):
+    odd = write_model(tmp_path / "odd.onnx", np.zeros((1, 3 * CELLS, 7)), metadata={"names": nonsense})
+    with pytest.raises(ModelError, match=r"its metadata 'names' cannot be used: a list of names wanted"):
+        YoloDetector(odd)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("labels: []", "none of the keys family, names"),
+        ("[", "not readable as YAML"),
+        ("names: 7", r"m\.yaml: 'names' cannot be used"),
+        ("divisor: 0", "a positive number wanted"),
+        ("colours: red", "rgb or bgr wanted"),
+        ("scale_x_y: [0.5]", "numbers from 1 to 2 wanted"),
+        ("letterbox: left-114", "'left-114' is no letterbox; known are centred-114"),
+        ("letterbox: centred-999", "is no letterbox"),
+    ],
+)
+def test_a_sidecar_that_cannot_be_meant(tmp_path, text, message):
+    model = write_model(tmp_path / "m.onnx", np.zeros((1, 3 * CELLS, 85)))
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(ModelError, match=message):
+        YoloDetector(model)
+
+
+@pytest.mark.parametrize(
+    ("anchors", "message"),
+    [
+        ("10,14 23,27", "2 output heads want as many groups of anchors"),
+        ("10,14 / 23,27 3,3", "got groups of 1, 2 "),
+        ("10,14 23 / 1,2 3,4", "--anchors cannot be used"),
+        ("10,14 23,-4 5,5 / 1,2 3,4 5,5", "positive width,height pairs wanted"),
+        ("a,b c,d e,f / 1,2 3,4 5,5", "--anchors cannot be used"),
+        ("10,14 / 23,27", "it has 70 classes without names"),
+        ("/", "positive width,height pairs wanted"),
+    ],
+)
+def test_anchors_that_cannot_be_meant(tmp_path, anchors, message):
+    model = write_model(tmp_path / "m.onnx", *heads((2, 2), (4, 4), n_columns=25))
+    with pytest.raises(ModelError, match=message):
+        YoloDetector(model, options=ModelOptions(anchors=anchors))
+
+
+def test_one_scale_x_y_per_head(tmp_path):
+    model = write_model(tmp_path / "m.onnx", *heads((2, 2), (4, 4), n_columns=25), metadata={"scale_x_y": "[1, 1, 1]"})
+    with pytest.raises(ModelError, match="2 output heads want one scale_x_y each"):
+        YoloDetector(model)
+
+
+def test_a_sidecar_may_say_everything(tmp_path):
+    model = write_model(tmp_path / "m.onnx", np.zeros((1, CELLS, 85)))
+    (tmp_path / "m.yaml").write_text("family: mine\nletterbox: stretch\ncolours: rgb\ndivisor: 255\n")
+    found = YoloDetector(model).model
+    assert (found.family, found.input_format.placement, found.input_format.colours) == ("mine", "stretch", "rgb")
+    assert found.input_format.divisor == 255
+    assert found.facts["letterbox"].source == "from m.yaml beside it"
+
+
+@pytest.mark.parametrize(
+    ("file", "family", "n_names"),
+    [
+        ("yolov5n_coco_640.onnx", "YOLOv5", 80),
+        ("yolov4tiny_voc_416.onnx", "YOLOv4-tiny", 20),
+        ("yolox_nano_416.onnx", "YOLOX", 80),
+    ],
+)
+def test_real_networks_are_recognised(shared_data, file, family, n_names):
+    model = YoloDetector(shared_data / "models" / file).model
+    assert (model.family, len(model.names)) == (family, n_names)
