@@ -17,12 +17,18 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@ $(VENV)/.runtime
 
-setup: $(VENV)/.dev
+# OpenCV 5 no longer reads Darknet's files, OpenCV 4 does: the tests compare our importer with it.
+$(VENV)/.opencv4: | $(BIN)/python
+	$(PYTHON) -m venv $(VENV)/opencv4
+	$(VENV)/opencv4/bin/python -m pip install --quiet 'opencv-python-headless>=4.10,<5'
+	touch $@
+
+setup: $(VENV)/.dev $(VENV)/.opencv4
 
 demo: $(VENV)/.runtime
 	$(BIN)/track-range demo --out out/demo
 
-test: $(VENV)/.dev
+test: $(VENV)/.dev $(VENV)/.opencv4
 	$(BIN)/python -m pytest
 
 check: $(VENV)/.dev

@@ -6,9 +6,9 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import memory, pipeline
+from benchmarks import detection, memory, pipeline
 
-WORKLOADS = {"pipeline": pipeline, "memory": memory}
+WORKLOADS = {"pipeline": pipeline, "memory": memory, "detection": detection}
 """Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""
 
 

@@ -34,6 +34,7 @@ class YoloSettings:
         max_iou: of two boxes of one kind of object that overlap more, the better is kept.
         max_boxes: the best so many boxes are kept.
         size_px: the longer side of the network's input, where the model leaves it open.
+        is_square: an open input is square; else no larger than the image needs.
         class_id: road classes wanted; empty = all.
     """
 
@@ -42,6 +43,7 @@ class YoloSettings:
     max_iou: float = 0.5
     max_boxes: int = 300
     size_px: int = 640
+    is_square: bool = False
     class_id: tuple[int, ...] = ()
 
     def min_score_by_class(self) -> FloatArray:
@@ -165,7 +167,8 @@ class YoloDetector:
         _, _, height, width = self._session.input_shape
         if height is not None and width is not None:
             return height, width
-        return rectangular_input_hw(image_hw, size_px=self._settings.size_px)
+        size_px = self._settings.size_px
+        return rectangular_input_hw((1, 1) if self._settings.is_square else image_hw, size_px=size_px)
 
 
 def _check_is_detector(session: OnnxSession) -> None:

@@ -27,7 +27,7 @@ DOORS = {
     "pydantic": {"stereo/rig_files.py", "track_range/config.py"},
     "matplotlib": {"track_range/charts.py"},
     "jinja2": {"track_range/report.py"},
-    "typer": {"track_range/cli.py"},
+    "typer": {"track_range/cli.py", "track_range/cli_models.py"},
     "rich": {"track_range/cli.py", "track_range/tables.py", "track_range/commands/"},
 }
 

@@ -20,6 +20,7 @@ from detection.kitti_format import LabelFileError
 from detection.onnx_session import ModelError
 from ranging.size_curve import CurveError
 from stereo.rig import RigError
+from track_range.cli_models import models
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
@@ -50,6 +51,8 @@ app = typer.Typer(
     epilog="Examples: track-range --stereo left.mp4 right.mp4 --rig rig.yaml --detector yolov5n.onnx  |  "
     "track-range --mono dashcam.mp4 --focal-px 1150 --detector yolov5n.onnx  |  track-range demo",
 )
+
+app.add_typer(models, name="models")
 
 _console = Console()
 _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"

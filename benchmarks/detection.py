@@ -1,0 +1,129 @@
+"""Every detector at every input size that it takes: filling the input, inference and decoding, on one and two threads.
+
+Protocol: the frames of a real drive, decoded beforehand; each model, size and number of threads is a row, and all rows
+take turns, frame by frame, so that the machine's moods fall on all alike. Medians over all turns. `pre` is resize,
+padding and channels into the network's bound input; `post` is reading the outputs, suppression and mapping back.
+OpenCV is held to one thread. Goals: pre + post at most 3 ms per 1242 x 375 frame at 640, and at most 8 % of inference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.drives import REAL_DATA
+from detection.detections import FloatArray, Image
+from detection.yolo import YoloDetector, YoloSettings
+
+SIZES_PX = (320, 416, 640)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One line of the table: a detector as set up, and its (turns, 3) times in ms."""
+
+    name: str
+    n_threads: int
+    detector: YoloDetector
+    times_ms: list[list[float]]
+
+    def median_ms(self) -> FloatArray:
+        """(3,) pre, inference, post."""
+        return np.asarray(np.median(self.times_ms, axis=0))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of this workload."""
+    models = [REAL_DATA / "models" / f"{name}.onnx" for name in _DETECTORS]
+    parser.add_argument("--models", type=Path, nargs="+", default=models, help="ONNX files")
+    video = REAL_DATA / "kitti_stereo" / "0003" / "left.mp4"
+    parser.add_argument("--video", type=Path, default=video, help="whose first frames are used")
+    parser.add_argument("--frames", type=int, default=16)
+    parser.add_argument("--rounds", type=int, default=3, help="times that the frames are gone through")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+
+
+_DETECTORS = ("yolov5n_coco_640", "yolov5n_coco_dyn", "yolov4tiny_voc_416", "yolox_nano_416")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Run all turns, print the table, and return its figures (milliseconds per frame)."""
+    cv2.setNumThreads(1)
+    frames = _frames(options.video, options.frames)
+    rows = [row for n in options.threads for path in options.models for row in _rows(path, n)]
+    for row in rows:
+        row.detector.detect(frames[0])
+    for _ in range(options.rounds):
+        for frame in frames:
+            for row in rows:
+                row.times_ms.append(_timed_ms(row.detector, frame))
+    figures = [_figures(row) for row in rows]
+    _print(figures, frames[0].shape[:2])
+    return {"frames": len(frames), "rounds": options.rounds, "image_hw": list(frames[0].shape[:2]), "rows": figures}
+
+
+def _frames(video: Path, n: int) -> list[Image]:
+    with av.open(str(video)) as reader:
+        pairs = zip(reader.decode(video=0), range(n), strict=False)
+        return [np.asarray(frame.to_ndarray(format="bgr24"), np.uint8) for frame, _ in pairs]
+
+
+def _rows(path: Path, n_threads: int) -> list[_Row]:
+    """One row for a model of fixed size; for an open one each size, as large as the frame needs and square."""
+    fixed = YoloDetector(path, n_threads=n_threads, device="cpu")
+    if None not in fixed.session.input_shape[2:]:
+        return [_Row(path.stem, n_threads, fixed, [])]
+    settings = [YoloSettings(size_px=size, is_square=square) for size in SIZES_PX for square in (False, True)]
+    return [
+        _Row(path.stem, n_threads, YoloDetector(path, each, n_threads=n_threads, device="cpu"), []) for each in settings
+    ]
+
+
+def _timed_ms(detector: YoloDetector, frame: Image) -> list[float]:
+    began_s = time.perf_counter()
+    detector.fill(frame)
+    filled_s = time.perf_counter()
+    outputs = detector.infer()
+    inferred_s = time.perf_counter()
+    detector.decode(outputs)
+    done_s = time.perf_counter()
+    return [1e3 * (filled_s - began_s), 1e3 * (inferred_s - filled_s), 1e3 * (done_s - inferred_s)]
+
+
+def _figures(row: _Row) -> dict[str, Any]:
+    pre, inference, post = row.median_ms().tolist()
+    height, width = row.detector.input_hw
+    return {
+        "model": row.name,
+        "family": row.detector.model.family,
+        "threads": row.n_threads,
+        "input_hw": [height, width],
+        "pre_ms": pre,
+        "inference_ms": inference,
+        "post_ms": post,
+        "total_ms": pre + inference + post,
+        "overhead_share": (pre + post) / inference,
+    }
+
+
+def _print(figures: list[dict[str, Any]], image_hw: tuple[int, ...]) -> None:
+    title = f"Detection of {image_hw[1]} x {image_hw[0]} frames, median ms per frame"
+    table = Table(title=title, box=box.SIMPLE_HEAD)
+    for heading in ("model", "threads", "input", "pre", "inference", "post", "total", "(pre+post)\n/ inference"):
+        table.add_column(heading, no_wrap=True, justify="left" if heading == "model" else "right")
+    for row in figures:
+        height, width = row["input_hw"]
+        numbers = (f"{row[f'{stage}_ms']:.2f}" for stage in ("pre", "inference", "post", "total"))
+        share = f"{100 * row['overhead_share']:.1f} %"
+        table.add_row(row["model"], str(row["threads"]), f"{width}x{height}", *numbers, share)
+    Console().print(table)

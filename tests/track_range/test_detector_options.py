@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from detection.classes import ROAD_CLASSES, ClassNameError
+from detection.onnx_session import ModelError
+from tests.detection.onnx_models import write_model
+from track_range.config import ConfigError, UsageError
+from track_range.detector_options import DetectorOptions, class_names, open_detector, thresholds
+
+CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
+BLACK = np.zeros((64, 64, 3), np.uint8)
+
+
+@pytest.fixture
+def model(tmp_path):
+    """A car of score 0.4 and a person of 0.2, to whom the file gives no names."""
+    rows = np.zeros((1, 252, 7))
+    rows[0, 0] = 32, 32, 16, 8, 1.0, 0.0, 0.4
+    rows[0, 1] = 8, 8, 8, 8, 1.0, 0.2, 0.0
+    return write_model(tmp_path / "m.onnx", rows)
+
+
+def test_options_make_a_detector(model, tmp_path):
+    (tmp_path / "two.names").write_text("person\n\ncar\n")
+    for names in ("person,car", str(tmp_path / "two.names")):
+        found = open_detector(model, DetectorOptions(names=names)).detect(BLACK)
+        assert found.class_id.tolist() == [CAR, PERSON]
+    told = DetectorOptions(names="person,car", min_score="0.1,person=0.3")
+    assert open_detector(model, told).detect(BLACK).class_id.tolist() == [CAR]
+    assert len(open_detector(model, told, lowest_score=0.001).detect(BLACK)) == 2
+    told = DetectorOptions(names="person,car", classes=("pedestrian",), letterbox="stretch")
+    assert open_detector(model, told).detect(BLACK).class_id.tolist() == [PERSON]
+    with pytest.raises(ModelError, match="none of its classes"):
+        open_detector(model, DetectorOptions(names="person,car", classes=("truck",)))
+    with pytest.raises(ModelError, match="--letterbox cannot be used: 'middle' is no letterbox"):
+        open_detector(model, DetectorOptions(names="person,car", letterbox="middle"))
+
+
+@pytest.mark.parametrize(
+    ("option", "wanted"),
+    [
+        (None, (0.1, ())),
+        ("0.25", (0.25, ())),
+        ("car=0.3", (0.1, ((CAR, 0.3),))),
+        ("0.2, car=0.3,pedestrian=0.5", (0.2, ((CAR, 0.3), (PERSON, 0.5)))),
+    ],
+)
+def test_thresholds(option, wanted):
+    assert thresholds(option, otherwise=0.1) == wanted
+
+
+@pytest.mark.parametrize("option", ["high", "1.5", "-0.1", "nan", "0.1,", "car=", "0.1,0.2"])
+def test_thresholds_that_are_none(option):
+    with pytest.raises(UsageError, match="--min-score"):
+        thresholds(option, otherwise=0.1)
+
+
+def test_unknown_class_of_a_threshold_is_told_with_the_nearest():
+    with pytest.raises(ClassNameError, match="unknown class 'cra': did you mean 'car'"):
+        thresholds("cra=0.3", otherwise=0.1)
+
+
+@pytest.mark.parametrize("option", ["none.names", "a,,b", ""])
+def test_names_that_are_none(option):
+    with pytest.raises(ConfigError, match="--names"):
+        class_names(option)
+
+
+def test_models_info_tells_what_is_known_and_who_says_so(model, cli):
+    status, printed, _ = cli("models", "info", model, "--names", "person,car")
+    assert status == 0
+    for words in ("YOLOv5", "centred-114", "default of YOLOv5", "person, car", "as given", "it cannot see"):
+        assert words in printed
+    status, _, complaint = cli("models", "info", model)
+    assert status == 1
+    assert "has 2 classes without names; give them with --names" in complaint
+
+
+def test_models_info_shows_anchors_as_the_option_takes_them(tmp_path, cli):
+    heads = [np.zeros((1, 75, 2, 2)), np.zeros((1, 75, 4, 4))]
+    path = write_model(tmp_path / "m.onnx", *heads)
+    anchors = "81,82 135,169 344,319 / 23,27 37,58 81,82"
+    _, printed, _ = cli("models", "info", path)
+    assert anchors in printed
+    assert "VOC's 20" in printed
+    _, printed, _ = cli("models", "info", path, "--anchors", "1,2 3,4 5,6.5 / 1,1 2,2 3,3")
+    assert "1,2 3,4 5,6.5 / 1,1 2,2 3,3" in printed
