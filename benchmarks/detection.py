@@ -23,6 +23,7 @@ from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
 from detection.detections import FloatArray, Image
+from detection.onnx_session import Runtime
 from detection.yolo import YoloDetector, YoloSettings
 
 SIZES_PX = (320, 416, 640)
@@ -80,12 +81,13 @@ def _frames(video: Path, n: int) -> list[Image]:
 
 def _rows(path: Path, n_threads: int) -> list[_Row]:
     """One row for a model of fixed size; for an open one each size, as large as the frame needs and square."""
-    fixed = YoloDetector(path, n_threads=n_threads, device="cpu")
+    fixed = YoloDetector(path, runtime=Runtime(device="cpu", n_threads=n_threads))
     if None not in fixed.session.input_shape[2:]:
         return [_Row(path.stem, n_threads, fixed, [])]
     settings = [YoloSettings(size_px=size, is_square=square) for size in SIZES_PX for square in (False, True)]
     return [
-        _Row(path.stem, n_threads, YoloDetector(path, each, n_threads=n_threads, device="cpu"), []) for each in settings
+        _Row(path.stem, n_threads, YoloDetector(path, each, runtime=Runtime(device="cpu", n_threads=n_threads)), [])
+        for each in settings
     ]
 
 

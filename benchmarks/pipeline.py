@@ -25,7 +25,7 @@ from rich.table import Table
 
 from benchmarks.drives import LoopedDrive, add_drive_options, looped
 from detection.letterbox import rectangular_input_hw
-from detection.onnx_session import OnnxSession
+from detection.onnx_session import OnnxSession, Runtime
 from detection.yolo import YoloSettings
 
 
@@ -61,7 +61,7 @@ def _round(drive: LoopedDrive, options: argparse.Namespace, out: Path) -> dict[s
 
 
 def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, int]) -> float:
-    session = OnnxSession(detector, device="cpu", n_threads=1)
+    session = OnnxSession(detector, Runtime(device="cpu", n_threads=1))
     free_hw = rectangular_input_hw(image_hw, size_px=YoloSettings().size_px)  # what the run takes where it may choose
     height, width = (fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True))
     network = session.bound((height, width))

@@ -85,12 +85,21 @@ def _read_folder(folder: Path) -> KittiLabels:
     files = sorted(file for file in folder.glob("*.txt") if file.stem.isdigit())
     if not files:
         raise LabelFileError(f"{folder}: no label files such as 000000.txt in this folder.")
-    rows = []
-    for file in files:
-        for line, words in _rows(file):
-            if words:
-                rows.append(_numbered(file, line, [file.stem, "-1", *words], n_found=len(words)))
-    return _labels(rows)
+    return _labels([row for file in files for row in _object_rows(file, frame=file.stem)])
+
+
+def read_kitti_image(path: Path) -> KittiLabels:
+    """Read the object labels of one image, which may be none; they get the frame number 0.
+
+    Raises:
+        LabelFileError: unreadable, or a row that is no KITTI object row.
+    """
+    return _labels(_object_rows(path, frame="0"))
+
+
+def _object_rows(path: Path, *, frame: str) -> list[tuple[str, list[float]]]:
+    rows = [row for row in _rows(path) if row[1]]
+    return [_numbered(path, line, [frame, "-1", *words], n_found=len(words)) for line, words in rows]
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:

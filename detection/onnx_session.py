@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,15 +18,27 @@ import onnxruntime as ort
 Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 FloatArray32 = npt.NDArray[np.float32]
 
-_PROVIDERS: Mapping[str, tuple[str, ...]] = {
-    "cpu": (),
-    "cuda": ("CUDAExecutionProvider",),
-    "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider"),
-}
+_CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
+_PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}
 
 
 class ModelError(Exception):
     """A model that cannot be used; the message says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Runtime:
+    """What a network runs on.
+
+    Attributes:
+        device: "auto" = CUDA where it is to be had, else the CPU.
+        n_threads: of the CPU; 0 = one per core.
+        engine_folder: where TensorRT keeps the engines that it takes minutes to build; None = it builds them anew.
+    """
+
+    device: Device = "auto"
+    n_threads: int = 0
+    engine_folder: Path | None = None
 
 
 class OnnxSession:
@@ -39,15 +52,17 @@ class OnnxSession:
         notes: sentences for the user, such as a device that was not to be had.
     """
 
-    def __init__(self, path: Path, *, device: Device = "auto", n_threads: int = 0) -> None:
-        """Load the model; `n_threads` 0 = one per core.
+    def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
+        """Load the model.
 
         Raises:
             ModelError: there is no such file, or it is no ONNX network with an image input.
         """
         self.path = path
         self.notes: tuple[str, ...] = ()
-        self._session = self._load(device, n_threads)
+        runtime = runtime or Runtime()
+        self._session = self._load(runtime)
+        device = runtime.device
         self.device = _device_of(self._session.get_providers())
         if device in ("cuda", "tensorrt") and self.device != device:
             self.notes = (
@@ -62,16 +77,16 @@ class OnnxSession:
         self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
-    def _load(self, device: Device, n_threads: int) -> Any:
+    def _load(self, runtime: Runtime) -> Any:
         if not self.path.is_file():
             raise ModelError(f"{self.path}: no such model file.")
         options = ort.SessionOptions()
-        options.intra_op_num_threads = n_threads
+        options.intra_op_num_threads = runtime.n_threads
         options.inter_op_num_threads = 1
         options.log_severity_level = 4  # a failure is told once, by us
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
-            return ort.InferenceSession(str(self.path), options, providers=_providers(device))
+            return ort.InferenceSession(str(self.path), options, providers=_providers(runtime))
         except Exception as error:  # onnxruntime raises a dozen unrelated types for a broken file
             reason = str(error).splitlines()[0]
             raise ModelError(f"{self.path}: not a usable ONNX model ({reason}).") from error
@@ -147,12 +162,22 @@ class BoundNetwork:
         return [buffer.astype(np.float32, copy=False) for buffer in self._buffers]
 
 
-def _providers(device: Device) -> list[str]:
-    wanted = _PROVIDERS["cuda" if device == "auto" else device]
+def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
+    """Onnxruntime's providers with their options, the best first; only those that this build has."""
+    wanted = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
     there = ort.get_available_providers()
-    return [*(name for name in wanted if name in there), "CPUExecutionProvider"]
+    options = {_TENSORRT: _tensorrt_options(runtime.engine_folder)}
+    return [*((name, options.get(name, {})) for name in wanted if name in there), ("CPUExecutionProvider", {})]
+
+
+def _tensorrt_options(engine_folder: Path | None) -> dict[str, Any]:
+    """Half precision, and engines kept between runs."""
+    if engine_folder is None:
+        return {"trt_fp16_enable": True}
+    kept = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(engine_folder)}
+    return {"trt_fp16_enable": True, "trt_timing_cache_enable": True, **kept}
 
 
 def _device_of(providers: list[str]) -> str:
     first = providers[0]
-    return {"TensorrtExecutionProvider": "tensorrt", "CUDAExecutionProvider": "cuda"}.get(first, "cpu")
+    return {_TENSORRT: "tensorrt", _CUDA: "cuda"}.get(first, "cpu")

@@ -17,7 +17,7 @@ from detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_class_of_eac
 from detection.detections import Detections, FloatArray, Image, IntArray
 from detection.letterbox import Letterbox, rectangular_input_hw
 from detection.model_facts import Facts, ModelOptions, read_facts
-from detection.onnx_session import BoundNetwork, Device, FloatArray32, ModelError, OnnxSession
+from detection.onnx_session import BoundNetwork, FloatArray32, ModelError, OnnxSession, Runtime
 from detection.yolo_families import YoloModel, recognise
 
 _UNREACHABLE = 2.0
@@ -70,8 +70,7 @@ class YoloDetector:
         settings: YoloSettings | None = None,
         *,
         options: ModelOptions | None = None,
-        device: Device = "auto",
-        n_threads: int = 0,
+        runtime: Runtime | None = None,
     ) -> None:
         """Load the network and run it once.
 
@@ -79,7 +78,7 @@ class YoloDetector:
             ModelError: no such model, unknown outputs, or class names that do not fit them.
         """
         self._settings = settings or YoloSettings()
-        self._session = OnnxSession(path, device=device, n_threads=n_threads)
+        self._session = OnnxSession(path, runtime)
         _check_is_detector(self._session)
         self._facts: Facts = read_facts(path, self._session.metadata, options or ModelOptions())
         self.n_unsound = 0
@@ -120,6 +119,11 @@ class YoloDetector:
         """The road users in `image`, (H, W, 3) uint8 BGR; best score first."""
         self.fill(image)
         return self.decode(self.infer())
+
+    def input_of(self, image: Image) -> FloatArray32:
+        """(1, 3, height, width) what the network would see of `image`, a copy."""
+        self.fill(image)
+        return np.array(self._network.blob, np.float32)
 
     def fill(self, image: Image) -> None:
         """Write `image` into the network's input.

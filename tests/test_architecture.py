@@ -18,7 +18,7 @@ ARROWS = {
 }
 
 DOORS = {
-    "onnxruntime": {"detection/onnx_session.py"},
+    "onnxruntime": {"detection/onnx_session.py", "detection/quantize.py"},
     "onnx": {"detection/darknet.py", "detection/quantize.py", "detection/training/export.py"},
     "torch": {"detection/training/"},
     "motmetrics": {"tracking/evaluation.py"},
@@ -28,7 +28,7 @@ DOORS = {
     "matplotlib": {"track_range/charts.py"},
     "jinja2": {"track_range/report.py"},
     "typer": {"track_range/cli.py", "track_range/cli_models.py"},
-    "rich": {"track_range/cli.py", "track_range/tables.py", "track_range/commands/"},
+    "rich": {"track_range/cli.py", "track_range/cli_models.py", "track_range/tables.py", "track_range/commands/"},
 }
 
 VAGUE_NAMES = {"utils", "util", "common", "core", "helpers", "misc", "tools", "base"}

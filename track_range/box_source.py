@@ -35,17 +35,23 @@ class BoxSource:
     notes: Callable[[], tuple[str, ...]]
 
 
-def open_box_source(settings: RunSettings, rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
+def open_box_source(
+    settings: RunSettings,
+    rectified_boxes: Callable[[FloatArray], FloatArray],
+    ready_model: Callable[[str], Path],
+) -> BoxSource:
     """The detector or the file that the settings name; boxes of a file are taken to the frames' rectified pixels.
 
+    `ready_model` finds the file that the detector's word means.
+
     Raises:
-        ModelError, LabelFileError: it cannot be used.
+        ModelError, DownloadError, LabelFileError: it cannot be used.
         ClassNameError: a class in the settings is unknown.
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
         return _recorded(settings.detections, class_id, rectified_boxes)
-    path = Path(settings.detector or "")
+    path = ready_model(settings.detector or "")
     network = open_detector(path, detector_options(settings))
     detector: Detector = network
     session = network.session

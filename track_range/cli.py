@@ -15,12 +15,14 @@ import typer
 from rich.console import Console
 
 from detection.classes import ROAD_CLASSES, ClassNameError
+from detection.download import DownloadError
 from detection.input_format import LETTERBOXES
 from detection.kitti_format import LabelFileError
+from detection.labelled_images import ImageFileError
 from detection.onnx_session import ModelError
 from ranging.size_curve import CurveError
 from stereo.rig import RigError
-from track_range.cli_models import models
+from track_range.cli_models import evaluation, models
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
@@ -33,6 +35,8 @@ USER_ERRORS = (
     ClassNameError,
     ConfigError,
     CurveError,
+    DownloadError,
+    ImageFileError,
     LabelFileError,
     ModelError,
     OutputError,
@@ -53,6 +57,7 @@ app = typer.Typer(
 )
 
 app.add_typer(models, name="models")
+app.add_typer(evaluation, name="evaluate")
 
 _console = Console()
 _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"

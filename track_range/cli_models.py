@@ -9,9 +9,16 @@ import typer
 from rich.console import Console
 
 from detection.input_format import LETTERBOXES
+from detection.labelled_images import LabelFormat
+from detection.onnx_session import Device
+from track_range.commands.evaluate import evaluate_source, keep_figures, open_candidates, tell_figures
+from track_range.commands.model_files import import_model, list_models, pull_model
 from track_range.commands.models import tell_model
-from track_range.detector_options import DetectorOptions
+from track_range.commands.quantize import quantize_model
+from track_range.detector_options import DetectorOptions, class_names
+from track_range.labelled_source import LabelledSource
 
+evaluation = typer.Typer(no_args_is_help=True, help="Measure against labels of your own.")
 models = typer.Typer(no_args_is_help=True, help="Detectors: what a file holds, which can be fetched, and making them.")
 
 _console = Console()
@@ -25,12 +32,136 @@ LetterboxOption = Annotated[
     str | None, typer.Option(metavar="WORD", help=f"How the network wants images: {LETTERBOXES}.")
 ]
 
+SizeOption = Annotated[int, typer.Option(metavar="PX", min=32, max=4096, help="Network input's longer side, if free.")]
+ThreadsOption = Annotated[int, typer.Option(metavar="N", min=0, max=256, help="Threads of the network; 0 = all.")]
+DeviceOption = Annotated[Device, typer.Option(help="Where it runs.")]
+
+FormatOption = Annotated[
+    LabelFormat | None,
+    typer.Option("--format", help="Of the labels (default: KITTI for a video, COCO for a .json file, else YOLO)."),
+]
+LabelNamesOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Class names of YOLO's numbers, a,b,c or a file (default: classes.txt or data.yaml beside the labels, "
+        "else the 8 road classes)."
+    ),
+]
+ManifestOption = Annotated[
+    Path | None,
+    typer.Option(help="CSV with columns file, split, labels_complete (8 flags): which images, and what counts."),
+]
+SplitOption = Annotated[str, typer.Option(help="Of the manifest.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures here too.")]
+
 
 @models.command("info", help="Say what a model file is, what is taken for granted of it, and what it can see.")
 def _info(
-    model: Annotated[Path, typer.Argument(metavar="FILE|NAME", help="An ONNX file, or a name of `models list`.")],
+    model: Annotated[str, typer.Argument(metavar="FILE|NAME", help="An ONNX file, or a name of `models list`.")],
     names: NamesOption = None,
     anchors: AnchorsOption = None,
     letterbox: LetterboxOption = None,
 ) -> None:
     tell_model(model, DetectorOptions(names=names, anchors=anchors, letterbox=letterbox), _console)
+
+
+@models.command("list", help="Detectors that can be fetched or are here, with their licences.")
+def _list() -> None:
+    list_models(_console)
+
+
+@models.command("pull", help="Fetch a detector from its own project's release into the cache folder, and check it.")
+def _pull(name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `models list`.")]) -> None:
+    pull_model(name, _console)
+
+
+@models.command("import", help="Turn a Darknet network (cfg and weights) into an ONNX file.")
+def _import(
+    cfg: Annotated[Path, typer.Argument(metavar="FILE.cfg")],
+    weights: Annotated[Path, typer.Argument(metavar="FILE.weights")],
+    names: Annotated[str, typer.Option(help="Class names: a,b,c or a file with one per line, such as coco.names.")],
+    out: Annotated[Path, typer.Option(help="The ONNX file to write.")],
+) -> None:
+    import_model(cfg, weights, out, names=names, console=_console)
+
+
+@models.command("quantize", help="Write INT8 and FP16 copies of a detector, and compare size, speed and accuracy.")
+def _quantize(
+    model: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A float32 network.")],
+    images: Annotated[Path, typer.Option(help="Folder of images such as the network will see: 60 are used.")],
+    out: Annotated[Path | None, typer.Option(help="Folder of the copies (default: this one).")] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="Labels of the images; without, the copies are compared with the original's own boxes."),
+    ] = None,
+    label_format: FormatOption = None,
+    label_names: LabelNamesOption = None,
+    manifest: ManifestOption = None,
+    split: SplitOption = "val",
+    names: NamesOption = None,
+    anchors: AnchorsOption = None,
+    letterbox: LetterboxOption = None,
+    size: SizeOption = 640,
+    threads: ThreadsOption = 0,
+    json_file: JsonOption = None,
+) -> None:
+    options = DetectorOptions(
+        names=names, anchors=anchors, letterbox=letterbox, size_px=size, threads=threads, device="cpu"
+    )
+    source = None
+    if labels is not None:
+        source = LabelledSource(
+            images=images,
+            labels=labels,
+            label_format=label_format,
+            label_names=class_names(label_names),
+            manifest=manifest,
+            split=split,
+        )
+    figures = quantize_model(model, images, out or Path(), source=source, options=options, console=_console)
+    keep_figures(figures, json_file)
+
+
+@evaluation.command("detections", help="Average precision and speed of detectors on labelled images, side by side.")
+def _detections(
+    model: Annotated[list[str], typer.Option(metavar="FILE|NAME", help="A detector; give it again for another.")],
+    images: Annotated[Path, typer.Option(help="Folder of images, or a video.")],
+    labels: Annotated[Path, typer.Option(help="Their labels: a folder, or one COCO or KITTI tracking file.")],
+    label_format: FormatOption = None,
+    label_names: LabelNamesOption = None,
+    manifest: ManifestOption = None,
+    split: SplitOption = "val",
+    classes: Annotated[str | None, typer.Option(metavar="A,B,...", help="Road classes wanted (default: all).")] = None,
+    min_score: Annotated[
+        str | None,
+        typer.Option(metavar="S[,CLASS=S...]", help="Working score, for precision and recall (default: 0.25)."),
+    ] = None,
+    names: NamesOption = None,
+    anchors: AnchorsOption = None,
+    letterbox: LetterboxOption = None,
+    size: SizeOption = 640,
+    threads: ThreadsOption = 0,
+    device: DeviceOption = "auto",
+    json_file: JsonOption = None,
+) -> None:
+    options = DetectorOptions(
+        names=names,
+        anchors=anchors,
+        letterbox=letterbox,
+        size_px=size,
+        threads=threads,
+        device=device,
+        classes=tuple(classes.split(",")) if classes else (),
+    )
+    source = LabelledSource(
+        images=images,
+        labels=labels,
+        label_format=label_format,
+        label_names=class_names(label_names),
+        manifest=manifest,
+        split=split,
+    )
+    candidates = open_candidates(model, options, _console)
+    figures = evaluate_source(candidates, source, min_score=min_score, console=_console)
+    tell_figures(figures, _console)
+    keep_figures(figures, json_file)

@@ -36,7 +36,7 @@ class RunSettings(BaseModel):
     focal_px: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Focal length of a camera without a rig file; the principal point is taken as the image's centre."""
     detector: str | None = None
-    """An ONNX file."""
+    """An ONNX file, or a name of `track-range models list`."""
     detections: Path | None = None
     """Boxes from a file in place of a detector."""
     names: str | None = None
@@ -73,7 +73,10 @@ class RunSettings(BaseModel):
         if (self.stereo is None) == (self.mono is None):
             raise ValueError("give either --stereo LEFT RIGHT or --mono VIDEO")
         if self.detector is None and self.detections is None:
-            raise ValueError("give --detector FILE.onnx, or --detections FILE with boxes of your own")
+            raise ValueError(
+                "give --detector FILE.onnx (or a name of `track-range models list`), or --detections FILE with boxes "
+                "of your own"
+            )
         if self.detector is not None and self.detections is not None:
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
@@ -131,11 +134,12 @@ def _option(place: tuple[int | str, ...]) -> str:
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
     run = settings.model_dump(mode="json", exclude_none=True)
-    for key in ("rig", "detector", "detections", "curves", "truth", "out", "mono"):
+    for key in ("rig", "detections", "curves", "truth", "out", "mono"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
-    if settings.names and Path(settings.names).is_file():
-        run["names"] = str(Path(settings.names).resolve())
+    for key in ("detector", "names"):  # a file, or a word
+        if key in run and Path(run[key]).is_file():
+            run[key] = str(Path(run[key]).resolve())
     if settings.stereo:
         run["stereo"] = [str(video.resolve()) for video in settings.stereo]
     write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))

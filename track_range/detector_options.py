@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from detection.classes import road_class_ids
 from detection.model_facts import ModelOptions
-from detection.onnx_session import Device
+from detection.model_lookup import models_folder
+from detection.onnx_session import Device, Runtime
 from detection.yolo import YoloDetector, YoloSettings
 from track_range.config import ConfigError, UsageError
 
@@ -53,7 +55,18 @@ def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float |
         size_px=options.size_px,
     )
     told = ModelOptions(names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox)
-    return YoloDetector(path, settings, options=told, device=options.device, n_threads=options.threads)
+    runtime = Runtime(device=options.device, n_threads=options.threads, engine_folder=_engine_folder(options.device))
+    return YoloDetector(path, settings, options=told, runtime=runtime)
+
+
+def _engine_folder(device: Device) -> Path | None:
+    """Where TensorRT's engines are kept, beside the downloaded models."""
+    if device != "tensorrt":
+        return None
+    folder = models_folder().with_name("engines")
+    with suppress(OSError):  # without it, TensorRT builds its engine anew each time
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder if folder.is_dir() else None
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:

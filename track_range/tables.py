@@ -167,7 +167,9 @@ def rich_table(grid: Grid) -> Table:
     table = Table(title=Text(grid.title), box=box.SIMPLE_HEAD, title_justify="left", padding=0)
     for i, heading in enumerate(grid.columns):
         # Two lines of heading keep a table with five bands of distance within 80 columns.
-        table.add_column(Text(heading.replace(" ", "\n", 1)), justify="left" if i == 0 else "right", no_wrap=i == 0)
+        table.add_column(
+            Text(heading.replace(" ", "\n", 1)), justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold"
+        )
     for row in grid.rows:
         table.add_row(*(Text(cell.text, "bold green" if cell.best else "") for cell in row))
     return table

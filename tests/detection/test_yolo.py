@@ -6,7 +6,7 @@ import pytest
 from detection.boxes import iou
 from detection.classes import ROAD_CLASSES
 from detection.model_facts import ModelOptions
-from detection.onnx_session import ModelError
+from detection.onnx_session import ModelError, Runtime
 from detection.yolo import YoloDetector, YoloSettings
 from tests.detection.onnx_models import write_model
 
@@ -127,7 +127,7 @@ def test_files_that_are_no_model(tmp_path):
 
 
 def test_a_device_that_is_not_here_falls_back_with_one_note(tmp_path):
-    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()), device="tensorrt")
+    detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()), runtime=Runtime(device="tensorrt"))
     if detector.session.device == "tensorrt":
         pytest.skip("TensorRT is here")
     assert sum("--device tensorrt" in note for note in detector.notes) == 1
@@ -139,7 +139,7 @@ def test_real_network_finds_the_near_car_wherever_the_image_is_padded(shared_dat
 
     capture = cv2.VideoCapture(str(shared_data / "kitti_stereo/0003/left.mp4"))
     image = capture.read()[1]
-    detector = YoloDetector(shared_data / "models" / model, n_threads=2)
+    detector = YoloDetector(shared_data / "models" / model, runtime=Runtime(n_threads=2))
     label = np.array([[894.768, 190.650, 1241.0, 374.0]])  # label.txt, frame 0, car 0
     assert iou(label, detector.detect(image).xyxy_px).max() > 0.8
     shifted = cv2.copyMakeBorder(image, 40, 60, 80, 20, cv2.BORDER_CONSTANT, value=(114, 114, 114))

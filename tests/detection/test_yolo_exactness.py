@@ -15,6 +15,7 @@ from detection.boxes import nms
 from detection.classes import SAME_OBJECT_GROUP, road_class_of_each
 from detection.input_format import InputFormat
 from detection.letterbox import Letterbox
+from detection.onnx_session import Runtime
 from detection.yolo import YoloDetector, YoloSettings
 from tests.detection.onnx_models import write_rectangle_finder
 
@@ -27,7 +28,7 @@ def test_a_drawn_rectangle_comes_back_within_a_tenth_of_a_pixel(tmp_path, letter
     grey = {"centred-0": 0, "stretch": 0}.get(letterbox, 114)
     told = {"letterbox": letterbox, "names": "['car']"}
     path = write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=grey / 255, metadata=told)
-    detector = YoloDetector(path, n_threads=1)
+    detector = YoloDetector(path, runtime=Runtime(n_threads=1))
     rng = np.random.default_rng(0)
     for _ in range(20):
         box = drawn_box(rng, size_hw)
@@ -150,7 +151,7 @@ def images(shared_data):
 def test_candidates_equal_the_reference(shared_data, images, model, name):
     image = images[name.split()[0]]
     path = shared_data / "models" / f"{model}.onnx"
-    detector = YoloDetector(path, YoloSettings(min_score=ABOVE), n_threads=1)
+    detector = YoloDetector(path, YoloSettings(min_score=ABOVE), runtime=Runtime(n_threads=1))
     detector.fill(image)
     blob_of, rows_of, hw = FAMILIES[model]
     hw = hw or detector.input_hw

@@ -18,7 +18,7 @@ def test_the_results_are_named_after_the_left_video():
     [
         ({}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
         ({**PAIR, "mono": Path("m.mp4")}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
-        ({"mono": Path("m.mp4")}, "give --detector FILE.onnx, or --detections FILE"),
+        ({"mono": Path("m.mp4")}, r"give --detector FILE\.onnx \(or a name of .*, or --detections FILE"),
         ({**PAIR, "detections": Path("d.txt")}, "give --detector or --detections, not both"),
         ({**PAIR, "focal_px": 700.0}, "--focal-px is for --mono"),
         ({**PAIR, "threads": -1}, "--threads: Input should be greater than or equal to 0"),

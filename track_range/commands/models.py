@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -13,15 +12,18 @@ from rich.text import Text
 
 from detection.classes import ROAD_CLASSES
 from detection.yolo import YoloDetector
+from track_range.commands.ready_model import ready_model
 from track_range.detector_options import DetectorOptions, open_detector
 
 
-def tell_model(path: Path, options: DetectorOptions, console: Console) -> None:
+def tell_model(word: str, options: DetectorOptions, console: Console) -> None:
     """Load the model, run it once, and print what it is.
 
     Raises:
         ModelError: it cannot be used as a detector.
+        DownloadError: it is one of the catalogue's, and cannot be fetched.
     """
+    path = ready_model(word, console)
     detector = open_detector(path, options)
     table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=str(path), title_justify="left")
     table.add_column(style="bold", no_wrap=True)

@@ -23,6 +23,7 @@ from ranging.truth import Truth, read_truth
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.box_source import BoxSource, open_box_source
 from track_range.commands.progress import frame_progress
+from track_range.commands.ready_model import ready_model
 from track_range.config import RunSettings, save_settings
 from track_range.interrupts import deaf_to_interrupts, termination_as_interrupt
 from track_range.overlap import short_switch_interval
@@ -112,7 +113,7 @@ def _run(settings: RunSettings, console: Console) -> Path:
     source = open_source(settings)
     opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
     with closing(source.frames):
-        boxes = open_box_source(settings, source.rectified_boxes)
+        boxes = open_box_source(settings, source.rectified_boxes, lambda word: ready_model(word, console))
         truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
         pipeline = _pipeline(settings, source, boxes, curves)
         this = _Run(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)

@@ -1,0 +1,180 @@
+"""The catalogue: detectors by name, where each comes from, under which licence, and with which published checksum.
+
+Nothing of it is part of track-range: `detection/download.py` fetches a model from its own project's release into the
+user's cache folder. A model is listed only if every one of its files has a checksum that somebody published (OpenCV's
+opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects), never one we made up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from detection.classes import COCO_CLASSES
+
+
+@dataclass(frozen=True, slots=True)
+class Licence:
+    """A licence's name, and in one sentence what it asks of whoever uses the model."""
+
+    name: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFile:
+    """One file of a release.
+
+    Attributes:
+        name: what it is called in the cache folder.
+        url: its http(s) address.
+        checksum: algorithm and hexadecimal digest, `sha256:...`, as published.
+        size_bytes: as published; None = not published.
+    """
+
+    name: str
+    url: str
+    checksum: str
+    size_bytes: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CatalogueEntry:
+    """One model that can be downloaded.
+
+    Attributes:
+        name: what users call it; `NAME.onnx` in the cache folder is the model ready to run.
+        family: its layout of outputs, as `track-range models info` names it.
+        input: size and number type of the network's input, for people.
+        files: an ONNX file, or Darknet's cfg and weights, which are imported after the download.
+        licence: under which its project publishes it.
+        project, release: whose it is, and which of their releases.
+        classes: class names in the network's order.
+    """
+
+    name: str
+    family: str
+    input: str
+    files: tuple[ModelFile, ...]
+    licence: Licence
+    project: str
+    release: str
+    classes: tuple[str, ...] = COCO_CLASSES
+
+    @property
+    def is_darknet(self) -> bool:
+        """Whether the files are Darknet's, to be imported before use."""
+        return any(file.name.endswith(".weights") for file in self.files)
+
+    @property
+    def size_bytes(self) -> int:
+        """What a download comes to; files of unpublished size (a few kB of text) are left out."""
+        return sum(file.size_bytes or 0 for file in self.files)
+
+    @property
+    def notice(self) -> str:
+        """What to tell the user before downloading: size, whose model it is, its licence and what that means."""
+        return (
+            f"{self.name}: {self.size_bytes / 1e6:.1f} MB from {self.project} ({self.release}), "
+            f"licence {self.licence.name}: {self.licence.meaning}"
+        )
+
+
+APACHE = Licence("Apache-2.0", "free to use, change and pass on, also commercially, if its notices are kept.")
+AGPL = Licence(
+    "AGPL-3.0",
+    "GNU Affero General Public License: whoever passes on software with this model in it, or lets others use it over a "
+    "network, must offer them that software's source under the same licence; its owner sells other terms.",
+)
+PUBLIC_DOMAIN = Licence("public domain", "Darknet's own licence: 'Do whatever you want with it.'")
+
+_YOLOX = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0"
+_DARKNET = "https://github.com/AlexeyAB/darknet/releases/download"
+_DARKNET_TEXT = "https://raw.githubusercontent.com/AlexeyAB/darknet"
+
+
+def _yolox(name: str, side_px: int, checksum: str, size_bytes: int) -> CatalogueEntry:
+    return CatalogueEntry(
+        name=name,
+        family="yolox",
+        input=f"{side_px}x{side_px}",
+        files=(ModelFile(f"{name}.onnx", f"{_YOLOX}/{name}.onnx", checksum, size_bytes),),
+        licence=APACHE,
+        project="Megvii-BaseDetection/YOLOX",
+        release="0.1.1rc0",
+    )
+
+
+CATALOGUE: tuple[CatalogueEntry, ...] = (
+    _yolox("yolox_nano", 416, "sha256:c789161ed43c8269fcd4e67c67eeeb4e80c622da2eb296a20bc6007bd18a0b7d", 3_659_407),
+    _yolox("yolox_tiny", 416, "sha256:427cc366d34e27ff7a03e2899b5e3671425c262ea2291f88bb942bc1cc70b0f7", 20_219_662),
+    _yolox("yolox_s", 640, "sha1:0249e66522b38462e6962915a8850a5908023a1c", 35_858_002),
+    CatalogueEntry(
+        name="yolov4-tiny",
+        family="yolov4-tiny",
+        input="416x416",
+        files=(
+            ModelFile(
+                "yolov4-tiny.cfg",
+                f"{_DARKNET_TEXT}/0faed3e60e52f742bbef43b83f6be51dd30f373e/cfg/yolov4-tiny.cfg",
+                "sha256:f858e3724962eedf3ac44e3b6cb3f0c3d9ed067c306bb831f539c578b924c90e",
+                3_231,
+            ),
+            ModelFile(
+                "yolov4-tiny.weights",
+                f"{_DARKNET}/yolov4/yolov4-tiny.weights",
+                "sha1:451caaab22fb9831aa1a5ee9b5ba74a35ffa5dcb",
+                24_251_276,
+            ),
+        ),
+        licence=PUBLIC_DOMAIN,
+        project="AlexeyAB/darknet",
+        release="yolov4, the weights of December 2020",
+    ),
+    CatalogueEntry(
+        name="yolov4",
+        family="yolov4",
+        input="608x608",
+        files=(
+            ModelFile(
+                "yolov4.cfg",
+                f"{_DARKNET_TEXT}/59596d7880f6504768df41d6daa586f5cb2b932f/cfg/yolov4.cfg",
+                "sha256:a6d0f8e5c62cc8378384f75a8159b95fa2964d4162e33351b00ac82e0fc46a34",
+                None,
+            ),
+            ModelFile(
+                "yolov4.weights",
+                f"{_DARKNET}/darknet_yolo_v3_optimal/yolov4.weights",
+                "sha1:0143deb6c46fcc7f74dd35bf3c14edc3784e99ee",
+                257_717_640,
+            ),
+        ),
+        licence=PUBLIC_DOMAIN,
+        project="AlexeyAB/darknet",
+        release="darknet_yolo_v3_optimal",
+    ),
+    CatalogueEntry(
+        name="yolov5n",
+        family="yolov5",
+        input="640x640 FP16",
+        files=(
+            ModelFile(
+                "yolov5n.onnx",
+                "https://github.com/ultralytics/yolov5/releases/download/v7.0/yolov5n.onnx",
+                "sha1:90aa4b5f8e1ba19166f214f3e4258e5d1d05070b",
+                3_981_910,
+            ),
+        ),
+        licence=AGPL,
+        project="ultralytics/yolov5",
+        release="v7.0",
+    ),
+)
+
+
+def entry_named(name: str) -> CatalogueEntry | None:
+    """The catalogue's entry; capitals do not matter, nor does - instead of _."""
+    return next((entry for entry in CATALOGUE if _key(entry.name) == _key(name)), None)
+
+
+def _key(name: str) -> str:
+    return name.strip().lower().replace("_", "-")

@@ -1,0 +1,198 @@
+"""Average precision: by hand, against pycocotools on random scenes, and truth against itself."""
+
+import contextlib
+import io
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.classes import ROAD_CLASSES
+from detection.detections import Detections
+from detection.evaluation import MIN_BOXES, evaluate_detections
+from detection.image_truth import ANY_CLASS, ImageTruth, truth_of_kitti
+from detection.kitti_format import read_kitti
+
+N = len(ROAD_CLASSES)
+CAR = ROAD_CLASSES.index("car")
+ALL = np.arange(N)
+HALF = np.full(N, 0.5)
+
+
+def scores(found, truth, **options):
+    told = {"working_score": HALF, "known_class_id": ALL, "min_boxes": 1} | options
+    return evaluate_detections(found, truth, **told)
+
+
+def square(x, side=10.0):
+    return [x, 0.0, x + side, side]
+
+
+def test_by_hand():
+    # Three cars; found in the order hit, miss, hit: precision 1, 1/2, 2/3 at recall 1/3, 1/3, 2/3.
+    truth = ImageTruth.of([square(0), square(100), square(200)], [CAR] * 3)
+    found = Detections.of([square(0), square(50), square(100)], [0.9, 0.8, 0.4], [CAR] * 3)
+    car = scores([found], [truth]).by_class[CAR]
+    # recall points 0 .. 0.33 see 1, 0.34 .. 0.66 see 2/3, the rest 0
+    assert car.ap50 == pytest.approx((34 * 1 + 33 * 2 / 3) / 101)
+    assert (car.n_images, car.n_boxes) == (1, 3)
+    assert (car.precision, car.recall) == (pytest.approx(1 / 2), pytest.approx(1 / 3))  # at 0.5 and above
+    assert car.best_score == 0.4
+
+
+def test_a_box_shifted_by_a_fifth_counts_up_to_iou_two_thirds():
+    truth = ImageTruth.of([square(0)], [CAR])
+    car = scores([Detections.of([square(2)], [0.9], [CAR])], [truth]).by_class[CAR]  # IoU 80 / 120
+    assert (car.ap50, car.ap50_95) == (1.0, pytest.approx(0.4))  # 0.50, 0.55, 0.60, 0.65
+
+
+def test_ignored_labels_and_regions_are_neither_right_nor_wrong():
+    truth = ImageTruth.of(
+        [square(0), square(100), [200, 0, 300, 100], square(400)],
+        [CAR, CAR, ANY_CLASS, ANY_CLASS],
+        is_ignored=[False, True, False, False],
+        is_region=[False, False, True, False],
+    )
+    inside = [[210, 10, 220, 20], [230, 10, 240, 20]]  # two in one region
+    found = Detections.of([square(0), square(100), *inside, square(400)], [0.6, 0.9, 0.9, 0.8, 0.7], [CAR] * 5)
+    car = scores([found], [truth]).by_class[CAR]
+    assert (car.n_boxes, car.ap50, car.precision, car.recall) == (1, 1.0, 1.0, 1.0)
+    twice = Detections.of([square(0), square(100), square(100)], [0.6, 0.9, 0.8], [CAR] * 3)
+    assert scores([twice], [truth]).by_class[CAR].precision == 0.5  # an ignored label is met once
+
+
+def test_images_where_a_class_is_not_completely_labelled_do_not_count_for_it():
+    full, part = ImageTruth.of([square(0)], [CAR]), ImageTruth.of([], [])
+    complete = np.arange(N) != CAR
+    part = ImageTruth(part.xyxy_px, part.class_id, part.is_ignored, part.is_region, complete)
+    found = Detections.of([square(0)], [0.9], [CAR])
+    assert scores([found, found], [full, part]).by_class[CAR].precision == 1.0
+    assert scores([found, found], [full, full]).by_class[CAR].n_images == 2
+
+
+def test_means_are_over_known_classes_with_enough_boxes():
+    rare = MIN_BOXES - 1
+    boxes = [square(20.0 * i) for i in range(MIN_BOXES)]
+    person = 0
+    truth = ImageTruth.of(boxes + boxes[:rare], [CAR] * MIN_BOXES + [person] * rare)
+    found = Detections.of(boxes, [0.9] * MIN_BOXES, [CAR] * MIN_BOXES)
+    told = evaluate_detections([found], [truth], working_score=HALF, known_class_id=ALL)
+    assert (told.mean("ap50"), told.by_class[person].ap50) == (1.0, 0.0)
+    assert told.as_dict()["averaged_classes"] == ["car"]
+    assert told.as_dict()["classes"]["person"]["precision"] is None
+    assert np.isnan(told.mean("ap50", [person]))
+    blind = evaluate_detections([found], [truth], working_score=HALF, known_class_id=np.array([person]))
+    assert blind.as_dict()["averaged_classes"] == []
+    assert not blind.by_class[CAR].is_known
+
+
+def test_nothing_found_nothing_there():
+    nothing = scores([Detections.empty()], [ImageTruth.of([], [])])
+    assert nothing.by_class == {}
+    assert nothing.as_dict()["ap50"] is None
+    blind = scores([Detections.empty()], [ImageTruth.of([square(0)], [CAR])]).by_class[CAR]
+    assert (blind.ap50, blind.recall) == (0.0, 0.0)
+    alarm = scores([Detections.of([square(0)], [0.9], [CAR])], [ImageTruth.of([], [])]).by_class[CAR]
+    assert alarm.precision == 0.0
+    assert np.isnan(alarm.ap50)
+    assert np.isnan(alarm.recall)
+
+
+def test_as_many_images_found_as_labelled():
+    with pytest.raises(ValueError, match="found: 1 images wanted, as in truth, 0 got"):
+        scores([], [ImageTruth.of([], [])])
+
+
+def test_arrays_of_other_lengths_are_refused():
+    with pytest.raises(ValueError, match="is_ignored: shape"):
+        ImageTruth.of([square(0)], [CAR], is_ignored=[True, False])
+
+
+def random_scene(rng, *, n_images, n_classes=3):
+    found, truth = [], []
+    for _ in range(n_images):
+        n = rng.integers(0, 12)
+        boxes = np.concatenate([xy := rng.integers(0, 40, (n, 2)), xy + rng.integers(5, 30, (n, 2))], axis=1)
+        kind = rng.choice(3, n, p=[0.7, 0.15, 0.15])
+        classes = rng.integers(0, n_classes, n)
+        truth.append(ImageTruth.of(boxes, classes, is_ignored=kind == 1, is_region=kind == 2))
+        near = np.repeat(boxes, 2, axis=0) + rng.integers(-4, 5, (2 * n, 4))
+        near = near[(near[:, 2] > near[:, 0]) & (near[:, 3] > near[:, 1])]
+        score = rng.integers(1, 20, len(near)) / 20  # with ties
+        found.append(Detections.of(near, score, rng.integers(0, n_classes, len(near))))
+    return found, truth
+
+
+def coco_figures(found, truth, class_id):
+    """AP50-95 and AP50 of one class by pycocotools, whose ignored single labels are those of an area out of range."""
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        from pycocotools.coco import COCO
+        from pycocotools.cocoeval import COCOeval
+
+        labels, results = [], []
+        for image, (f, t) in enumerate(zip(found, truth, strict=True), start=1):
+            for j in np.flatnonzero(t.class_id == class_id):
+                x1, y1, x2, y2 = t.xyxy_px[j].tolist()
+                label = {"id": len(labels) + 1, "image_id": image, "category_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1]}
+                area = 1e12 if t.is_ignored[j] and not t.is_region[j] else (x2 - x1) * (y2 - y1)
+                labels.append({**label, "area": area, "iscrowd": int(t.is_region[j])})
+            for j in np.flatnonzero(f.class_id == class_id):
+                x1, y1, x2, y2 = f.xyxy_px[j].tolist()
+                box = [x1, y1, x2 - x1, y2 - y1]
+                results.append({"image_id": image, "category_id": 1, "bbox": box, "score": float(f.score[j])})
+        coco = COCO()
+        images = [{"id": i + 1} for i in range(len(truth))]
+        coco.dataset = {"images": images, "annotations": labels, "categories": [{"id": 1}], "info": {}}
+        coco.createIndex()
+        judge = COCOeval(coco, coco.loadRes(results), "bbox")
+        judge.evaluate()
+        judge.accumulate()
+        precision = judge.eval["precision"][:, :, 0, 0, 2]
+    return precision.mean(), precision[0].mean()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_equals_pycocotools(seed):
+    found, truth = random_scene(np.random.default_rng(seed), n_images=25)
+    ours = scores(found, truth)
+    for class_id in range(3):
+        ap50_95, ap50 = coco_figures(found, truth, class_id)
+        mine = ours.by_class[class_id]
+        assert (mine.ap50_95, mine.ap50) == (pytest.approx(ap50_95, abs=1e-12), pytest.approx(ap50, abs=1e-12))
+
+
+def test_only_the_best_hundred_of_an_image_count_as_in_pycocotools():
+    rng = np.random.default_rng(0)
+    boxes = [square(20.0 * i) for i in range(150)]
+    found = Detections.of(boxes, rng.permutation(150) / 150, [CAR] * 150)
+    truth = ImageTruth.of(boxes, [CAR] * 150)
+    assert scores([found], [truth]).by_class[CAR].ap50 == pytest.approx(coco_figures([found], [truth], CAR)[1])
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10_000))
+def test_truth_against_itself_is_perfect_and_order_does_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    _, truth = random_scene(rng, n_images=5)
+    found = [Detections.of(t.xyxy_px, rng.uniform(0.5, 1, len(t.class_id)), t.class_id) for t in truth]
+    told = scores(found, truth)
+    assert all(each.ap50_95 == pytest.approx(1.0) for each in told.by_class.values() if each.n_boxes)
+    assert scores(found[::-1], truth[::-1]).as_dict() == told.as_dict()
+
+
+def test_kitti_labels(shared_data):
+    labels = read_kitti(shared_data / "kitti_stereo/0005/label.txt")
+    truth = [truth_of_kitti(labels.select(labels.frame == i)) for i in range(16)]
+    perfect = [Detections.of(t.xyxy_px, np.ones(len(t.class_id)), np.maximum(t.class_id, 0)) for t in truth]
+    n_cars = int(np.count_nonzero(labels.kitti_type == "Car"))
+    car = scores(perfect, truth).by_class[CAR]
+    assert (car.n_boxes, car.ap50) == (n_cars, 1.0)
+    types = {"Van": (CAR, True, False), "DontCare": (ANY_CLASS, True, True), "Misc": (ANY_CLASS, True, False)}
+    for name, wanted in types.items():
+        rows = labels.kitti_type == name
+        if rows.any():
+            one = truth_of_kitti(labels.select(rows))
+            assert (one.class_id[0], one.is_ignored[0], one.is_region[0]) == wanted

@@ -1,0 +1,209 @@
+"""Labels of every format by hand, manifests, and everything that can be wrong with them."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from detection.classes import ROAD_CLASSES
+from detection.image_truth import ANY_CLASS
+from detection.kitti_format import LabelFileError
+from detection.labelled_images import (
+    ImageFileError,
+    images_in,
+    of_split,
+    read_image,
+    read_labelled,
+    read_manifest,
+    read_sequence,
+)
+
+CAR = ROAD_CLASSES.index("car")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two images of 40 x 20, a.png and b.png, and an empty folder for labels."""
+    (tmp_path / "images").mkdir()
+    (tmp_path / "labels").mkdir()
+    for name in ("a", "b"):
+        cv2.imwrite(str(tmp_path / "images" / f"{name}.png"), np.zeros((20, 40, 3), np.uint8))
+    return tmp_path
+
+
+def yolo(folder, text, **options):
+    (folder / "labels/a.txt").write_text(text)
+    return read_labelled(folder / "images", folder / "labels", "yolo", **options)
+
+
+def test_yolo_boxes_are_shares_of_each_image(folder):
+    (item,) = yolo(folder, "2 0.5 0.5 0.25 0.5 0.9\n\n7 0.1 0.1 0.1 0.1\n")
+    truth = item.truth_in(read_image(item.path))
+    np.testing.assert_allclose(truth.xyxy_px[0], [14.5, 4.5, 24.5, 14.5])  # corners 15 5 25 15, less half a pixel
+    assert [ROAD_CLASSES[i] for i in truth.class_id] == ["car", "traffic sign"]
+    assert truth.is_complete.all()
+
+
+def test_yolo_names_come_from_the_option_else_from_beside(folder):
+    text = "0 0.5 0.5 0.2 0.2\n1 0.5 0.5 0.2 0.2\n"
+    (item,) = yolo(folder, text, names=["dog", "car"])
+    assert item.truth.class_id.tolist() == [CAR]  # a dog is no road user
+    (folder / "data.yaml").write_text("names: {0: car, 1: bus}")
+    assert yolo(folder, text)[0].truth.class_id.tolist() == [CAR, ROAD_CLASSES.index("bus")]
+    (folder / "labels/classes.txt").write_text("truck\ncar\n")
+    assert yolo(folder, text)[0].truth.class_id.tolist() == [ROAD_CLASSES.index("truck"), CAR]
+    (folder / "labels/classes.txt").unlink()
+    (folder / "data.yaml").write_text("path: .")
+    with pytest.raises(LabelFileError, match=r"data\.yaml: no list of class names"):
+        yolo(folder, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("2 0.5 0.5 0.2", r"a\.txt, line 1: 'class cx cy w h' wanted"),
+        ("2 0.5 0.5 0.2 0.2\ncar 0.5 0.5 0.2 0.2", "line 2"),
+        ("2 0.5 nan 0.2 0.2", "line 1"),
+        ("2 0.5 0.5 -0.2 0.2", "line 1"),
+        ("8 0.5 0.5 0.2 0.2", "class 8, but only 8 class names are known; give --label-names"),
+    ],
+)
+def test_yolo_labels_that_are_wrong(folder, text, message):
+    with pytest.raises(LabelFileError, match=message):
+        yolo(folder, text)
+
+
+def test_labels_that_are_no_text(folder):
+    (folder / "labels/a.txt").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(LabelFileError, match="not readable as text"):
+        read_labelled(folder / "images", folder / "labels", "yolo")
+
+
+def test_labels_of_other_images(folder):
+    (folder / "labels/z.txt").write_text("")
+    with pytest.raises(LabelFileError, match="no labels for any image"):
+        read_labelled(folder / "images", folder / "labels", "yolo")
+
+
+KITTI_ROW = "{} 0 0 0 10 20 30 40 1.5 1.6 3.7 1 2 3 0"
+
+
+def test_kitti_objects_are_labelled_for_four_classes(folder):
+    rows = [KITTI_ROW.format(name) for name in ("Car", "Van", "Cyclist", "Tram", "DontCare")]
+    (folder / "labels/b.txt").write_text("\n".join(rows))
+    (item,) = read_labelled(folder / "images", folder / "labels", "kitti")
+    truth = item.truth_in(read_image(item.path))
+    assert item.path.name == "b.png"
+    assert truth.class_id.tolist() == [CAR, CAR, ROAD_CLASSES.index("bicycle"), ANY_CLASS, ANY_CLASS]
+    assert truth.is_ignored.tolist() == [False, True, False, True, True]
+    assert truth.is_region.tolist() == [False, False, False, False, True]
+    assert truth.xyxy_px[0].tolist() == [10, 20, 30, 40]
+    assert [ROAD_CLASSES[i] for i in np.flatnonzero(truth.is_complete)] == ["person", "bicycle", "car", "truck"]
+
+
+def test_kitti_sequence_by_frame_number(folder):
+    sequence = folder / "label.txt"
+    sequence.write_text(
+        f"3 0 {KITTI_ROW.format('Car')}\n3 1 {KITTI_ROW.format('Car')}\n5 0 {KITTI_ROW.format('Car')}\n"
+    )
+    assert [len(read_sequence(sequence)(frame).class_id) for frame in (3, 4, 5)] == [2, 0, 1]
+    cv2.imwrite(str(folder / "images/frame_0005.png"), np.zeros((20, 40, 3), np.uint8))
+    (item,) = read_labelled(folder / "images", sequence, "kitti")
+    assert (item.path.name, len(item.truth.class_id)) == ("frame_0005.png", 1)
+
+
+def coco_document(**changed):
+    document = {
+        "images": [{"id": 7, "file_name": "train/a.png"}, {"id": 8, "file_name": "other.png"}],
+        "categories": [{"id": 3, "name": "car"}, {"id": 17, "name": "cat"}],
+        "annotations": [
+            {"image_id": 7, "category_id": 3, "bbox": [10, 5, 8, 4]},
+            {"image_id": 7, "category_id": 17, "bbox": [0, 0, 4, 4]},
+            {"image_id": 7, "category_id": 3, "bbox": [0, 0, 40, 20], "iscrowd": 1},
+        ],
+    }
+    return document | changed
+
+
+def test_coco(folder):
+    file = folder / "instances.json"
+    file.write_text(json.dumps(coco_document()))
+    (item,) = read_labelled(folder / "images", file, "coco")
+    assert item.path.name == "a.png"
+    assert item.truth.xyxy_px.tolist() == [[9.5, 4.5, 17.5, 8.5], [-0.5, -0.5, 39.5, 19.5]]
+    assert item.truth.class_id.tolist() == [CAR, CAR]
+    assert item.truth.is_region.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "COCO's images, annotations and categories wanted"),
+        ("{}", "KeyError: 'categories'"),
+        ("[]", "COCO's images"),
+        (json.dumps(coco_document(images=[])), "KeyError: 7"),
+    ],
+)
+def test_coco_that_is_none(folder, text, message):
+    file = folder / "instances.json"
+    file.write_text(text)
+    with pytest.raises(LabelFileError, match=message):
+        read_labelled(folder / "images", file, "coco")
+    with pytest.raises(LabelFileError, match="cannot be read"):
+        read_labelled(folder / "images", folder / "none.json", "coco")
+
+
+def test_a_manifest_picks_a_split_and_says_what_is_complete(folder):
+    for name in ("a", "b"):
+        (folder / f"labels/{name}.txt").write_text("")
+    labelled = read_labelled(folder / "images", folder / "labels", "yolo")
+    file = folder / "manifest.csv"
+    file.write_text("file,split,other,labels_complete\na.png,train,x,11111111\nb.png,val,x,10100000\n")
+    (item,) = of_split(labelled, read_manifest(file), "val")
+    assert item.path.name == "b.png"
+    assert [ROAD_CLASSES[i] for i in np.flatnonzero(item.truth.is_complete)] == ["person", "car"]
+    with pytest.raises(LabelFileError, match="no image is of the split 'test' in the manifest; it has: train, val"):
+        of_split(labelled, read_manifest(file), "test")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "columns file, split, labels_complete wanted"),
+        ("file,split\na,val\n", "columns file, split, labels_complete wanted"),
+        ("file,split,labels_complete\na.png,val,101\n", "line 2: 8 flags 0 or 1 wanted, not '101'"),
+        ("file,split,labels_complete\na.png,val\n", "line 2: 8 flags"),
+    ],
+)
+def test_manifests_that_are_wrong(tmp_path, text, message):
+    file = tmp_path / "manifest.csv"
+    file.write_text(text)
+    with pytest.raises(LabelFileError, match=message):
+        read_manifest(file)
+    with pytest.raises(LabelFileError, match="not readable as CSV"):
+        read_manifest(tmp_path / "none.csv")
+
+
+def test_images_of_any_depth_become_8_bit_colour(tmp_path):
+    grey, deep = tmp_path / "grey.png", tmp_path / "deep.png"
+    cv2.imwrite(str(grey), np.full((4, 6), 77, np.uint8))
+    cv2.imwrite(str(deep), np.full((4, 6, 3), 0x1234, np.uint16))
+    assert read_image(grey).shape == (4, 6, 3)
+    assert np.unique(read_image(grey)).tolist() == [77]
+    assert read_image(deep).dtype == np.uint8
+    assert np.unique(read_image(deep)).tolist() == [0x12]
+
+
+def test_images_that_are_none(tmp_path):
+    with pytest.raises(ImageFileError, match="cannot be read"):
+        read_image(tmp_path / "none.png")
+    for content in (b"", b"text"):
+        (tmp_path / "odd.png").write_bytes(content)
+        with pytest.raises(ImageFileError, match="not an image, or a damaged one"):
+            read_image(tmp_path / "odd.png")
+    with pytest.raises(ImageFileError, match="no such folder"):
+        images_in(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ImageFileError, match="no images"):
+        images_in(tmp_path / "empty")

@@ -1,0 +1,332 @@
+"""INT8 and FP16 copies on a network small enough to write down, and on a real one where it is there."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from detection import quantize
+from detection.model_writing import silent_conversion
+from detection.onnx_session import ModelError, OnnxSession, Runtime
+from detection.quantize import convert_fp16, quantize_int8
+
+SIZE_PX = 32
+METADATA = {"family": "yolov5", "names": '["car", "person"]'}
+
+
+def weight(rng, name, *shape):
+    """He's scale, so that activations neither vanish nor explode."""
+    values = rng.normal(0, np.sqrt(2 / np.prod(shape[1:])), shape)
+    return numpy_helper.from_array(values.astype(np.float32), name)
+
+
+def saved(path, nodes, initializers, *, outputs=("boxes",), opset=12, size=SIZE_PX):
+    """A network file with metadata, as an exporter would write it."""
+    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, size, size])
+    results = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in outputs]
+    graph = helper.make_graph(nodes, "net", [image], results, initializers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=7)
+    helper.set_model_props(model, METADATA)
+    onnx.save(onnx.shape_inference.infer_shapes(model), path)
+    return path
+
+
+def silu(node_input, name):
+    """Nodes of x * sigmoid(x), named by their output alone."""
+    return [
+        helper.make_node("Sigmoid", [node_input], [f"{name}_s"]),
+        helper.make_node("Mul", [node_input, f"{name}_s"], [name]),
+    ]
+
+
+def convolution(source, name, *, stride=1):
+    return helper.make_node("Conv", [source, f"w_{name}"], [name], pads=[1, 1, 1, 1], strides=[stride, stride])
+
+
+def yolo_network(path, *, quiet_gain=1.0):
+    """Conv, SiLU, conv, SiLU, conv, SiLU, head; its output holds pixels (x 640) beside scores (0..1).
+
+    `quiet_gain` scales all but two channels of the first convolution down and, so that they matter still, the second's
+    weights up: what batch norms folded into depthwise networks look like.
+    """
+    rng = np.random.default_rng(1)
+    gain = np.full(16, quiet_gain, np.float32)
+    gain[:2] = 1
+    first = numpy_helper.to_array(weight(rng, "", 16, 3, 3, 3)) * gain[:, None, None, None]
+    second = numpy_helper.to_array(weight(rng, "", 32, 16, 3, 3)) / gain[:, None, None]
+    weights = [
+        numpy_helper.from_array(first, "w_a"),
+        numpy_helper.from_array(second, "w_b"),
+        weight(rng, "w_c", 32, 32, 3, 3),
+        weight(rng, "w_head", 6, 32, 3, 3),
+        numpy_helper.from_array(np.float32(640), "pixels"),
+        *(numpy_helper.from_array(np.array(v, np.int64), f"at_{v[0]}") for v in ([0], [1], [4], [6])),
+    ]
+    nodes = [convolution("images", "a", stride=2), *silu("a", "a_act")]
+    nodes += [convolution("a_act", "b", stride=2), *silu("b", "b_act")]
+    nodes += [convolution("b_act", "c"), *silu("c", "c_act"), convolution("c_act", "head")]
+    nodes += [
+        helper.make_node("Sigmoid", ["head"], ["unit"]),
+        helper.make_node("Slice", ["unit", "at_0", "at_4", "at_1"], ["corners"]),
+        helper.make_node("Slice", ["unit", "at_4", "at_6", "at_1"], ["scores"]),
+        helper.make_node("Mul", ["corners", "pixels"], ["corners_px"]),
+        helper.make_node("Concat", ["corners_px", "scores"], ["boxes"], axis=1),
+    ]
+    return saved(path, nodes, weights)
+
+
+def blobs(n, size=SIZE_PX, seed=3):
+    """Images of soft blotches, 0..1."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.random((n, 1, 3, size // 8, size // 8), np.float32)
+    return list(coarse.repeat(8, 3).repeat(8, 4))
+
+
+def mean_errors(path, other, inputs):
+    """Mean difference of two networks' outputs: (pixels, scores)."""
+    one, two = (
+        np.stack([OnnxSession(p, Runtime(device="cpu")).run(blob)[0] for blob in inputs]) for p in (path, other)
+    )
+    difference = np.abs(one - two).mean(axis=(0, 1, 3, 4))
+    return difference[:4].mean(), difference[4:].mean()
+
+
+def metadata(path):
+    return {entry.key: entry.value for entry in onnx.load(path).metadata_props}
+
+
+def operators(path):
+    return [node.op_type for node in onnx.load(path).graph.node]
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    return yolo_network(tmp_path_factory.mktemp("float") / "net.onnx")
+
+
+@pytest.fixture(scope="module")
+def int8(network):
+    out = network.with_name("net-int8.onnx")
+    quantize_int8(network, out, blobs=iter(blobs(12)))
+    return out
+
+
+@pytest.fixture(scope="module")
+def fp16(network):
+    out = network.with_name("net-fp16.onnx")
+    convert_fp16(network, out)
+    return out
+
+
+def test_int8_is_near_the_float_network_but_not_equal(network, int8):
+    pixels, scores = mean_errors(network, int8, blobs(4, seed=9))
+    assert 0.05 < pixels < 6  # of 640; equal outputs would mean that nothing is quantised
+    assert 1e-4 < scores < 0.01
+
+
+def test_fp16_is_nearer(network, fp16):
+    pixels, scores = mean_errors(network, fp16, blobs(4, seed=9))
+    assert 1e-4 < pixels < 0.2
+    assert 1e-7 < scores < 3e-4
+
+
+def test_pixels_are_never_rounded_to_halves(fp16):
+    boxes = OnnxSession(fp16, Runtime(device="cpu")).run(blobs(1)[0])[0]
+    corners = boxes[:, :4]
+    assert (corners != corners.astype(np.float16)).mean() > 0.9
+
+
+@pytest.mark.parametrize(("copy", "share"), [("int8", 0.6), ("fp16", 0.7)])
+def test_the_copy_is_smaller_and_keeps_what_the_file_says(request, network, copy, share):
+    out = request.getfixturevalue(copy)
+    onnx.checker.check_model(onnx.load(out), full_check=True)
+    assert 0.2 < out.stat().st_size / network.stat().st_size < share
+    assert metadata(out) == METADATA
+    before, after = (OnnxSession(path, Runtime(device="cpu")) for path in (network, out))
+    assert (after.input_dtype, after.input_shape) == (before.input_dtype, before.input_shape)
+
+
+def test_heads_and_what_follows_stay_in_float(int8):
+    graph = onnx.load(int8).graph
+    producer = {name: node for node in graph.node for name in node.output}
+    bytes_in = {name for name, node in producer.items() if node.op_type == "DequantizeLinear"}
+    layers = [node for node in graph.node if node.op_type == "Conv"]
+    assert [node.input[1] in bytes_in for node in layers] == [True, True, True, False]
+    tail = [producer[name] for name in ("boxes", "scores", "corners_px", "corners", "unit", "head")]
+    assert [name for node in tail for name in node.input if name in bytes_in and node.op_type != "Conv"] == []
+
+
+def test_a_tensor_of_loud_and_quiet_channels_stays_in_float(tmp_path, monkeypatch):
+    path = yolo_network(tmp_path / "uneven.onnx", quiet_gain=0.005)
+    out, spoilt = tmp_path / "kept.onnx", tmp_path / "spoilt.onnx"
+    quantize_int8(path, out, blobs=blobs(12))
+    monkeypatch.setattr(quantize, "_MAX_NOISE_SHARE", np.inf)
+    quantize_int8(path, spoilt, blobs=blobs(12))
+    inputs = blobs(4, seed=9)
+    kept_px, spoilt_px = (mean_errors(path, each, inputs)[0] for each in (out, spoilt))
+    assert 0.01 < kept_px < spoilt_px / 3
+    assert operators(out).count("DequantizeLinear") < operators(spoilt).count("DequantizeLinear")
+
+
+def test_noise_share_by_hand():
+    ramp = np.linspace(0, 255, 256, dtype=np.float32).reshape(1, 1, 16, 16)  # scale 1, noise 1/12, variance 5461.25
+    assert quantize._noise_share(ramp) == pytest.approx(1 / 12 / 5461.25, rel=1e-6)
+    flat = np.concatenate([ramp, np.zeros_like(ramp)], axis=1)  # the second channel is all noise
+    assert quantize._noise_share(flat) == pytest.approx((1 + 1 / 12 / 5461.25) / 2, rel=1e-6)
+
+
+def test_yolov8s_weighted_mean_is_no_layer(tmp_path):
+    rng = np.random.default_rng(2)
+    weights = [
+        weight(rng, "w_a", 8, 3, 3, 3),
+        weight(rng, "w_head", 16, 8, 3, 3),
+        numpy_helper.from_array(np.arange(16, dtype=np.float32).reshape(1, 16, 1, 1), "bins"),
+    ]
+    nodes = [convolution("images", "a"), *silu("a", "a_act"), convolution("a_act", "head")]
+    nodes += [
+        helper.make_node("Softmax", ["head"], ["share"], axis=1),
+        helper.make_node("Conv", ["share", "bins"], ["boxes"]),
+    ]
+    path = saved(tmp_path / "v8.onnx", nodes, weights, opset=13)
+    out = tmp_path / "out.onnx"
+    quantize_int8(path, out, blobs=blobs(4))
+    graph = onnx.load(out).graph
+    bytes_in = {name for node in graph.node if node.op_type == "DequantizeLinear" for name in node.output}
+    assert [n.input[1] in bytes_in for n in graph.node if n.op_type == "Conv"] == [True, False, False]
+
+
+def test_sizes_computed_from_a_shape_are_not_quantised(tmp_path):
+    rng = np.random.default_rng(4)
+    weights = [
+        *(weight(rng, f"w_{name}", 8, depth, 3, 3) for name, depth in (("a", 3), ("b", 8), ("boxes", 8))),
+        numpy_helper.from_array(np.array([1, 1, 2, 2], np.float32), "twice"),
+        numpy_helper.from_array(np.array([], np.float32), "none"),
+    ]
+    nodes = [convolution("images", "a", stride=2), *silu("a", "a_act"), helper.make_node("Shape", ["a_act"], ["shape"])]
+    nodes += [
+        helper.make_node("Cast", ["shape"], ["shape_f"], to=TensorProto.FLOAT),
+        helper.make_node("Mul", ["shape_f", "twice"], ["sizes_f"]),
+        helper.make_node("Floor", ["sizes_f"], ["sizes_floor"]),
+        helper.make_node("Cast", ["sizes_floor"], ["sizes"], to=TensorProto.INT64),
+        helper.make_node("Resize", ["a_act", "none", "none", "sizes"], ["up"], mode="nearest"),
+        convolution("up", "b"),
+        *silu("b", "b_act"),
+        convolution("b_act", "boxes"),
+    ]
+    path = saved(tmp_path / "open.onnx", nodes, weights)
+    model = onnx.load(path)
+    for axis in (2, 3):
+        model.graph.input[0].type.tensor_type.shape.dim[axis].dim_param = f"side{axis}"
+    del model.graph.value_info[:]
+    onnx.save(model, path)
+    out = tmp_path / "out.onnx"
+    quantize_int8(path, out, blobs=blobs(4, size=64))
+    for size in (64, 200, 296):  # one byte of 64 / 255 per step would miss the others
+        assert OnnxSession(out, Runtime(device="cpu")).run(np.zeros((1, 3, size, size), np.float32))[0].shape[2:] == (
+            size,
+            size,
+        )
+
+
+def test_libraries_are_not_heard(network, tmp_path, capfd, caplog):
+    handlers = list(logging.root.handlers)
+    with caplog.at_level(logging.DEBUG):
+        quantize_int8(network, tmp_path / "a.onnx", blobs=blobs(2))
+        convert_fp16(network, tmp_path / "b.onnx")
+    assert (capfd.readouterr(), caplog.records, logging.root.handlers) == (("", ""), [], handlers)
+    assert logging.root.manager.disable == 0
+
+
+def test_nothing_is_left_behind(network, tmp_path):
+    out = tmp_path / "out.onnx"
+    quantize_int8(network, out, blobs=blobs(2))
+    convert_fp16(network, out)
+    with pytest.raises(ModelError):
+        quantize_int8(network, out, blobs=[])
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def both(path, out):
+    yield lambda: quantize_int8(path, out, blobs=blobs(2))
+    yield lambda: convert_fp16(path, out)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [("int8", "already quantised"), ("fp16", "already in 16-bit floats"), ("missing", "no such model file")],
+)
+def test_only_a_float_network_is_taken(request, network, tmp_path, source, message):
+    path = tmp_path / "missing.onnx" if source == "missing" else request.getfixturevalue(source)
+    for convert in both(path, tmp_path / "out.onnx"):
+        with pytest.raises(ModelError, match=message):
+            convert()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_network_without_convolutions(tmp_path):
+    path = saved(tmp_path / "relu.onnx", [helper.make_node("Relu", ["images"], ["boxes"])], [])
+    for convert in both(path, tmp_path / "out.onnx"):
+        with pytest.raises(ModelError, match="no convolutions"):
+            convert()
+
+
+def test_a_network_of_one_convolution(tmp_path):
+    path = saved(
+        tmp_path / "one.onnx",
+        [convolution("images", "boxes")],
+        [weight(np.random.default_rng(0), "w_boxes", 4, 3, 3, 3)],
+    )
+    with pytest.raises(ModelError, match="no convolution but the last ones could be quantised; try FP16"):
+        quantize_int8(path, tmp_path / "out.onnx", blobs=blobs(2))
+
+
+def test_no_blobs(network, tmp_path):
+    with pytest.raises(ModelError, match="no images to calibrate on"):
+        quantize_int8(network, tmp_path / "out.onnx", blobs=iter([]))
+
+
+@pytest.mark.parametrize("position", [0, 5])
+def test_blobs_of_a_wrong_size(network, tmp_path, position):
+    wrong = blobs(6)
+    wrong[position] = np.zeros((1, 3, 40, 40), np.float32)
+    with pytest.raises(ModelError, match=r"net\.onnx: (the network failed|cannot be quantised) \("):
+        quantize_int8(network, tmp_path / "out.onnx", blobs=wrong)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_folder_to_write_into(network, tmp_path):
+    for convert in both(network, tmp_path / "missing" / "out.onnx"):
+        with pytest.raises(ModelError, match=r"out\.onnx: no such folder to write into\."):
+            convert()
+
+
+def test_weights_listed_as_inputs_are_no_images(network, tmp_path):
+    model = onnx.load(network)
+    image = model.graph.input.pop()
+    weights = [helper.make_tensor_value_info(t.name, t.data_type, t.dims) for t in model.graph.initializer]
+    model.graph.input.extend([*weights, image])
+    model.ir_version = 3
+    path, out = tmp_path / "old.onnx", tmp_path / "out.onnx"
+    onnx.save(model, path)
+    quantize_int8(path, out, blobs=blobs(4))
+    assert 0.05 < mean_errors(network, out, blobs(4, seed=9))[0] < 6
+
+
+def test_a_converter_that_fails_is_told_in_one_sentence():
+    message = r"^net\.onnx: cannot be converted to FP16 \(No model\)\.$"
+    with pytest.raises(ModelError, match=message), silent_conversion(Path("net.onnx"), "converted to FP16"):
+        raise RuntimeError("No model\nsecond line")
+
+
+def test_yolov5n_agrees_with_itself(shared_data, tmp_path):
+    path, out = shared_data / "models" / "yolov5n_coco_dyn.onnx", tmp_path / "out.onnx"
+    inputs = blobs(6, size=192)
+    quantize_int8(path, out, blobs=inputs)
+    one, two = (OnnxSession(p, Runtime(device="cpu")).run(blobs(1, size=224, seed=8)[0])[0] for p in (path, out))
+    assert 0.3 < out.stat().st_size / path.stat().st_size < 0.4
+    assert one.shape == two.shape
+    assert 0.05 < np.abs(one - two)[..., :4].mean() < 4  # pixels of 224
+    assert 1e-6 < np.abs(one - two)[..., 4].mean() < 0.01

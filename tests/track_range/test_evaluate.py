@@ -1,0 +1,139 @@
+"""`evaluate detections` and `models quantize` through the command line, on networks and images that the tests make."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.detection.onnx_models import write_model, write_rectangle_finder
+
+GREY = 114
+
+
+@pytest.fixture
+def rectangles(tmp_path):
+    """Ten images of 96 x 96 with one bright rectangle each, labelled as a car, and a network that finds it."""
+    rng = np.random.default_rng(0)
+    for name in ("images", "labels"):
+        (tmp_path / name).mkdir()
+    for i in range(10):
+        (x1, y1), (w, h) = rng.integers(4, 40, 2), rng.integers(12, 50, 2)
+        image = np.full((96, 96, 3), GREY, np.uint8)
+        image[y1 : y1 + h, x1 : x1 + w] = 255
+        cv2.imwrite(str(tmp_path / f"images/{i}.png"), image)
+        share = np.array([x1 + w / 2, y1 + h / 2, w, h]) / 96
+        (tmp_path / f"labels/{i}.txt").write_text(f"2 {' '.join(map(str, share))}\n")
+    told = {"names": '["car"]'}
+    write_rectangle_finder(tmp_path / "finder.onnx", side_px=96, grey=GREY / 255, metadata=told)
+    return tmp_path
+
+
+def evaluate(cli, folder, *more):
+    given = ["--images", folder / "images", "--labels", folder / "labels", "--json", folder / "figures.json"]
+    status, printed, complaint = cli("evaluate", "detections", *given, *more)
+    assert status == 0, complaint
+    return json.loads((folder / "figures.json").read_text()), printed
+
+
+def test_a_perfect_and_a_blind_detector_side_by_side(rectangles, cli):
+    blind = write_model(rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
+    found, printed = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--model", blind)
+    finder, blind = found["models"]["finder"], found["models"]["blind"]
+    car = finder["classes"]["car"]
+    assert (car["n_images"], car["n_boxes"], car["ap50"], car["ap50_95"]) == (10, 10, 1.0, 1.0)
+    assert (car["precision"], car["recall"], car["is_averaged"]) == (1, 1, False)
+    assert blind["classes"]["car"]["recall"] == 0
+    assert finder["ap50"] is None  # ten boxes are too few for a mean
+    assert found["n_images"] == 10
+    assert finder["speed"]["fps"] > 0
+    assert "Under 50 boxes, reported but not averaged: car (10)" in printed
+    for words in ("AP50 % by class", "finder", "blind", "Speed per image"):
+        assert words in printed
+
+
+def test_a_manifest_and_a_missing_class_and_a_damaged_image_are_told(rectangles, cli):
+    lines = [f"{i}.png,{'val' if i < 4 else 'train'},{'00100000' if i else '00000000'}" for i in range(10)]
+    (rectangles / "m.csv").write_text("file,split,labels_complete\n" + "\n".join(lines))
+    (rectangles / "images/3.png").write_bytes(b"damaged")
+    (rectangles / "labels/1.txt").write_text("2 0.5 0.5 0.2 0.2\n")
+    person = write_model(rectangles / "p.onnx", np.zeros((1, 252, 6)), metadata={"names": "['person']"})
+    models = ["--model", rectangles / "finder.onnx", "--model", person]
+    found, printed = evaluate(cli, rectangles, *models, "--manifest", rectangles / "m.csv")
+    assert found["n_images"] == 3
+    assert found["models"]["finder"]["classes"]["car"]["n_images"] == 2  # in image 0 cars are not all labelled
+    assert "p has no class for: car" in printed
+    assert "1 images left out, the first: " in printed.replace("\n", " ")
+
+
+def test_classes_and_working_scores(rectangles, cli):
+    found, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--min-score", "0.2,car=1.0")
+    assert (found["working_score"]["car"], found["working_score"]["bus"]) == (1.0, 0.2)
+    status, _, complaint = cli(
+        "evaluate", "detections", "--model", rectangles / "finder.onnx", "--classes", "tuck",
+        "--images", rectangles / "images", "--labels", rectangles / "labels",
+    )  # fmt: skip
+    assert (status, "did you mean 'truck'" in complaint) == (1, True)
+
+
+def test_frames_of_a_video_with_kitti_labels(shared_data, cli, tmp_path):
+    drive = shared_data / "kitti_stereo/0003"
+    status, _, complaint = cli(
+        "evaluate", "detections", "--model", shared_data / "models/yolov5n_coco_dyn.onnx",
+        "--images", drive / "left.mp4", "--labels", drive / "label.txt", "--json", tmp_path / "f.json",
+    )  # fmt: skip
+    assert status == 0, complaint
+    car = json.loads((tmp_path / "f.json").read_text())["models"]["yolov5n_coco_dyn"]["classes"]["car"]
+    assert car["n_images"] == 16
+    assert 0.5 < car["ap50"] < 1.0  # near cars, and two hidden ones
+
+
+def test_a_video_wants_labels_of_a_sequence(shared_data, cli, tmp_path):
+    status, _, complaint = cli(
+        "evaluate", "detections", "--model", shared_data / "models/yolov5n_coco_dyn.onnx",
+        "--images", shared_data / "kitti_stereo/0003/left.mp4", "--labels", tmp_path,
+    )  # fmt: skip
+    assert (status, "a video's frames want one file of KITTI tracking labels" in complaint) == (2, True)
+
+
+def test_no_image_can_be_read(rectangles, cli):
+    for image in (rectangles / "images").iterdir():
+        image.write_bytes(b"damaged")
+    status, _, complaint = cli(
+        "evaluate", "detections", "--model", rectangles / "finder.onnx",
+        "--images", rectangles / "images", "--labels", rectangles / "labels",
+    )  # fmt: skip
+    assert (status, "none of the labelled images can be read" in complaint) == (1, True)
+
+
+def test_quantize_writes_smaller_copies_and_compares_them(shared_data, cli, tmp_path):
+    images = tmp_path / "images"
+    images.mkdir()
+    capture = cv2.VideoCapture(str(shared_data / "kitti_stereo/0005/left.mp4"))
+    for i in range(10):
+        cv2.imwrite(str(images / f"{i}.jpg"), capture.read()[1][:, 300:900])
+    model, figures = shared_data / "models/yolox_nano_416.onnx", tmp_path / "f.json"
+    status, printed, complaint = cli(
+        "models", "quantize", model, "--images", images, "--out", tmp_path, "--json", figures
+    )
+    assert status == 0, complaint
+    assert "Accuracy is against the original's boxes" in printed.replace("\n", " ")
+    told = json.loads(figures.read_text())
+    assert told["n_images"] == 5  # the other five calibrated
+    original, int8, fp16 = told["models"].values()
+    assert int8["size_mb"] < 0.5 * original["size_mb"]
+    assert fp16["size_mb"] < 0.6 * original["size_mb"]
+    assert original["classes"]["car"]["ap50"] == pytest.approx(1.0)
+    assert fp16["classes"]["car"]["ap50"] > 0.95
+    assert 0.6 < int8["classes"]["car"]["ap50"] <= 1.0
+    assert sorted(file.name for file in tmp_path.glob("*.onnx")) == [
+        "yolox_nano_416-fp16.onnx",
+        "yolox_nano_416-int8.onnx",
+    ]
+
+
+def test_quantize_wants_two_images(rectangles, cli):
+    for image in sorted((rectangles / "images").iterdir())[1:]:
+        image.unlink()
+    status, _, complaint = cli("models", "quantize", rectangles / "finder.onnx", "--images", rectangles / "images")
+    assert (status, "at least 2 images wanted" in complaint) == (1, True)

@@ -1,0 +1,200 @@
+"""`track-range evaluate detections`: average precision and speed of detectors on labelled images, side by side.
+
+Every image is read once and goes through all detectors in turn, so that their times are of the same moments. Detectors
+report every box of score 0.001 or more, as average precision wants; precision and recall are told at the working score,
+the one that `--min-score` gives.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from detection.classes import ROAD_CLASSES
+from detection.detections import Detections, FloatArray, Image
+from detection.evaluation import MIN_BOXES, DetectionScores, evaluate_detections
+from detection.image_truth import ImageTruth
+from detection.kitti_format import LabelFileError
+from detection.yolo import YoloDetector, YoloSettings
+from track_range.commands.progress import frame_progress
+from track_range.commands.ready_model import ready_model
+from track_range.detection_tables import accuracy_grid, class_grid, speed_grid
+from track_range.detector_options import DetectorOptions, open_detector, thresholds
+from track_range.labelled_source import LabelledFrames, LabelledSource
+from track_range.tables import rich_table
+from track_range.written import write_text
+
+LOWEST_SCORE = 0.001
+WORKING_SCORE = 0.25
+
+PROTOCOL = (
+    "AP as COCO's (101 points, at most 100 boxes per image and class), boxes of score 0.001 and more after the "
+    "detector's own suppression; precision and recall at IoU 0.5 and the working score; ms per image, medians, "
+    "all detectors in turn on each image"
+)
+
+
+@dataclass(slots=True)
+class Candidate:
+    """One detector under test, with all that it found and its (images, 3) times."""
+
+    name: str
+    detector: YoloDetector
+    found: list[Detections] = field(default_factory=list)
+    times_ms: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def look(self, image: Image) -> None:
+        """Detect, keeping boxes and times."""
+        began_s = time.perf_counter()
+        self.detector.fill(image)
+        filled_s = time.perf_counter()
+        outputs = self.detector.infer()
+        inferred_s = time.perf_counter()
+        self.found.append(self.detector.decode(outputs))
+        done_s = time.perf_counter()
+        self.times_ms.append((1e3 * (filled_s - began_s), 1e3 * (inferred_s - filled_s), 1e3 * (done_s - inferred_s)))
+
+    def speed(self) -> dict[str, float]:
+        """Median ms per stage, and images per second; the first image, on which buffers are made, is left out."""
+        pre, inference, post = np.median(self.times_ms[1:] or self.times_ms, axis=0).tolist()
+        total = pre + inference + post
+        return {"pre_ms": pre, "inference_ms": inference, "post_ms": post, "total_ms": total, "fps": 1e3 / total}
+
+
+def evaluate(
+    candidates: Sequence[Candidate], frames: LabelledFrames, *, min_score: str | None, console: Console
+) -> dict[str, Any]:
+    """Run every candidate over the labelled images; the figures of all, as `--json` keeps them.
+
+    Raises:
+        LabelFileError, VideoError: no image can be read.
+    """
+    truth: list[ImageTruth] = []
+    with frame_progress(console, frames.n_images) as advance:
+        for image, labels in frames:
+            for candidate in candidates:
+                candidate.look(image)
+            truth.append(labels)
+            advance()
+    if not truth:
+        raise LabelFileError(f"none of the labelled images can be read: {' '.join(frames.unreadable[:1])}")
+    working_score = _working_score(min_score)
+    scores = {
+        each.name: evaluate_detections(
+            each.found, truth, working_score=working_score, known_class_id=each.detector.known_class_id
+        )
+        for each in candidates
+    }
+    return {
+        "n_images": len(truth),
+        "working_score": {name: float(working_score[i]) for i, name in enumerate(ROAD_CLASSES)},
+        "protocol": PROTOCOL,
+        "models": {each.name: _figures(each, scores) for each in candidates},
+        "notes": _notes(candidates, scores, frames.unreadable),
+    }
+
+
+def evaluate_source(
+    candidates: Sequence[Candidate], source: LabelledSource, *, min_score: str | None, console: Console
+) -> dict[str, Any]:
+    """As `evaluate`, with where images and labels came from.
+
+    Raises:
+        LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
+    """
+    about = {
+        "images": str(source.images),
+        "labels": str(source.labels),
+        "format": source.format,
+        "split": source.split if source.manifest else None,
+    }
+    return {**about, **evaluate(candidates, source.open(), min_score=min_score, console=console)}
+
+
+def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[str, Any]:
+    """One model's entry: what it is, accuracy over its own classes and those that all candidates average, speed."""
+    own = scores[candidate.name]
+    shared = [
+        i for i in own.by_class if all(i in each.by_class and each.by_class[i].is_averaged for each in scores.values())
+    ]
+    session = candidate.detector.session
+    common = {key: own.mean(key, shared) if shared else None for key in ("ap50", "ap50_95")}
+    return {
+        "file": str(session.path),
+        "sha256": session.sha256(),
+        "size_mb": session.path.stat().st_size / 1e6,
+        "family": candidate.detector.model.family,
+        "input": _input(candidate.detector),
+        "device": session.device,
+        **own.as_dict(),
+        "common": {**common, "classes": [ROAD_CLASSES[i] for i in shared]},
+        "speed": candidate.speed(),
+    }
+
+
+def _input(detector: YoloDetector) -> str:
+    """Width and height of the network's input; the longer side where each image has its own."""
+    height, width = detector.input_hw
+    is_open = None in detector.session.input_shape[2:]
+    return f"{max(height, width)} open" if is_open else f"{width}x{height}"
+
+
+def tell_figures(figures: dict[str, Any], console: Console) -> None:
+    """Print the tables and notes."""
+    for grid in (accuracy_grid(figures), class_grid(figures), speed_grid(figures)):
+        console.print(rich_table(grid))
+    for note in figures["notes"]:
+        console.print(f"- {note}", style="dim", highlight=False, markup=False)
+
+
+def keep_figures(figures: dict[str, Any], path: Path | None) -> None:
+    """Write the figures as JSON, where asked.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if path is not None:
+        write_text(path, json.dumps(figures, indent=2) + "\n")
+
+
+def open_candidates(models: Sequence[str], options: DetectorOptions, console: Console) -> list[Candidate]:
+    """The detectors under test, all loaded before the first image.
+
+    Raises:
+        ModelError, DownloadError, ClassNameError, ConfigError: one of them cannot be used.
+    """
+    names = [Path(model).stem for model in models]
+    unique = [name if names.count(name) == 1 else model for name, model in zip(names, models, strict=True)]
+    return [
+        Candidate(name, open_detector(ready_model(model, console), options, lowest_score=LOWEST_SCORE))
+        for name, model in zip(unique, models, strict=True)
+    ]
+
+
+def _working_score(option: str | None) -> FloatArray:
+    least, by_class = thresholds(option, otherwise=WORKING_SCORE)
+    return YoloSettings(min_score=least, class_min_score=by_class).min_score_by_class()
+
+
+def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], unreadable: Sequence[str]) -> list[str]:
+    notes = [note for each in candidates for note in each.detector.notes]
+    for name, each in scores.items():
+        unknown = [ROAD_CLASSES[i] for i, told in each.by_class.items() if told.n_boxes and not told.is_known]
+        if unknown:
+            notes.append(f"{name} has no class for: {', '.join(unknown)}; not averaged for it.")
+    few = {
+        i: told.n_boxes for each in scores.values() for i, told in each.by_class.items() if 0 < told.n_boxes < MIN_BOXES
+    }
+    if few:
+        listed = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
+        notes.append(f"Under {MIN_BOXES} boxes, reported but not averaged: {listed}.")
+    if unreadable:
+        notes.append(f"{len(unreadable)} images left out, the first: {unreadable[0]}")
+    return notes
