@@ -120,9 +120,9 @@ def _figures(row: _Row) -> dict[str, Any]:
 
 def _print(figures: list[dict[str, Any]], image_hw: tuple[int, ...]) -> None:
     title = f"Detection of {image_hw[1]} x {image_hw[0]} frames, median ms per frame"
-    table = Table(title=title, box=box.SIMPLE_HEAD)
-    for heading in ("model", "threads", "input", "pre", "inference", "post", "total", "(pre+post)\n/ inference"):
-        table.add_column(heading, no_wrap=True, justify="left" if heading == "model" else "right")
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
+    for heading in ("model", "threads", "input", "pre", "infer.", "post", "total", "(pre+post)\n/infer."):
+        table.add_column(heading, no_wrap=True, overflow="fold", justify="left" if heading == "model" else "right")
     for row in figures:
         height, width = row["input_hw"]
         numbers = (f"{row[f'{stage}_ms']:.2f}" for stage in ("pre", "inference", "post", "total"))

@@ -40,10 +40,13 @@ def written_whole(out: Path) -> Iterator[Path]:
     """A folder beside `out` to work in; the file of the same name left in it takes the place of `out` at the end.
 
     Raises:
-        ModelError: there is no folder to write `out` into.
+        ModelError: there is no folder to write `out` into, or it cannot be written to.
     """
     if not out.parent.is_dir():
         raise ModelError(f"{out}: no such folder to write into.")
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as name:
-        yield Path(name)
-        (Path(name) / out.name).replace(out)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as name:
+            yield Path(name)
+            (Path(name) / out.name).replace(out)
+    except OSError as error:
+        raise ModelError(f"{out}: cannot be written ({error.strerror or error}).") from error

@@ -10,6 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from detection import quantize
 from detection.model_writing import silent_conversion
+from detection.model_writing import written_whole
 from detection.onnx_session import ModelError, OnnxSession, Runtime
 from detection.quantize import convert_fp16, quantize_int8
 
@@ -330,3 +331,10 @@ def test_yolov5n_agrees_with_itself(shared_data, tmp_path):
     assert one.shape == two.shape
     assert 0.05 < np.abs(one - two)[..., :4].mean() < 4  # pixels of 224
     assert 1e-6 < np.abs(one - two)[..., 4].mean() < 0.01
+
+
+def test_a_copy_that_cannot_be_written_is_told(tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(ModelError, match=r"taken: cannot be written \("), written_whole(tmp_path / "taken") as folder:
+        (folder / "taken").write_text("a file cannot take a folder's place")
+    assert [each.name for each in tmp_path.iterdir()] == ["taken"]

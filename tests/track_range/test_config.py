@@ -18,7 +18,10 @@ def test_the_results_are_named_after_the_left_video():
     [
         ({}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
         ({**PAIR, "mono": Path("m.mp4")}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
-        ({"mono": Path("m.mp4")}, r"give --detector FILE\.onnx \(or a name of .*, or --detections FILE"),
+        (
+            {"mono": Path("m.mp4")},
+            "give --detector FILE.onnx (or a name of `track-range models list`), or --detections FILE",
+        ),
         ({**PAIR, "detections": Path("d.txt")}, "give --detector or --detections, not both"),
         ({**PAIR, "focal_px": 700.0}, "--focal-px is for --mono"),
         ({**PAIR, "threads": -1}, "--threads: Input should be greater than or equal to 0"),
@@ -47,6 +50,10 @@ def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
     (tmp_path / "classes.txt").write_text("person\ncar\n")
     save_settings(settings_from({**PAIR, "names": "classes.txt"}), tmp_path / "named.yaml", found={})
     assert settings_from({}, tmp_path / "named.yaml").names == str(tmp_path / "classes.txt")
+    (tmp_path / "net.onnx").touch()
+    for word, kept in (("yolov5n", "yolov5n"), ("net.onnx", str(tmp_path / "net.onnx"))):  # a name stays a name
+        save_settings(settings_from({**PAIR, "detector": word}), tmp_path / "word.yaml", found={})
+        assert settings_from({}, tmp_path / "word.yaml").detector == kept
     single = {"mono": Path("m.mp4"), "detector": "m.onnx", "rig": Path("rig.yaml")}
     save_settings(settings_from(single), tmp_path / "single.yaml", found={})
     assert settings_from({"focal_px": 700.0}, tmp_path / "single.yaml").rig is None

@@ -1,0 +1,195 @@
+"""Darknet's cfg text: how it is read, which shapes follow, and every way in which it can be wrong."""
+
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.darknet_layers import Convolution
+from detection.darknet_network import read_network
+from detection.onnx_session import ModelError
+from tests.detection import darknet_networks
+from tests.detection.darknet_networks import section
+
+NET = "[net]\nwidth=32\nheight=16\n"
+CONV = section("convolutional", filters=6, activation="linear")
+YOLO = section("yolo", mask="0", anchors="2,3, 4,5", classes=1, num=2)
+HEAD = CONV + YOLO
+TAIL = section("route", layers="0") + HEAD
+GOOD = NET + HEAD + TAIL
+
+
+def network(text):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "net.cfg"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_network(path)
+
+
+def shape_of(layer_section, *, width=32, height=16):
+    """What one layer makes of an image of this size."""
+    rest = CONV + section("route", layers="1") + HEAD + section("route", layers="1") + HEAD
+    read = network(f"[net]\nwidth={width}\nheight={height}\n" + layer_section + rest)
+    return read.layers[0].shape
+
+
+def test_blanks_comments_ends_of_lines_and_short_forms_mean_nothing():
+    dressed = GOOD.replace("[net]", "# a comment\n; another\n[network]").replace("[convolutional]", " [conv] ")
+    dressed = dressed.replace("filters=6", "  filters = 6  # as many as wanted").replace("0\n", "0 ,\n", 1)
+    assert network(dressed) == network(GOOD)
+    assert network(b"\xef\xbb\xbf" + dressed.replace("\n", "\r\n").encode()) == network(GOOD)
+    assert network(b"# \xb5\xc4\n" + GOOD.encode()) == network(GOOD)  # a comment in another encoding
+
+
+def test_an_option_given_twice_counts_as_it_stands_first():
+    assert network(GOOD.replace("filters=6", "filters=6\nfilters=7")) == network(GOOD)
+
+
+def test_defaults_are_darknets():
+    read = network(NET + "[convolutional]\n" + HEAD + TAIL)
+    assert read.layers[0].operation == Convolution(
+        n_filters=1,
+        n_channels=3,
+        size=1,
+        stride_yx=(1, 1),
+        pad=0,
+        groups=1,
+        has_batch_norm=False,
+        activation="logistic",
+    )
+    assert (read.input_shape, read.letter_box) == ((3, 16, 32), None)
+    everything = network(GOOD.replace("mask=0", "").replace("num=2", "num=1"))
+    assert everything.heads[0][1].anchors_px == ((2, 3),)
+    assert everything.heads[0][1].scale_x_y == 1
+    assert len(network(GOOD.replace("classes=1", "").replace("filters=6", "filters=25")).heads) == 2
+
+
+def test_anchors_are_those_of_the_mask_in_its_order():
+    read = network(GOOD.replace("mask=0", "mask=1,0").replace("filters=6", "filters=12"))
+    assert read.heads[0][1].anchors_px == ((4, 5), (2, 3))
+
+
+def test_shapes_of_the_published_networks():
+    strides = {
+        "yolov4_tiny": [(416, 32), (416, 16)],
+        "yolov3_tiny": [(416, 32), (416, 16)],
+        "yolov4": [(608, 8), (608, 16), (608, 32)],
+    }
+    for name, heads in strides.items():
+        read = network(getattr(darknet_networks, name)())
+        sides = [read.layers[source].shape for source, _ in read.heads]
+        assert sides == [(255, size_px // stride, size_px // stride) for size_px, stride in heads]
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    width=st.integers(7, 40), height=st.integers(7, 40), size=st.integers(1, 7), stride=st.integers(1, 4),
+    padding=st.integers(0, 3),
+)  # fmt: skip
+def test_windows_are_as_many_as_can_be_counted(width, height, size, stride, padding):
+    def count(side, both_pads):
+        return sum(1 for start in range(side + both_pads) if start * stride + size <= side + both_pads)
+
+    conv = section("convolutional", filters=4, size=size, stride=stride, padding=padding, activation="linear")
+    assert shape_of(conv, width=width, height=height) == (4, count(height, 2 * padding), count(width, 2 * padding))
+    pool = section("maxpool", size=size, stride=stride)
+    assert shape_of(pool, width=width, height=height) == (3, count(height, size - 1), count(width, size - 1))
+
+
+def test_pad_is_half_the_size_and_says_more_than_padding():
+    assert shape_of(section("convolutional", filters=2, size=5, pad=1, padding=0, activation="linear")) == (2, 16, 32)
+    assert shape_of(section("convolutional", filters=2, size=4, pad=1, activation="linear")) == (2, 17, 33)
+    assert shape_of(section("upsample", stride=3)) == (3, 48, 96)
+
+
+ERRORS = {
+    "nothing": ("", "no sections; a Darknet cfg begins with"),
+    "no net": (HEAD, r"the first section is \[convolutional\]; a Darknet cfg begins with \[net\]"),
+    "no section": ("width=3\n" + GOOD, "line 1: 'width=3' is no line of a Darknet cfg"),
+    "no equals": (GOOD.replace("mask=0", "mask 0"), "line 9: 'mask0' is no line of a Darknet cfg"),
+    "no key": (GOOD + "=3", "'=3' is no line"),
+    "long": (GOOD + "x" * 99, f"'{'x' * 40}...' is no line"),
+    "binary": (b"\x00\x01\xff\xfe\n" + GOOD.encode(), "line 1: '.{1,40}' is no line"),
+    "unknown": (
+        GOOD + "[reorg]\nstride=2",
+        r"line 27, \[reorg\]: this kind of section cannot be imported; known: \[convolutional\], \[maxpool\]",
+    ),
+    "second net": (GOOD + "[net]", r"\[net\]: this kind of section"),
+    "no width": ("[net]\nheight=16\n" + HEAD + TAIL, r"line 1, \[net\]: it has no line 'width=...'"),
+    "grey": (NET + "channels=1\n" + HEAD + TAIL, "channels=1; images have three"),
+    "no number": (GOOD.replace("width=32", "width=x"), "'width=x' cannot be used; whole numbers from 1 to 65535"),
+    "no size": (GOOD.replace("width=32", "width=0"), "'width=0' cannot be used; whole numbers from 1 to 65535"),
+    "huge": (GOOD.replace("filters=6", "filters=99999"), "'filters=99999' cannot be used"),
+    "activation": (GOOD.replace("linear", "gelu"), "'activation=gelu' cannot be used; known here: linear, leaky, relu"),
+    "xnor": (GOOD.replace("filters=6", "filters=6\nxnor=1"), "'xnor=1' cannot be used; only xnor=0 can be imported"),
+    "dilation": (GOOD.replace("filters=6", "filters=6\ndilation=2"), "only dilation=1 can be imported"),
+    "groups": (GOOD.replace("filters=6", "filters=6\ngroups=2"), "groups=2 does not divide 3 channels into 6"),
+    "window": (GOOD.replace("filters=6", "filters=6\nsize=17"), "size=17 is larger than the 32x16 pixels before it"),
+    "pool": (NET + section("maxpool", size=3, padding=9), "padding=9 leaves windows of size=3 wholly outside"),
+    "depth": (NET + section("maxpool", size=2, maxpool_depth=1), "only maxpool_depth=0 can be imported"),
+    "upsample": (NET + section("upsample", scale=0.5), "only scale=1 can be imported"),
+    "backwards": (NET + section("upsample", stride=-2), "'stride=-2' cannot be used"),
+    "no layers": (NET + "[route]", "it has no line 'layers=...'"),
+    "empty layers": (NET + "[route]\nlayers=,", "'layers=,' cannot be used; numbers wanted"),
+    "ahead": (NET + CONV + "[route]\nlayers=1", "'layers=1' from layer 1 is no layer before it"),
+    "too far": (NET + CONV + "[route]\nlayers=-2", "'layers=-2' from layer 1 is no layer before it"),
+    "sizes": (
+        NET + CONV + section("maxpool", stride=2) + section("route", layers="-1,-2"),
+        "its layers differ in size: 16x8x6 and 32x16x6; do width and height of .net. suit",
+    ),
+    "share": (NET + CONV + section("route", layers=-1, groups=4), "groups=4, group_id=0 is no share of 6 channels"),
+    "share id": (NET + CONV + section("route", layers=-1, groups=2, group_id=2), "groups=2, group_id=2 is no share"),
+    "no from": (NET + CONV + "[shortcut]", "it has no line 'from=...'"),
+    "shapes": (
+        NET + CONV + section("convolutional", filters=5) + section("shortcut", from_=-2),
+        "its layers differ in shape: 32x16x5 and 32x16x6",
+    ),
+    "weighted": (
+        NET + CONV + CONV + section("shortcut", from_=-2, weights_type="per_channel"),
+        "'weights_type=per_channel' cannot be used; known here: none",
+    ),
+    "after yolo": (NET + HEAD + HEAD, r"\[convolutional\]: it reads layer 1, a \[yolo\], which only an output may do"),
+    "route yolo": (NET + HEAD + section("route", layers=-1), r"\[route\]: it reads layer 1, a \[yolo\]"),
+    "new coordinates": (GOOD.replace("num=2", "num=2\nnew_coords=1"), "only new_coords=0 can be imported"),
+    "no anchors": (GOOD.replace("anchors=2,3, 4,5", ""), "it has no line 'anchors=...'"),
+    "odd anchors": (GOOD.replace("4,5", "4"), "anchors are pairs of a width and a height above zero"),
+    "zero anchors": (GOOD.replace("4,5", "4,0"), "anchors are pairs of a width and a height above zero"),
+    "worded anchors": (GOOD.replace("4,5", "4,x"), r"'anchors=2,3,4,x' cannot be used; numbers wanted"),
+    "endless anchors": (GOOD.replace("4,5", "4,inf"), r"'anchors=2,3,4,inf' cannot be used; numbers wanted"),
+    "mask": (GOOD.replace("mask=0", "mask=2"), "mask 2 names anchors that are not there: it has 2"),
+    "scale": (GOOD.replace("num=2", "num=2\nscale_x_y=3"), "scale_x_y=3 is not from 1 to 2"),
+    "filters": (
+        GOOD.replace("filters=6", "filters=7"),
+        r"must be a \[convolutional\] with filters=6: 1 anchors x \(5 \+ 1 classes\); it has 7 channels",
+    ),
+    "no conv": (
+        NET + CONV + section("maxpool") + YOLO,
+        r"the layer before it must be a \[convolutional\] with filters",
+    ),
+    "one head": (NET + HEAD, r"the network has 1 sections \[yolo\]; two or three wanted"),
+    "four heads": (GOOD + TAIL + TAIL, r"the network has 4 sections \[yolo\]; two or three wanted"),
+    "uneven": (
+        NET + HEAD + TAIL.replace("filters=6", "filters=12").replace("mask=0", "mask=0,1"),
+        "must have the same number of classes and of anchors in their masks",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_what_is_wrong_is_told_in_a_sentence(name):
+    text, message = ERRORS[name]
+    with pytest.raises(ModelError, match=message) as caught:
+        network(text)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(".")
+
+
+def test_a_good_one_has_no_errors():
+    assert len(network(GOOD).layers) == 5
+
+
+def test_a_missing_cfg_is_told(tmp_path):
+    with pytest.raises(ModelError, match=r"none\.cfg: cannot be read \(No such file"):
+        read_network(tmp_path / "none.cfg")

@@ -1,0 +1,91 @@
+"""Imported Darknet networks beside OpenCV 4's own reader of Darknet files, on random weights."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from detection.darknet import import_darknet
+from detection.darknet_network import read_network
+from detection.onnx_session import OnnxSession, Runtime
+from tests.detection import darknet_networks
+from tests.detection.darknet_networks import write_weights
+
+PROJECT = Path(__file__).resolve().parents[2]
+OPENCV_EPSILON, DARKNET_EPSILON = 1e-6, 1e-5
+
+NETWORKS = {
+    # the cfg's text, and the gain of its weights: what keeps sums of residual blocks within bounds
+    "yolov4-tiny": (darknet_networks.yolov4_tiny(size_px=(416, 320)), 2.0),
+    "yolov3-tiny": (darknet_networks.yolov3_tiny(size_px=(320, 416)), 2.0),
+    "yolov4": (darknet_networks.yolov4(size_px=(256, 192), width=8), 1.4),
+    "assorted": (darknet_networks.assorted(), 2.0),
+}
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """By network: (the cfg read, our outputs, OpenCV's), of one random image and random weights.
+
+    OpenCV adds 1e-6 to a variance where Darknet adds 1e-5; it is handed variances that make up for that.
+    """
+    python = Path(os.environ.get("TRACK_RANGE_OPENCV4", PROJECT / ".venv" / "opencv4" / "bin" / "python"))
+    if not python.is_file():
+        pytest.skip(f"no OpenCV 4 to compare with: no {python} (`make setup` makes it; or set TRACK_RANGE_OPENCV4)")
+    folder = tmp_path_factory.mktemp("darknet")
+    ours = {}
+    for seed, (name, (text, gain)) in enumerate(NETWORKS.items()):
+        cfg, weights = folder / f"{name}.cfg", folder / f"{name}.weights"
+        cfg.write_text(text)
+        network = read_network(cfg)
+        write_weights(weights, network, seed=seed, gain=gain)
+        names = [f"class {i}" for i in range(network.heads[0][1].n_classes)]
+        import_darknet(cfg, weights, folder / f"{name}.onnx", names=names)
+        write_weights(weights, network, seed=seed, gain=gain, more_variance=DARKNET_EPSILON - OPENCV_EPSILON)
+        blob = np.random.default_rng(seed).random((1, *network.input_shape), np.float32)
+        np.save(folder / f"{name}.blob.npy", blob)
+        ours[name] = network, OnnxSession(folder / f"{name}.onnx", Runtime(device="cpu", n_threads=1)).run(blob)
+    subprocess.run([python, Path(__file__).with_name("opencv4_forward.py"), folder], check=True)
+    return {name: (*ours[name], dict(np.load(folder / f"{name}.opencv.npz"))) for name in NETWORKS}
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_outputs_are_opencvs(compared, name):
+    network, ours, theirs = compared[name]
+    assert len(ours) == len(network.heads) == len(theirs) / 2
+    for i, output in enumerate(ours):
+        expected = theirs[f"raw_{i}"]
+        assert expected.std(axis=(2, 3)).mean() > 0.02  # places differ: the image still matters this deep
+        np.testing.assert_allclose(output, expected, rtol=0, atol=5e-5 * expected.std())
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_outputs_decode_to_opencvs_boxes(compared, name):
+    network, ours, theirs = compared[name]
+    for i, (raw, (_, head)) in enumerate(zip(ours, network.heads, strict=True)):
+        boxes, objectness, scores = decoded(raw[0], head, network.input_shape[1:])
+        expected = theirs[f"decoded_{i}"]
+        np.testing.assert_allclose(boxes, expected[:, :4], rtol=2e-4, atol=2e-5)
+        np.testing.assert_allclose(objectness, expected[:, 4], rtol=0, atol=2e-5)
+        is_clear = np.abs(scores - 0.2) > 1e-4  # OpenCV sets scores below 0.2 to zero
+        kept = np.where(scores > 0.2, scores, 0)
+        np.testing.assert_allclose(kept[is_clear], expected[:, 5:][is_clear], rtol=0, atol=2e-5)
+
+
+def decoded(raw, head, input_hw):
+    """Boxes (N, 4) cx cy w h as shares of the image, objectness (N,), scores (N, C), cell by cell, anchor by anchor."""
+    n_rows, n_columns = raw.shape[1:]
+    cells = raw.reshape(len(head.anchors_px), -1, n_rows, n_columns).transpose(2, 3, 0, 1).astype(float)
+    row, column = np.mgrid[:n_rows, :n_columns][..., None]
+    stretched = head.scale_x_y * sigmoid(cells[..., :2]) - (head.scale_x_y - 1) / 2
+    x, y = (stretched[..., 0] + column) / n_columns, (stretched[..., 1] + row) / n_rows
+    width, height = np.moveaxis(np.array(head.anchors_px) / input_hw[::-1] * np.exp(cells[..., 2:4]), -1, 0)
+    objectness = sigmoid(cells[..., 4])
+    scores = objectness[..., None] * sigmoid(cells[..., 5:])
+    return np.stack([x, y, width, height], -1).reshape(-1, 4), objectness.ravel(), scores.reshape(-1, scores.shape[-1])
+
+
+def sigmoid(x):
+    return 1 / (1 + np.exp(-x))
