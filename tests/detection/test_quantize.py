@@ -9,8 +9,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from detection import quantize
-from detection.model_writing import silent_conversion
-from detection.model_writing import written_whole
+from detection.model_writing import silent_conversion, written_whole
 from detection.onnx_session import ModelError, OnnxSession, Runtime
 from detection.quantize import convert_fp16, quantize_int8
 
