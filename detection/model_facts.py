@@ -120,13 +120,19 @@ def names_of(value: object) -> tuple[str, ...]:
     raise ValueError(f"a list of names wanted, not {str(value)[:40]!r}; give them with --names")
 
 
+_ANCHORS_WANTED = "positive width,height pairs wanted for every head, such as '81,82 135,169 / 23,27 37,58'"
+
+
 def _anchors(value: Any) -> Anchors:
     """Anchors from nested lists, or from text such as `10,14 23,27 37,58 / 81,82 135,169 344,319`."""
     if isinstance(value, str):
         value = [[pair.split(",") for pair in head.split()] for head in value.split("/")]
-    anchors = tuple(tuple((float(w), float(h)) for w, h in head) for head in value)
+    try:
+        anchors = tuple(tuple((float(w), float(h)) for w, h in head) for head in value)
+    except (ValueError, TypeError) as error:
+        raise ValueError(_ANCHORS_WANTED) from error
     if not anchors or not all(head and all(0 < side < 1e5 for pair in head for side in pair) for head in anchors):
-        raise ValueError("positive width,height pairs wanted for every head, such as '81,82 135,169 / 23,27 37,58'")
+        raise ValueError(_ANCHORS_WANTED)
     return anchors
 
 

@@ -54,17 +54,22 @@ def speed_grid(figures: Mapping[str, Any]) -> Grid:
 
 
 def class_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per class: how much there is to find, and each model's AP50."""
+    """One row per class: how much there is to find, and each model's AP50; all of its figures where it is the only."""
     models = figures["models"]
     told_of = {name: each for row in models.values() for name, each in row["classes"].items() if each["n_boxes"]}
     names = [name for name in ROAD_CLASSES if name in told_of]
-    counts = [told_of[name] for name in names]
     columns = [
-        Column("images", [each["n_images"] for each in counts], "{:.0f}"),
-        Column("boxes", [each["n_boxes"] for each in counts], "{:.0f}"),
+        Column("images", [told_of[name]["n_images"] for name in names], "{:.0f}"),
+        Column("boxes", [told_of[name]["n_boxes"] for name in names], "{:.0f}"),
     ]
     for model, row in models.items():
         told = [row["classes"].get(name, {}) for name in names]
-        values = [figure(each, "ap50") if each.get("is_known") else None for each in told]
-        columns.append(Column(model, values, scale=100))
-    return grid_of("AP50 % by class", "class", names, columns)
+        known = [each if each.get("is_known") else {} for each in told]
+        if len(models) > 1:
+            columns.append(Column(model, [figure(each, "ap50") for each in known], scale=100))
+        else:
+            columns += [
+                Column(head.removeprefix("m"), [figure(each, key) for each in known], scale=100)
+                for head, key in _ACCURACY
+            ]
+    return grid_of("AP50 % by class" if len(models) > 1 else "By class", "class", names, columns)

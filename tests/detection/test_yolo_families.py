@@ -201,9 +201,9 @@ def test_a_sidecar_that_cannot_be_meant(tmp_path, text, message):
     [
         ("10,14 23,27", "2 output heads want as many groups of anchors"),
         ("10,14 / 23,27 3,3", "got groups of 1, 2 "),
-        ("10,14 23 / 1,2 3,4", "--anchors cannot be used"),
+        ("10,14 23 / 1,2 3,4", "--anchors cannot be used: positive width,height pairs wanted"),
         ("10,14 23,-4 5,5 / 1,2 3,4 5,5", "positive width,height pairs wanted"),
-        ("a,b c,d e,f / 1,2 3,4 5,5", "--anchors cannot be used"),
+        ("a,b c,d e,f / 1,2 3,4 5,5", "--anchors cannot be used: positive width,height pairs wanted"),
         ("10,14 / 23,27", "it has 70 classes without names"),
         ("/", "positive width,height pairs wanted"),
     ],

@@ -21,6 +21,7 @@ from track_range.commands.evaluate import WORKING_SCORE, evaluate, open_candidat
 from track_range.commands.ready_model import ready_model
 from track_range.detector_options import DetectorOptions, open_detector
 from track_range.labelled_source import LabelledFrames, LabelledSource
+from track_range.written import make_folder
 
 N_CALIBRATION = 60
 """Images that tell the range of every layer's numbers; more change nothing (see detection/quantize.py)."""
@@ -64,7 +65,9 @@ def quantize_model(
     Raises:
         ModelError: the model cannot be converted.
         ImageFileError, LabelFileError: images or labels cannot be read.
+        OutputError: `out` cannot be written to.
     """
+    make_folder(out)
     path = ready_model(model, console)
     original = open_detector(path, replace(options, min_score=str(WORKING_SCORE)))
     measured = frozenset(item.path for item in source.labelled_files()) if source else frozenset()
