@@ -148,13 +148,13 @@ def test_a_folder_of_images_gives_what_the_video_gives(drive, tmp_path):
 
 @pytest.fixture(scope="session")
 def long_drive(drive, tmp_path_factory):
-    """The drive twenty times over, so that a run of it is still going when it is stopped."""
+    """The drive forty times over, so that a run of it is still going when it is stopped, on a busy machine too."""
     folder = tmp_path_factory.mktemp("long")
     n = n_frames_of(drive.left)
     for eye in ("left", "right"):
-        loop_video(getattr(drive, eye), folder / f"{eye}.mp4", n_frames=20 * n)
+        loop_video(getattr(drive, eye), folder / f"{eye}.mp4", n_frames=40 * n)
     rows = [line.split(maxsplit=1) for line in drive.detections.read_text().splitlines()]
-    shifted = [f"{int(frame) + n * turn} {rest}" for turn in range(20) for frame, rest in rows]
+    shifted = [f"{int(frame) + n * turn} {rest}" for turn in range(40) for frame, rest in rows]
     (folder / "detections.txt").write_text("\n".join(shifted))
     return replace(drive, left=folder / "left.mp4", right=folder / "right.mp4", detections=folder / "detections.txt")
 
@@ -169,7 +169,7 @@ def test_a_stopped_run_leaves_its_finished_frames(long_drive, tmp_path, number):
     process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
     columns = read_tracks_csv(out / "tracks.csv")
-    assert 25 <= columns["frame"].max() < 300
+    assert 25 <= columns["frame"].max() < n_frames_of(long_drive.left) - 1
     n_overlay = n_frames_of(out / "overlay.mp4")
     if number == signal.SIGKILL:
         assert process.returncode == -signal.SIGKILL
