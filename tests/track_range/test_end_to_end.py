@@ -165,15 +165,15 @@ def test_a_stopped_run_leaves_its_finished_frames(long_drive, tmp_path, number):
     files = ("--stereo", long_drive.left, long_drive.right, "--rig", long_drive.rig)
     command = [TRACK_RANGE, *files, "--detections", long_drive.detections, "--out", out]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    wait_for(lambda: last_frame(out / "tracks.csv") >= 25, process)
+    wait_for(lambda: last_frame(out / "tracks.csv") >= 60, process)
     process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
     columns = read_tracks_csv(out / "tracks.csv")
-    assert 25 <= columns["frame"].max() < n_frames_of(long_drive.left) - 1
+    assert 60 <= columns["frame"].max() < n_frames_of(long_drive.left) - 1
     n_overlay = n_frames_of(out / "overlay.mp4")
     if number == signal.SIGKILL:
         assert process.returncode == -signal.SIGKILL
-        assert n_overlay >= 20  # all but the last few, which may have waited to be drawn
+        assert n_overlay >= 20  # all but the last, which may have waited to be drawn: longer on a busy machine
         return
     assert process.returncode == 1
     assert stderr.strip() == "track-range: stopped by the user; what was finished is kept."
