@@ -143,7 +143,8 @@ class YoloDetector:
 
     def decode(self, outputs: list[FloatArray32]) -> Detections:
         """The road users that the outputs for the latest image mean."""
-        found = self.model.decoder.decode(outputs, self._min_score)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped, and counted
+            found = self.model.decoder.decode(outputs, self._min_score)
         self.n_unsound += found.n_unsound
         class_id = self._road_class[found.class_index]
         best = nms(

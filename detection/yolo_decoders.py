@@ -2,7 +2,8 @@
 
 Boxes are in the network's corner coordinates (pixel i of the input covers [i, i + 1)); scores are probabilities. Each
 decoder first drops what cannot reach its class's threshold, by one comparison per box, and decodes only what is left,
-a few per cent. NaN passes that comparison on purpose: it is dropped after it, and counted.
+a few per cent. NaN passes that comparison on purpose: it is dropped after it, and counted, as are numbers that overflow
+(their callers silence numpy's warnings).
 """
 
 from __future__ import annotations
@@ -100,9 +101,8 @@ class GridRowDecoder:
         kept = np.flatnonzero(~(rows[:, 4] < min_score.min()))
         rows, stride = rows[kept], self.stride_px[kept, None]
         boxes = rows[:, :4].astype(np.float64)
-        with np.errstate(over="ignore"):  # a size beyond all floats is infinite, and dropped as such
-            cxcywh = np.concatenate([boxes[:, :2] + self.cell_xy[kept], np.exp(boxes[:, 2:])], axis=1) * stride
-        return Candidates.of(_sides(cxcywh), rows[:, 4:5] * rows[:, 5:], min_score)
+        cxcywh = np.concatenate([boxes[:, :2] + self.cell_xy[kept], np.exp(boxes[:, 2:])], axis=1) * stride
+        return Candidates.of(xyxy_from_cxcywh(cxcywh), rows[:, 4:5] * rows[:, 5:], min_score)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,21 +183,14 @@ def _boxes_of_head(head: Head, raw: FloatArray32, min_objectness: float) -> tupl
     anchor, row, column = np.nonzero(~(cells[:, 4] < least))
     told = cells[anchor, :, row, column].astype(np.float64)
     cell_xy = np.stack([column, row], axis=1)
-    with np.errstate(over="ignore"):  # exp of a wild logit is infinite, and dropped as such
-        centre = (head.scale_x_y * _sigmoid(told[:, :2]) - (head.scale_x_y - 1) / 2 + cell_xy) * head.stride_px
-        size = head.anchors_px[anchor] * np.exp(told[:, 2:4])
+    centre = (head.scale_x_y * _sigmoid(told[:, :2]) - (head.scale_x_y - 1) / 2 + cell_xy) * head.stride_px
+    size = head.anchors_px[anchor] * np.exp(told[:, 2:4])
     scores = _sigmoid(told[:, 4:5]) * _sigmoid(told[:, 5:])
-    return _sides(np.concatenate([centre, size], axis=1)), scores.astype(np.float32)
-
-
-def _sides(cxcywh: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore"):  # infinite sizes give inf - inf
-        return xyxy_from_cxcywh(cxcywh)
+    return xyxy_from_cxcywh(np.concatenate([centre, size], axis=1)), scores.astype(np.float32)
 
 
 def _sigmoid(x: FloatArray) -> FloatArray:
-    with np.errstate(over="ignore"):
-        return np.asarray(1 / (1 + np.exp(-x)))
+    return np.asarray(1 / (1 + np.exp(-x)))
 
 
 def _logit(probability: float) -> float:

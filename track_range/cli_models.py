@@ -131,7 +131,9 @@ def _detections(
     label_names: LabelNamesOption = None,
     manifest: ManifestOption = None,
     split: SplitOption = "val",
-    classes: Annotated[str | None, typer.Option(metavar="A,B,...", help="Road classes wanted (default: all).")] = None,
+    classes: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="Road classes to measure (default: all).")
+    ] = None,
     min_score: Annotated[
         str | None,
         typer.Option(metavar="S[,CLASS=S...]", help="Working score, for precision and recall (default: 0.25)."),
@@ -151,7 +153,6 @@ def _detections(
         size_px=size,
         threads=threads,
         device=device,
-        classes=tuple(classes.split(",")) if classes else (),
     )
     source = LabelledSource(
         images=images,
@@ -160,6 +161,7 @@ def _detections(
         label_names=class_names(label_names),
         manifest=manifest,
         split=split,
+        classes=tuple(classes.split(",")) if classes else (),
     )
     candidates = open_candidates(model, options, _console)
     figures = evaluate_source(candidates, source, min_score=min_score, console=_console)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
+from detection.classes import ROAD_CLASSES, road_class_ids
 from detection.detections import Image
 from detection.image_truth import ImageTruth
 from detection.kitti_format import LabelFileError
@@ -54,6 +57,7 @@ class LabelledSource:
         manifest: which images belong to which split, and which classes are labelled completely.
         split: of the manifest.
         leave_out: images of the folder that are not to be measured on.
+        classes: road classes to measure; empty = all.
     """
 
     images: Path
@@ -63,6 +67,7 @@ class LabelledSource:
     manifest: Path | None = None
     split: str = "val"
     leave_out: frozenset[Path] = frozenset()
+    classes: tuple[str, ...] = ()
 
     @property
     def is_video(self) -> bool:
@@ -78,6 +83,17 @@ class LabelledSource:
             return "kitti"
         return "coco" if self.labels.suffix.lower() == ".json" else "yolo"
 
+    def asked(self, truth: ImageTruth) -> ImageTruth:
+        """The labels with only the classes that are asked for to be counted.
+
+        Raises:
+            ClassNameError: a class is unknown.
+        """
+        if not self.classes:
+            return truth
+        wanted = np.isin(np.arange(len(ROAD_CLASSES)), road_class_ids(self.classes))
+        return replace(truth, is_complete=truth.is_complete & wanted)
+
     def labelled_files(self) -> list[LabelledImage]:
         """The images of the folder with their labels, all of the split where there is a manifest.
 
@@ -91,9 +107,11 @@ class LabelledSource:
         """Read all labels.
 
         Raises:
+            ClassNameError: a class that is asked for is unknown.
             UsageError: a video with labels other than KITTI's of a sequence.
             LabelFileError, ImageFileError, VideoError: labels, images or video cannot be read.
         """
+        road_class_ids(self.classes)
         if not self.is_video:
             return _FolderFrames(self)
         if self.format != "kitti" or not self.labels.is_file() or self.manifest is not None:
@@ -103,6 +121,7 @@ class LabelledSource:
 
 class _FolderFrames:
     def __init__(self, source: LabelledSource) -> None:
+        self._asked = source.asked
         self._found = [item for item in source.labelled_files() if item.path not in source.leave_out]
         if not self._found:
             raise LabelFileError(f"{source.images}: no labelled images are left to measure on.")
@@ -116,17 +135,17 @@ class _FolderFrames:
             except ImageFileError as error:
                 self.unreadable.append(str(error))
                 continue
-            yield image, item.truth_in(image)
+            yield image, self._asked(item.truth_in(image))
 
 
 class _VideoFrames:
     unreadable: Sequence[str] = ()
 
     def __init__(self, source: LabelledSource) -> None:
-        self._truth = read_sequence(source.labels)
+        self._asked, self._truth = source.asked, read_sequence(source.labels)
         self._video = VideoReader(source.images)
         self.n_images = self._video.n_frames
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
         for frame in self._video:
-            yield frame.image, self._truth(frame.index)
+            yield frame.image, self._asked(self._truth(frame.index))

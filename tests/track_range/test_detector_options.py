@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from detection.classes import ROAD_CLASSES, ClassNameError
+from detection.darknet_network import read_network
 from detection.onnx_session import ModelError
+from tests.detection import darknet_networks
 from tests.detection.onnx_models import write_model
 from track_range.config import ConfigError, UsageError
 from track_range.detector_options import DetectorOptions, class_names, open_detector, thresholds
@@ -85,3 +87,42 @@ def test_models_info_shows_anchors_as_the_option_takes_them(tmp_path, cli):
     assert "VOC's 20" in printed
     _, printed, _ = cli("models", "info", path, "--anchors", "1,2 3,4 5,6.5 / 1,1 2,2 3,3")
     assert "1,2 3,4 5,6.5 / 1,1 2,2 3,3" in printed
+
+
+def test_models_info_of_a_model_that_is_not_here_asks_nobody(cli, tmp_path, monkeypatch):
+    monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path))
+    status, printed, _ = cli("models", "info", "yolov5n")
+    assert status == 0
+    for words in ("not here yet", "models pull yolov5n", "AGPL-3.0", "releases/download/v7.0/yolov5n.onnx", "sha1:"):
+        assert words in printed
+    status, printed, _ = cli("models", "list")
+    assert status == 0
+    assert printed.count("to be fetched") >= 5
+    assert str(tmp_path) in printed
+
+
+def test_a_model_in_the_cache_is_used_by_its_name(model, cli, tmp_path, monkeypatch):
+    (tmp_path / "models").mkdir()
+    model.rename(tmp_path / "models/mine.onnx")
+    monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path))
+    status, printed, _ = cli("models", "info", "mine", "--names", "person,car")
+    assert (status, "YOLOv5" in printed) == (0, True)
+    status, printed, _ = cli("models", "pull", "mine")
+    assert (status, "is ready: --detector mine" in printed) == (0, True)
+
+
+def test_models_import_makes_a_detector_of_darknet_files(cli, tmp_path):
+    cfg, weights, out = (tmp_path / f"net.{suffix}" for suffix in ("cfg", "weights", "onnx"))
+    cfg.write_text(darknet_networks.yolov4_tiny(size_px=(64, 64), n_classes=2, width=16))
+    darknet_networks.write_weights(weights, read_network(cfg), seed=0)
+    status, printed, complaint = cli("models", "import", cfg, weights, "--names", "person,car", "--out", out)
+    assert status == 0, complaint
+    assert "yolov4-tiny, 64x64" in printed
+    assert "--letterbox stretch does as Darknet does" in printed
+    status, printed, _ = cli("models", "info", out)
+    assert (status, "81,82 135,169 344,319 / 23,27 37,58 81,82" in printed) == (0, True)
+    with weights.open("ab") as file:
+        file.write(b"1234")
+    status, _, complaint = cli("models", "import", cfg, weights, "--names", "person,car", "--out", out)
+    assert status == 1
+    assert "net.weights" in complaint

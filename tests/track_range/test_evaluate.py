@@ -69,6 +69,8 @@ def test_a_manifest_and_a_missing_class_and_a_damaged_image_are_told(rectangles,
 def test_classes_and_working_scores(rectangles, cli):
     found, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--min-score", "0.2,car=1.0")
     assert (found["working_score"]["car"], found["working_score"]["bus"]) == (1.0, 0.2)
+    found, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--classes", "bus,truck")
+    assert found["models"]["finder"]["classes"] == {}  # cars are neither counted nor missed
     status, _, complaint = cli(
         "evaluate", "detections", "--model", rectangles / "finder.onnx", "--classes", "tuck",
         "--images", rectangles / "images", "--labels", rectangles / "labels",

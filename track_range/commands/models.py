@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Any
 
 from rich import box
@@ -11,27 +12,41 @@ from rich.table import Table
 from rich.text import Text
 
 from detection.classes import ROAD_CLASSES
+from detection.model_lookup import FoundModel, find_model
 from detection.yolo import YoloDetector
-from track_range.commands.ready_model import ready_model
 from track_range.detector_options import DetectorOptions, open_detector
 
 
 def tell_model(word: str, options: DetectorOptions, console: Console) -> None:
-    """Load the model, run it once, and print what it is.
+    """Load the model, run it once, and print what it is; of one that is not here, what the catalogue says.
 
     Raises:
         ModelError: it cannot be used as a detector.
-        DownloadError: it is one of the catalogue's, and cannot be fetched.
     """
-    path = ready_model(word, console)
-    detector = open_detector(path, options)
-    table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=str(path), title_justify="left")
+    found = find_model(word)
+    is_here = found.origin != "catalogue" or found.entry is None
+    table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=str(word), title_justify="left")
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_column(style="dim", overflow="fold")
-    for row in _rows(detector):
+    for row in chain(_rows(open_detector(found.path, options)) if is_here else (), _entry_rows(found)):
         table.add_row(*(Text(text) for text in row))
     console.print(table)
+
+
+def _entry_rows(found: FoundModel) -> Iterator[tuple[str, str, str]]:
+    """What the catalogue says of a model."""
+    entry = found.entry
+    if entry is None:
+        return
+    if found.origin == "catalogue":
+        yield "state", "not here yet", f"`track-range models pull {entry.name}` fetches it"
+        yield "family", entry.family, "by the catalogue"
+        yield "input", entry.input, ""
+    yield "licence", f"{entry.licence.name}: {entry.licence.meaning}", ""
+    yield "from", f"{entry.project}, release {entry.release}", ""
+    for file in entry.files:
+        yield "file", file.url, file.checksum
 
 
 def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
