@@ -20,6 +20,9 @@ from detection.model_facts import Facts, ModelOptions, read_facts
 from detection.onnx_session import BoundNetwork, FloatArray32, ModelError, OnnxSession, Runtime
 from detection.yolo_families import YoloModel, recognise
 
+_MAX_BOUND = 8
+"""Input sizes whose buffers are kept, for images of changing sizes; binding one anew costs a run of the network."""
+
 _UNREACHABLE = 2.0
 """A threshold that no score reaches, for classes that are not wanted."""
 
@@ -81,6 +84,7 @@ class YoloDetector:
         self._session = OnnxSession(path, runtime)
         _check_is_detector(self._session)
         self._facts: Facts = read_facts(path, self._session.metadata, options or ModelOptions())
+        self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
         self.n_unsound = 0
         size_px = self._settings.size_px
         self._prepare(image_hw=(size_px, size_px))
@@ -158,11 +162,15 @@ class YoloDetector:
         return boxes.select(are_sound(boxes.xyxy_px))
 
     def _prepare(self, *, image_hw: tuple[int, int]) -> None:
-        """Buffers, decoder and letterbox for images of one size; while the input's size stays, so does the network."""
+        """Buffers, decoder and letterbox for images of one size; an input size seen before has its network still."""
         input_hw = self._input_hw(image_hw)
-        if not hasattr(self, "_network") or self._network.blob.shape[2:] != input_hw:
-            self._network: BoundNetwork = self._session.bound(input_hw)
-            self.model: YoloModel = recognise(self._session.path, input_hw, self._network.output_shapes, self._facts)
+        if input_hw not in self._bound:
+            if len(self._bound) == _MAX_BOUND:
+                del self._bound[next(iter(self._bound))]
+            network = self._session.bound(input_hw)
+            model = recognise(self._session.path, input_hw, network.output_shapes, self._facts)
+            self._bound[input_hw] = network, model
+        self._network, self.model = self._bound[input_hw]
         form = self.model.input_format
         self._letterbox = Letterbox.placed(form.placement, image_hw, input_hw)
         self._scaled: Any = np.empty((*self._letterbox.resized_hw, 3), np.uint8)

@@ -5,6 +5,7 @@ import pytest
 
 from detection.boxes import iou
 from detection.classes import ROAD_CLASSES
+from detection.letterbox import rectangular_input_hw
 from detection.model_facts import ModelOptions
 from detection.onnx_session import ModelError, Runtime
 from detection.yolo import YoloDetector, YoloSettings
@@ -88,6 +89,21 @@ def test_the_smallest_and_very_large_images_pass(tmp_path):
     assert detector.detect(np.zeros((1, 1, 3), np.uint8)).xyxy_px.tolist() == [[-0.125, -0.0625, 0.125, 0.0625]]
     (huge,) = detector.detect(np.zeros((6000, 8000, 3), np.uint8)).xyxy_px
     np.testing.assert_allclose(huge, [2999.5, 2499.5, 4999.5, 3499.5])
+
+
+def test_images_of_changing_sizes_get_the_boxes_that_each_gets_alone(shared_data):
+    import cv2
+
+    image = cv2.VideoCapture(str(shared_data / "kitti_stereo/0005/left.mp4")).read()[1]
+    crops = [image[:, :w] for w in range(1242, 300, -90)]
+    crops += [np.ascontiguousarray(crop.transpose(1, 0, 2)) for crop in crops]
+    path, settings = shared_data / "models/yolov5n_coco_dyn.onnx", YoloSettings(size_px=320)
+    wandering = YoloDetector(path, settings)
+    for crop in [*crops, *crops]:
+        found, alone = wandering.detect(crop), YoloDetector(path, settings).detect(crop)
+        np.testing.assert_array_equal(found.xyxy_px, alone.xyxy_px)
+    sizes = {rectangular_input_hw(crop.shape[:2], size_px=320) for crop in crops}
+    assert len(sizes) > 8  # more than are kept
 
 
 def test_a_network_that_wants_half_precision(tmp_path):
