@@ -120,6 +120,7 @@ def _quantize(
         )
     figures = quantize_model(model, images, out or Path(), source=source, options=options, console=_console)
     keep_figures(figures, json_file)
+    raise typer.Exit(0 if figures["is_complete"] else 1)
 
 
 @evaluation.command("detections", help="Average precision and speed of detectors on labelled images, side by side.")
@@ -167,3 +168,4 @@ def _detections(
     figures = evaluate_source(candidates, source, min_score=min_score, console=_console)
     tell_figures(figures, _console)
     keep_figures(figures, json_file)
+    raise typer.Exit(0 if figures["is_complete"] else 1)

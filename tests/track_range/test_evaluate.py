@@ -5,8 +5,13 @@ import json
 import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 
+from detection.yolo import YoloDetector
 from tests.detection.onnx_models import write_model, write_rectangle_finder
+from track_range.commands.evaluate import Candidate
+from track_range.commands.evaluate import evaluate as evaluate_frames
+from track_range.labelled_source import LabelledSource
 
 GREY = 114
 
@@ -139,3 +144,24 @@ def test_quantize_wants_two_images(rectangles, cli):
         image.unlink()
     status, _, complaint = cli("models", "quantize", rectangles / "finder.onnx", "--images", rectangles / "images")
     assert (status, "at least 2 images wanted" in complaint) == (1, True)
+
+
+def test_who_interrupts_gets_the_figures_of_what_is_done(rectangles, monkeypatch):
+    detector = YoloDetector(rectangles / "finder.onnx")
+    candidate = Candidate("finder", detector)
+    frames = LabelledSource(images=rectangles / "images", labels=rectangles / "labels").open()
+    decode = detector.decode
+
+    def interrupted(outputs):
+        if len(candidate.found) == 4:
+            raise KeyboardInterrupt
+        return decode(outputs)
+
+    monkeypatch.setattr(detector, "decode", interrupted)
+    figures = evaluate_frames([candidate], frames, min_score=None, console=Console(quiet=True))
+    assert (figures["n_images"], figures["is_complete"]) == (4, False)
+    assert figures["models"]["finder"]["classes"]["car"]["recall"] == 1.0
+    assert "Stopped early, after 4 images." in figures["notes"]
+    candidate.found[:] = [None] * 4  # now the first image is interrupted
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_frames([candidate], frames, min_score=None, console=Console(quiet=True))

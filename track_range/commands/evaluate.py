@@ -73,31 +73,43 @@ def evaluate(
 ) -> dict[str, Any]:
     """Run every candidate over the labelled images; the figures of all, as `--json` keeps them.
 
+    Who interrupts it gets the figures of the images that are done.
+
     Raises:
         LabelFileError, VideoError: no image can be read.
     """
     truth: list[ImageTruth] = []
-    with frame_progress(console, frames.n_images) as advance:
-        for image, labels in frames:
-            for candidate in candidates:
-                candidate.look(image)
-            truth.append(labels)
-            advance()
+    is_complete = True
+    try:
+        with frame_progress(console, frames.n_images) as advance:
+            for image, labels in frames:
+                for candidate in candidates:
+                    candidate.look(image)
+                truth.append(labels)
+                advance()
+    except KeyboardInterrupt:
+        if not truth:
+            raise
+        is_complete = False
     if not truth:
         raise LabelFileError(f"none of the labelled images can be read: {' '.join(frames.unreadable[:1])}")
     working_score = _working_score(min_score)
     scores = {
         each.name: evaluate_detections(
-            each.found, truth, working_score=working_score, known_class_id=each.detector.known_class_id
+            each.found[: len(truth)], truth, working_score=working_score, known_class_id=each.detector.known_class_id
         )
         for each in candidates
     }
     return {
         "n_images": len(truth),
+        "is_complete": is_complete,
         "working_score": {name: float(working_score[i]) for i, name in enumerate(ROAD_CLASSES)},
         "protocol": PROTOCOL,
         "models": {each.name: _figures(each, scores) for each in candidates},
-        "notes": _notes(candidates, scores, frames.unreadable),
+        "notes": [
+            *_notes(candidates, scores, frames.unreadable),
+            *([] if is_complete else [f"Stopped early, after {len(truth)} images."]),
+        ],
     }
 
 
