@@ -26,7 +26,7 @@ from rich.table import Table
 from benchmarks.drives import LoopedDrive, add_drive_options, looped
 from detection.letterbox import rectangular_input_hw
 from detection.onnx_session import OnnxSession, Runtime
-from detection.yolo import YoloSettings
+from detection.yolo import DEFAULT_SIZE_PX
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +62,7 @@ def _round(drive: LoopedDrive, options: argparse.Namespace, out: Path) -> dict[s
 
 def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, int]) -> float:
     session = OnnxSession(detector, Runtime(device="cpu", n_threads=1))
-    free_hw = rectangular_input_hw(image_hw, size_px=YoloSettings().size_px)  # what the run takes where it may choose
+    free_hw = rectangular_input_hw(image_hw, size_px=DEFAULT_SIZE_PX)  # what the run takes where it may choose
     height, width = (fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True))
     network = session.bound((height, width))
     network.blob[:] = np.random.default_rng(0).random((1, 3, height, width), np.float32)

@@ -19,18 +19,16 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-import yaml
 
 from detection.classes import ROAD_CLASSES, road_class_of_each
-from detection.detections import BoolArray, FloatArray, Image
+from detection.detections import BoolArray, Image
 from detection.image_truth import ImageTruth, truth_of_kitti
 from detection.kitti_format import LabelFileError, read_kitti, read_kitti_image
-from detection.model_facts import names_of
+from detection.yolo_labels import YoloLabelReader
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
-_NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
 
 
 class ImageFileError(Exception):
@@ -44,11 +42,13 @@ class LabelledImage:
     Attributes:
         path: the image's file.
         truth: its labels; boxes are shares of the image where `is_normalised`.
+        notes: sentences on labels that were cut or left out.
     """
 
     path: Path
     truth: ImageTruth
     is_normalised: bool
+    notes: tuple[str, ...] = ()
 
     def truth_in(self, image: Image) -> ImageTruth:
         """The labels in the image's pixels."""
@@ -192,55 +192,13 @@ def _kitti_object(image: Path, file: Path) -> LabelledImage:
 
 def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, Path], LabelledImage]:
     """A reader of one label file, which knows what the numbers mean."""
-    known = tuple(names) if names is not None else _names_beside(folder)
-    road = road_class_of_each(known or ROAD_CLASSES)
+    reader = YoloLabelReader(names, folder)
 
     def read(image: Path, file: Path) -> LabelledImage:
-        rows = _yolo_rows(file)
-        number = rows[:, 0].astype(np.int64)
-        if len(number) and (number.min() < 0 or number.max() >= len(road)):
-            raise LabelFileError(
-                f"{file}: class {number.max()}, but only {len(road)} class names are known; give --label-names."
-            )
-        half = rows[:, 3:5] / 2
-        boxes = np.concatenate([rows[:, 1:3] - half, rows[:, 1:3] + half], axis=1)
-        is_road = road[number] >= 0
-        return LabelledImage(image, ImageTruth.of(boxes[is_road], road[number][is_road]), True)
+        labels = reader.read(file)
+        return LabelledImage(image, ImageTruth.of(labels.xyxy, labels.class_id), True, labels.notes)
 
     return read
-
-
-def _yolo_rows(file: Path) -> FloatArray:
-    """(N, 5) class, centre and size of a label file; further columns are left."""
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{file}: not readable as text ({error}).") from error
-    rows = []
-    for number, line in enumerate(lines, start=1):
-        if words := line.split():
-            try:
-                rows.append([float(word) for word in words[:5]])
-            except ValueError:
-                rows.append([])
-            if len(rows[-1]) != 5 or not np.isfinite(rows[-1]).all() or min(rows[-1][3:]) < 0:
-                raise LabelFileError(f"{file}, line {number}: 'class cx cy w h' wanted, not '{line.strip()[:40]}'.")
-    return np.array(rows, np.float64).reshape(-1, 5)
-
-
-def _names_beside(folder: Path) -> tuple[str, ...]:
-    """Class names of classes.txt or data.yaml in the folder of labels or the one above; empty = there are none."""
-    for file in (place / name for place in (folder, folder.parent) for name in _NAME_FILES):
-        if not file.is_file():
-            continue
-        try:
-            text = file.read_text(encoding="utf-8-sig")
-            if file.suffix == ".txt":
-                return tuple(line.strip() for line in text.splitlines() if line.strip())
-            return names_of(yaml.safe_load(text)["names"])
-        except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-            raise LabelFileError(f"{file}: no list of class names in it ({type(error).__name__}).") from error
-    return ()
 
 
 def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:

@@ -7,6 +7,7 @@ default. All use the same keys:
     family     the network's name, for people            names      class names, in the network's order
     anchors    per output head, [width, height] pixels   scale_x_y  per output head, Darknet's stretch of the centres
     letterbox  such as centred-114                       colours    rgb or bgr          divisor  255 or 1
+    size       longer side of the input in pixels, where it is open
 """
 
 from __future__ import annotations
@@ -161,6 +162,12 @@ def _divisor(value: Any) -> float:
     return float(value)
 
 
+def _size(value: Any) -> int:
+    if not 32 <= int(value) <= 4096:
+        raise ValueError(f"pixels from 32 to 4096 wanted, not {value!r}")
+    return int(value)
+
+
 _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "family": str,
     "names": names_of,
@@ -169,4 +176,5 @@ _PARSERS: Mapping[str, Callable[[Any], Any]] = {
     "letterbox": _letterbox,
     "colours": _colours,
     "divisor": _divisor,
+    "size": _size,
 }

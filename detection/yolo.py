@@ -16,12 +16,15 @@ from detection.boxes import are_sound, nms
 from detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_class_of_each
 from detection.detections import Detections, FloatArray, Image, IntArray
 from detection.letterbox import Letterbox, rectangular_input_hw
-from detection.model_facts import Facts, ModelOptions, read_facts
+from detection.model_facts import Fact, Facts, ModelOptions, read_facts
 from detection.onnx_session import BoundNetwork, FloatArray32, ModelError, OnnxSession, Runtime
 from detection.yolo_families import YoloModel, recognise
 
 _MAX_BOUND = 8
 """Input sizes whose buffers are kept, for images of changing sizes; binding one anew costs a run of the network."""
+
+DEFAULT_SIZE_PX = 640
+"""Longer side of an open input; what most public networks were trained at."""
 
 _UNREACHABLE = 2.0
 """A threshold that no score reaches, for classes that are not wanted."""
@@ -36,7 +39,8 @@ class YoloSettings:
         class_min_score: (class id, score) of road classes with a threshold of their own.
         max_iou: of two boxes of one kind of object that overlap more, the better is kept.
         max_boxes: the best so many boxes are kept.
-        size_px: the longer side of the network's input, where the model leaves it open.
+        size_px: the longer side of the network's input, where the model leaves it open; None = what the model says
+            of itself, else `DEFAULT_SIZE_PX`.
         is_square: an open input is square; else no larger than the image needs.
         class_id: road classes wanted; empty = all.
     """
@@ -45,7 +49,7 @@ class YoloSettings:
     class_min_score: tuple[tuple[int, float], ...] = ()
     max_iou: float = 0.5
     max_boxes: int = 300
-    size_px: int = 640
+    size_px: int | None = None
     is_square: bool = False
     class_id: tuple[int, ...] = ()
 
@@ -64,6 +68,7 @@ class YoloDetector:
 
     Attributes:
         model: the family, its input and its class names, as told or assumed.
+        size: the longer side of the input where the model leaves it open, and who says so.
         n_unsound: boxes dropped so far because the network gave NaN or infinite numbers for them.
     """
 
@@ -86,8 +91,10 @@ class YoloDetector:
         self._facts: Facts = read_facts(path, self._session.metadata, options or ModelOptions())
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
         self.n_unsound = 0
-        size_px = self._settings.size_px
-        self._prepare(image_hw=(size_px, size_px))
+        self.size: Fact = self._facts.of("size", DEFAULT_SIZE_PX, "default")
+        if self._settings.size_px is not None:
+            self.size = Fact(self._settings.size_px, "as given")
+        self._prepare(image_hw=(self.size.value, self.size.value))
         names = self.model.names
         self._road_class: IntArray = road_class_of_each(names)
         wanted = np.append(self._settings.min_score_by_class(), _UNREACHABLE)  # -1, no road class, is the last
@@ -180,7 +187,7 @@ class YoloDetector:
         _, _, height, width = self._session.input_shape
         if height is not None and width is not None:
             return height, width
-        size_px = self._settings.size_px
+        size_px = int(self.size.value)
         return rectangular_input_hw((1, 1) if self._settings.is_square else image_hw, size_px=size_px)
 
 

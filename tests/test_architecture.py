@@ -19,7 +19,12 @@ ARROWS = {
 
 DOORS = {
     "onnxruntime": {"detection/onnx_session.py", "detection/quantize.py"},
-    "onnx": {"detection/darknet.py", "detection/quantize.py", "detection/training/export.py"},
+    "onnx": {
+        "detection/darknet.py",
+        "detection/quantize.py",
+        "detection/training/export.py",
+        "detection/training/onnx_weights.py",
+    },
     "torch": {"detection/training/"},
     "motmetrics": {"tracking/evaluation.py"},
     "av": {"track_range/video_file.py", "track_range/video_writer.py"},
@@ -27,8 +32,14 @@ DOORS = {
     "pydantic": {"stereo/rig_files.py", "track_range/config.py"},
     "matplotlib": {"track_range/charts.py"},
     "jinja2": {"track_range/report.py"},
-    "typer": {"track_range/cli.py", "track_range/cli_models.py"},
-    "rich": {"track_range/cli.py", "track_range/cli_models.py", "track_range/tables.py", "track_range/commands/"},
+    "typer": {"track_range/cli.py", "track_range/cli_models.py", "track_range/cli_training.py"},
+    "rich": {
+        "track_range/cli.py",
+        "track_range/cli_models.py",
+        "track_range/cli_training.py",
+        "track_range/tables.py",
+        "track_range/commands/",
+    },
 }
 
 VAGUE_NAMES = {"utils", "util", "common", "core", "helpers", "misc", "tools", "base"}

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -20,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from detection.detections import BoolArray, FloatArray
+from track_range.written import write_bytes
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """tracks.csv by column: one row per track and frame, NaN = empty; a column may be missing."""
@@ -137,6 +139,41 @@ def stage_chart(stages_ms: Mapping[str, float | None]) -> str | None:
     axes.invert_yaxis()
     axes.grid(False, axis="y")
     return svg(figure, axes, "Milliseconds per frame by stage")
+
+
+def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
+    """Losses and average precision over the epochs of a training run, as a PNG; nothing without an epoch.
+
+    Args:
+        history: rows of results.csv.
+        path: the picture.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if not history:
+        return
+    keys = dict.fromkeys(key for row in history for key in row)
+    figure = Figure(figsize=(9.5, 7.0), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for axes, prefix, scale, label in ((upper, "loss_", 1.0, "loss per image"), (lower, "ap50", 100.0, "AP50, %")):
+        for key in (key for key in keys if key.startswith(prefix)):
+            rows = [(row["epoch"], scale * row[key]) for row in history if np.isfinite(row.get(key, np.nan))]
+            epoch, value = np.array(rows, np.float64).reshape(-1, 2).T
+            is_mean = key in ("ap50", "ap50_95")
+            name = {"ap50": "mean", "ap50_95": "mean, AP50-95"}.get(key, key.removeprefix(prefix))
+            text = name.strip("_").replace("_", " ")
+            axes.plot(
+                epoch, value, label=text, linewidth=2.2 if is_mean else 1.0, marker="." if len(rows) < 3 else None
+            )
+        axes.set_ylabel(label)
+        axes.set_ylim(bottom=0)
+        axes.grid(True, alpha=0.25)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    lower.set_xlabel("epoch")
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    write_bytes(path, stream.getvalue())
 
 
 def blank_chart(x_label: str, y_label: str) -> tuple[Figure, Axes]:

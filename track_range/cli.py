@@ -20,9 +20,11 @@ from detection.input_format import LETTERBOXES
 from detection.kitti_format import LabelFileError
 from detection.labelled_images import ImageFileError
 from detection.onnx_session import ModelError
+from detection.training.errors import TrainingError
 from ranging.size_curve import CurveError
 from stereo.rig import RigError
 from track_range.cli_models import evaluation, models
+from track_range.cli_training import anchors, train
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
@@ -42,6 +44,7 @@ USER_ERRORS = (
     OutputError,
     RigError,
     RunStoppedError,
+    TrainingError,
     VideoError,
 )
 """Everything that a user's input can cause; anything else is our bug and keeps its traceback."""
@@ -58,6 +61,8 @@ app = typer.Typer(
 
 app.add_typer(models, name="models")
 app.add_typer(evaluation, name="evaluate")
+app.command("train")(train)
+app.command("anchors")(anchors)
 
 _console = Console()
 _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
@@ -172,7 +177,11 @@ def _run(
     ] = None,
     size: Annotated[
         int | None,
-        typer.Option(metavar="PX", help="Network input's longer side, if free (default: 640).", rich_help_panel=_HOW),
+        typer.Option(
+            metavar="PX",
+            help="Network input's longer side, if free (default: the model's own, else 640).",
+            rich_help_panel=_HOW,
+        ),
     ] = None,
     threads: Annotated[
         int | None, typer.Option(metavar="N", help="Threads of the network (default: all).", rich_help_panel=_HOW)

@@ -32,7 +32,15 @@ LetterboxOption = Annotated[
     str | None, typer.Option(metavar="WORD", help=f"How the network wants images: {LETTERBOXES}.")
 ]
 
-SizeOption = Annotated[int, typer.Option(metavar="PX", min=32, max=4096, help="Network input's longer side, if free.")]
+SizeOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="PX",
+        min=32,
+        max=4096,
+        help="Network input's longer side, if free (default: the model's own, else 640).",
+    ),
+]
 ThreadsOption = Annotated[int, typer.Option(metavar="N", min=0, max=256, help="Threads of the network; 0 = all.")]
 DeviceOption = Annotated[Device, typer.Option(help="Where it runs.")]
 
@@ -101,7 +109,7 @@ def _quantize(
     names: NamesOption = None,
     anchors: AnchorsOption = None,
     letterbox: LetterboxOption = None,
-    size: SizeOption = 640,
+    size: SizeOption = None,
     threads: ThreadsOption = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -142,7 +150,7 @@ def _detections(
     names: NamesOption = None,
     anchors: AnchorsOption = None,
     letterbox: LetterboxOption = None,
-    size: SizeOption = 640,
+    size: SizeOption = None,
     threads: ThreadsOption = 0,
     device: DeviceOption = "auto",
     json_file: JsonOption = None,

@@ -59,8 +59,8 @@ class RunSettings(BaseModel):
     duration_s: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     folder_fps: float = Field(default=10.0, ge=0.01, le=1000)
     """Frames per second of folders of images, which carry no times."""
-    size_px: int = Field(default=640, ge=32, le=4096)
-    """Longer side of the network's input where the model leaves it open."""
+    size_px: int | None = Field(default=None, ge=32, le=4096)
+    """Longer side of the network's input where the model leaves it open; None = the model's own, else 640."""
     threads: int = Field(default=0, ge=0, le=256)
     """Threads of the network; 0 = one per core."""
     device: Literal["auto", "cpu", "cuda", "tensorrt"] = "auto"

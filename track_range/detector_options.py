@@ -22,7 +22,7 @@ class DetectorOptions:
         names: class names of the network, `a,b,c` or a file with one per line.
         anchors, letterbox: see `detection.model_facts`.
         min_score: `0.25`, or `0.1,car=0.3,person=0.2` where classes have thresholds of their own.
-        size_px: longer side of the network's input where the model leaves it open.
+        size_px: longer side of the network's input where the model leaves it open; None = the model's own.
         threads: of the network; 0 = one per core.
         device: where it runs.
         classes: road classes wanted; empty = all.
@@ -32,7 +32,7 @@ class DetectorOptions:
     anchors: str | None = None
     letterbox: str | None = None
     min_score: str | None = None
-    size_px: int = 640
+    size_px: int | None = None
     threads: int = 0
     device: Device = "auto"
     classes: tuple[str, ...] = ()

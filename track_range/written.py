@@ -17,9 +17,18 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         OutputError: the folder cannot be written to.
     """
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """As `write_text`, for anything.
+
+    Raises:
+        OutputError: the folder cannot be written to.
+    """
     partial = path.with_name(path.name + ".part")
     try:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_bytes(content)
         partial.replace(path)
     except OSError as error:
         with suppress(OSError):

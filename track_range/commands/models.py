@@ -57,6 +57,8 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     yield "outputs", model.layout, ""
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
     yield "input", f"[{shape}] {session.input_dtype.__name__}", _rectangular(detector)
+    if None in session.input_shape[2:]:
+        yield "size", str(detector.size.value), detector.size.source
     for key in ("letterbox", "colours", "divisor", "anchors", "scale_x_y"):
         if key in model.facts:
             yield key, _text(model.facts[key].value), model.facts[key].source

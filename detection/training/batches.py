@@ -1,0 +1,102 @@
+"""Batches: training images made in the background, the same ones for the same seed, epoch and position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from detection.detections import IntArray
+from detection.training.assignment import Objects
+from detection.training.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
+from detection.training.detection_loss import Batch
+
+_AHEAD = 3
+"""Batches made before they are wanted."""
+
+
+class LabelledSet(Protocol):
+    """Images with labels, by number."""
+
+    def __len__(self) -> int: ...
+
+    def load(self, index: int) -> LabelledPixels:
+        """Image and labels of one number."""
+        ...
+
+
+class BatchMaker:
+    """Makes an epoch's batches; what comes depends on the seed, the epoch and the position in it alone."""
+
+    def __init__(
+        self,
+        images: LabelledSet,
+        *,
+        size_px: int,
+        batch_size: int,
+        seed: int,
+        n_workers: int = 2,
+    ) -> None:
+        self._images, self._size_px, self._batch_size = images, size_px, batch_size
+        self._seed, self._n_workers = seed, n_workers
+
+    def __len__(self) -> int:
+        """Batches per epoch; the last one is not left out, nor filled up."""
+        return -(-len(self._images) // self._batch_size)
+
+    def epoch(self, number: int, settings: AugmentationSettings) -> Iterator[Batch]:
+        """The batches of one epoch."""
+        order = np.random.default_rng((self._seed, number)).permutation(len(self._images))
+        chunks = [order[i : i + self._batch_size] for i in range(0, len(order), self._batch_size)]
+        if len(chunks) > 1 and len(chunks[-1]) == 1:
+            chunks.pop()  # batch norm learns nothing good from one image
+        with ThreadPoolExecutor(self._n_workers) as makers, ThreadPoolExecutor(1) as gatherer:
+            waiting: list[Future[Batch]] = []
+            made: Iterator[IntArray] = iter(chunks)
+            try:
+                for chunk in made:
+                    parts = [makers.submit(self._sample, number, int(index), settings) for index in chunk]
+                    waiting.append(gatherer.submit(self._gathered, parts))
+                    if len(waiting) > _AHEAD:
+                        yield waiting.pop(0).result()
+                while waiting:
+                    yield waiting.pop(0).result()
+            finally:
+                for future in waiting:
+                    future.cancel()
+                makers.shutdown(wait=False, cancel_futures=True)
+
+    def _sample(self, epoch: int, index: int, settings: AugmentationSettings) -> LabelledPixels:
+        rng = np.random.default_rng((self._seed, epoch, index))
+        if rng.random() >= settings.mosaic:
+            return single(self._images.load(index), self._size_px, settings, rng)
+        others = rng.integers(0, len(self._images), 3)
+        sources = [self._images.load(int(each)) for each in (index, *others)]
+        return mosaic([sources[i] for i in rng.permutation(4)], self._size_px, settings, rng)
+
+    def _gathered(self, parts: Sequence[Future[LabelledPixels]]) -> Batch:
+        samples = [part.result() for part in parts]
+        images = torch.from_numpy(np.stack([sample.image for sample in samples])).permute(0, 3, 1, 2)
+        complete = torch.from_numpy(np.stack([sample.is_complete for sample in samples]))
+        return Batch(images, _objects(samples), complete)
+
+
+def scaled(images: Tensor) -> Tensor:
+    """(B, 3, H, W) uint8 -> float32 in 0..1, what networks see."""
+    return images.float() / 255
+
+
+def _objects(samples: Sequence[LabelledPixels]) -> Objects:
+    image = np.repeat(np.arange(len(samples)), [len(sample.class_index) for sample in samples])
+    xyxy = np.concatenate([sample.xyxy for sample in samples])
+    cxcywh = np.concatenate([(xyxy[:, :2] + xyxy[:, 2:]) / 2, xyxy[:, 2:] - xyxy[:, :2]], axis=1)
+    return Objects(
+        torch.from_numpy(image),
+        torch.from_numpy(np.concatenate([sample.class_index for sample in samples])),
+        torch.from_numpy(cxcywh.astype(np.float32)),
+        torch.from_numpy(np.concatenate([sample.is_ignored for sample in samples])),
+    )

@@ -1,0 +1,111 @@
+"""Building blocks of the YOLO networks: convolutions, C3 with or without CBAM, spatial pyramid pooling.
+
+C3 and SPPF as in YOLOv5 (v6.0); CBAM: Woo et al., "CBAM: Convolutional Block Attention Module", ECCV 2018.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class ConvolutionBlock(nn.Module):
+    """Convolution without bias, batch norm, activation (SiLU unless told); "same" padding."""
+
+    def __init__(
+        self,
+        n_in: int,
+        n_out: int,
+        *,
+        size: int = 1,
+        stride: int = 1,
+        padding: int | None = None,
+        activation: nn.Module | None = None,
+    ) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(n_in, n_out, size, stride, size // 2 if padding is None else padding, bias=False)
+        self.norm = nn.BatchNorm2d(n_out, eps=1e-3, momentum=0.03)
+        self.activation = activation or nn.SiLU(inplace=True)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, n_in, H, W) -> (B, n_out, H / stride, W / stride)."""
+        activated: Tensor = self.activation(self.norm(self.conv(x)))
+        return activated
+
+
+class Bottleneck(nn.Module):
+    """A 1x1 and a 3x3 convolution, added to what went in where told."""
+
+    def __init__(self, n_channels: int, *, is_residual: bool = True) -> None:
+        super().__init__()
+        self.reduce = ConvolutionBlock(n_channels, n_channels)
+        self.expand = ConvolutionBlock(n_channels, n_channels, size=3)
+        self.is_residual = is_residual
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Keeps the shape."""
+        y: Tensor = self.expand(self.reduce(x))
+        return x + y if self.is_residual else y
+
+
+class C3(nn.Module):
+    """Cross-stage block of three convolutions and `n_bottlenecks`; with attention on its output where told."""
+
+    def __init__(
+        self, n_in: int, n_out: int, n_bottlenecks: int, *, is_residual: bool = True, has_attention: bool = False
+    ) -> None:
+        super().__init__()
+        hidden = n_out // 2
+        self.main = ConvolutionBlock(n_in, hidden)
+        self.side = ConvolutionBlock(n_in, hidden)
+        self.steps = nn.Sequential(*(Bottleneck(hidden, is_residual=is_residual) for _ in range(n_bottlenecks)))
+        self.join = ConvolutionBlock(2 * hidden, n_out)
+        self.attention: nn.Module = Cbam(n_out) if has_attention else nn.Identity()
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, n_in, H, W) -> (B, n_out, H, W)."""
+        joined: Tensor = self.attention(self.join(torch.cat([self.steps(self.main(x)), self.side(x)], dim=1)))
+        return joined
+
+
+class Sppf(nn.Module):
+    """Spatial pyramid pooling: three 5x5 max pools in a row see as much as 5, 9 and 13 side by side."""
+
+    def __init__(self, n_in: int, n_out: int) -> None:
+        super().__init__()
+        self.reduce = ConvolutionBlock(n_in, n_in // 2)
+        self.join = ConvolutionBlock(2 * n_in, n_out)
+        self.pool = nn.MaxPool2d(5, stride=1, padding=2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, n_in, H, W) -> (B, n_out, H, W)."""
+        parts = [self.reduce(x)]
+        for _ in range(3):
+            parts.append(self.pool(parts[-1]))
+        joined: Tensor = self.join(torch.cat(parts, dim=1))
+        return joined
+
+
+class Cbam(nn.Module):
+    """Channel attention, then spatial attention.
+
+    M_c = sigmoid(MLP(mean over pixels) + MLP(max over pixels))      x' = M_c x
+    M_s = sigmoid(conv 7x7 [mean over channels, max over channels])  x'' = M_s x'
+    """
+
+    def __init__(self, n_channels: int, *, reduction: int = 16) -> None:
+        super().__init__()
+        hidden = max(n_channels // reduction, 4)
+        self.mlp = nn.Sequential(
+            nn.Conv2d(n_channels, hidden, 1, bias=False),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(hidden, n_channels, 1, bias=False),
+        )
+        self.spatial = nn.Conv2d(2, 1, 7, padding=3, bias=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Keeps the shape."""
+        channel = torch.sigmoid(self.mlp(x.mean((2, 3), keepdim=True)) + self.mlp(x.amax((2, 3), keepdim=True)))
+        x = x * channel
+        spatial = torch.sigmoid(self.spatial(torch.cat([x.mean(1, keepdim=True), x.amax(1, keepdim=True)], dim=1)))
+        return x * spatial

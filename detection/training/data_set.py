@@ -1,0 +1,132 @@
+"""LabelledImages in memory: decoded once, kept as far as memory allows, read again where it does not."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+
+from detection.classes import ROAD_CLASSES
+from detection.detections import Image, IntArray
+from detection.image_truth import ImageTruth
+from detection.labelled_images import ImageFileError, LabelledImage, read_image
+from detection.training.augmentation import LabelledPixels
+
+_MEMORY_SHARE = 0.5
+"""Of the free memory that images may take."""
+
+_UNKNOWN_MEMORY_BYTES = 2 << 30
+_N_READERS = 4
+
+
+class CachedImages:
+    """Labelled images by number.
+
+    Attributes:
+        unreadable: a sentence on each image that could not be read and was left out.
+    """
+
+    def __init__(
+        self,
+        items: Sequence[LabelledImage],
+        road_class_id: IntArray,
+        *,
+        max_side_px: int | None = None,
+        max_bytes: int | None = None,
+        advance: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Read every image once.
+
+        Args:
+            items: the images.
+            road_class_id: (C,) road class of each class to be learnt.
+            max_side_px: images with a longer side are kept scaled down to it; None = as they are.
+            max_bytes: that may be kept; None = half of the free memory.
+            advance: told after each image.
+
+        Raises:
+            ImageFileError: none of them can be read.
+        """
+        self._road_class_id, self._max_side_px = road_class_id, max_side_px
+        self._index_of = np.full(len(ROAD_CLASSES), -1)
+        self._index_of[road_class_id] = np.arange(len(road_class_id))
+        self._items: list[LabelledImage] = []
+        self._kept: list[Image | None] = []
+        self._scale: list[float] = []
+        self.unreadable: list[str] = []
+        room = _free_bytes() if max_bytes is None else max_bytes
+        with ThreadPoolExecutor(_N_READERS) as readers:
+            for item, read in zip(items, readers.map(self._read, items), strict=True):
+                advance()
+                if isinstance(read, str):
+                    self.unreadable.append(read)
+                    continue
+                image, scale = read
+                fits = image.nbytes <= room
+                room -= image.nbytes if fits else 0
+                self._items.append(item)
+                self._kept.append(image if fits else None)
+                self._scale.append(scale)
+        if not self._items:
+            raise ImageFileError(f"none of the {len(items)} images can be read, the first: {self.unreadable[0]}")
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @property
+    def n_kept(self) -> int:
+        """Images that are in memory."""
+        return sum(image is not None for image in self._kept)
+
+    def load(self, index: int) -> LabelledPixels:
+        """Image and labels, by the classes to be learnt.
+
+        Raises:
+            ImageFileError: an image that is not in memory cannot be read any more.
+        """
+        item = self._items[index]
+        image = self._image(index)
+        truth = item.truth_in(image) if item.is_normalised else item.truth
+        known = truth.is_ignored | (self._index_of[truth.class_id] >= 0)
+        return LabelledPixels(
+            image,
+            (truth.xyxy_px[known] + 0.5) * (1.0 if item.is_normalised else self._scale[index]),
+            np.maximum(self._index_of[truth.class_id[known]], 0),
+            truth.is_ignored[known],
+            truth.is_complete[self._road_class_id],
+        )
+
+    def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
+        """Images as they were read, with their labels; only where they are not scaled down."""
+        for index, item in enumerate(self._items):
+            image = self._image(index)
+            yield image, item.truth_in(image)
+
+    def _image(self, index: int) -> Image:
+        image = self._kept[index]
+        return self._scaled(read_image(self._items[index].path))[0] if image is None else image
+
+    def _scaled(self, image: Image) -> tuple[Image, float]:
+        """The image no larger than wanted, and its scale."""
+        scale = 1.0 if self._max_side_px is None else min(self._max_side_px / max(image.shape[:2]), 1.0)
+        if scale == 1.0:
+            return image, scale
+        return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8), scale
+
+    def _read(self, item: LabelledImage) -> tuple[Image, float] | str:
+        """The image and its scale, or why there is none."""
+        try:
+            return self._scaled(read_image(item.path))
+        except ImageFileError as error:
+            return str(error)
+
+
+def _free_bytes() -> int:
+    """What images may take of the memory."""
+    try:
+        return int(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * _MEMORY_SHARE)
+    except (AttributeError, ValueError, OSError):  # not to be asked on Windows and macOS
+        return _UNKNOWN_MEMORY_BYTES

@@ -1,0 +1,218 @@
+"""data.yaml: which images to train and validate on, and what their labels mean.
+
+    path: /data/road            # root of the rest; default: the folder of data.yaml
+    train: images/train         # folder of images, a list of folders, or a .txt with one image per line
+    val: images/val
+    names: [person, car, ...]   # in the order of the labels' numbers
+    format: yolo                # or kitti (object labels; classes are known)
+    labels: labels              # folder of label files; default: `images` in the folder's path replaced by `labels`
+    manifest: manifest.csv      # columns file, split, labels_complete: splits, and which classes are complete
+    labels_pseudo: teacher      # boxes of a detector, `class cx cy w h score`, where classes are incomplete
+
+Names that are no road classes are left out. A pseudo-label counts as an object from a score of 0.5 on (cars: 0.4) where
+its class is not labelled completely, and is ignored otherwise: neither right nor wrong to find.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from detection.classes import ROAD_CLASSES, road_class_of_each
+from detection.detections import IntArray
+from detection.image_truth import ImageTruth
+from detection.kitti_format import LabelFileError
+from detection.labelled_images import LabelledImage, ManifestRow, images_in, read_labelled, read_manifest
+from detection.model_facts import names_of
+from detection.yolo_labels import YoloLabelReader
+
+_KEYS = frozenset("path train val test names nc format labels manifest labels_pseudo download".split())
+_KITTI_NAMES = ("person", "bicycle", "car", "truck")
+_MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """What a data.yaml names.
+
+    Attributes:
+        road_class_id: (C,) the road classes to be learnt, in the network's order.
+        train, val: the images; classes that are not labelled completely are marked in their truth.
+        notes: sentences on what was cut, left out or taken for granted.
+    """
+
+    road_class_id: IntArray
+    train: list[LabelledImage]
+    val: list[LabelledImage]
+    notes: tuple[str, ...]
+
+
+def read_data_yaml(path: Path) -> TrainingData:
+    """Read a data set's labels; images are read when they are wanted.
+
+    Raises:
+        LabelFileError, ImageFileError: the file, a folder or labels cannot be used; the message names what and why.
+    """
+    document = _document(path)
+    form = document.get("format", "yolo")
+    if form not in ("yolo", "kitti"):
+        raise LabelFileError(f"{path}: format is yolo or kitti, not {form!r}.")
+    names = _KITTI_NAMES if form == "kitti" else _names(path, document)
+    road = road_class_of_each(names)
+    classes: IntArray = np.array(list(dict.fromkeys(road[road >= 0].tolist())), np.int64)
+    if not len(classes):
+        raise LabelFileError(f"{path}: none of its names is a road class ({', '.join(ROAD_CLASSES)}).")
+    root = path.parent / str(document.get("path", "."))
+    reader = _Reader(path, root, document, form, names)
+    train, val = reader.split("train"), reader.split("val")
+    unknown = [name for name, each in zip(names, road, strict=True) if each < 0]
+    notes = [f"Left out, since no road classes: {', '.join(unknown)}."] if unknown else []
+    return TrainingData(classes, train, val, (*notes, *_summed_up([*train, *val])))
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    path: Path
+    root: Path
+    document: Mapping[str, Any]
+    form: str
+    names: Sequence[str]
+
+    def split(self, key: str) -> list[LabelledImage]:
+        """The images of one split with their labels."""
+        if key not in self.document:
+            raise LabelFileError(f"{self.path}: no '{key}' in it; folders of train and val images are wanted.")
+        entry = self.document[key]
+        items = [item for each in (entry if isinstance(entry, list) else [entry]) for item in self._of(str(each))]
+        if "manifest" in self.document:
+            items = self._of_manifest(items, key)
+        if not items:
+            raise LabelFileError(f"{self.path}: no labelled images for '{key}'.")
+        if "labels_pseudo" in self.document and key == "train":
+            folder = self._folder(str(self.document["labels_pseudo"]))
+            reader = YoloLabelReader(self.names)
+            items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader) for item in items]
+        return items
+
+    def _of(self, entry: str) -> list[LabelledImage]:
+        place = self.root / entry
+        if place.suffix == ".txt":
+            return self._listed(place)
+        images = self._folder(entry)
+        labels = self._labels_of(images)
+        found = read_labelled(images, labels, "kitti" if self.form == "kitti" else "yolo", names=self.names)
+        if self.form == "kitti":
+            return [_with_who_sits(item) for item in found]
+        return [*found, *_background(images, {item.path for item in found})]
+
+    def _listed(self, file: Path) -> list[LabelledImage]:
+        """The images that a text file names, relative to it or to the root."""
+        try:
+            lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+        except (OSError, UnicodeDecodeError) as error:
+            raise LabelFileError(f"{file}: not readable as a list of images ({error}).") from error
+        places = [file.parent / line if (file.parent / line).is_file() else self.root / line for line in lines]
+        wanted = {place.resolve() for place in places}
+        folders = list(dict.fromkeys(place.parent for place in places))
+        return [
+            item for folder in folders for item in self._of(str(folder.absolute())) if item.path.resolve() in wanted
+        ]
+
+    def _labels_of(self, images: Path) -> Path:
+        if "labels" in self.document:
+            return self._folder(str(self.document["labels"]))
+        parts = list(images.parts)
+        if "images" in parts:
+            last = len(parts) - 1 - parts[::-1].index("images")
+            parts[last] = "labels"
+        folder = Path(*parts)
+        if not folder.is_dir():
+            raise LabelFileError(f"{folder}: no such folder of labels; name one with 'labels:' in {self.path.name}.")
+        return folder
+
+    def _folder(self, entry: str) -> Path:
+        folder = self.root / entry
+        if not folder.is_dir():
+            raise LabelFileError(f"{self.path}: no such folder: {folder}.")
+        return folder
+
+    def _of_manifest(self, items: Sequence[LabelledImage], split: str) -> list[LabelledImage]:
+        rows: Mapping[str, ManifestRow] = read_manifest(self.root / str(self.document["manifest"]))
+        mine = [(item, rows[item.path.name]) for item in items if item.path.name in rows]
+        return [
+            replace(item, truth=replace(item.truth, is_complete=row.is_complete))
+            for item, row in mine
+            if row.split == split
+        ]
+
+
+def _document(path: Path) -> Mapping[str, Any]:
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise LabelFileError(f"{path}: not readable as YAML ({type(error).__name__}).") from error
+    if not isinstance(document, dict) or "train" not in document:
+        raise LabelFileError(f"{path}: keys train, val and names are wanted in it.")
+    if unknown := document.keys() - _KEYS:
+        raise LabelFileError(f"{path}: unknown key '{min(unknown)}'; known are {', '.join(sorted(_KEYS))}.")
+    return document
+
+
+def _names(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
+    try:
+        return names_of(document["names"])
+    except (KeyError, ValueError, TypeError) as error:
+        raise LabelFileError(f"{path}: 'names' wanted, the class names in the order of their numbers.") from error
+
+
+def _with_who_sits(item: LabelledImage) -> LabelledImage:
+    """KITTI's Person_sitting, ignored by its evaluation, as persons to be learnt (as the monocular paper does)."""
+    truth = item.truth
+    is_sitting = (truth.class_id == ROAD_CLASSES.index("person")) & truth.is_ignored & ~truth.is_region
+    return replace(item, truth=replace(truth, is_ignored=truth.is_ignored & ~is_sitting))
+
+
+def _background(images: Path, labelled: set[Path]) -> list[LabelledImage]:
+    """Images without a label file: nothing is in them."""
+    nothing = ImageTruth.of([], [])
+    return [
+        LabelledImage(path, nothing, True, ("no label file: background",))
+        for path in images_in(images)
+        if path not in labelled
+    ]
+
+
+def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader) -> LabelledImage:
+    if not file.is_file():
+        return item
+    found, truth = reader.read(file), item.truth
+    enough = np.where(found.class_id == ROAD_CLASSES.index("car"), _MIN_CAR_SCORE, _MIN_SCORE)
+    is_object = (found.score >= enough) & ~truth.is_complete[found.class_id]
+    boxes = np.concatenate([truth.xyxy_px, found.xyxy])
+    joined = ImageTruth(
+        boxes,
+        np.concatenate([truth.class_id, found.class_id]),
+        np.concatenate([truth.is_ignored, ~is_object]),
+        np.concatenate([truth.is_region, np.zeros(len(is_object), np.bool_)]),
+        truth.is_complete,
+    )
+    return replace(item, truth=joined)
+
+
+def _summed_up(items: Sequence[LabelledImage]) -> list[str]:
+    """A sentence for each kind of note, with the first of its kind."""
+    n_background = sum("no label file: background" in item.notes for item in items)
+    other = [note for item in items for note in item.notes if note != "no label file: background"]
+    notes = []
+    if n_background:
+        notes.append(f"{n_background} images have no label file and are taken for background.")
+    if other:
+        notes.append(f"{len(other)} boxes reach out of their image, the first: {other[0]}")
+    return notes

@@ -1,0 +1,62 @@
+"""Export: a trained network as one .onnx file that the ordinary detector loads without being told anything.
+
+The boxes are decoded in the graph (rows of centre, size, objectness, class scores in input pixels, YOLOv5's layout),
+the input size is open, and the metadata has all that `detection.model_facts` reads.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from detection.model_writing import silent_conversion, written_whole
+from detection.training.network import AnchorNetwork
+
+_OPSET = 17
+
+
+class _Decoded(nn.Module):
+    """A network whose output is its decoded rows."""
+
+    def __init__(self, network: AnchorNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> Tensor:
+        """(B, 3, H, W) -> (B, N, 5 + classes)."""
+        return self.network.decode(self.network(images))
+
+
+def export_onnx(network: AnchorNetwork, out: Path, metadata: Mapping[str, object]) -> None:
+    """Write a network as ONNX; `metadata` values are written as JSON.
+
+    Raises:
+        ModelError: it cannot be converted or written.
+    """
+    decoded = _Decoded(network).cpu().float().eval()
+    with written_whole(out) as folder:
+        path = folder / out.name
+        with silent_conversion(out, "exported"):
+            torch.onnx.export(
+                decoded,
+                (torch.zeros(1, 3, 128, 160),),
+                str(path),
+                input_names=["images"],
+                output_names=["output0"],
+                dynamic_axes={"images": {0: "batch", 2: "height", 3: "width"}, "output0": {0: "batch", 1: "rows"}},
+                opset_version=_OPSET,
+                dynamo=False,
+            )
+            model = onnx.load(str(path))
+        model.producer_name = "track-range"
+        onnx.helper.set_model_props(model, {key: _text(value) for key, value in metadata.items()})
+        onnx.save(model, str(path))
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

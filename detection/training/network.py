@@ -1,0 +1,92 @@
+"""AnchorNetwork: what the loss, the validation and the export want of a YOLO network with anchors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from detection.model_facts import Anchors
+
+
+class AnchorNetwork(nn.Module):
+    """A network with some heads, each a grid of cells with A boxes per cell.
+
+    Attributes:
+        name: such as "yolov5n".
+        n_classes: number of classes.
+        has_cbam: there is attention in its backbone.
+        anchors_px: (heads, A, 2) width and height in input pixels.
+        strides_px: side of a cell per head, in the order of `forward`'s outputs.
+        reach_cells: how far a centre may lie outside the cell that is responsible for it.
+        max_ratio: how many times larger or smaller than its anchor a box may be.
+    """
+
+    anchors_px: Tensor
+    strides_px: tuple[int, ...]
+    reach_cells: float
+    max_ratio: float = 4.0
+
+    def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool) -> None:
+        super().__init__()
+        self.name, self.n_classes, self.has_cbam = name, n_classes, has_cbam
+        self.register_buffer("anchors_px", torch.tensor(anchors_px, dtype=torch.float32))
+
+    @property
+    def n_anchors(self) -> int:
+        """Boxes per cell."""
+        return int(self.anchors_px.shape[1])
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """(B, 3, H, W) RGB in 0..1, sides in whole strides -> per head (B, A, rows, columns, 5 + classes), raw."""
+        raise NotImplementedError
+
+    def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
+        """(..., 4) raw box numbers -> (..., 4) centre and size in input pixels.
+
+        Args:
+            raw: (..., 4).
+            cells_xy: (..., 2) column and row.
+            anchors_px: (..., 2) width and height.
+            stride_px: side of a cell.
+        """
+        raise NotImplementedError
+
+    def decode(self, raw: Sequence[Tensor]) -> Tensor:
+        """`forward`'s outputs -> (B, N, 5 + classes): centre, size in input pixels, objectness, class scores.
+
+        Rows run head by head, anchor by anchor, row by row: the layout of YOLOv5's own export.
+        """
+        rows = []
+        for head, stride_px, anchors_px in zip(raw, self.strides_px, self.anchors_px, strict=True):
+            batch, n_anchors, n_rows, n_columns, _ = head.shape
+            cells = cells_xy(n_rows, n_columns, device=head.device)
+            boxes = self.boxes(head[..., :4], cells, anchors_px.view(1, n_anchors, 1, 1, 2), stride_px)
+            told = torch.cat([boxes, head[..., 4:].sigmoid()], -1)
+            rows.append(told.reshape(batch, n_anchors * n_rows * n_columns, 5 + self.n_classes))
+        return torch.cat(rows, 1)
+
+    def as_heads(self, told: Sequence[Tensor]) -> list[Tensor]:
+        """Convolutions' outputs (B, A (5 + classes), rows, columns) -> (B, A, rows, columns, 5 + classes)."""
+        heads = []
+        for each in told:
+            batch, _, n_rows, n_columns = each.shape
+            heads.append(each.view(batch, self.n_anchors, 5 + self.n_classes, n_rows, n_columns).permute(0, 1, 3, 4, 2))
+        return heads
+
+
+def placed(network: AnchorNetwork, device: torch.device) -> AnchorNetwork:
+    """The network itself, moved to a device, its weights in the layout that convolutions are fastest in."""
+    network.to(device)
+    for parameter in network.parameters():
+        if parameter.dim() == 4:
+            parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
+    return network
+
+
+def cells_xy(n_rows: int, n_columns: int, *, device: torch.device) -> Tensor:
+    """(rows, columns, 2) column and row of each cell."""
+    rows, columns = torch.arange(n_rows, device=device), torch.arange(n_columns, device=device)
+    y, x = torch.meshgrid(rows, columns, indexing="ij")
+    return torch.stack([x, y], -1).float()

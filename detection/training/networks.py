@@ -1,0 +1,52 @@
+"""Networks by name, with their default anchors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from detection.model_facts import Anchors
+from detection.training.network import AnchorNetwork
+from detection.training.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
+from detection.training.yolov4_tiny import YoloV4Tiny
+from detection.training.yolov5 import COCO_ANCHORS_PX, YoloV5
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkKind:
+    """A network that can be trained.
+
+    Attributes:
+        family: its name for people.
+        make: builds it.
+        anchors_px: its own, per head.
+    """
+
+    family: str
+    make: Callable[..., AnchorNetwork]
+    anchors_px: Anchors
+
+    @property
+    def n_heads(self) -> int:
+        """Output grids."""
+        return len(self.anchors_px)
+
+    @property
+    def n_anchors(self) -> int:
+        """Anchors of all heads."""
+        return sum(len(head) for head in self.anchors_px)
+
+
+NETWORKS: Mapping[str, NetworkKind] = {
+    "yolov5n": NetworkKind("YOLOv5n", YoloV5, COCO_ANCHORS_PX),
+    "yolov5s": NetworkKind("YOLOv5s", YoloV5, COCO_ANCHORS_PX),
+    "yolov4-tiny": NetworkKind("YOLOv4-tiny", YoloV4Tiny, YOLOV4_TINY_ANCHORS_PX),
+}
+
+
+def make_network(
+    name: str, n_classes: int, *, anchors_px: Anchors | None = None, has_cbam: bool = False
+) -> AnchorNetwork:
+    """A network with random weights, with its own anchors unless told."""
+    kind = NETWORKS[name]
+    return kind.make(name, n_classes, anchors_px=anchors_px or kind.anchors_px, has_cbam=has_cbam)

@@ -1,0 +1,71 @@
+"""Weights of an exported YOLOv5 back into the PyTorch network: teachers then run as fast as their students."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import numpy_helper
+from torch import nn
+
+from detection.onnx_session import ModelError
+from detection.training.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
+
+
+def yolov5_of_export(path: Path) -> YoloV5:
+    """A YOLOv5n or s, ready to answer, from its official export (batch norms folded into the convolutions).
+
+    Raises:
+        ModelError: unreadable, or other convolutions than those of a YOLOv5 with COCO's anchors.
+    """
+    weights = _convolutions(path)
+    for name in SCALES:
+        n_classes = weights[-1][0].shape[0] // 3 - 5
+        if n_classes < 1:
+            break
+        network = YoloV5(name, n_classes, anchors_px=COCO_ANCHORS_PX).eval()
+        mine = _in_order(network)
+        if [tuple(each.weight.shape) for each in mine] == [weight.shape for weight, _ in weights]:
+            _fill(mine, weights)
+            for module in network.modules():
+                if hasattr(module, "norm"):
+                    module.norm = nn.Identity()
+            return network
+    raise ModelError(f"{path}: a teacher must be an export of {' or '.join(SCALES)}; its convolutions are not theirs.")
+
+
+def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Weights and biases in the order of the graph."""
+    try:
+        graph = onnx.load(str(path)).graph
+    except Exception as error:  # onnx and protobuf raise unrelated types
+        raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
+    values = {each.name: each for each in graph.initializer}
+    nodes = [node for node in graph.node if node.op_type == "Conv"]
+    if not nodes or any(len(node.input) != 3 or not set(node.input[1:]) <= values.keys() for node in nodes):
+        raise ModelError(f"{path}: a teacher wants a float32 export with its batch norms folded.")
+    arrays = [[numpy_helper.to_array(values[name]) for name in node.input[1:]] for node in nodes]
+    return [(weight, bias) for weight, bias in arrays]
+
+
+def _in_order(network: nn.Module) -> list[nn.Conv2d]:
+    """The convolutions in the order in which they run."""
+    order: list[nn.Conv2d] = []
+    hooks = [
+        module.register_forward_pre_hook(lambda conv, _: order.append(conv))
+        for module in network.modules()
+        if isinstance(module, nn.Conv2d)
+    ]
+    with torch.no_grad():
+        network(torch.zeros(1, 3, 64, 64))
+    for hook in hooks:
+        hook.remove()
+    return order
+
+
+def _fill(convolutions: list[nn.Conv2d], weights: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    for conv, (weight, bias) in zip(convolutions, weights, strict=True):
+        conv.weight = nn.Parameter(torch.from_numpy(weight.copy()), requires_grad=False)
+        conv.bias = nn.Parameter(torch.from_numpy(bias.copy()), requires_grad=False)

@@ -1,0 +1,72 @@
+"""The run folder: checkpoints with all that a run needs to go on, and results.csv; each written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from detection.training.errors import CheckpointError
+
+LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
+
+_FORMAT = 1
+
+
+def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a checkpoint of tensors and plain values; who is killed meanwhile leaves the old one.
+
+    Raises:
+        CheckpointError: it cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        with partial.open("wb") as file:
+            torch.save({"format": _FORMAT, **content}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except (OSError, RuntimeError) as error:  # torch wraps a full disk into a RuntimeError
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise CheckpointError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error}).") from error
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint; nothing in it is executed.
+
+    Raises:
+        CheckpointError: there is none, or it is none of ours.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint.")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises a dozen unrelated types for a broken file
+        raise CheckpointError(f"{path}: not a checkpoint, or a damaged one ({type(error).__name__}).") from error
+    if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        raise CheckpointError(f"{path}: not a checkpoint of `track-range train`.")
+    return content
+
+
+def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:
+    """results.csv: a row per epoch, columns in the order of their first appearance, empty = not measured.
+
+    Raises:
+        CheckpointError: it cannot be written.
+    """
+    columns = list(dict.fromkeys(key for row in history for key in row))
+    partial = path.with_name(f".{path.name}.part")
+    try:
+        with partial.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, columns, restval="")
+            writer.writeheader()
+            writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
+        partial.replace(path)
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be written ({error.strerror or error}).") from error

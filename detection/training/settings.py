@@ -1,0 +1,61 @@
+"""TrainingSettings: how to train, and the precision that a device does best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+
+from detection.training.augmentation import AugmentationSettings
+from detection.training.losses import BoxLoss
+from detection.training.schedule import ScheduleSettings
+
+Precision = Literal["float32", "bfloat16", "float16"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingSettings:
+    """How to train.
+
+    Attributes:
+        size_px: side of the square training images; validation fits the longer side to it.
+        n_epochs, batch_size, seed: as they say.
+        box_loss: "ciou" or "eiou".
+        device: of torch, such as "cpu" or "cuda".
+        precision: of the network's arithmetic; losses and weights are float32.
+        validate_every: epochs between validations; the last epoch is always validated.
+        min_boxes: classes with fewer labels are not averaged in validation.
+        schedule: the optimiser, and its rate over the run.
+        augmentation: how training images are changed.
+    """
+
+    size_px: int = 416
+    n_epochs: int = 100
+    batch_size: int = 16
+    seed: int = 0
+    box_loss: BoxLoss = "ciou"
+    device: str = "cpu"
+    precision: Precision = "float32"
+    validate_every: int = 1
+    min_boxes: int = 50
+    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
+    augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The precision as torch names it."""
+        return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[self.precision]
+
+
+def best_device() -> str:
+    """A CUDA GPU where torch sees one, else the CPU."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def best_precision(device: str) -> Precision:
+    """Half precision where the device computes in it (twice as fast and more), else float32."""
+    if device.startswith("cuda"):
+        return "float16"
+    told = torch.cpu.get_capabilities()
+    return "bfloat16" if told.get("avx512_bf16") or told.get("amx_bf16") else "float32"

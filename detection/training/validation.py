@@ -1,0 +1,88 @@
+"""Validation: a network's detections on labelled images, through the letterbox, decoder and suppression of real use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import torch
+
+from detection.boxes import are_sound, nms
+from detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
+from detection.detections import Detections, Image, IntArray
+from detection.evaluation import DetectionScores, evaluate_detections
+from detection.image_truth import ImageTruth
+from detection.input_format import InputFormat
+from detection.letterbox import Letterbox, rectangular_input_hw
+from detection.training.network import AnchorNetwork
+from detection.yolo_decoders import RowDecoder
+
+LOWEST_SCORE = 0.001
+_MAX_IOU, _MAX_BOXES = 0.5, 300
+_WORKING_SCORE = 0.25
+
+
+class NetworkDetector:
+    """A network as a detector, for validation; what users run is its export."""
+
+    def __init__(
+        self,
+        network: AnchorNetwork,
+        road_class_id: IntArray,
+        *,
+        size_px: int,
+        device: torch.device,
+        precision: torch.dtype,
+    ) -> None:
+        self._network, self._road_class_id, self._size_px = network, road_class_id, size_px
+        self._device, self._precision = device, precision
+        self._min_score = np.full(len(road_class_id), LOWEST_SCORE)
+
+    def detect(self, image: Image) -> Detections:
+        """The road users in `image`, (H, W, 3) uint8 BGR; see `YoloDetector`."""
+        hw = (image.shape[0], image.shape[1])
+        letterbox = Letterbox.centred(hw, rectangular_input_hw(hw, size_px=self._size_px))
+        form, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)
+        form.blank(blob)
+        form.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
+        with torch.no_grad(), torch.autocast(self._device.type, self._precision, self._precision != torch.float32):
+            raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
+        rows = self._network.decode([head.float() for head in raw]).cpu().numpy()
+        found = RowDecoder(0).decode([rows], self._min_score)
+        class_id = self._road_class_id[found.class_index]
+        best = nms(found.xyxy_net, found.score, SAME_OBJECT_GROUP[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
+        boxes = Detections.of(letterbox.to_image_clipped(found.xyxy_net[best]), found.score[best], class_id[best])
+        return boxes.select(are_sound(boxes.xyxy_px))
+
+
+def validate(
+    detector: NetworkDetector,
+    images: Iterable[tuple[Image, ImageTruth]],
+    road_class_id: IntArray,
+    *,
+    min_boxes: int,
+    done: Callable[[int], None],
+) -> DetectionScores:
+    """Figures of a network on labelled images.
+
+    Args:
+        detector: the network.
+        images: with their truth.
+        road_class_id: the classes that it knows.
+        min_boxes: classes with fewer labels are not averaged, unless all have fewer.
+        done: told after each image how many it has seen.
+    """
+    found, truth = [], []
+    for image, labels in images:
+        found.append(detector.detect(image))
+        truth.append(labels)
+        done(len(truth))
+    labelled = np.concatenate([labels.class_id[~labels.is_ignored] for labels in truth])
+    most = int(np.bincount(labelled, minlength=1).max())  # of a small set, the commonest class is averaged at least
+    return evaluate_detections(
+        found,
+        truth,
+        working_score=np.full(len(ROAD_CLASSES), _WORKING_SCORE),
+        known_class_id=road_class_id,
+        min_boxes=max(min(min_boxes, most), 1),
+    )

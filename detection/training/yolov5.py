@@ -1,0 +1,108 @@
+"""YOLOv5 (v6.0): CSP backbone, path-aggregation neck, three heads.
+
+    image -> P3 (stride 8), P4 (16), P5 (32) -> neck -> three heads
+    centre = (2 sigmoid(xy) - 0.5 + cell) stride      size = (2 sigmoid(wh))^2 anchor
+
+(Jocher et al., "YOLOv5", v6.0, its yolov5n.yaml and yolov5s.yaml for depth and width; CBAM behind the backbone's C3.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from detection.model_facts import Anchors
+from detection.training.blocks import C3, ConvolutionBlock, Sppf
+from detection.training.network import AnchorNetwork
+
+COCO_ANCHORS_PX: Anchors = (
+    ((10, 13), (16, 30), (33, 23)),
+    ((30, 61), (62, 45), (59, 119)),
+    ((116, 90), (156, 198), (373, 326)),
+)
+"""YOLOv5's own, from COCO at 640 pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How deep and wide a variant is, as multiples of the largest plan."""
+
+    depth: float
+    width: float
+
+
+SCALES: Mapping[str, Scale] = {"yolov5n": Scale(0.33, 0.25), "yolov5s": Scale(0.33, 0.50)}
+
+
+class YoloV5(AnchorNetwork):
+    """A YOLOv5 network; see `AnchorNetwork`."""
+
+    strides_px = (8, 16, 32)
+    reach_cells = 0.5
+
+    def __init__(self, name: str, n_classes: int, *, anchors_px: Anchors, has_cbam: bool = False) -> None:
+        super().__init__(name, n_classes, anchors_px=anchors_px, has_cbam=has_cbam)
+        scale = SCALES[name]
+        c1, c2, c3, c4, c5 = (_width(n, scale) for n in (64, 128, 256, 512, 1024))
+        d1, d2, d3 = (max(round(n * scale.depth), 1) for n in (3, 6, 9))
+        self.to_p3 = nn.Sequential(
+            ConvolutionBlock(3, c1, size=6, stride=2, padding=2),
+            ConvolutionBlock(c1, c2, size=3, stride=2),
+            C3(c2, c2, d1, has_attention=has_cbam),
+            ConvolutionBlock(c2, c3, size=3, stride=2),
+            C3(c3, c3, d2, has_attention=has_cbam),
+        )
+        self.to_p4 = nn.Sequential(ConvolutionBlock(c3, c4, size=3, stride=2), C3(c4, c4, d3, has_attention=has_cbam))
+        self.to_p5 = nn.Sequential(
+            ConvolutionBlock(c4, c5, size=3, stride=2), C3(c5, c5, d1, has_attention=has_cbam), Sppf(c5, c5)
+        )
+        self.reduce_p5 = ConvolutionBlock(c5, c4)
+        self.join_p4 = C3(2 * c4, c4, d1, is_residual=False)
+        self.reduce_p4 = ConvolutionBlock(c4, c3)
+        self.out_p3 = C3(2 * c3, c3, d1, is_residual=False)
+        self.down_p3 = ConvolutionBlock(c3, c3, size=3, stride=2)
+        self.out_p4 = C3(2 * c3, c4, d1, is_residual=False)
+        self.down_p4 = ConvolutionBlock(c4, c4, size=3, stride=2)
+        self.out_p5 = C3(2 * c4, c5, d1, is_residual=False)
+        self.up = nn.Upsample(scale_factor=2, mode="nearest")
+        self.heads = nn.ModuleList(
+            quiet_head(c, self.n_anchors, n_classes, stride_px=stride)
+            for c, stride in zip((c3, c4, c5), self.strides_px, strict=True)
+        )
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """See `AnchorNetwork`."""
+        p3 = self.to_p3(images)
+        p4 = self.to_p4(p3)
+        top = self.reduce_p5(self.to_p5(p4))
+        middle = self.reduce_p4(self.join_p4(torch.cat([self.up(top), p4], 1)))
+        out3 = self.out_p3(torch.cat([self.up(middle), p3], 1))
+        out4 = self.out_p4(torch.cat([self.down_p3(out3), middle], 1))
+        out5 = self.out_p5(torch.cat([self.down_p4(out4), top], 1))
+        return self.as_heads([head(features) for head, features in zip(self.heads, (out3, out4, out5), strict=True)])
+
+    def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
+        """See `AnchorNetwork`."""
+        told = raw.sigmoid()
+        centre = (2 * told[..., :2] - 0.5 + cells_xy) * stride_px
+        return torch.cat([centre, (2 * told[..., 2:]) ** 2 * anchors_px], -1)
+
+
+def quiet_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int) -> nn.Conv2d:
+    """A head whose biases say: about 8 objects in an image of 640 pixels, all classes alike (YOLOv5's start)."""
+    head = nn.Conv2d(n_in, n_anchors * (5 + n_classes), 1)
+    with torch.no_grad():
+        if head.bias is not None:
+            bias = head.bias.view(n_anchors, -1)
+            bias[:, 4] += math.log(8 / (640 / stride_px) ** 2)
+            bias[:, 5:] += math.log(0.6 / (n_classes - 0.99999))
+    return head
+
+
+def _width(n_channels: int, scale: Scale) -> int:
+    """Channels at this width, in whole eights."""
+    return math.ceil(n_channels * scale.width / 8) * 8

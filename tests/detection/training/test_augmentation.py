@@ -1,0 +1,105 @@
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.training.augmentation import PLAIN, AugmentationSettings, LabelledPixels, mosaic, single
+
+RED = (0, 0, 255)
+COLOURLESS = {"hue": 0.0, "saturation": 0.0, "value": 0.0}
+
+
+def scene(width_px, height_px, *boxes, class_index=0):
+    """A dark image with red rectangles, and their labels."""
+    image = np.full((height_px, width_px, 3), 40, np.uint8)
+    for x1, y1, x2, y2 in boxes:
+        cv2.rectangle(image, (x1, y1), (x2 - 1, y2 - 1), RED, -1)
+    n = len(boxes)
+    return LabelledPixels(
+        image,
+        np.array(boxes, np.float64).reshape(-1, 4),
+        np.full(n, class_index, np.int64),
+        np.zeros(n, np.bool_),
+        np.array([True, False]),
+    )
+
+
+def red_boxes(image):
+    """Boxes of the red areas of an RGB image, in corner coordinates."""
+    red = ((image[..., 0] > 120) & (image[..., 1] < 60)).astype(np.uint8)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(red)
+    return np.array([[x, y, x + w, y + h] for x, y, w, h, area in stats[1:] if area > 12], np.float64).reshape(-1, 4)
+
+
+def test_nothing_but_the_letterbox():
+    told = single(scene(100, 50, (10, 20, 30, 40)), 200, PLAIN, np.random.default_rng(0))
+    assert told.image.shape == (200, 200, 3)
+    assert told.image[10, 100].tolist() == [114, 114, 114]
+    assert told.xyxy.tolist() == [[20, 90, 60, 130]]
+    assert red_boxes(told.image) == pytest.approx(told.xyxy, abs=1.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_boxes_go_where_the_pixels_go(seed):
+    strong = AugmentationSettings(min_gain=0.6, max_gain=2.5, **COLOURLESS)
+    rng = np.random.default_rng(seed)
+    for source in (scene(120, 90, (50, 30, 90, 60)), scene(60, 140, (10, 50, 50, 90))):
+        told = single(source, 128, strong, rng)
+        found = red_boxes(told.image)
+        assert len(found) == len(told.xyxy) or told.is_ignored.all()
+        if len(found) == len(told.xyxy):
+            assert found == pytest.approx(told.xyxy, abs=2.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_a_mosaic_has_the_boxes_of_all_four(seed):
+    strong = AugmentationSettings(min_gain=0.4, max_gain=1.5, **COLOURLESS)
+    sources = [scene(120, 90, (50, 30, 90, 60), class_index=i) for i in range(4)]
+    told = mosaic(sources, 160, strong, np.random.default_rng(seed))
+    assert told.image.shape == (160, 160, 3)
+    assert (told.xyxy >= 0).all()
+    assert (told.xyxy <= 160).all()
+    assert set(told.class_index.tolist()) <= {0, 1, 2, 3}
+    clear = told.xyxy[~told.is_ignored]
+    for box in clear:  # what is to be learnt is there to be seen
+        inside = told.image[int(box[1]) : int(np.ceil(box[3])), int(box[0]) : int(np.ceil(box[2]))]
+        assert np.median(inside[..., 0]) > 100
+    assert told.is_complete.tolist() == [True, False]
+
+
+def test_a_large_image_shows_a_part_with_an_object():
+    enlarged = AugmentationSettings(min_gain=4.0, max_gain=4.0, **COLOURLESS)
+    seen = [
+        len(single(scene(400, 300, (30, 40, 50, 60)), 100, enlarged, np.random.default_rng(seed)).xyxy)
+        for seed in range(20)
+    ]
+    assert min(seen) == 1
+
+
+def test_rotation_keeps_the_object_inside_its_box():
+    turned = AugmentationSettings(rotation_deg=30, shear_deg=8, min_gain=1, max_gain=1, mirror=0.5, **COLOURLESS)
+    for seed in range(10):
+        told = single(scene(200, 200, (80, 60, 120, 150)), 200, turned, np.random.default_rng(seed))
+        red = red_boxes(told.image)
+        assert (red[:, :2] >= told.xyxy[:, :2] - 1.5).all()
+        assert (red[:, 2:] <= told.xyxy[:, 2:] + 1.5).all()
+
+
+def test_of_a_cut_object_too_little_is_left_to_learn_from():
+    from detection.training.augmentation import _moved, _Part
+
+    source = scene(100, 100, (0, 0, 100, 20), (40, 40, 60, 60), (99, 0, 100, 2))
+    matrix = np.array([[1.0, 0, -93], [0, 1.0, 0]])
+    boxes, _, ignored = _moved(source, matrix, _Part(slice(0, 50), slice(0, 50), (0, 0)))
+    assert boxes.tolist() == [[0, 0, 7, 20], [6, 0, 7, 2]]
+    assert ignored.tolist() == [True, True]
+
+
+def test_colours_change_and_the_seed_decides():
+    source = scene(64, 64, (10, 10, 50, 50))
+    told = [single(source, 64, AugmentationSettings(mirror=0), np.random.default_rng(seed)).image for seed in (1, 1, 2)]
+    assert np.array_equal(told[0], told[1])
+    assert not np.array_equal(told[0], told[2])

@@ -1,0 +1,180 @@
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from detection.kitti_format import LabelFileError
+from detection.labelled_images import ImageFileError
+from detection.training.data_set import CachedImages
+from detection.training.data_yaml import read_data_yaml
+from tests.detection.training.road_scenes import write_data_set
+
+CAR, PERSON = 2, 0
+
+
+def changed(path, **changes):
+    document = yaml.safe_load(path.read_text()) | changes
+    path.write_text(yaml.safe_dump({key: value for key, value in document.items() if value is not None}))
+    return path
+
+
+def test_a_data_set_of_yolo(tmp_path):
+    data = read_data_yaml(write_data_set(tmp_path, n_train=5, n_val=2))
+    assert (len(data.train), len(data.val), data.notes) == (5, 2, ())
+    assert data.road_class_id.tolist() == [CAR, PERSON]
+    assert {int(i) for item in data.train for i in item.truth.class_id} == {CAR, PERSON}
+
+
+def test_names_that_are_no_road_classes_are_left_out_and_it_is_said(tmp_path):
+    path = changed(write_data_set(tmp_path), names=["zebra", "person"])
+    data = read_data_yaml(path)
+    assert data.road_class_id.tolist() == [PERSON]
+    assert "zebra" in data.notes[0]
+
+
+def test_images_without_label_files_are_background(tmp_path):
+    path = write_data_set(tmp_path, n_train=4, n_val=1)
+    (tmp_path / "labels/train/002.txt").unlink()
+    (tmp_path / "labels/train/001.txt").write_text("")
+    data = read_data_yaml(path)
+    assert len(data.train) == 4
+    assert sum(len(item.truth.class_id) == 0 for item in data.train) == 2
+    assert "1 images have no label file" in data.notes[0]
+
+
+def test_a_list_of_images(tmp_path):
+    path = changed(write_data_set(tmp_path, n_train=4), train="some.txt")
+    (tmp_path / "some.txt").write_text("./images/train/003.png\nimages/train/000.png\n")
+    assert [item.path.name for item in read_data_yaml(path).train] == ["000.png", "003.png"]
+
+
+def test_boxes_out_of_their_image_are_cut_and_told_with_file_and_line(tmp_path):
+    path = write_data_set(tmp_path, n_train=2, n_val=1)
+    (tmp_path / "labels/train/000.txt").write_text("0 0.5 0.5 0.2 0.2\n0 0.95 0.5 0.3 0.2\n1 1.5 0.5 0.2 0.2\n")
+    data = read_data_yaml(path)
+    assert data.train[0].truth.xyxy_px[:, 2].max() == 1.0
+    assert len(data.train[0].truth.class_id) == 2
+    assert "2 boxes reach out of their image" in data.notes[0]
+    assert "000.txt, line 2" in data.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("0 nan 0.5 0.2 0.2", "line 1: 'class cx cy w h' wanted"),
+        ("0 0.5 0.5 -0.2 0.2", "line 1: 'class cx cy w h' wanted"),
+        ("0 0.5 0.5", "line 1: 'class cx cy w h' wanted"),
+        ("car 0.5 0.5 0.2 0.2", "line 1: 'class cx cy w h' wanted"),
+        ("7 0.5 0.5 0.2 0.2", "line 1: class 7, but only 2 class names"),
+        ("-1 0.5 0.5 0.2 0.2", "line 1: class -1, but only 2"),
+    ],
+)
+def test_wrong_labels_are_refused_with_file_and_line(tmp_path, line, said):
+    path = write_data_set(tmp_path)
+    (tmp_path / "labels/train/003.txt").write_text(line + "\n")
+    with pytest.raises(LabelFileError, match="003.txt, " + said):
+        read_data_yaml(path)
+
+
+def test_outlines_become_boxes(tmp_path):
+    path = write_data_set(tmp_path, n_train=1, n_val=1)
+    (tmp_path / "labels/train/000.txt").write_text("0 0.1 0.2 0.5 0.1 0.4 0.6\n")
+    assert read_data_yaml(path).train[0].truth.xyxy_px[0] == pytest.approx([0.1, 0.1, 0.5, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"train": "images/nowhere"}, "no such folder: .*nowhere"),
+        ({"val": None}, "no 'val' in it"),
+        ({"names": None}, "'names' wanted"),
+        ({"names": ["cat", "dog"]}, "none of its names is a road class"),
+        ({"format": "coco"}, "format is yolo or kitti"),
+        ({"anchors": 3}, "unknown key 'anchors'"),
+        ({"labels": "nowhere"}, "no such folder: .*nowhere"),
+        ({"labels_pseudo": "nowhere"}, "no such folder: .*nowhere"),
+        ({"manifest": "nowhere.csv"}, "nowhere.csv: not readable"),
+        ({"train": "images/list.txt"}, "not readable as a list"),
+    ],
+)
+def test_a_wrong_data_yaml_is_told(tmp_path, changes, said):
+    path = changed(write_data_set(tmp_path), **changes)
+    with pytest.raises((LabelFileError, ImageFileError), match=said):
+        read_data_yaml(path)
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "train: [", "\x00"])
+def test_no_data_yaml(tmp_path, text):
+    path = tmp_path / "data.yaml"
+    path.write_text(text)
+    with pytest.raises(LabelFileError, match="data.yaml"):
+        read_data_yaml(path)
+    with pytest.raises(LabelFileError, match="cannot be read"):
+        read_data_yaml(tmp_path / "other.yaml")
+
+
+def test_pseudo_labels_fill_what_is_not_complete_and_are_ignored_elsewhere(tmp_path):
+    path = write_data_set(tmp_path, n_train=2)
+    for name, flags in (("000", "11011111"), ("001", "11111111")):
+        with (tmp_path / "manifest.csv").open("a") as file:
+            if name == "000":
+                file.write("file,split,labels_complete\n")
+            file.write(f"{name}.png,train,{flags}\n{name}.png,train,{flags}\n")
+        (tmp_path / "labels/train" / f"{name}.txt").write_text("")
+    (tmp_path / "teacher").mkdir()
+    for name in ("000", "001"):
+        # a sure car, a doubtful car, a sure person
+        (tmp_path / "teacher" / f"{name}.txt").write_text("0 .2 .2 .1 .1 0.45\n0 .5 .5 .1 .1 0.3\n1 .8 .8 .1 .1 0.9\n")
+    document = yaml.safe_load(path.read_text()) | {"manifest": "manifest.csv", "labels_pseudo": "teacher"}
+    document["val"] = "images/train"
+    with (tmp_path / "manifest.csv").open("a") as file:
+        file.write("none.png,val,11111111\n")
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(LabelFileError, match="no labelled images for 'val'"):
+        read_data_yaml(path)
+    (tmp_path / "images/train/none.png").write_bytes((tmp_path / "images/train/000.png").read_bytes())
+    data = read_data_yaml(path)
+    assert data.train[0].truth.is_ignored.tolist() == [False, True, True]  # cars are not complete, people are
+    assert data.train[1].truth.is_ignored.tolist() == [True, True, True]
+    assert len(data.val) == 1
+
+
+def test_kitti_labels(tmp_path):
+    for folder in ("images", "labels"):
+        (tmp_path / folder).mkdir()
+    cv2.imwrite(str(tmp_path / "images/000000.png"), np.zeros((100, 300, 3), np.uint8))
+    row = "{} 0 0 0 {} 1 1 1 0 0 0 0"
+    (tmp_path / "labels/000000.txt").write_text(
+        "\n".join(row.format(kind, box) for kind, box in (("Car", "10 20 60 50"), ("Person_sitting", "80 20 90 50")))
+    )
+    (tmp_path / "data.yaml").write_text("train: images\nval: images\nformat: kitti\n")
+    data = read_data_yaml(tmp_path / "data.yaml")
+    assert data.road_class_id.tolist() == [0, 1, 2, 5]
+    told = CachedImages(data.train, data.road_class_id, max_side_px=150).load(0)
+    assert told.image.shape == (50, 150, 3)
+    assert told.class_index.tolist() == [2, 0]
+    assert told.is_ignored.tolist() == [False, False]  # who sits is a person in training, as in the paper
+    assert told.xyxy[0] == pytest.approx([5.25, 10.25, 30.25, 25.25])
+
+
+def test_damaged_images_are_named_counted_and_left_out(tmp_path):
+    path = write_data_set(tmp_path, n_train=4)
+    (tmp_path / "images/train/001.png").write_bytes(b"not an image")
+    (tmp_path / "images/train/002.png").write_bytes(b"")
+    data = read_data_yaml(path)
+    images = CachedImages(data.train, data.road_class_id)
+    assert len(images) == 2
+    assert ["001.png" in images.unreadable[0], "002.png" in images.unreadable[1]] == [True, True]
+    for name in ("000", "003"):
+        (tmp_path / f"images/train/{name}.png").write_bytes(b"")
+    with pytest.raises(ImageFileError, match="none of the 4 images"):
+        CachedImages(data.train, data.road_class_id)
+
+
+def test_images_that_do_not_fit_into_memory_are_read_again(tmp_path):
+    data = read_data_yaml(write_data_set(tmp_path, n_train=4))
+    one_image = 160 * 120 * 3
+    images = CachedImages(data.train, data.road_class_id, max_bytes=2 * one_image)
+    everything = CachedImages(data.train, data.road_class_id)
+    assert (images.n_kept, everything.n_kept, len(images)) == (2, 4, 4)
+    assert all(np.array_equal(images.load(i).image, everything.load(i).image) for i in range(4))

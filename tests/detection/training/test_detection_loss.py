@@ -1,0 +1,151 @@
+import math
+
+import pytest
+import torch
+
+from detection.training.assignment import Cells, Objects
+from detection.training.detection_loss import Batch, DetectionLoss
+from detection.training.networks import make_network
+from detection.training.teacher import HeadAnswers
+
+SIDE = 64
+SURE = 12.0
+
+
+def nobody(*, ignored=()):
+    boxes = torch.tensor([*ignored], dtype=torch.float32).reshape(-1, 4)
+    n = len(boxes)
+    return Objects(torch.zeros(n).long(), torch.zeros(n).long(), boxes, torch.ones(n).bool())
+
+
+def one(cx, cy, w, h, class_index=0):
+    boxes = torch.tensor([[cx, cy, w, h]], dtype=torch.float32)
+    return Objects(torch.zeros(1).long(), torch.tensor([class_index]), boxes, torch.zeros(1).bool())
+
+
+def batch(objects, *, answers=None, is_complete=(True, True)):
+    images = torch.zeros(1, 3, SIDE, SIDE, dtype=torch.uint8)
+    return Batch(images, objects, torch.tensor([is_complete]), answers)
+
+
+def silent(network):
+    """Raw outputs that are sure of nothing being there."""
+    heads = [torch.zeros(1, 3, SIDE // s, SIDE // s, 5 + network.n_classes) for s in network.strides_px]
+    for head in heads:
+        head[..., 4] = -SURE
+    return heads
+
+
+def logit(p):
+    return math.log(p / (1 - p))
+
+
+def perfect(network, objects):
+    """Raw outputs that say an object of 16 x 30 in the cells that are to find it, in the finest head."""
+    raw = silent(network)
+    from detection.training.assignment import assign
+
+    for head, stride in enumerate(network.strides_px):
+        cells = assign(objects, network, head, raw[head].shape[2:4])
+        box = objects.cxcywh[cells.of]
+        cell = torch.stack([cells.column, cells.row], 1)
+        xy = (box[:, :2] / stride - cell + 0.5) / 2
+        wh = (box[:, 2:] / network.anchors_px[head][cells.anchor]).sqrt() / 2
+        told = torch.logit(torch.cat([xy, wh], 1).clamp(1e-6, 1 - 1e-6))
+        raw[head][cells.image, cells.anchor, cells.row, cells.column, :4] = told
+        raw[head][cells.image, cells.anchor, cells.row, cells.column, 4] = SURE
+        raw[head][cells.image, cells.anchor, cells.row, cells.column, 5 + 0] = SURE
+        raw[head][cells.image, cells.anchor, cells.row, cells.column, 5 + 1] = -SURE
+    return raw
+
+
+@pytest.fixture(scope="module")
+def network():
+    return make_network("yolov5n", 2)
+
+
+def test_who_says_the_truth_loses_nothing(network):
+    objects = one(27, 43, 16, 30)
+    losses = DetectionLoss(network)(perfect(network, objects), batch(objects))
+    assert losses.numbers() == pytest.approx((0, 0, 0), abs=1e-3)
+    assert DetectionLoss(network)(silent(network), batch(nobody())).numbers() == pytest.approx((0, 0, 0), abs=1e-3)
+
+
+def test_each_part_sees_its_own_mistake(network):
+    objects = one(27, 43, 16, 30)
+    loss = DetectionLoss(network)
+    truth = perfect(network, objects)
+    moved = [head.clone() for head in truth]
+    moved[0][..., 2:4] += 1.0
+    assert loss(moved, batch(objects)).box > 5e-3
+    wrong_class = loss(truth, batch(one(27, 43, 16, 30, class_index=1)))
+    assert wrong_class.class_score > 0.01
+    assert wrong_class.box < 1e-3
+    missed = loss(silent(network), batch(objects))
+    assert missed.objectness > 1e-3
+
+
+def test_a_false_alarm_costs_by_hand(network):
+    raw = silent(network)
+    raw[0][0, 0, 0, 0, 4] = 0.0  # says 0.5 where nothing is: ln 2, in 1 of 3 * 64 cells, balance 4
+    losses = DetectionLoss(network)(raw, batch(nobody()))
+    assert float(losses.objectness) == pytest.approx(4.0 * math.log(2) / (3 * 64) * (SIDE / 640) ** 2, rel=0.01)
+
+
+def test_inside_an_ignored_box_nothing_is_a_false_alarm(network):
+    raw = silent(network)
+    raw[0][0, :, 2:4, 2:4, 4] = SURE  # pixels 16..32
+    loud = DetectionLoss(network)(raw, batch(nobody()))
+    told = DetectionLoss(network)(raw, batch(nobody(ignored=[(24, 24, 16, 16)])))
+    assert float(loud.objectness) > 1e-3
+    assert float(told.objectness) == pytest.approx(0.0, abs=1e-5)
+
+
+def answers(network, *, row=5, column=3, sure=0.9, box=(27, 43, 16, 30), scores=(0.8, 0.1)):
+    """A teacher that sees one object, in one cell of the finest head."""
+    told = []
+    for head, stride in enumerate(network.strides_px):
+        objectness = torch.zeros(1, 3, SIDE // stride, SIDE // stride)
+        n = 1 if head == 0 else 0
+        where = [torch.full((n,), value).long() for value in (0, 1, row, column, 0)]
+        if n:
+            objectness[0, 1, row, column] = sure
+        boxes = torch.tensor([box] * n, dtype=torch.float32).reshape(n, 4)
+        told.append(HeadAnswers(objectness, Cells(*where), boxes, torch.tensor([scores] * n).reshape(n, 2)))
+    return told
+
+
+def test_a_teacher_is_believed_where_labels_are_not_complete(network):
+    loss = DetectionLoss(network)
+    incomplete = batch(nobody(), answers=answers(network), is_complete=(False, True))
+    agreeing = silent(network)
+    agreeing[0][0, 1, 5, 3, :] = torch.tensor([0, 0, 0, 0, logit(0.9), logit(0.8), logit(0.1)])
+    centre = (27 / 8 - 3 + 0.5) / 2
+    agreeing[0][0, 1, 5, 3, :2] = torch.tensor([logit(centre), logit(centre)])
+    told, silence = loss(agreeing, incomplete), loss(silent(network), incomplete)
+    assert told.objectness < 0.2 * silence.objectness
+    assert told.box < 1e-3
+    assert silence.box > 1e-3
+
+
+def test_a_teacher_is_not_believed_where_complete_labels_know_of_nothing(network):
+    loss = DetectionLoss(network)
+    complete = batch(nobody(), answers=answers(network), is_complete=(True, True))
+    assert loss(silent(network), complete).numbers() == pytest.approx((0, 0, 0), abs=1e-3)
+
+
+def test_where_they_meet_the_label_says_where_the_box_is(network):
+    objects = one(27, 43, 16, 30)
+    shifted = batch(objects, answers=answers(network, box=(29, 45, 16, 30)))
+    exact = batch(objects, answers=answers(network))
+    raw = perfect(network, objects)
+    loss = DetectionLoss(network)
+    assert float(loss(raw, shifted).box) == pytest.approx(float(loss(raw, exact).box), abs=1e-6)
+
+
+def test_eiou_is_another_loss(network):
+    objects = one(27, 43, 16, 30)
+    raw = perfect(network, objects)
+    raw[0][..., 2] += 1.0
+    ciou, eiou = (float(DetectionLoss(network, box_loss=name)(raw, batch(objects)).box) for name in ("ciou", "eiou"))
+    assert eiou != pytest.approx(ciou, rel=0.01)

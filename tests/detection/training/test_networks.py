@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+import torch
+
+from detection.detections import Detections
+from detection.onnx_session import ModelError, OnnxSession
+from detection.training.export import export_onnx
+from detection.training.networks import NETWORKS, make_network
+from detection.training.onnx_weights import yolov5_of_export
+from detection.yolo import YoloDetector, YoloSettings
+from tests.detection.onnx_models import write_model
+
+ROAD = ["person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign"]
+
+
+def n_weights(network):
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def trained_looking(name, **options):
+    """A network with random weights and batch statistics, whose objectness varies."""
+    torch.manual_seed(0)
+    network = make_network(name, 8, **options)
+    with torch.no_grad():
+        for module in network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.running_mean.normal_(0, 0.1)
+                module.running_var.uniform_(0.5, 1.5)
+        for head in network.heads:
+            head.weight.mul_(20)
+            head.bias.view(network.n_anchors, -1)[:, 4] += 3
+    return network.eval()
+
+
+@pytest.mark.parametrize(("name", "n"), [("yolov5n", 1_872_157), ("yolov5s", 7_235_389)])
+def test_as_many_weights_as_the_official_ones_for_coco(name, n):
+    # Ultralytics' YOLOv5 v6 prints these for yolov5n.yaml and yolov5s.yaml (with the anchors, which are no weights)
+    assert n_weights(make_network(name, 80)) == n
+
+
+def test_yolov4_tiny_has_as_many_weights_as_darknets_for_coco():
+    # 5.87 million convolution weights and 2,112 channels of batch norm in AlexeyAB's yolov4-tiny.cfg; 23.1 MB in its file
+    assert n_weights(make_network("yolov4-tiny", 80)) * 4 / 1e6 == pytest.approx(24.2, abs=0.1)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_attention_costs_few_weights_and_keeps_the_shapes(name):
+    plain, attentive = make_network(name, 8), make_network(name, 8, has_cbam=True)
+    assert 1.0 < n_weights(attentive) / n_weights(plain) < 1.02
+    images = torch.rand(1, 3, 64, 96)
+    assert [h.shape for h in attentive.eval()(images)] == [h.shape for h in plain.eval()(images)]
+
+
+@pytest.mark.parametrize("has_cbam", [False, True])
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_export_says_what_the_network_says(tmp_path, name, has_cbam):
+    network = trained_looking(name, has_cbam=has_cbam)
+    path = tmp_path / "model.onnx"
+    export_onnx(network, path, {"names": ROAD, "letterbox": "centred-114"})
+    images = torch.rand(2, 3, 96, 160, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        wanted = network.decode(network(images)).numpy()
+    told = OnnxSession(path).run(images.numpy())[0]
+    assert told.shape == wanted.shape
+    assert np.allclose(told[..., :4], wanted[..., :4], atol=1e-3, rtol=1e-6)  # px; random boxes may be huge
+    assert np.abs(told[..., 4:] - wanted[..., 4:]).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_ordinary_detector_takes_the_export_without_being_told_anything(tmp_path, name):
+    network = trained_looking(name)
+    path = tmp_path / "model.onnx"
+    export_onnx(network, path, {"family": NETWORKS[name].family, "names": ROAD, "letterbox": "centred-114", "size": 96})
+    detector = YoloDetector(path, YoloSettings(min_score=0.05))
+    found = detector.detect(np.random.default_rng(0).integers(0, 255, (80, 96, 3), dtype=np.uint8))
+    assert isinstance(found, Detections)
+    assert len(found) > 0
+    assert (detector.model.family, detector.input_hw) == (NETWORKS[name].family, (96, 96))
+    assert detector.model.names == tuple(ROAD)
+
+
+def test_an_official_export_becomes_our_network_again(tmp_path):
+    network = trained_looking("yolov5n")
+    path = tmp_path / "model.onnx"
+    export_onnx(network, path, {"names": ROAD})
+    again = yolov5_of_export(path)
+    images = torch.rand(1, 3, 64, 96)
+    with torch.no_grad():
+        assert torch.allclose(again.decode(again(images)), network.decode(network(images)), atol=1e-3)
+
+
+def test_our_yolov5_is_the_official_one(shared_data):
+    path = shared_data / "models/yolov5n_coco_dyn.onnx"
+    network = yolov5_of_export(path)
+    images = torch.rand(1, 3, 320, 416)
+    with torch.no_grad():
+        told = network.decode(network(images)).numpy()
+    wanted = OnnxSession(path).run(images.numpy())[0]
+    assert np.abs(told - wanted)[..., :4].max() < 2e-3  # px of boxes up to 400
+    assert np.abs(told - wanted)[..., 4:].max() < 1e-5
+
+
+def test_other_models_are_no_such_export(tmp_path):
+    export_onnx(trained_looking("yolov4-tiny"), tmp_path / "tiny.onnx", {"names": ROAD})
+    write_model(tmp_path / "none.onnx", np.zeros((1, 252, 13)))
+    (tmp_path / "text.onnx").write_text("not a model")
+    for name in ("tiny", "none", "text"):
+        with pytest.raises(ModelError, match=name):
+            yolov5_of_export(tmp_path / f"{name}.onnx")

@@ -1,0 +1,228 @@
+"""`track-range train`: a detector of one's own, from labelled images to an ONNX file."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from detection.classes import ROAD_CLASSES
+from detection.training.data_yaml import TrainingData, read_data_yaml
+from detection.training.detection_loss import Losses
+from detection.training.export import export_onnx
+from detection.training.losses import BoxLoss
+from detection.training.networks import NETWORKS, make_network
+from detection.training.run_folder import BEST, LAST
+from detection.training.schedule import SGD, Optimiser, ScheduleSettings
+from detection.training.settings import Precision, TrainingSettings, best_device, best_precision
+from detection.training.teacher import Teacher
+from detection.training.train import Training, TrainingSets, seeded
+from track_range.charts import training_chart
+from track_range.commands.ready_model import ready_model
+from track_range.commands.training_data import own_anchors, read_images, say
+from track_range.detection_tables import class_grid
+from track_range.tables import rich_table
+from track_range.written import OutputError, make_folder
+
+CURVES = "curves.png"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainOptions:
+    """What `train` is told.
+
+    Attributes:
+        data: data.yaml.
+        model: a name of `detection.training.networks`.
+        size_px, n_epochs, batch_size, box_loss, validate_every, seed: see `TrainingSettings`.
+        out: the run folder.
+        device: "auto", "cpu", "cuda" or as torch names one.
+        is_resumed: go on with the run in `out`.
+        has_cbam, has_own_anchors: CBAM in the backbone; k-means++ anchors of the data.
+        optimiser, learning_rate: None = the optimiser's own rate.
+        precision: None = what the device is fastest in.
+        gain: smallest and largest scale of images.
+        teacher: a YOLOv5n or s that answers beside the labels; None = none.
+        weights: a checkpoint to begin with; None = at random.
+        licence: written into the model; empty = nothing.
+    """
+
+    data: Path
+    model: str
+    size_px: int
+    n_epochs: int
+    batch_size: int
+    out: Path
+    device: str
+    is_resumed: bool
+    has_cbam: bool
+    box_loss: BoxLoss
+    has_own_anchors: bool
+    optimiser: Optimiser
+    learning_rate: float | None
+    precision: Precision | None
+    gain: tuple[float, float]
+    validate_every: int
+    seed: int
+    teacher: str | None
+    weights: Path | None
+    licence: str
+
+
+def train(options: TrainOptions, console: Console) -> None:
+    """Train, export the best network into the run folder, and print its figures.
+
+    Raises:
+        LabelFileError, ImageFileError: the data cannot be used.
+        CheckpointError, TrainingError, ModelError, OutputError: see the modules of `detection.training`.
+    """
+    make_folder(options.out)
+    if (options.out / LAST).exists() and not options.is_resumed:
+        raise OutputError(f"{options.out}: a run is there already: go on with --resume, or choose another --out.")
+    data = read_data_yaml(options.data)
+    for note in data.notes:
+        say(console, note)
+    settings = _settings(options)
+    largest_px = int(settings.size_px * settings.augmentation.max_gain)
+    images = read_images(data.train, data, console, max_side_px=largest_px)
+    validation = read_images(data.val, data, console, max_side_px=None)
+    anchors = (
+        own_anchors(images, options.model, options.size_px, options.seed, console) if options.has_own_anchors else None
+    )
+    seeded(settings.seed)
+    network = make_network(options.model, len(data.road_class_id), anchors_px=anchors, has_cbam=options.has_cbam)
+    training = Training(
+        network,
+        settings,
+        TrainingSets(images, validation, data.road_class_id),
+        options.out,
+        teacher=_teacher(options, data, settings, console),
+    )
+    if options.is_resumed:
+        training.resume()
+        say(console, f"Going on after epoch {len(training.history)} of {settings.n_epochs}.")
+    elif options.weights is not None:
+        training.start_from(options.weights)
+    n = sum(parameter.numel() for parameter in network.parameters())
+    say(
+        console,
+        f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million weights, {settings.device}, {settings.precision}; "
+        f"{len(images)} images to learn from ({images.n_kept} in memory), {len(validation)} to validate on.",
+    )
+    try:
+        with _Display(console, settings.n_epochs) as display:
+            training.run(display)
+    finally:
+        training_chart(training.history, options.out / CURVES)
+    _finish(training, options, data, console)
+
+
+class _Display:
+    """A bar of the epoch in progress, and a line for each that is done."""
+
+    def __init__(self, console: Console, n_epochs: int) -> None:
+        self._console, self._n_epochs = console, n_epochs
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[text]}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._task: TaskID = self._progress.add_task("", total=None, text="")
+        self._minutes: list[float] = []
+
+    def __enter__(self) -> _Display:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
+        """See `Listener`."""
+        box, objectness, class_score = losses.numbers()
+        text = f"box {box:.4f} objectness {objectness:.4f} class {class_score:.4f}"
+        self._move(f"epoch {epoch + 1} of {self._n_epochs}", i, n, text)
+
+    def validated(self, epoch: int, i: int, n: int) -> None:
+        """See `Listener`."""
+        self._move(f"validation {epoch + 1}", i, n, "")
+
+    def epoch(self, row: dict[str, float]) -> None:
+        """See `Listener`."""
+        self._minutes.append(row["minutes"])
+        left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
+        figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
+        losses = f"box {row['loss_box']:.4f}, objectness {row['loss_objectness']:.4f}, class {row['loss_class']:.4f}"
+        told = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {row['minutes']:.1f} min"
+        say(self._console, f"{told}, {_duration(left)} left")
+
+    def _move(self, description: str, i: int, n: int, text: str) -> None:
+        self._progress.update(self._task, description=description, completed=i, total=n, text=text)
+
+
+def _settings(options: TrainOptions) -> TrainingSettings:
+    device = best_device() if options.device == "auto" else options.device
+    schedule = SGD if options.optimiser == "sgd" else ScheduleSettings()
+    if options.learning_rate is not None:
+        schedule = replace(schedule, learning_rate=options.learning_rate)
+    default = TrainingSettings()
+    return TrainingSettings(
+        size_px=options.size_px,
+        n_epochs=options.n_epochs,
+        batch_size=options.batch_size,
+        seed=options.seed,
+        box_loss=options.box_loss,
+        device=device,
+        precision=options.precision or best_precision(device),
+        validate_every=options.validate_every,
+        schedule=schedule,
+        augmentation=replace(default.augmentation, min_gain=options.gain[0], max_gain=options.gain[1]),
+    )
+
+
+def _teacher(options: TrainOptions, data: TrainingData, settings: TrainingSettings, console: Console) -> Teacher | None:
+    if options.teacher is None:
+        return None
+    path = ready_model(options.teacher, console)
+    return Teacher(path, data.road_class_id, device=settings.device, precision=settings.dtype)
+
+
+def _finish(training: Training, options: TrainOptions, data: TrainingData, console: Console) -> None:
+    """Export the best network and tell what it can do."""
+    training.take_best()
+    model = options.out / f"{options.model}.onnx"
+    export_onnx(training.average.network, model, _metadata(options, data, training))
+    figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
+    console.print(rich_table(class_grid(figures)))
+    say(console, f"Written: {model}, and {CURVES}, results.csv, {BEST}, {LAST} beside it.")
+    say(console, f"Use it: track-range --mono VIDEO --focal-px F --detector {model}")
+
+
+def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> dict[str, object]:
+    """What the file says of itself; see `detection.model_facts`."""
+    network = training.average.network
+    about = {
+        "family": NETWORKS[options.model].family,
+        "names": [ROAD_CLASSES[i] for i in data.road_class_id],
+        "letterbox": "centred-114",
+        "colours": "rgb",
+        "divisor": 255,
+        "size": options.size_px,
+        "trained_anchors": network.anchors_px.tolist(),
+        "data": options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name,
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "epochs": len(training.history),
+    }
+    return about | ({"licence": options.licence} if options.licence else {})
+
+
+def _duration(minutes: float) -> str:
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"

@@ -1,0 +1,98 @@
+"""Images and anchors for `train` and `anchors`, read with a bar, told in a line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from detection.detections import FloatArray
+from detection.kitti_format import LabelFileError
+from detection.labelled_images import LabelledImage
+from detection.model_facts import Anchors
+from detection.training.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
+from detection.training.data_set import CachedImages
+from detection.training.data_yaml import TrainingData, read_data_yaml
+from detection.training.networks import NETWORKS
+
+
+def print_anchors(data_yaml: Path, *, size_px: int, n_anchors: int, seed: int, console: Console) -> None:
+    """Print k-means++ anchors of a data set's training boxes, and how well they and the networks' own ones fit.
+
+    Raises:
+        LabelFileError, ImageFileError: the data cannot be used, or there are too few boxes.
+    """
+    data = read_data_yaml(data_yaml)
+    sizes = _box_sizes(read_images(data.train, data, console, max_side_px=size_px), size_px)
+    for kind in NETWORKS.values():
+        own = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
+        say(console, f"{mean_best_iou(sizes, own):.3f} mean best IoU with {kind.family}'s own {len(own)} anchors")
+    found = _kmeans(sizes, n_anchors, seed)
+    say(console, f"{mean_best_iou(sizes, found):.3f} mean best IoU with these {n_anchors}, of {len(sizes)} boxes:")
+    say(console, " ".join(f"{w:.4g},{h:.4g}" for w, h in found))
+
+
+def read_images(
+    items: Sequence[LabelledImage], data: TrainingData, console: Console, *, max_side_px: int | None
+) -> CachedImages:
+    """Every image once; those that cannot be read are left out, and counted.
+
+    Raises:
+        ImageFileError: none can be read.
+    """
+    with _bar(console, "reading images", len(items)) as advance:
+        images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, advance=advance)
+    if images.unreadable:
+        say(console, f"{len(images.unreadable)} images left out, the first: {images.unreadable[0]}")
+    return images
+
+
+@contextmanager
+def _bar(console: Console, text: str, n: int) -> Iterator[Callable[[], None]]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+        task = progress.add_task(text, total=n)
+        yield lambda: progress.advance(task)
+
+
+def own_anchors(images: CachedImages, model: str, size_px: int, seed: int, console: Console) -> Anchors:
+    """K-means++ anchors of the boxes to be learnt, as many as the network has.
+
+    Raises:
+        LabelFileError: there are too few boxes.
+    """
+    kind = NETWORKS[model]
+    sizes = _box_sizes(images, size_px)
+    found = _kmeans(sizes, kind.n_anchors, seed)
+    before = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))
+    anchors = by_head(found, kind.n_heads)
+    say(
+        console, f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, found):.3f} (before: {before:.3f})."
+    )
+    return anchors
+
+
+def _box_sizes(images: CachedImages, size_px: int) -> FloatArray:
+    """(N, 2) width and height of all boxes to be learnt, where each image's longer side is `size_px`."""
+    sizes = []
+    for index in range(len(images)):
+        item = images.load(index)
+        boxes = item.xyxy[~item.is_ignored]
+        sizes.append((boxes[:, 2:] - boxes[:, :2]) * size_px / max(item.image.shape[:2]))
+    return np.concatenate(sizes)
+
+
+def _kmeans(sizes: FloatArray, n_anchors: int, seed: int) -> FloatArray:
+    try:
+        return kmeans_anchors(sizes, n_anchors, np.random.default_rng(seed))
+    except ValueError as error:
+        raise LabelFileError(f"{error}") from error
+
+
+def say(console: Console, text: str) -> None:
+    """One line, as it is."""
+    console.print(text, highlight=False, markup=False, soft_wrap=True)
