@@ -6,9 +6,9 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import detection, memory, pipeline
+from benchmarks import ablation, detection, memory, pipeline
 
-WORKLOADS = {"pipeline": pipeline, "memory": memory, "detection": detection}
+WORKLOADS = {"pipeline": pipeline, "memory": memory, "detection": detection, "ablation": ablation}
 """Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""
 
 

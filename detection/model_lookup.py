@@ -14,7 +14,10 @@ from detection.catalogue import CATALOGUE, CatalogueEntry, entry_named
 from detection.onnx_session import ModelError
 
 PACKAGED_FOLDER = Path(__file__).parent / "weights"
-"""Models that come with track-range itself; the folder may be absent."""
+"""Models that come with track-range itself."""
+
+DEFAULT_MODEL = "road"
+"""The packaged detector of road users that is taken where none is named."""
 
 _FILE_SUFFIXES = frozenset({".onnx", ".weights", ".cfg", ".pt", ".pth", ".engine", ".tflite"})
 

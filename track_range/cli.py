@@ -24,7 +24,7 @@ from detection.training.errors import TrainingError
 from ranging.size_curve import CurveError
 from stereo.rig import RigError
 from track_range.cli_models import evaluation, models
-from track_range.cli_training import anchors, train
+from track_range.cli_training import anchors, simulate, train
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
@@ -55,7 +55,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     help="Track every road user in a video and say how far it is, how sure that is, and how fast it closes.",
-    epilog="Examples: track-range --stereo left.mp4 right.mp4 --rig rig.yaml --detector yolov5n.onnx  |  "
+    epilog="Examples: track-range --stereo left.mp4 right.mp4 --rig rig.yaml  |  "
     "track-range --mono dashcam.mp4 --focal-px 1150 --detector yolov5n.onnx  |  track-range demo",
 )
 
@@ -63,6 +63,7 @@ app.add_typer(models, name="models")
 app.add_typer(evaluation, name="evaluate")
 app.command("train")(train)
 app.command("anchors")(anchors)
+app.command("simulate")(simulate)
 
 _console = Console()
 _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
@@ -100,7 +101,7 @@ def _run(
         str | None,
         typer.Option(
             metavar="FILE|NAME",
-            help="A YOLO network: an ONNX file, or a name of `models list`.",
+            help="A YOLO network: an ONNX file, or a name of `models list` (default: road, the packaged one).",
             rich_help_panel=_INPUT,
         ),
     ] = None,
@@ -203,8 +204,12 @@ def _demo(
     out: Annotated[Path, typer.Option(help="Where the drive and the results go.")] = Path("track-range-demo"),
     seed: Annotated[int, typer.Option(min=0, help="Another seed is another drive.")] = 0,
     seconds: Annotated[float, typer.Option(min=0.5, max=60, help="Length of the drive.")] = 6.0,
+    playback: Annotated[
+        bool,
+        typer.Option("--playback", help="Boxes from the truth, jittered, in place of the packaged detector's."),
+    ] = False,
 ) -> None:
-    run_demo(out, _console, seed=seed, seconds=seconds)
+    run_demo(out, _console, seed=seed, seconds=seconds, is_played_back=playback)
 
 
 @app.command("fit", help="Fit the monocular size curves on KITTI tracking labels of your own camera.")

@@ -1,4 +1,4 @@
-"""The commands `train` and `anchors` as the command line shows them; PyTorch is loaded only when one of them runs."""
+"""The commands `train`, `anchors` and `simulate` as the command line shows them; PyTorch only loads when wanted."""
 
 from __future__ import annotations
 
@@ -40,6 +40,18 @@ def anchors(
     from track_range.commands.training_data import print_anchors
 
     print_anchors(data, size_px=size, n_anchors=clusters, seed=seed, console=_console)
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Gets images, labels and data.yaml.")],
+    scenes: Annotated[int, typer.Option(min=1, max=100_000, help="Streets, each another.")] = 60,
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Images of each.")] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first scene; `demo` drives through scene 0.")] = 1000,
+) -> None:
+    """Draw simulated road images with exact labels, to mix into the data of `train`."""
+    from track_range.commands.simulate import simulate as run
+
+    run(out, _console, n_scenes=scenes, n_frames=frames, seed=seed)
 
 
 def train(
@@ -88,6 +100,10 @@ def train(
         tuple[float, float],
         typer.Option(metavar="MIN MAX", help="Images are scaled by, relative to --size.", rich_help_panel=_HOW),
     ] = (0.5, 1.5),
+    mosaic: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, metavar="SHARE", help="Training images made of four.", rich_help_panel=_HOW),
+    ] = 0.9,
     precision: Annotated[
         Literal["auto", "float32", "bfloat16", "float16"],
         typer.Option(help="Of the arithmetic; auto = what the device is fastest in.", rich_help_panel=_HOW),
@@ -121,6 +137,7 @@ def train(
         learning_rate=learning_rate,
         precision=None if precision == "auto" else precision,
         gain=gain,
+        mosaic=mosaic,
         validate_every=validate_every,
         seed=seed,
         teacher=teacher,

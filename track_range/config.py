@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from detection.model_lookup import DEFAULT_MODEL
 from track_range.written import write_text
 
 
@@ -36,7 +37,7 @@ class RunSettings(BaseModel):
     focal_px: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     """Focal length of a camera without a rig file; the principal point is taken as the image's centre."""
     detector: str | None = None
-    """An ONNX file, or a name of `track-range models list`."""
+    """An ONNX file, or a name of `track-range models list`; None only where `detections` is given."""
     detections: Path | None = None
     """Boxes from a file in place of a detector."""
     names: str | None = None
@@ -68,15 +69,18 @@ class RunSettings(BaseModel):
     sgbm: bool = True
     """Dense matching beside the patch matcher, in stereo runs."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _packaged_detector(cls, given: Any) -> Any:
+        """Where neither a detector nor boxes are given, the packaged detector."""
+        if isinstance(given, dict) and given.get("detector") is None and given.get("detections") is None:
+            return {**given, "detector": DEFAULT_MODEL}
+        return given
+
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if (self.stereo is None) == (self.mono is None):
             raise ValueError("give either --stereo LEFT RIGHT or --mono VIDEO")
-        if self.detector is None and self.detections is None:
-            raise ValueError(
-                "give --detector FILE.onnx (or a name of `track-range models list`), or --detections FILE with boxes "
-                "of your own"
-            )
         if self.detector is not None and self.detections is not None:
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:

@@ -34,7 +34,7 @@ class AugmentationSettings:
         hue, saturation, value: relative changes, drawn from -x..x (YOLOv5's).
     """
 
-    mosaic: float = 1.0
+    mosaic: float = 0.9
     min_gain: float = 0.5
     max_gain: float = 1.5
     rotation_deg: float = 0.0

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from detection.classes import ROAD_CLASSES
-from detection.detections import Image, IntArray
+from detection.detections import FloatArray, Image, IntArray
 from detection.image_truth import ImageTruth
 from detection.labelled_images import ImageFileError, LabelledImage, read_image
 from detection.training.augmentation import LabelledPixels
@@ -98,6 +98,15 @@ class CachedImages:
             truth.is_ignored[known],
             truth.is_complete[self._road_class_id],
         )
+
+    def box_sizes_px(self, longer_side_px: int) -> FloatArray:
+        """(N, 2) width and height of all boxes to be learnt, each image scaled to a longer side."""
+        sizes = [np.zeros((0, 2))]
+        for index in range(len(self)):
+            item = self.load(index)
+            boxes = item.xyxy[~item.is_ignored]
+            sizes.append((boxes[:, 2:] - boxes[:, :2]) * longer_side_px / max(item.image.shape[:2]))
+        return np.concatenate(sizes)
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
         """Images as they were read, with their labels; only where they are not scaled down."""

@@ -1,7 +1,7 @@
 """data.yaml: which images to train and validate on, and what their labels mean.
 
     path: /data/road            # root of the rest; default: the folder of data.yaml
-    train: images/train         # folder of images, a list of folders, or a .txt with one image per line
+    train: images/train         # folder of images, .txt with one image per line, another data.yaml, or a list of such
     val: images/val
     names: [person, car, ...]   # in the order of the labels' numbers
     format: yolo                # or kitti (object labels; classes are known)
@@ -52,12 +52,18 @@ class TrainingData:
     notes: tuple[str, ...]
 
 
-def read_data_yaml(path: Path) -> TrainingData:
+def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
     """Read a data set's labels; images are read when they are wanted.
+
+    Args:
+        path: the file.
+        within: files that name this one, directly or not.
 
     Raises:
         LabelFileError, ImageFileError: the file, a folder or labels cannot be used; the message names what and why.
     """
+    if path.resolve() in within:
+        raise LabelFileError(f"{path}: names itself as a part of itself.")
     document = _document(path)
     form = document.get("format", "yolo")
     if form not in ("yolo", "kitti"):
@@ -68,7 +74,7 @@ def read_data_yaml(path: Path) -> TrainingData:
     if not len(classes):
         raise LabelFileError(f"{path}: none of its names is a road class ({', '.join(ROAD_CLASSES)}).")
     root = path.parent / str(document.get("path", "."))
-    reader = _Reader(path, root, document, form, names)
+    reader = _Reader(path, root, document, form, names, within | {path.resolve()})
     train, val = reader.split("train"), reader.split("val")
     unknown = [name for name, each in zip(names, road, strict=True) if each < 0]
     notes = [f"Left out, since no road classes: {', '.join(unknown)}."] if unknown else []
@@ -82,35 +88,43 @@ class _Reader:
     document: Mapping[str, Any]
     form: str
     names: Sequence[str]
+    within: frozenset[Path]
 
     def split(self, key: str) -> list[LabelledImage]:
         """The images of one split with their labels."""
         if key not in self.document:
             raise LabelFileError(f"{self.path}: no '{key}' in it; folders of train and val images are wanted.")
         entry = self.document[key]
-        items = [item for each in (entry if isinstance(entry, list) else [entry]) for item in self._of(str(each))]
-        if "manifest" in self.document:
-            items = self._of_manifest(items, key)
+        items = [item for each in (entry if isinstance(entry, list) else [entry]) for item in self._of(str(each), key)]
         if not items:
             raise LabelFileError(f"{self.path}: no labelled images for '{key}'.")
-        if "labels_pseudo" in self.document and key == "train":
-            folder = self._folder(str(self.document["labels_pseudo"]))
-            reader = YoloLabelReader(self.names)
-            items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader) for item in items]
         return items
 
-    def _of(self, entry: str) -> list[LabelledImage]:
+    def _of(self, entry: str, split: str) -> list[LabelledImage]:
+        """The images of one entry, with what the manifest and pseudo-labels say of them."""
         place = self.root / entry
         if place.suffix == ".txt":
-            return self._listed(place)
+            return self._listed(place, split)
+        if place.suffix in (".yaml", ".yml"):
+            return read_data_yaml(place, within=self.within).train
         images = self._folder(entry)
         labels = self._labels_of(images)
         found = read_labelled(images, labels, "kitti" if self.form == "kitti" else "yolo", names=self.names)
         if self.form == "kitti":
             return [_with_who_sits(item) for item in found]
-        return [*found, *_background(images, {item.path for item in found})]
+        return self._completed([*found, *_background(images, {item.path for item in found})], split)
 
-    def _listed(self, file: Path) -> list[LabelledImage]:
+    def _completed(self, items: list[LabelledImage], split: str) -> list[LabelledImage]:
+        """Those of the split, with pseudo-labels where they are for training."""
+        if "manifest" in self.document:
+            items = self._of_manifest(items, split)
+        if "labels_pseudo" in self.document and split == "train":
+            folder = self._folder(str(self.document["labels_pseudo"]))
+            reader = YoloLabelReader(self.names)
+            items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader) for item in items]
+        return items
+
+    def _listed(self, file: Path, split: str) -> list[LabelledImage]:
         """The images that a text file names, relative to it or to the root."""
         try:
             lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
@@ -120,7 +134,10 @@ class _Reader:
         wanted = {place.resolve() for place in places}
         folders = list(dict.fromkeys(place.parent for place in places))
         return [
-            item for folder in folders for item in self._of(str(folder.absolute())) if item.path.resolve() in wanted
+            item
+            for folder in folders
+            for item in self._of(str(folder.absolute()), split)
+            if item.path.resolve() in wanted
         ]
 
     def _labels_of(self, images: Path) -> Path:

@@ -43,6 +43,9 @@ def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     except Exception as error:  # onnx and protobuf raise unrelated types
         raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
     values = {each.name: each for each in graph.initializer}
+    for node in graph.node:  # equal weights may be kept once
+        if node.op_type == "Identity" and node.input[0] in values:
+            values[node.output[0]] = values[node.input[0]]
     nodes = [node for node in graph.node if node.op_type == "Conv"]
     if not nodes or any(len(node.input) != 3 or not set(node.input[1:]) <= values.keys() for node in nodes):
         raise ModelError(f"{path}: a teacher wants a float32 export with its batch norms folded.")

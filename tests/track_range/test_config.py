@@ -18,10 +18,6 @@ def test_the_results_are_named_after_the_left_video():
     [
         ({}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
         ({**PAIR, "mono": Path("m.mp4")}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
-        (
-            {"mono": Path("m.mp4")},
-            "give --detector FILE.onnx (or a name of `track-range models list`), or --detections FILE",
-        ),
         ({**PAIR, "detections": Path("d.txt")}, "give --detector or --detections, not both"),
         ({**PAIR, "focal_px": 700.0}, "--focal-px is for --mono"),
         ({**PAIR, "threads": -1}, "--threads: Input should be greater than or equal to 0"),
@@ -90,3 +86,13 @@ def test_a_missing_settings_file(tmp_path):
 def test_settings_are_frozen():
     with pytest.raises(ValueError, match="frozen"):
         settings_from(PAIR).threads = 3
+
+
+def test_the_packaged_detector_is_taken_where_none_is_named(tmp_path):
+    assert settings_from({"mono": Path("m.mp4")}).detector == "road"
+    boxes = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")})
+    assert boxes.detector is None
+    save_settings(settings_from({"mono": Path("m.mp4")}), tmp_path / "s.yaml", found={})
+    assert settings_from({}, tmp_path / "s.yaml").detector == "road"
+    again = settings_from({"detections": Path("d.txt")}, tmp_path / "s.yaml")
+    assert (again.detector, again.detections) == (None, Path("d.txt"))

@@ -13,18 +13,27 @@ from track_range.simulation.drive import write_drive
 from track_range.written import make_folder
 
 
-def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0) -> None:
+def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0, is_played_back: bool = False) -> None:
     """Simulate a drive into `out/drive`, run the main job on it into `out`, and say where the report lies.
+
+    Args:
+        out: folder of the results.
+        console: where to tell.
+        seed: of the drive.
+        seconds: its length.
+        is_played_back: boxes come from the simulation's playback detector, not from the packaged one.
 
     Raises:
         OutputError: `out` cannot be written.
     """
     make_folder(out / "drive")
-    console.print(
-        "A simulated stereo drive. No detector is packaged yet: boxes come from the simulation's playback detector "
-        "(true boxes with jitter, misses and false alarms), so only tracking and ranging are at work.",
-        highlight=False,
+    boxes = (
+        "Boxes come from the simulation's playback detector (true boxes with jitter, misses and false alarms): only "
+        "tracking and ranging are at work."
+        if is_played_back
+        else "Boxes come from the packaged detector."
     )
+    console.print(f"A simulated stereo drive, with exact truth. {boxes}", highlight=False)
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=None)
         drive = write_drive(
@@ -36,7 +45,7 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0) ->
     settings = RunSettings(
         stereo=(drive.left, drive.right),
         rig=drive.rig,
-        detections=drive.detections,
+        detections=drive.detections if is_played_back else None,
         truth=drive.truth,
         out=out,
     )

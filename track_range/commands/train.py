@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from detection.classes import ROAD_CLASSES
+from detection.training.augmentation import AugmentationSettings
 from detection.training.data_yaml import TrainingData, read_data_yaml
 from detection.training.detection_loss import Losses
 from detection.training.export import export_onnx
@@ -46,6 +47,7 @@ class TrainOptions:
         optimiser, learning_rate: None = the optimiser's own rate.
         precision: None = what the device is fastest in.
         gain: smallest and largest scale of images.
+        mosaic: share of training images made of four.
         teacher: a YOLOv5n or s that answers beside the labels; None = none.
         weights: a checkpoint to begin with; None = at random.
         licence: written into the model; empty = nothing.
@@ -66,6 +68,7 @@ class TrainOptions:
     learning_rate: float | None
     precision: Precision | None
     gain: tuple[float, float]
+    mosaic: float
     validate_every: int
     seed: int
     teacher: str | None
@@ -173,7 +176,6 @@ def _settings(options: TrainOptions) -> TrainingSettings:
     schedule = SGD if options.optimiser == "sgd" else ScheduleSettings()
     if options.learning_rate is not None:
         schedule = replace(schedule, learning_rate=options.learning_rate)
-    default = TrainingSettings()
     return TrainingSettings(
         size_px=options.size_px,
         n_epochs=options.n_epochs,
@@ -184,7 +186,7 @@ def _settings(options: TrainOptions) -> TrainingSettings:
         precision=options.precision or best_precision(device),
         validate_every=options.validate_every,
         schedule=schedule,
-        augmentation=replace(default.augmentation, min_gain=options.gain[0], max_gain=options.gain[1]),
+        augmentation=AugmentationSettings(mosaic=options.mosaic, min_gain=options.gain[0], max_gain=options.gain[1]),
     )
 
 

@@ -27,7 +27,7 @@ def print_anchors(data_yaml: Path, *, size_px: int, n_anchors: int, seed: int, c
         LabelFileError, ImageFileError: the data cannot be used, or there are too few boxes.
     """
     data = read_data_yaml(data_yaml)
-    sizes = _box_sizes(read_images(data.train, data, console, max_side_px=size_px), size_px)
+    sizes = read_images(data.train, data, console, max_side_px=size_px).box_sizes_px(size_px)
     for kind in NETWORKS.values():
         own = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
         say(console, f"{mean_best_iou(sizes, own):.3f} mean best IoU with {kind.family}'s own {len(own)} anchors")
@@ -66,7 +66,7 @@ def own_anchors(images: CachedImages, model: str, size_px: int, seed: int, conso
         LabelFileError: there are too few boxes.
     """
     kind = NETWORKS[model]
-    sizes = _box_sizes(images, size_px)
+    sizes = images.box_sizes_px(size_px)
     found = _kmeans(sizes, kind.n_anchors, seed)
     before = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))
     anchors = by_head(found, kind.n_heads)
@@ -74,16 +74,6 @@ def own_anchors(images: CachedImages, model: str, size_px: int, seed: int, conso
         console, f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, found):.3f} (before: {before:.3f})."
     )
     return anchors
-
-
-def _box_sizes(images: CachedImages, size_px: int) -> FloatArray:
-    """(N, 2) width and height of all boxes to be learnt, where each image's longer side is `size_px`."""
-    sizes = []
-    for index in range(len(images)):
-        item = images.load(index)
-        boxes = item.xyxy[~item.is_ignored]
-        sizes.append((boxes[:, 2:] - boxes[:, :2]) * size_px / max(item.image.shape[:2]))
-    return np.concatenate(sizes)
 
 
 def _kmeans(sizes: FloatArray, n_anchors: int, seed: int) -> FloatArray:

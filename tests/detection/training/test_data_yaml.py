@@ -107,7 +107,7 @@ def test_a_wrong_data_yaml_is_told(tmp_path, changes, said):
 def test_no_data_yaml(tmp_path, text):
     path = tmp_path / "data.yaml"
     path.write_text(text)
-    with pytest.raises(LabelFileError, match="data.yaml"):
+    with pytest.raises(LabelFileError, match=r"data\.yaml"):
         read_data_yaml(path)
     with pytest.raises(LabelFileError, match="cannot be read"):
         read_data_yaml(tmp_path / "other.yaml")
@@ -178,3 +178,14 @@ def test_images_that_do_not_fit_into_memory_are_read_again(tmp_path):
     everything = CachedImages(data.train, data.road_class_id)
     assert (images.n_kept, everything.n_kept, len(images)) == (2, 4, 4)
     assert all(np.array_equal(images.load(i).image, everything.load(i).image) for i in range(4))
+
+
+def test_another_data_set_can_be_a_part(tmp_path):
+    for name in ("mine", "drawn"):
+        (tmp_path / name).mkdir()
+    other = write_data_set(tmp_path / "drawn", n_train=3)
+    path = changed(write_data_set(tmp_path / "mine", n_train=2), train=["images/train", "../drawn/data.yaml"])
+    assert len(read_data_yaml(path).train) == 5
+    changed(other, train="../mine/data.yaml")
+    with pytest.raises(LabelFileError, match="names itself"):
+        read_data_yaml(path)

@@ -1,0 +1,189 @@
+"""The monocular paper's improvements of its detector, one by one, on the same images and the same budget.
+
+Protocol: YOLOv5n from random weights on N images of a data set's training split (drawn once, the same for all), with
+its labels and no teacher, the same epochs and input size; every configuration with every seed. Figures are the averaged
+weights' after the last epoch, no best of several, on the whole validation split at the same size; ms are onnxruntime's
+on one thread, all configurations in turn, square input. Runs are kept in `--out`: one that was stopped goes on where it
+was, one that is done is not repeated. `--jobs 2` trains two at a time, a thread each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from detection.classes import ROAD_CLASSES
+from detection.onnx_session import OnnxSession, Runtime
+from detection.training.anchors import by_head, kmeans_anchors, mean_best_iou
+from detection.training.augmentation import AugmentationSettings
+from detection.training.data_set import CachedImages
+from detection.training.data_yaml import read_data_yaml
+from detection.training.detection_loss import Losses
+from detection.training.export import export_onnx
+from detection.training.losses import BoxLoss
+from detection.training.networks import NETWORKS, make_network
+from detection.training.run_folder import LAST
+from detection.training.settings import TrainingSettings, best_precision
+from detection.training.train import Training, TrainingSets, seeded
+
+MODEL = "yolov5n"
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """What is changed against the baseline."""
+
+    has_own_anchors: bool = False
+    has_cbam: bool = False
+    box_loss: BoxLoss = "ciou"
+
+
+CONFIGURATIONS: Mapping[str, Configuration] = {
+    "baseline": Configuration(),
+    "kmeans": Configuration(has_own_anchors=True),
+    "cbam": Configuration(has_cbam=True),
+    "eiou": Configuration(box_loss="eiou"),
+    "all": Configuration(has_own_anchors=True, has_cbam=True, box_loss="eiou"),
+}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of this workload."""
+    parser.add_argument("--data", type=Path, required=True, help="data.yaml")
+    parser.add_argument("--out", type=Path, default=Path("out/ablation"), help="folder of the runs")
+    parser.add_argument("--images", type=int, default=1500, help="to learn from")
+    parser.add_argument("--size", type=int, default=320)
+    parser.add_argument("--epochs", type=int, default=20)
+    parser.add_argument("--batch", type=int, default=16)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time, a thread each; 1 = one on all cores")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Train what is not trained yet, and print the table."""
+    wanted = [(name, seed, options) for seed in options.seeds for name in CONFIGURATIONS]
+    if options.jobs > 1:
+        with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+            figures = pool.starmap(_trained, wanted, chunksize=1)
+    else:
+        figures = [_trained(*each) for each in wanted]
+    ms = _inference_ms(options)
+    rows = {
+        name: {
+            "seeds": [f for (n, _, _), f in zip(wanted, figures, strict=True) if n == name],
+            "inference_ms": ms[name],
+        }
+        for name in CONFIGURATIONS
+    }
+    _tell(rows, options)
+    return {"protocol": __doc__, "options": {k: str(v) for k, v in vars(options).items()}, "configurations": rows}
+
+
+class _Log:
+    """A line per epoch, with the run's name."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
+        """See `Listener`."""
+
+    def validated(self, epoch: int, i: int, n: int) -> None:
+        """See `Listener`."""
+
+    def epoch(self, row: dict[str, float]) -> None:
+        """See `Listener`."""
+        print(self._name, {key: round(value, 4) for key, value in row.items()}, flush=True)
+
+
+def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any]:
+    """Train one configuration with one seed, unless that was done, and export it; its figures."""
+    out = options.out / f"{name}-{seed}"
+    figures = out / "figures.json"
+    if figures.is_file():
+        done: dict[str, Any] = json.loads(figures.read_text())
+        return done
+    out.mkdir(parents=True, exist_ok=True)
+    if options.jobs > 1:
+        torch.set_num_threads(1)
+    configuration = CONFIGURATIONS[name]
+    data = read_data_yaml(options.data)
+    drawn = np.random.default_rng(0).permutation(len(data.train))[: options.images]
+    images = CachedImages([data.train[i] for i in drawn], data.road_class_id, max_side_px=2 * options.size)
+    validation = CachedImages(data.val, data.road_class_id)
+    anchors, fit = None, None
+    if configuration.has_own_anchors:
+        sizes = images.box_sizes_px(options.size)
+        found = kmeans_anchors(sizes, NETWORKS[MODEL].n_anchors, np.random.default_rng(seed))
+        anchors = by_head(found, NETWORKS[MODEL].n_heads)
+        own = np.array(NETWORKS[MODEL].anchors_px, np.float64).reshape(-1, 2)
+        fit = {"before": mean_best_iou(sizes, own), "after": mean_best_iou(sizes, found), "anchors": found.tolist()}
+    settings = TrainingSettings(
+        size_px=options.size,
+        n_epochs=options.epochs,
+        batch_size=options.batch,
+        seed=seed,
+        box_loss=configuration.box_loss,
+        precision=best_precision("cpu"),
+        validate_every=options.epochs,
+        augmentation=AugmentationSettings(),
+    )
+    seeded(seed)
+    network = make_network(MODEL, len(data.road_class_id), anchors_px=anchors, has_cbam=configuration.has_cbam)
+    run = Training(network, settings, TrainingSets(images, validation, data.road_class_id), out)
+    if (out / LAST).is_file():
+        run.resume()
+    run.run(_Log(out.name))
+    scores = run.scores()
+    export_onnx(run.average.network, out / "model.onnx", {"names": [ROAD_CLASSES[i] for i in data.road_class_id]})
+    told = {"seed": seed, **scores.as_dict(), "anchors": fit}
+    figures.write_text(json.dumps(told, indent=2))
+    return told
+
+
+def _inference_ms(options: argparse.Namespace, n_rounds: int = 40) -> dict[str, float]:
+    """Median ms of each configuration's network on one thread, all in turn."""
+    seed = options.seeds[0]
+    networks = {
+        name: OnnxSession(options.out / f"{name}-{seed}" / "model.onnx", Runtime(n_threads=1)).bound(
+            (options.size, options.size)
+        )
+        for name in CONFIGURATIONS
+    }
+    times: dict[str, list[float]] = {name: [] for name in networks}
+    for _ in range(n_rounds):
+        for name, network in networks.items():
+            began_s = time.perf_counter()
+            network.run()
+            times[name].append(1e3 * (time.perf_counter() - began_s))
+    return {name: float(np.median(each)) for name, each in times.items()}
+
+
+def _tell(rows: Mapping[str, Mapping[str, Any]], options: argparse.Namespace) -> None:
+    table = Table(
+        "configuration",
+        *(f"{figure}, seed {seed}" for figure in ("AP50 %", "AP50-95 %") for seed in options.seeds),
+        "mean AP50 %",
+        "mean AP50-95 %",
+        "ms",
+        title=f"Ablation: {options.images} images, {options.size} px, {options.epochs} epochs",
+        box=box.SIMPLE_HEAD,
+    )
+    for name, row in rows.items():
+        by_key = {key: [100 * each[key] for each in row["seeds"]] for key in ("ap50", "ap50_95")}
+        cells = [f"{value:.1f}" for values in by_key.values() for value in values]
+        means = [f"{np.mean(values):.1f}" for values in by_key.values()]
+        table.add_row(name, *cells, *means, f"{row['inference_ms']:.1f}")
+    Console().print(table)

@@ -1,0 +1,244 @@
+"""Training end to end, on drawn scenes: it learns, it survives being killed, and it says what is wrong."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from detection.onnx_session import ModelError
+from detection.training.augmentation import PLAIN, AugmentationSettings
+from detection.training.batches import BatchMaker
+from detection.training.data_set import CachedImages
+from detection.training.data_yaml import read_data_yaml
+from detection.training.errors import CheckpointError, TrainingError
+from detection.training.export import export_onnx
+from detection.training.networks import make_network
+from detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
+from detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
+from detection.training.settings import TrainingSettings
+from detection.training.teacher import Teacher
+from detection.training.train import Training, TrainingSets, seeded
+from tests.detection.training.road_scenes import write_data_set
+
+SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings())
+
+
+class Quiet:
+    """Hears everything and says nothing."""
+
+    def step(self, epoch, i, n, losses): ...
+
+    def validated(self, epoch, i, n): ...
+
+    def epoch(self, row): ...
+
+
+class Killed(Quiet):
+    """Stops a run in the middle of its third epoch."""
+
+    def step(self, epoch, i, n, losses):
+        if epoch == 2 and i == 2:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    data = read_data_yaml(write_data_set(tmp_path_factory.mktemp("drawn"), n_train=12, n_val=4))
+    train, val = (CachedImages(items, data.road_class_id) for items in (data.train, data.val))
+    return TrainingSets(train, val, data.road_class_id)
+
+
+def training(sets, out, settings=SMALL, *, name="yolov5n", teacher=None, **options):
+    out.mkdir(exist_ok=True)
+    seeded(settings.seed)
+    network = make_network(name, len(sets.road_class_id), **options)
+    return Training(network, settings, sets, out, teacher=teacher)
+
+
+def weights(run):
+    return torch.cat([value.flatten().float() for value in run.average.network.state_dict().values()])
+
+
+def test_a_killed_run_goes_on_as_if_nothing_had_happened(sets, tmp_path):
+    straight = training(sets, tmp_path / "straight")
+    straight.run(Quiet())
+    killed = training(sets, tmp_path / "killed")
+    with pytest.raises(KeyboardInterrupt):
+        killed.run(Killed())
+    assert len(load_checkpoint(tmp_path / "killed" / LAST)["history"]) == 2
+    resumed = training(sets, tmp_path / "killed")
+    resumed.resume()
+    resumed.run(Quiet())
+    assert torch.equal(weights(resumed), weights(straight))
+    drop = {"minutes"}
+    rows = [[{k: v for k, v in row.items() if k not in drop} for row in run.history] for run in (resumed, straight)]
+    assert repr(rows[0]) == repr(rows[1])
+
+
+def test_the_run_folder_has_checkpoints_and_a_row_per_epoch(sets, tmp_path):
+    run = training(sets, tmp_path)
+    run.run(Quiet())
+    with (tmp_path / RESULTS).open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["epoch"] for row in rows] == ["1", "2", "3", "4"]
+    assert [row["ap50"] != "" for row in rows] == [False, True, False, True]
+    assert float(rows[-1]["loss_box"]) < float(rows[0]["loss_box"])
+    assert (tmp_path / BEST).is_file()
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda s, o: training(s, o, name="yolov4-tiny"), "model is yolov5n there and yolov4-tiny here"),
+        (lambda s, o: training(s, o, has_cbam=True), "attention is False there and True here"),
+        (lambda s, o: training(s, o, replace(SMALL, size_px=128)), "size_px is 96 there and 128 here"),
+        (lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")), "box_loss is ciou there and eiou here"),
+    ],
+)
+def test_a_checkpoint_of_another_run_is_refused(sets, tmp_path, change, said):
+    run = training(sets, tmp_path, replace(SMALL, n_epochs=1))
+    run.run(Quiet())
+    content = load_checkpoint(tmp_path / LAST)
+    content["identity"]["n_epochs"] = SMALL.n_epochs
+    torch.save(content, tmp_path / LAST)
+    with pytest.raises(CheckpointError, match=said):
+        change(sets, tmp_path).resume()
+
+
+def test_no_checkpoint_and_damaged_ones(sets, tmp_path):
+    run = training(sets, tmp_path)
+    with pytest.raises(CheckpointError, match="no such checkpoint"):
+        run.resume()
+    for content in (b"", b"PK\x03\x04 cut off", b"text"):
+        (tmp_path / LAST).write_bytes(content)
+        with pytest.raises(CheckpointError, match="damaged"):
+            run.resume()
+    torch.save({"weights": torch.zeros(2)}, tmp_path / LAST)
+    with pytest.raises(CheckpointError, match="not a checkpoint of"):
+        run.resume()
+
+
+def test_weights_of_another_run_are_a_start_and_of_another_network_are_refused(sets, tmp_path):
+    first = training(sets, tmp_path / "first", replace(SMALL, n_epochs=2))
+    first.run(Quiet())
+    second = training(sets, tmp_path / "second", replace(SMALL, seed=5))
+    second.start_from(tmp_path / "first" / BEST)
+    assert torch.equal(weights(second), weights(first))
+    other = training(sets, tmp_path / "other", name="yolov4-tiny")
+    with pytest.raises(CheckpointError, match="of another network"):
+        other.start_from(tmp_path / "first" / BEST)
+
+
+def test_a_loss_that_is_no_number_ends_the_run(sets, tmp_path):
+    wild = replace(SMALL, schedule=ScheduleSettings(optimiser="sgd", learning_rate=1e9, warmup_epochs=0.1))
+    with pytest.raises(TrainingError, match="no number any more"):
+        training(sets, tmp_path, wild).run(Quiet())
+
+
+def test_out_of_memory_suggests_a_batch(sets, tmp_path, monkeypatch):
+    def fail(self, batch):
+        raise RuntimeError("[enforce fail at alloc_cpu.cpp:121] DefaultCPUAllocator: can't allocate memory")
+
+    monkeypatch.setattr(Training, "_step", fail)
+    with pytest.raises(TrainingError, match="memory ran out with a batch of 4: try --batch 2"):
+        training(sets, tmp_path).run(Quiet())
+
+
+def test_other_errors_keep_their_traceback(sets, tmp_path, monkeypatch):
+    monkeypatch.setattr(Training, "_step", lambda self, batch: [][0])
+    with pytest.raises(IndexError):
+        training(sets, tmp_path).run(Quiet())
+
+
+def batch_of(sets, seed, epoch, n=0):
+    maker = BatchMaker(sets.train, size_px=96, batch_size=5, seed=seed)
+    return list(maker.epoch(epoch, AugmentationSettings()))[n]
+
+
+def test_batches_depend_on_seed_and_epoch_alone(sets):
+    first, again = batch_of(sets, 0, 3), batch_of(sets, 0, 3)
+    assert torch.equal(first.images, again.images)
+    assert torch.equal(first.objects.cxcywh, again.objects.cxcywh)
+    assert not torch.equal(first.images, batch_of(sets, 0, 4).images)
+    assert not torch.equal(first.images, batch_of(sets, 1, 3).images)
+
+
+def test_every_image_is_seen_once_in_an_epoch(sets):
+    maker = BatchMaker(sets.train, size_px=96, batch_size=5, seed=0)
+    batches = list(maker.epoch(0, PLAIN))
+    assert [len(batch.images) for batch in batches] == [5, 5, 2] == [5] * (len(maker) - 1) + [2]
+    labels = sum(len(sets.train.load(i).xyxy) for i in range(len(sets.train)))
+    assert sum(len(batch.objects.image) for batch in batches) == labels
+
+
+def test_the_rate_warms_up_and_falls_as_a_cosine():
+    schedule = Schedule(SGD, n_epochs=100, n_steps_per_epoch=10)
+    optimiser = optimiser_of(make_network("yolov5n", 2), SGD)
+    rates = []
+    for step in (0, 15, 30, 500, 1000):
+        schedule.set(optimiser, step)
+        rates.append({group["name"]: group["lr"] for group in optimiser.param_groups})
+    assert rates[0] == {"weight": 0.0, "norm": 0.0, "bias": pytest.approx(0.1)}
+    assert rates[1]["weight"] == pytest.approx(0.5 * schedule.rate(15))
+    assert {name: pytest.approx(schedule.rate(30)) for name in rates[2]} == rates[2]
+    assert rates[3]["weight"] == pytest.approx(0.01 * (0.01 + 0.99 / 2))
+    assert rates[4]["weight"] == pytest.approx(0.01 * 0.01)
+    decays = {group["name"]: group["weight_decay"] for group in optimiser.param_groups}
+    assert decays == {"weight": 5e-4, "norm": 0.0, "bias": 0.0}
+
+
+def test_the_average_follows_the_weights():
+    network = make_network("yolov5n", 2)
+    average = WeightAverage(network)
+    before = average.network.heads[0].bias.clone()
+    with torch.no_grad():
+        network.heads[0].bias.add_(1.0)
+    average.update(network, 0.9)
+    assert torch.allclose(average.network.heads[0].bias, before + 0.1, atol=1e-6)
+    schedule = Schedule(ScheduleSettings(), n_epochs=10, n_steps_per_epoch=100)
+    decays = [schedule.average_decay(step) for step in (0, 10, 999)]
+    assert decays == sorted(decays)
+    assert decays[0] < 0.2
+    assert decays[2] == pytest.approx(1 - 1 / 40, abs=1e-3)
+
+
+def test_a_student_learns_from_a_teacher_without_any_label(sets, tmp_path):
+    """Labels of nothing, complete in no class: only the teacher can say where a car is."""
+    seeded(1)
+    network = make_network("yolov5n", 2)
+    with torch.no_grad():
+        for head in network.heads:  # a teacher that always sees cars
+            head.bias.view(3, -1)[:, 4] = 3.0
+            head.bias.view(3, -1)[:, 5] = 3.0
+    export_onnx(network.eval(), tmp_path / "teacher.onnx", {"names": ["car", "person"]})
+    teacher = Teacher(tmp_path / "teacher.onnx", sets.road_class_id, device="cpu")
+
+    class Unlabelled:
+        def __len__(self):
+            return len(sets.train)
+
+        def load(self, index):
+            item = sets.train.load(index)
+            none = np.zeros(0, np.int64)
+            return replace(
+                item, xyxy=item.xyxy[:0], class_index=none, is_ignored=none == 1, is_complete=~item.is_complete
+            )
+
+    found = {}
+    quick = replace(SMALL, n_epochs=10, schedule=replace(SMALL.schedule, learning_rate=0.02))
+    for name, each in (("with", teacher), ("without", None)):
+        run = training(replace(sets, train=Unlabelled()), tmp_path / name, quick, teacher=each)
+        run.run(Quiet())
+        with torch.no_grad():
+            told = run.network.eval()(torch.zeros(1, 3, 96, 96))
+        found[name] = float(told[0][..., 4].sigmoid().mean())
+    assert found["with"] > 0.5 > 0.2 > found["without"]
+
+
+def test_a_teacher_without_road_classes_is_refused(sets, tmp_path):
+    export_onnx(make_network("yolov5n", 2).eval(), tmp_path / "pets.onnx", {"names": ["cat", "dog"]})
+    with pytest.raises(ModelError, match="none is a road class"):
+        Teacher(tmp_path / "pets.onnx", sets.road_class_id, device="cpu")
