@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -36,7 +35,7 @@ from detection.training.losses import BoxLoss
 from detection.training.networks import NETWORKS, make_network
 from detection.training.run_folder import LAST
 from detection.training.settings import TrainingSettings, best_precision
-from detection.training.train import Training, TrainingSets, seeded
+from detection.training.train import Training, TrainingSets, prepare_torch
 
 MODEL = "yolov5n"
 
@@ -116,8 +115,6 @@ def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any
         done: dict[str, Any] = json.loads(figures.read_text())
         return done
     out.mkdir(parents=True, exist_ok=True)
-    if options.jobs > 1:
-        torch.set_num_threads(1)
     configuration = CONFIGURATIONS[name]
     data = read_data_yaml(options.data)
     drawn = np.random.default_rng(0).permutation(len(data.train))[: options.images]
@@ -140,7 +137,7 @@ def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any
         validate_every=options.epochs,
         augmentation=AugmentationSettings(),
     )
-    seeded(seed)
+    prepare_torch(seed=seed, n_threads=1 if options.jobs > 1 else 0)
     network = make_network(MODEL, len(data.road_class_id), anchors_px=anchors, has_cbam=configuration.has_cbam)
     run = Training(network, settings, TrainingSets(images, validation, data.road_class_id), out)
     if (out / LAST).is_file():

@@ -111,6 +111,7 @@ def train(
     validate_every: Annotated[
         int, typer.Option(min=1, metavar="N", help="Epochs between validations.", rich_help_panel=_HOW)
     ] = 1,
+    threads: Annotated[int, typer.Option(min=0, max=256, help="Of the CPU; 0 = all.", rich_help_panel=_HOW)] = 0,
     seed: SeedOption = 0,
     licence: Annotated[
         str, typer.Option(metavar="TEXT", help="Licence of the weights, written into the model.", rich_help_panel=_WHAT)
@@ -140,6 +141,7 @@ def train(
         mosaic=mosaic,
         validate_every=validate_every,
         seed=seed,
+        n_threads=threads,
         teacher=teacher,
         weights=weights,
         licence=licence,

@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 
 from detection.training.augmentation import AugmentationSettings
+from detection.training.errors import TrainingError
 from detection.training.losses import BoxLoss
 from detection.training.schedule import ScheduleSettings
 
@@ -48,9 +49,25 @@ class TrainingSettings:
         return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[self.precision]
 
 
-def best_device() -> str:
-    """A CUDA GPU where torch sees one, else the CPU."""
-    return "cuda" if torch.cuda.is_available() else "cpu"
+def usable_device(wanted: str) -> tuple[str, str]:
+    """The device that "auto", "cpu", "cuda" or torch's own word for one means here, and a sentence where it is another.
+
+    Raises:
+        TrainingError: torch knows no such device.
+    """
+    has_gpu = torch.cuda.is_available()
+    if wanted == "auto":
+        return ("cuda" if has_gpu else "cpu"), ""
+    try:
+        kind = torch.device(wanted).type
+    except RuntimeError as error:
+        raise TrainingError(f"--device {wanted}: no device of that name; auto, cpu or cuda wanted.") from error
+    if kind == "cuda" and not has_gpu:
+        return (
+            "cpu",
+            f"--device {wanted} is not to be had here (no GPU, or a PyTorch without CUDA): training on cpu.",
+        )
+    return wanted, ""
 
 
 def best_precision(device: str) -> Precision:

@@ -270,9 +270,11 @@ class Training:
         }
 
 
-def seeded(seed: int) -> None:
-    """Make what torch draws from here on, the first weights, the seed's own."""
+def prepare_torch(*, seed: int, n_threads: int = 0) -> None:
+    """Make what torch draws from here on, the first weights, the seed's own; and set its threads, 0 = as they are."""
     torch.manual_seed(seed)
+    if n_threads:
+        torch.set_num_threads(n_threads)
 
 
 def _figures(scores: DetectionScores) -> dict[str, float]:

@@ -112,3 +112,22 @@ def test_without_pytorch_it_says_what_to_install(drawn, tmp_path, cli, monkeypat
     monkeypatch.setattr("track_range.cli_training.find_spec", lambda name: None)
     status, _, complaint = train(cli, data, tmp_path / "run")
     assert (status, "pip install 'track-range[train]'" in complaint) == (1, True)
+
+
+def test_a_gpu_that_is_not_there_is_told_in_one_line(drawn, tmp_path, cli, monkeypatch):
+    _, data = drawn
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    status, told, _ = train(cli, data, tmp_path / "run", "--epochs", 1, "--device", "cuda")
+    assert (status, "--device cuda is not to be had here" in told) == (0, True)
+    status, _, complaint = train(cli, data, tmp_path / "other", "--device", "abacus")
+    assert (status, "no device of that name" in complaint) == (1, True)
+
+
+def test_damaged_images_are_counted_and_the_rest_is_learnt(tmp_path, cli):
+    data = write_data_set(tmp_path, n_train=5, n_val=2)
+    (tmp_path / "images/train/001.png").write_bytes(b"junk")
+    status, told, _ = train(cli, data, tmp_path / "run", "--epochs", 1)
+    assert status == 0
+    assert "1 images left out, the first: " in told
+    assert "001.png" in told
+    assert "4 images to learn from" in told

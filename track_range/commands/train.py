@@ -19,9 +19,9 @@ from detection.training.losses import BoxLoss
 from detection.training.networks import NETWORKS, make_network
 from detection.training.run_folder import BEST, LAST
 from detection.training.schedule import SGD, Optimiser, ScheduleSettings
-from detection.training.settings import Precision, TrainingSettings, best_device, best_precision
+from detection.training.settings import Precision, TrainingSettings, best_precision, usable_device
 from detection.training.teacher import Teacher
-from detection.training.train import Training, TrainingSets, seeded
+from detection.training.train import Training, TrainingSets, prepare_torch
 from track_range.charts import training_chart
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images, say
@@ -48,6 +48,7 @@ class TrainOptions:
         precision: None = what the device is fastest in.
         gain: smallest and largest scale of images.
         mosaic: share of training images made of four.
+        n_threads: of the CPU; 0 = one per core.
         teacher: a YOLOv5n or s that answers beside the labels; None = none.
         weights: a checkpoint to begin with; None = at random.
         licence: written into the model; empty = nothing.
@@ -71,6 +72,7 @@ class TrainOptions:
     mosaic: float
     validate_every: int
     seed: int
+    n_threads: int
     teacher: str | None
     weights: Path | None
     licence: str
@@ -89,14 +91,14 @@ def train(options: TrainOptions, console: Console) -> None:
     data = read_data_yaml(options.data)
     for note in data.notes:
         say(console, note)
-    settings = _settings(options)
+    settings = _settings(options, console)
     largest_px = int(settings.size_px * settings.augmentation.max_gain)
     images = read_images(data.train, data, console, max_side_px=largest_px)
     validation = read_images(data.val, data, console, max_side_px=None)
     anchors = (
         own_anchors(images, options.model, options.size_px, options.seed, console) if options.has_own_anchors else None
     )
-    seeded(settings.seed)
+    prepare_torch(seed=settings.seed, n_threads=options.n_threads)
     network = make_network(options.model, len(data.road_class_id), anchors_px=anchors, has_cbam=options.has_cbam)
     training = Training(
         network,
@@ -171,8 +173,10 @@ class _Display:
         self._progress.update(self._task, description=description, completed=i, total=n, text=text)
 
 
-def _settings(options: TrainOptions) -> TrainingSettings:
-    device = best_device() if options.device == "auto" else options.device
+def _settings(options: TrainOptions, console: Console) -> TrainingSettings:
+    device, note = usable_device(options.device)
+    if note:
+        say(console, note)
     schedule = SGD if options.optimiser == "sgd" else ScheduleSettings()
     if options.learning_rate is not None:
         schedule = replace(schedule, learning_rate=options.learning_rate)

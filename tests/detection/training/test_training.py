@@ -19,7 +19,7 @@ from detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
 from detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
 from detection.training.settings import TrainingSettings
 from detection.training.teacher import Teacher
-from detection.training.train import Training, TrainingSets, seeded
+from detection.training.train import Training, TrainingSets, prepare_torch
 from tests.detection.training.road_scenes import write_data_set
 
 SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings())
@@ -52,7 +52,7 @@ def sets(tmp_path_factory):
 
 def training(sets, out, settings=SMALL, *, name="yolov5n", teacher=None, **options):
     out.mkdir(exist_ok=True)
-    seeded(settings.seed)
+    prepare_torch(seed=settings.seed)
     network = make_network(name, len(sets.road_class_id), **options)
     return Training(network, settings, sets, out, teacher=teacher)
 
@@ -207,7 +207,7 @@ def test_the_average_follows_the_weights():
 
 def test_a_student_learns_from_a_teacher_without_any_label(sets, tmp_path):
     """Labels of nothing, complete in no class: only the teacher can say where a car is."""
-    seeded(1)
+    prepare_torch(seed=1)
     network = make_network("yolov5n", 2)
     with torch.no_grad():
         for head in network.heads:  # a teacher that always sees cars
