@@ -12,6 +12,9 @@ from detection.training.errors import TrainingError
 from detection.training.losses import BoxLoss
 from detection.training.schedule import ScheduleSettings
 
+COARSEST_STRIDE_PX = 32
+MAX_GAIN = 16.0
+
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
@@ -42,6 +45,14 @@ class TrainingSettings:
     min_boxes: int = 50
     schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+
+    def __post_init__(self) -> None:
+        if self.size_px % COARSEST_STRIDE_PX:
+            lower = max(self.size_px // COARSEST_STRIDE_PX, 1) * COARSEST_STRIDE_PX
+            raise TrainingError(f"--size {self.size_px}: a multiple of {COARSEST_STRIDE_PX} wanted, such as {lower}.")
+        low, high = self.augmentation.min_gain, self.augmentation.max_gain
+        if not 0 < low <= high <= MAX_GAIN:
+            raise TrainingError(f"--gain {low:g} {high:g}: 0 < MIN <= MAX <= {MAX_GAIN:g} wanted, such as 0.5 1.5.")
 
     @property
     def dtype(self) -> torch.dtype:

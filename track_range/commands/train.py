@@ -88,10 +88,10 @@ def train(options: TrainOptions, console: Console) -> None:
     make_folder(options.out)
     if (options.out / LAST).exists() and not options.is_resumed:
         raise OutputError(f"{options.out}: a run is there already: go on with --resume, or choose another --out.")
+    settings = _settings(options, console)
     data = read_data_yaml(options.data)
     for note in data.notes:
         say(console, note)
-    settings = _settings(options, console)
     largest_px = int(settings.size_px * settings.augmentation.max_gain)
     images = read_images(data.train, data, console, max_side_px=largest_px)
     validation = read_images(data.val, data, console, max_side_px=None)
