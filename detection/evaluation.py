@@ -26,6 +26,9 @@ RECALL_POINTS: FloatArray = np.linspace(0.0, 1.0, 101)
 MAX_DETECTIONS = 100
 """Per image and class."""
 
+PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""At which recall is told, so that detectors can be compared at equal precision."""
+
 MIN_BOXES = 50
 """Classes with fewer labels are reported, but not averaged: their figures are chance."""
 
@@ -39,6 +42,7 @@ class ClassScores:
         n_boxes: labels to be found in them.
         ap50, ap50_95: average precision.
         precision, recall: of the detections at or above the working score, IoU >= 0.5.
+        recall_at: recall at each of `PRECISIONS`: the largest at any score whose precision is that or more.
         best_score: the score at which F1, the harmonic mean of the two, would be largest.
         is_known: the detector has a name for this class.
         is_averaged: it is in the means.
@@ -50,6 +54,7 @@ class ClassScores:
     ap50_95: float
     precision: float
     recall: float
+    recall_at: tuple[float, ...]
     best_score: float
     is_known: bool
     is_averaged: bool
@@ -72,6 +77,7 @@ class DetectionScores:
         means = {key: _number(self.mean(key)) for key in ("ap50", "ap50_95", "precision", "recall")}
         classes = {
             ROAD_CLASSES[i]: {name: _number(getattr(each, name)) for name in ClassScores.__dataclass_fields__}
+            | {"recall_at": dict(zip(map(str, PRECISIONS), map(_number, each.recall_at), strict=True))}
             for i, each in self.by_class.items()
         }
         averaged = [ROAD_CLASSES[i] for i, each in self.by_class.items() if each.is_averaged]
@@ -89,6 +95,7 @@ def evaluate_detections(
     working_score: FloatArray,
     known_class_id: IntArray,
     min_boxes: int = MIN_BOXES,
+    min_height_px: float = 0.0,
 ) -> DetectionScores:
     """Figures of one detector, image by image in the same order.
 
@@ -98,6 +105,7 @@ def evaluate_detections(
         working_score: (8,) score by road class from which a detection would be used; for precision and recall.
         known_class_id: road classes that the detector has a name for; the others are not averaged.
         min_boxes: classes with fewer labels are not averaged.
+        min_height_px: lower labels are ignored, and lower detections that meet none do not count (KITTI's rule).
 
     Raises:
         ValueError: not as many images in one as in the other.
@@ -107,7 +115,7 @@ def evaluate_detections(
     by_class = {}
     for class_id in range(len(ROAD_CLASSES)):
         pairs = [(f, t) for f, t in zip(found, truth, strict=True) if t.is_complete[class_id]]
-        outcome = _Outcome.joined([_outcome(f, t, class_id) for f, t in pairs])
+        outcome = _Outcome.joined([_outcome(f, t, class_id, min_height_px) for f, t in pairs])
         if outcome.n_boxes or (class_id in known_class_id and len(outcome.score)):
             is_known = bool(class_id in known_class_id)
             by_class[class_id] = ClassScores(
@@ -149,19 +157,25 @@ class _Outcome:
         return cls(score[order], hits, voids, sum(part.n_boxes for part in parts))
 
 
-def _outcome(found: Detections, truth: ImageTruth, class_id: int) -> _Outcome:
+def _outcome(found: Detections, truth: ImageTruth, class_id: int, min_height_px: float) -> _Outcome:
     """One image and one class."""
     mine = np.flatnonzero(found.class_id == class_id)
     mine = mine[np.argsort(-found.score[mine], kind="stable")][:MAX_DETECTIONS]
     theirs = np.flatnonzero((truth.class_id == class_id) | (truth.class_id == ANY_CLASS))
     ignored, region = truth.is_ignored[theirs], truth.is_region[theirs]
     boxes, labels = found.xyxy_px[mine], truth.xyxy_px[theirs]
+    ignored = ignored | (_height_px(labels) < min_height_px)
     overlap = np.where(region, share_inside(boxes, labels), iou(boxes, labels))
     is_hit = np.zeros((len(IOU_THRESHOLDS), len(mine)), np.bool_)
     is_void = np.zeros_like(is_hit)
     if len(theirs):
         _match(overlap, ignored=ignored, region=region, is_hit=is_hit, is_void=is_void)
+    is_void |= ~is_hit & (_height_px(boxes) < min_height_px)
     return _Outcome(found.score[mine], is_hit, is_void, int(np.count_nonzero(~ignored)))
+
+
+def _height_px(xyxy_px: FloatArray) -> FloatArray:
+    return xyxy_px[:, 3] - xyxy_px[:, 1]
 
 
 def _match(
@@ -187,7 +201,7 @@ def _match(
         is_free[every[took], taken[took]] = region[taken[took]]
 
 
-def _figures(outcome: _Outcome, working_score: float) -> dict[str, float]:
+def _figures(outcome: _Outcome, working_score: float) -> dict[str, Any]:
     hits = np.cumsum(outcome.is_hit, axis=1, dtype=np.float64)
     false_alarms = np.cumsum(~outcome.is_hit & ~outcome.is_void, axis=1, dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -196,7 +210,9 @@ def _figures(outcome: _Outcome, working_score: float) -> dict[str, float]:
     average = [_average_precision(p, r) if outcome.n_boxes else np.nan for p, r in zip(precision, recall, strict=True)]
     n_used = int(np.count_nonzero(outcome.score >= working_score))
     is_any = n_used > 0
+    reached = [recall[0][precision[0] >= least] for least in PRECISIONS]
     return {
+        "recall_at": tuple(float(r.max(initial=0.0)) if outcome.n_boxes else np.nan for r in reached),
         "ap50": float(average[0]),
         "ap50_95": float(np.mean(average)),
         "precision": float(precision[0, n_used - 1]) if is_any else np.nan,

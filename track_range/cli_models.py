@@ -143,6 +143,9 @@ def _detections(
     classes: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="Road classes to measure (default: all).")
     ] = None,
+    min_height: Annotated[
+        float, typer.Option(metavar="PX", min=0.0, help="Lower objects are neither right nor wrong to find.")
+    ] = 0.0,
     min_score: Annotated[
         str | None,
         typer.Option(metavar="S[,CLASS=S...]", help="Working score, for precision and recall (default: 0.25)."),
@@ -173,7 +176,7 @@ def _detections(
         classes=tuple(classes.split(",")) if classes else (),
     )
     candidates = open_candidates(model, options, _console)
-    figures = evaluate_source(candidates, source, min_score=min_score, console=_console)
+    figures = evaluate_source(candidates, source, min_score=min_score, console=_console, min_height_px=min_height)
     tell_figures(figures, _console)
     keep_figures(figures, json_file)
     raise typer.Exit(0 if figures["is_complete"] else 1)

@@ -196,3 +196,23 @@ def test_kitti_labels(shared_data):
         if rows.any():
             one = truth_of_kitti(labels.select(rows))
             assert (one.class_id[0], one.is_ignored[0], one.is_region[0]) == wanted
+
+
+def test_recall_at_equal_precision_by_hand():
+    # hit, miss, hit, miss: precision 1, 1/2, 2/3, 1/2 at recall 1/4, 1/4, 2/4, 2/4
+    truth = ImageTruth.of([square(0), square(100), square(200), square(300)], [CAR] * 4)
+    found = Detections.of([square(0), square(50), square(100), square(150)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
+    told = scores([found], [truth])
+    assert told.by_class[CAR].recall_at == (0.5, 0.5, 0.25, 0.25, 0.25, 0.25)  # at 0.5, 0.6, 0.7, 0.8, 0.9, 0.95
+    assert told.as_dict()["classes"]["car"]["recall_at"]["0.6"] == 0.5
+
+
+def test_low_objects_are_neither_right_nor_wrong():
+    # a car of 10 px and one of 30; found: both, a false alarm of 10 px and one of 30
+    truth = ImageTruth.of([square(0), square(100, 30)], [CAR] * 2)
+    found = Detections.of([square(0), square(100, 30), square(300), square(400, 30)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
+    car = scores([found], [truth], min_height_px=25.0).by_class[CAR]
+    assert (car.n_boxes, car.recall, car.precision) == (1, 1.0, 0.5)
+    # a low box that meets a high enough label counts
+    low = Detections.of([[100.0, 0, 130, 20]], [0.9], [CAR])
+    assert scores([low], [truth], min_height_px=25.0).by_class[CAR].recall == 1.0

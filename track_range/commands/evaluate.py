@@ -69,7 +69,12 @@ class Candidate:
 
 
 def evaluate(
-    candidates: Sequence[Candidate], frames: LabelledFrames, *, min_score: str | None, console: Console
+    candidates: Sequence[Candidate],
+    frames: LabelledFrames,
+    *,
+    min_score: str | None,
+    console: Console,
+    min_height_px: float = 0.0,
 ) -> dict[str, Any]:
     """Run every candidate over the labelled images; the figures of all, as `--json` keeps them.
 
@@ -96,13 +101,18 @@ def evaluate(
     working_score = _working_score(min_score)
     scores = {
         each.name: evaluate_detections(
-            each.found[: len(truth)], truth, working_score=working_score, known_class_id=each.detector.known_class_id
+            each.found[: len(truth)],
+            truth,
+            working_score=working_score,
+            known_class_id=each.detector.known_class_id,
+            min_height_px=min_height_px,
         )
         for each in candidates
     }
     return {
         "n_images": len(truth),
         "is_complete": is_complete,
+        "min_height_px": min_height_px,
         "working_score": {name: float(working_score[i]) for i, name in enumerate(ROAD_CLASSES)},
         "protocol": PROTOCOL,
         "models": {each.name: _figures(each, scores) for each in candidates},
@@ -114,7 +124,12 @@ def evaluate(
 
 
 def evaluate_source(
-    candidates: Sequence[Candidate], source: LabelledSource, *, min_score: str | None, console: Console
+    candidates: Sequence[Candidate],
+    source: LabelledSource,
+    *,
+    min_score: str | None,
+    console: Console,
+    min_height_px: float = 0.0,
 ) -> dict[str, Any]:
     """As `evaluate`, with where images and labels came from.
 
@@ -127,7 +142,9 @@ def evaluate_source(
         "format": source.format,
         "split": source.split if source.manifest else None,
     }
-    return {**about, **evaluate(candidates, source.open(), min_score=min_score, console=console)}
+    frames = source.open()
+    figures = evaluate(candidates, frames, min_score=min_score, console=console, min_height_px=min_height_px)
+    return {**about, **figures}
 
 
 def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[str, Any]:
