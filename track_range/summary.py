@@ -20,7 +20,8 @@ from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_m
 from ranging.truth import MAX_OCCLUDED, Truth
 from track_range.results import FILTERED_METHODS, MEASURED_METHODS
 from track_range.written import write_text
-from tracking.evaluation import IgnoreRegions, TrackedBoxes, evaluate_tracks
+from tracking.evaluation import evaluate_tracks
+from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 Columns = Mapping[str, npt.NDArray[Any]]
 

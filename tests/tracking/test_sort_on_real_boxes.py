@@ -8,10 +8,11 @@ import pytest
 from detection.classes import ROAD_CLASSES
 from detection.detections import Detections
 from detection.kitti_format import read_kitti
-from tracking.evaluation import IgnoreRegions, TrackedBoxes, TrackingScores, evaluate_tracks
+from tracking.evaluation import TrackingScores, evaluate_tracks
 from tracking.history import FillGates
 from tracking.mot_format import MotRows, read_mot
 from tracking.sort import SortTracker, TrackerSettings
+from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 

@@ -1,0 +1,107 @@
+"""HOTA: how well a tracker detects, associates and localises, in one figure and three parts.
+
+    for each IoU threshold a:  DetA = TP / (TP + FN + FP)
+        A(c) = TPA / (TPA + FNA + FPA) of the pair of identities that a match c joins, over the whole sequence
+        AssA = mean of A over the matches     LocA = mean IoU of the matches     HOTA = sqrt(DetA AssA)
+    the figures are means over a = 0.05, 0.10, ..., 0.95
+
+Frame by frame, boxes are matched so that identities that overlap most over the whole sequence come first, and among
+them the larger IoU. (Luiten et al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking", IJCV 2021; in
+details as its reference implementation, TrackEval.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from detection.detections import FloatArray
+from tracking.overlaps import Overlaps
+
+ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)
+_EPSILON = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, slots=True)
+class HotaCounts:
+    """What HOTA is made of, by threshold; counts of several sequences add up.
+
+    Attributes:
+        tp, fn, fp: (19,) matches, truth boxes and result boxes without one.
+        iou_sum: (19,) over the matches.
+        association_sum: (19,) of A(c) over the matches.
+    """
+
+    tp: FloatArray
+    fn: FloatArray
+    fp: FloatArray
+    iou_sum: FloatArray
+    association_sum: FloatArray
+
+    def __add__(self, other: HotaCounts) -> HotaCounts:
+        return HotaCounts(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
+
+    @property
+    def deta(self) -> float:
+        """Per cent."""
+        return 100 * float(self._deta.mean())
+
+    @property
+    def assa(self) -> float:
+        """Per cent."""
+        return 100 * float(self._assa.mean())
+
+    @property
+    def loca(self) -> float:
+        """Per cent; 100 where nothing matches, as TrackEval has it."""
+        return 100 * float((np.maximum(1e-10, self.iou_sum) / np.maximum(1e-10, self.tp)).mean())
+
+    @property
+    def hota(self) -> float:
+        """Per cent."""
+        return 100 * float(np.sqrt(self._deta * self._assa).mean())
+
+    @property
+    def _deta(self) -> FloatArray:
+        return np.asarray(self.tp / np.maximum(1.0, self.tp + self.fn + self.fp))
+
+    @property
+    def _assa(self) -> FloatArray:
+        return np.asarray(self.association_sum / np.maximum(1.0, self.tp))
+
+
+def count_hota(overlaps: Overlaps) -> HotaCounts:
+    """The counts of one sequence."""
+    alignment = _alignment(overlaps)
+    pairs = [np.zeros((0, 3))]
+    for wanted, got, iou in overlaps.frames():
+        if len(wanted) and len(got):
+            rows, columns = linear_sum_assignment(alignment[np.ix_(wanted, got)] * iou, maximize=True)
+            pairs.append(np.column_stack([wanted[rows], got[columns], iou[rows, columns]]))
+    matches = np.concatenate(pairs)
+    parts = [_at(overlaps, matches[matches[:, 2] >= alpha - _EPSILON]) for alpha in ALPHAS]
+    tp, iou_sum, association_sum = np.array(parts).T
+    return HotaCounts(tp, overlaps.n_truth - tp, overlaps.n_results - tp, iou_sum, association_sum)
+
+
+def _alignment(overlaps: Overlaps) -> FloatArray:
+    """(T, R) how well identities fit over the whole sequence, before anything is matched: a soft Jaccard index."""
+    shared = np.zeros((len(overlaps.truth_count), len(overlaps.result_count)))
+    for wanted, got, iou in overlaps.frames():
+        union = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
+        shared[np.ix_(wanted, got)] += np.divide(iou, union, out=np.zeros_like(iou), where=union > _EPSILON)
+    together = overlaps.truth_count[:, None] + overlaps.result_count[None, :] - shared
+    return np.asarray(shared / together)
+
+
+def _at(overlaps: Overlaps, matches: FloatArray) -> tuple[float, float, float]:
+    """Matches, their sum of IoU, and their sum of A(c), at one threshold."""
+    if not len(matches):
+        return 0.0, 0.0, 0.0
+    n_results = len(overlaps.result_count)
+    identity = matches[:, :2].astype(np.int64)
+    pair, times = np.unique(identity[:, 0] * n_results + identity[:, 1], return_counts=True)
+    whole = overlaps.truth_count[pair // n_results] + overlaps.result_count[pair % n_results] - times
+    return float(len(matches)), float(matches[:, 2].sum()), float((times * times / np.maximum(1, whole)).sum())

@@ -1,0 +1,74 @@
+"""Overlaps: which truth boxes and which result boxes meet in each frame of a sequence, by how much.
+
+Every metric starts here, so that they all count the same boxes; identities are numbered from 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from detection.boxes import iou
+from detection.detections import FloatArray, IntArray
+from tracking.tracked_boxes import TrackedBoxes
+
+
+@dataclass(frozen=True, slots=True)
+class Overlaps:
+    """One sequence.
+
+    Attributes:
+        truth_count: (T,) frames that each truth identity is in.
+        result_count: (R,) frames that each result identity is in.
+        by_frame: for each frame with a box, truth identities (n,), result identities (m,) and their IoU (n, m).
+    """
+
+    truth_count: IntArray
+    result_count: IntArray
+    by_frame: tuple[tuple[IntArray, IntArray, FloatArray], ...]
+
+    @classmethod
+    def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> Overlaps:
+        """Of one sequence's boxes, cleaned of what does not count; boxes of different classes do not meet."""
+        wanted, got = _sorted(truth), _sorted(results)
+        truth_id, truth_count = _numbered(wanted.track_id)
+        result_id, result_count = _numbered(got.track_id)
+        frames = np.union1d(wanted.frame, got.frame)
+        starts = [np.searchsorted(boxes.frame, frames) for boxes in (wanted, got)]
+        ends = [np.searchsorted(boxes.frame, frames, side="right") for boxes in (wanted, got)]
+        by_frame = tuple(
+            (truth_id[a:b], result_id[c:d], _overlap(wanted.select(slice(a, b)), got.select(slice(c, d))))
+            for a, b, c, d in zip(starts[0], ends[0], starts[1], ends[1], strict=True)
+        )
+        return cls(truth_count, result_count, by_frame)
+
+    @property
+    def n_truth(self) -> int:
+        """Truth boxes."""
+        return int(self.truth_count.sum())
+
+    @property
+    def n_results(self) -> int:
+        """Result boxes."""
+        return int(self.result_count.sum())
+
+    def frames(self) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
+        """Frame by frame, in their order."""
+        return iter(self.by_frame)
+
+
+def _overlap(truth: TrackedBoxes, results: TrackedBoxes) -> FloatArray:
+    """(n, m) IoU, 0 between classes."""
+    return np.where(truth.class_id[:, None] == results.class_id[None, :], iou(truth.xyxy_px, results.xyxy_px), 0.0)
+
+
+def _sorted(boxes: TrackedBoxes) -> TrackedBoxes:
+    return boxes.select(np.argsort(boxes.frame, kind="stable"))
+
+
+def _numbered(track_id: IntArray) -> tuple[IntArray, IntArray]:
+    """Identities from 0, and how many boxes each has."""
+    _, number, count = np.unique(track_id, return_inverse=True, return_counts=True)
+    return np.asarray(number, np.int64).reshape(-1), np.asarray(count, np.int64)

@@ -1,0 +1,64 @@
+"""TrackedBoxes: boxes with identities in many frames, truth or result; and where results do not count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from detection.detections import BoolArray, FloatArray, IntArray, check_shape
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedBoxes:
+    """Boxes with identities in many frames, truth or result; rows in any order.
+
+    Attributes:
+        frame: (N,) int64.
+        track_id: (N,) int64, at most once per frame.
+        xyxy_px: (N, 4) float64.
+        class_id: (N,) int64.
+    """
+
+    frame: IntArray
+    track_id: IntArray
+    xyxy_px: FloatArray
+    class_id: IntArray
+
+    def __post_init__(self) -> None:
+        n = len(self.frame)
+        check_shape("frame", self.frame, (n,))
+        check_shape("track_id", self.track_id, (n,))
+        check_shape("xyxy_px", self.xyxy_px, (n, 4))
+        check_shape("class_id", self.class_id, (n,))
+        if len(np.unique(np.stack([self.frame, self.track_id]), axis=1).T) < n:
+            raise ValueError("track_id: twice in one frame")
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def select(self, keep: BoolArray | IntArray | slice) -> TrackedBoxes:
+        """The rows that a mask, an index array or a slice names, in its order."""
+        return TrackedBoxes(self.frame[keep], self.track_id[keep], self.xyxy_px[keep], self.class_id[keep])
+
+
+@dataclass(frozen=True, slots=True)
+class IgnoreRegions:
+    """Where results are neither right nor wrong: KITTI's DontCare areas, vans beside cars, and so on.
+
+    Attributes:
+        frame: (M,) int64.
+        xyxy_px: (M, 4) float64.
+    """
+
+    frame: IntArray
+    xyxy_px: FloatArray
+
+    def __post_init__(self) -> None:
+        check_shape("frame", self.frame, (len(self.frame),))
+        check_shape("xyxy_px", self.xyxy_px, (len(self.frame), 4))
+
+    @classmethod
+    def none(cls) -> IgnoreRegions:
+        """Everything counts."""
+        return cls(np.zeros(0, np.int64), np.zeros((0, 4)))
