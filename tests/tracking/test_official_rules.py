@@ -1,0 +1,89 @@
+"""The rules by hand; on KITTI 0000-0017 and MOT17-05 they were compared with TrackEval 1.3.0: equal to 1e-11."""
+
+import numpy as np
+
+from detection.kitti_format import KittiLabels
+from tracking.mot_format import MotRows
+from tracking.official_rules import kitti_cleaned, mot_cleaned
+from tracking.tracked_boxes import TrackedBoxes
+
+
+def kitti(*rows):
+    """Labels of frame 0 from (type, left edge, truncated, occluded); boxes are 40 px wide and high."""
+    n = len(rows)
+    kinds, x, truncated, occluded = zip(*rows, strict=True)
+    x = np.array(x, float)
+    zero = np.zeros(n)
+    return KittiLabels(
+        frame=np.zeros(n, np.int64),
+        track_id=np.arange(n),
+        kitti_type=np.array(kinds),
+        truncated=np.array(truncated, float),
+        occluded=np.array(occluded),
+        xyxy_px=np.stack([x, zero, x + 40, zero + 40], axis=1),
+        size_hwl_m=np.ones((n, 3)),
+        location_m=np.zeros((n, 3)),
+        rotation_y_rad=zero,
+        score=zero,
+    )
+
+
+def results(*boxes, frame=0):
+    n = len(boxes)
+    return TrackedBoxes(np.full(n, frame), np.arange(n) + 50, np.array(boxes, float).reshape(-1, 4), np.full(n, 2))
+
+
+def at(x, side=40):
+    return [x, 0, x + side, side]
+
+
+def test_kitti_by_hand():
+    labels = kitti(
+        ("Car", 0, 0, 0),
+        ("Car", 100, 0, 3),  # hidden
+        ("Car", 200, 1, 0),  # cut by the image's edge
+        ("Van", 300, 0, 0),
+        ("DontCare", 400, -1, -1),
+        ("Truck", 500, 0, 0),
+    )
+    found = results(at(0), at(100), at(200), at(300), at(405, 30), at(500), at(600, 25), at(700, 26))
+    truth, kept = kitti_cleaned(labels, found, "car")
+    assert truth.track_id.tolist() == [0]
+    # what is on a truck counts as wrong, and so does a false box of more than 25 px
+    assert kept.xyxy_px[:, 0].tolist() == [0, 500, 700]
+
+
+def test_a_van_takes_only_the_box_that_is_its_own():
+    labels = kitti(("Car", 0, 0, 0), ("Van", 10, 0, 0))
+    truth, kept = kitti_cleaned(labels, results(at(1), at(11)), "car")
+    assert (len(truth), kept.xyxy_px[:, 0].tolist()) == (1, [1])
+
+
+def test_kitti_without_results_or_truth():
+    labels = kitti(("Pedestrian", 0, 0, 0))
+    truth, kept = kitti_cleaned(labels, results(), "person")
+    assert (len(truth), len(kept)) == (1, 0)
+    truth, kept = kitti_cleaned(labels, results(at(0), frame=7), "car")
+    assert (len(truth), len(kept)) == (0, 1)
+
+
+def mot(*rows):
+    """Ground truth of frame 0 from (class, left edge, counts)."""
+    n = len(rows)
+    kinds, x, counts = (np.array(column, float) for column in zip(*rows, strict=True))
+    zero = np.zeros(n)
+    boxes = np.stack([x, zero, x + 40, zero + 40], axis=1)
+    return MotRows(np.zeros(n, np.int64), np.arange(n), boxes, counts, kinds.astype(np.int64), np.ones(n))
+
+
+def test_mot17_by_hand():
+    truth = mot((1, 0, 1), (1, 100, 0), (7, 200, 0), (8, 300, 0), (12, 400, 0), (2, 500, 0), (3, 600, 0))
+    wanted, kept = mot_cleaned(truth, results(*(at(x) for x in range(0, 700, 100))))
+    assert wanted.track_id.tolist() == [0]
+    assert kept.xyxy_px[:, 0].tolist() == [0, 100, 600]  # a car is no distractor, nor is who is not to be considered
+
+
+def test_mot15_has_no_classes_and_no_distractors():
+    truth = mot((0, 0, 1), (0, 100, 0))
+    wanted, kept = mot_cleaned(truth, results(at(0), at(100)))
+    assert (wanted.track_id.tolist(), len(kept)) == ([0], 2)
