@@ -32,6 +32,7 @@ from track_range.commands.run import run as run_video
 from track_range.config import ConfigError, UsageError, settings_from
 from track_range.video import VideoError
 from track_range.written import OutputError
+from tracking.mot_format import MotFormatError
 
 USER_ERRORS = (
     ClassNameError,
@@ -41,6 +42,7 @@ USER_ERRORS = (
     ImageFileError,
     LabelFileError,
     ModelError,
+    MotFormatError,
     OutputError,
     RigError,
     RunStoppedError,

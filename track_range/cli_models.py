@@ -12,6 +12,7 @@ from detection.input_format import LETTERBOXES
 from detection.labelled_images import LabelFormat
 from detection.onnx_session import Device
 from track_range.commands.evaluate import evaluate_source, keep_figures, open_candidates, tell_figures
+from track_range.commands.evaluate_tracks import TruthFormat, evaluate_track_files, keep_track_figures
 from track_range.commands.model_files import import_model, list_models, pull_model
 from track_range.commands.models import tell_model
 from track_range.commands.quantize import quantize_model
@@ -129,6 +130,24 @@ def _quantize(
     figures = quantize_model(model, images, out or Path(), source=source, options=options, console=_console)
     keep_figures(figures, json_file)
     raise typer.Exit(0 if figures["is_complete"] else 1)
+
+
+@evaluation.command("tracks", help="HOTA, MOTA, IDF1 and their kin of tracks, by KITTI's or MOTChallenge's rules.")
+def _tracks(
+    truth: Annotated[Path, typer.Option(help="Ground truth: a file, or a folder of sequences (NAME.txt or NAME/gt).")],
+    results: Annotated[
+        Path, typer.Option(help="Tracks: MOT or KITTI rows, NAME.txt per sequence, or what `track` wrote.")
+    ],
+    truth_format: Annotated[
+        TruthFormat | None, typer.Option("--format", help="Of the truth (default: told by its first line).")
+    ] = None,
+    road_class: Annotated[
+        str | None, typer.Option("--class", metavar="NAME", help="KITTI: car (default), person or bicycle.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    figures = evaluate_track_files(truth, results, truth_format=truth_format, road_class=road_class, console=_console)
+    keep_track_figures(figures, json_file)
 
 
 @evaluation.command("detections", help="Average precision and speed of detectors on labelled images, side by side.")

@@ -72,20 +72,25 @@ def mot_lines(tracks: Tracks, frame: int) -> list[str]:
     ]
 
 
-def read_mot(path: Path) -> MotRows:
+def read_mot(path: Path, *, first_frame: int = 1) -> MotRows:
     """The rows of a gt.txt, det.txt or result file; blank lines are skipped.
 
+    Args:
+        path: the file.
+        first_frame: what the file counts frames from; 1 is MOTChallenge's way.
+
     Raises:
-        MotFormatError: no such file, or a line that is not 7 to 10 numbers with whole frame >= 1 and id, or w, h < 0.
+        MotFormatError: no such file, or a line that is not 7 to 10 numbers with a whole frame >= first_frame and id, or
+            w, h < 0.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise MotFormatError(f"{path}: cannot be read as text ({error}).") from error
-    rows = [_row(line, f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
+    rows = [_row(line, f"{path}, line {i}", first_frame) for i, line in enumerate(lines, start=1) if line.strip()]
     table = np.array(rows, np.float64).reshape(-1, 9)
     return MotRows(
-        frame=table[:, 0].astype(np.int64) - 1,
+        frame=table[:, 0].astype(np.int64) - first_frame,
         track_id=table[:, 1].astype(np.int64),
         xyxy_px=xyxy_from_mot(table[:, 2:6]),
         score=table[:, 6],
@@ -94,7 +99,7 @@ def read_mot(path: Path) -> MotRows:
     )
 
 
-def _row(line: str, where: str) -> list[float]:
+def _row(line: str, where: str, first_frame: int) -> list[float]:
     """frame, id, x, y, w, h, score, class, visibility of one line."""
     cells = [cell.strip() for cell in line.strip().rstrip(",").split(",")]
     if not 7 <= len(cells) <= 10:
@@ -105,8 +110,10 @@ def _row(line: str, where: str) -> list[float]:
         raise MotFormatError(f"{where}: a number wanted ({error}).") from error
     if not np.isfinite(row).all():
         raise MotFormatError(f"{where}: finite numbers wanted, '{line.strip()}' got.")
-    if row[0] < 1 or row[0] % 1 or row[1] % 1:
-        raise MotFormatError(f"{where}: a whole frame from 1 on and a whole id wanted, {cells[0]} and {cells[1]} got.")
+    if row[0] < first_frame or row[0] % 1 or row[1] % 1:
+        raise MotFormatError(
+            f"{where}: a whole frame from {first_frame} on and a whole id wanted, {cells[0]} and {cells[1]} got."
+        )
     if min(row[4:6]) < 0:
         raise MotFormatError(f"{where}: width and height >= 0 wanted, {cells[4]} and {cells[5]} got.")
     known = len(row) == _COLUMNS_OF_TRUTH

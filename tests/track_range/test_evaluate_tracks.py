@@ -1,0 +1,106 @@
+"""`evaluate tracks` on small files by hand, and on what a user can hand over that is wrong."""
+
+import json
+
+import pytest
+
+KITTI = "{frame} {id} {kind} 0 0 -10 {x} 10 {x2} 50 1 1 1 0 0 0 0\n"
+
+
+def kitti_rows(*rows):
+    """(frame, id, type, left edge) -> label rows; boxes are 40 px high and wide."""
+    return "".join(KITTI.format(frame=f, id=i, kind=kind, x=x, x2=x + 40) for f, i, kind, x in rows)
+
+
+def mot_rows(*rows):
+    """(frame as in the file, id, left edge) -> MOT rows of the same boxes."""
+    return "".join(f"{f},{i},{x + 1},11,40,40,0.9,-1,-1,-1\n" for f, i, x in rows)
+
+
+@pytest.fixture
+def kitti(tmp_path):
+    truth = tmp_path / "truth"
+    truth.mkdir()
+    rows = [(f, 1, "Car", 100) for f in range(4)] + [(f, 2, "Van", 300) for f in range(4)]
+    (truth / "0001.txt").write_text(kitti_rows(*rows, (0, 3, "Pedestrian", 500)))
+    (truth / "0002.txt").write_text(kitti_rows(*((f, 1, "Car", 100) for f in range(4))))
+    return truth
+
+
+def test_sequences_and_together(kitti, tmp_path, cli):
+    results = tmp_path / "out/mot"
+    results.mkdir(parents=True)
+    # frames as in the truth, from 0; a switch in the first, nothing in the second; who tracks the van is not punished
+    rows = [(0, 7, 100), (1, 7, 100), (2, 8, 100), (3, 8, 100), (0, 9, 300), (1, 9, 300)]
+    (results / "0001.txt").write_text(mot_rows(*rows))
+    (results / "0002.txt").write_text("")
+    figures = tmp_path / "figures.json"
+    status, told, _ = cli("evaluate", "tracks", "--truth", kitti, "--results", tmp_path / "out", "--json", figures)
+    assert status == 0, told
+    assert "together" in told
+    read = json.loads(figures.read_text())
+    first, second, both = read["sequences"]["0001"], read["sequences"]["0002"], read["combined"]
+    assert (first["idsw"], first["fp"], first["fn"], first["mota"]) == (1, 0, 0, 75.0)
+    assert (first["deta"], first["assa"]) == (100.0, 50.0)
+    assert first["hota"] == pytest.approx(100 * 0.5**0.5)
+    assert (second["fn"], second["mota"], second["motp"]) == (4, 0.0, None)
+    assert (both["fn"], both["n"]) == (4, 8)
+    assert both["mota"] == pytest.approx(37.5)
+    assert set(both) >= set("hota deta assa loca mota motp idf1 idsw fp fn frag mt ml".split())
+
+
+def test_kitti_results_of_another_class(kitti, tmp_path, cli):
+    results = tmp_path / "0001.txt"
+    results.write_text(kitti_rows((0, 5, "Pedestrian", 500), (0, 6, "Car", 100)))
+    status, _, _ = cli(
+        "evaluate", "tracks", "--truth", kitti / "0001.txt", "--results", results, "--class", "pedestrian",
+        "--json", tmp_path / "f.json",
+    )  # fmt: skip
+    assert status == 0
+    assert json.loads((tmp_path / "f.json").read_text())["combined"]["hota"] == pytest.approx(100.0)
+
+
+def test_motchallenge_folders(tmp_path, cli):
+    folder = tmp_path / "truth/TOWN/gt"
+    folder.mkdir(parents=True)
+    (folder / "gt.txt").write_text("".join(f"{f},1,101,11,40,40,1,1,1\n" for f in (1, 2, 3)))
+    (tmp_path / "TOWN.txt").write_text(mot_rows((1, 4, 100), (2, 4, 100), (3, 4, 100)))
+    status, told, _ = cli(
+        "evaluate", "tracks", "--truth", tmp_path / "truth", "--results", tmp_path / "TOWN.txt",
+        "--json", tmp_path / "f.json",
+    )  # fmt: skip
+    assert (status, "TOWN" in told) == (0, True)
+    assert json.loads((tmp_path / "f.json").read_text())["combined"]["mota"] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("0003.txt", "", "no results for 0001, 0002"),
+        ("0001.txt", "junk,junk\n", "0001.txt, line 1: 7 to 10 numbers"),
+        ("0001.txt", "0,1,1,1,1,1,1\n0,1,1,1,1,1,1\n", "an identity is there twice in one frame"),
+        ("0001.txt", "-1,1,1,1,1,1,1\n", "a whole frame from 0 on"),
+        ("0001.txt", b"\xff\xfe\x00", "cannot be read as text"),
+    ],
+)
+def test_wrong_results_are_one_sentence(kitti, tmp_path, cli, name, text, said):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "0002.txt").write_text("")
+    if name == "0003.txt":
+        (folder / "0002.txt").unlink()
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    status, _, complaint = cli("evaluate", "tracks", "--truth", kitti, "--results", folder)
+    assert (status, said in complaint) == (1, True), complaint
+
+
+def test_wrong_usage(kitti, tmp_path, cli):
+    for options, said in (
+        (("--class", "zebra"), "unknown class 'zebra'"),
+        (("--class", "bus"), "KITTI's tracking truth is of car, person, bicycle"),
+        (("--format", "mot", "--class", "car"), "MOTChallenge's truth is of persons only"),
+    ):
+        status, _, complaint = cli("evaluate", "tracks", "--truth", kitti, "--results", kitti, *options)
+        assert (status, said in complaint) == (2 if "unknown" not in said else 1, True), complaint
+    status, _, complaint = cli("evaluate", "tracks", "--truth", tmp_path / "none", "--results", kitti)
+    assert (status, "no such file or folder" in complaint) == (1, True)

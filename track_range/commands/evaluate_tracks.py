@@ -1,0 +1,145 @@
+"""`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against truth, by sequence and together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rich.console import Console
+
+from detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
+from detection.detections import IntArray
+from detection.kitti_format import LabelFileError, read_kitti
+from track_range.config import UsageError
+from track_range.sequences import MOT_FOLDER, SequenceFile, find_sequences, paired
+from track_range.tables import Column, Grid, figure, grid_of, rich_table
+from track_range.written import write_text
+from tracking.evaluation import TrackingCounts, TrackingScores
+from tracking.mot_format import read_mot
+from tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from tracking.tracked_boxes import TrackedBoxes
+
+TruthFormat = Literal["mot", "kitti"]
+
+_COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
+_HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
+
+
+def evaluate_track_files(
+    truth: Path, results: Path, *, truth_format: TruthFormat | None, road_class: str | None, console: Console
+) -> dict[str, Any]:
+    """Figures of all sequences, as `--json` keeps them, printed as a table.
+
+    Args:
+        truth: a file, or a folder of sequences (see `track_range.sequences`).
+        results: the same; MOT or KITTI rows, or what `track-range track` wrote.
+        truth_format: of the truth; None = told by its first line.
+        road_class: which KITTI class; MOTChallenge's is person. None = car for KITTI.
+        console: where to print.
+
+    Raises:
+        LabelFileError, MotFormatError: files cannot be read, or results of a sequence are missing.
+        UsageError, ClassNameError: a class that cannot be evaluated.
+    """
+    written = results / MOT_FOLDER
+    pairs = paired(find_sequences(truth, "gt"), find_sequences(written if written.is_dir() else results, "det"))
+    form: TruthFormat = truth_format or ("mot" if "," in _first_line(pairs[0][0].path) else "kitti")
+    name = _class_of(form, road_class)
+    counts = {wanted.name: _counts(wanted, got, form, name) for wanted, got in pairs}
+    combined = TrackingCounts.sum_of(list(counts.values()))
+    figures: dict[str, Any] = {
+        "truth": str(truth),
+        "results": str(results),
+        "format": form,
+        "class": name,
+        "combined": _figures(combined.scores()),
+        "sequences": {key: _figures(each.scores()) for key, each in counts.items()},
+    }
+    console.print(rich_table(_grid(figures)))
+    return figures
+
+
+def keep_track_figures(figures: Mapping[str, Any], path: Path | None) -> None:
+    """Write the figures as JSON, where asked.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if path is not None:
+        write_text(path, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+
+
+def _class_of(form: TruthFormat, road_class: str | None) -> str:
+    if road_class is None:
+        return "car" if form == "kitti" else "person"
+    name = ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+    if form == "mot" and name != "person":
+        raise UsageError(f"--class {road_class}: MOTChallenge's truth is of persons only.")
+    if form == "kitti" and name not in KITTI_TYPES:
+        raise UsageError(f"--class {road_class}: KITTI's tracking truth is of {', '.join(KITTI_TYPES)}.")
+    return name
+
+
+def _counts(truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str) -> TrackingCounts:
+    """One sequence, with the official rules of what does not count."""
+    if form == "mot":
+        wanted = read_mot(truth.path)
+        return TrackingCounts.of(*mot_cleaned(wanted, _read_results(results.path, road_class, first_frame=1)))
+    labels = read_kitti(truth.path)
+    return TrackingCounts.of(*kitti_cleaned(labels, _read_results(results.path, road_class, first_frame=0), road_class))
+
+
+def _read_results(path: Path, road_class: str, *, first_frame: int) -> TrackedBoxes:
+    """Tracks of one class from MOT rows, which name none and count frames as the truth does, or from KITTI rows."""
+    class_id = ROAD_CLASSES.index(road_class)
+    first = _first_line(path)
+    if not first:
+        return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
+    if "," in first:
+        rows = read_mot(path, first_frame=first_frame)
+        return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
+    labels = read_kitti(path)
+    mine = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id
+    labels = labels.select(mine & (labels.track_id >= 0))
+    return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
+
+
+def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: Any, class_id: int) -> TrackedBoxes:
+    try:
+        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
+    except ValueError as error:
+        raise LabelFileError(f"{path}: an identity is there twice in one frame.") from error
+
+
+def _first_line(path: Path) -> str:
+    """The first line with anything in it; empty where there is none."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            return next((line for line in file if line.strip()), "")
+    except (OSError, UnicodeDecodeError) as error:
+        raise LabelFileError(f"{path}: cannot be read as text ({type(error).__name__}).") from error
+
+
+def _figures(scores: TrackingScores) -> dict[str, float | int | None]:
+    """For JSON: None for NaN."""
+    told = asdict(scores)
+    return {key: None if np.isnan(value) else value if key in _COUNTS else float(value) for key, value in told.items()}
+
+
+def _grid(figures: Mapping[str, Any]) -> Grid:
+    rows: Mapping[str, Mapping[str, Any]] = {**figures["sequences"], "together": figures["combined"]}
+    if len(figures["sequences"]) == 1:
+        rows = figures["sequences"]
+    names: Sequence[str] = list(rows)
+    columns = [
+        Column(head, [figure(row, head.lower()) for row in rows.values()], _pattern(head.lower())) for head in _HEADS
+    ]
+    return grid_of(f"Tracks of class {figures['class']}", "sequence", names, columns)
+
+
+def _pattern(key: str) -> str:
+    return "{:.0f}" if key in _COUNTS else "{:.1f}"

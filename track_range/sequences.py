@@ -1,0 +1,124 @@
+"""Sequences for `track` and `evaluate tracks`: files of boxes or tracks, one by one or a folder of them.
+
+FILE                        one sequence, named after the file
+DIR/NAME.txt                KITTI's and RRC's way
+DIR/NAME/det/det.txt        MOTChallenge's way (gt/gt.txt for truth), with seqinfo.ini
+"""
+
+from __future__ import annotations
+
+import configparser
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from detection.kitti_format import LabelFileError
+
+Kind = Literal["det", "gt"]
+
+MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
+"""Where `track` writes its results, a NAME.txt per sequence."""
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceInfo:
+    """What MOTChallenge's seqinfo.ini says; None = it does not, or there is none.
+
+    Attributes:
+        fps: frames per second.
+        n_frames: length.
+        size_px: (width, height) of the images.
+    """
+
+    fps: float | None = None
+    n_frames: int | None = None
+    size_px: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceFile:
+    """One sequence.
+
+    Attributes:
+        name: what its results are named after.
+        path: boxes or truth.
+        info: what is known besides.
+    """
+
+    name: str
+    path: Path
+    info: SequenceInfo
+
+
+def find_sequences(place: Path, kind: Kind) -> list[SequenceFile]:
+    """All sequences of a file or folder, by name.
+
+    Args:
+        place: a file, a folder of files, a folder of MOTChallenge's folders, or one of those.
+        kind: "det" or "gt", which of MOTChallenge's files.
+
+    Raises:
+        LabelFileError: there is none.
+    """
+    if place.is_file():
+        return [_sequence(place)]
+    if not place.is_dir():
+        raise LabelFileError(f"{place}: no such file or folder.")
+    inner = Path(kind) / f"{kind}.txt"
+    folders = [folder / inner for folder in (place, *sorted(place.iterdir())) if (folder / inner).is_file()]
+    files = sorted(file for file in place.glob("*.txt") if not file.name.startswith("."))
+    found = [_sequence(path) for path in folders or files]
+    if not found:
+        raise LabelFileError(f"{place}: no sequences: NAME.txt files, or folders NAME with {inner.as_posix()}, wanted.")
+    return found
+
+
+def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> list[tuple[SequenceFile, SequenceFile]]:
+    """Truth and results of the same names; a single file of each belongs together whatever its name.
+
+    Raises:
+        LabelFileError: truth without results, which would flatter whoever left them out.
+    """
+    if len(truth) == len(results) == 1:
+        return [(truth[0], results[0])]
+    by_name = {each.name: each for each in results}
+    missing = [each.name for each in truth if each.name not in by_name]
+    if missing:
+        raise LabelFileError(
+            f"no results for {', '.join(missing[:5])}{' and more' if len(missing) > 5 else ''}; an empty file NAME.txt "
+            "means that nothing was found."
+        )
+    return [(each, by_name[each.name]) for each in truth]
+
+
+def _sequence(path: Path) -> SequenceFile:
+    is_mot = path.stem in ("det", "gt") and path.parent.name == path.stem
+    folder = path.parent.parent if is_mot else path.parent
+    name = folder.resolve().name if is_mot else path.stem
+    return SequenceFile(name, path, _read_info(folder / "seqinfo.ini") if is_mot else SequenceInfo())
+
+
+def _read_info(file: Path) -> SequenceInfo:
+    """What seqinfo.ini says.
+
+    Raises:
+        LabelFileError: it is there, but is no such file.
+    """
+    if not file.is_file():
+        return SequenceInfo()
+    parser = configparser.ConfigParser()
+    try:
+        parser.read_string(file.read_text(encoding="utf-8-sig"))
+        section = parser["Sequence"]
+        width, height = section.getint("imWidth"), section.getint("imHeight")
+        info = SequenceInfo(section.getfloat("frameRate"), section.getint("seqLength"), _pair(width, height))
+    except (OSError, UnicodeDecodeError, configparser.Error, KeyError, ValueError) as error:
+        raise LabelFileError(f"{file}: not MOTChallenge's [Sequence] with numbers ({type(error).__name__}).") from error
+    if (info.fps is not None and not 0 < info.fps < 10_000) or (info.n_frames is not None and info.n_frames < 1):
+        raise LabelFileError(f"{file}: frameRate and seqLength must be positive.")
+    return info
+
+
+def _pair(width: int | None, height: int | None) -> tuple[int, int] | None:
+    return None if width is None or height is None else (width, height)
