@@ -27,12 +27,14 @@ class RecordedDetections:
     Attributes:
         frame: (N,) frame number from 0, ascending.
         detections: (N) boxes in the same order.
+        first_frame: what the file counts frames from: 1 where it is MOTChallenge's, else 0.
         is_rectified: whether the boxes are in rectified pixels, as our own tracks are, not in the video's own.
         notes: sentences for the user: what was recognised, what was dropped.
     """
 
     frame: IntArray
     detections: Detections
+    first_frame: int
     is_rectified: bool
     notes: tuple[str, ...]
 
@@ -61,7 +63,13 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0) -> RecordedDetecti
     if len(order) < len(frame):
         notes.append(f"{len(frame) - len(order)} rows of {path.name} are no box of a road class and were left out.")
     detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
-    return RecordedDetections(frame[order], detections.select(order), file_format == "tracks", (*notes, *score_note))
+    return RecordedDetections(
+        frame[order],
+        detections.select(order),
+        first_frame=1 if kind.startswith("MOT") else 0,
+        is_rectified=file_format == "tracks",
+        notes=(*notes, *score_note),
+    )
 
 
 def _format_of(path: Path) -> str:

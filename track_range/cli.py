@@ -29,6 +29,8 @@ from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
 from track_range.commands.run import run as run_video
+from track_range.commands.track import TrackOptions
+from track_range.commands.track import track as run_track
 from track_range.config import ConfigError, UsageError, settings_from
 from track_range.video import VideoError
 from track_range.written import OutputError
@@ -212,6 +214,33 @@ def _demo(
     ] = False,
 ) -> None:
     run_demo(out, _console, seed=seed, seconds=seconds, is_played_back=playback)
+
+
+@app.command("track", help="Give boxes of a detector identities: no video, no distances.")
+def _track(
+    detections: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DETECTIONS",
+            help="MOT det.txt, KITTI rows, or frame,x1,y1,x2,y2,score; a file, a folder of them (NAME.txt), or "
+            "MOTChallenge's folders (NAME/det/det.txt).",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Gets mot/NAME.txt per sequence.")],
+    classes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X", help="Class of rows that name none (default: car or person by the folder's name, else person)."
+        ),
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.01, max=1000, help="Frames per second (default: seqinfo.ini's, else 10).")
+    ] = None,
+    kitti: Annotated[bool, typer.Option("--kitti", help="Write KITTI rows too: kitti/NAME.txt.")] = False,
+) -> None:
+    run_track(
+        TrackOptions(detections=detections, out=out, road_class=classes, fps=fps, is_kitti_written=kitti), _console
+    )
 
 
 @app.command("fit", help="Fit the monocular size curves on KITTI tracking labels of your own camera.")

@@ -59,15 +59,16 @@ class MotRows:
         return len(self.frame)
 
 
-def mot_lines(tracks: Tracks, frame: int) -> list[str]:
-    """One line per track, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
+def mot_lines(tracks: Tracks, frame: int, *, first_frame: int = 1) -> list[str]:
+    """One line per track, with its newline: frame + first_frame,id,x,y,w,h,score,-1,-1,-1.
 
-    `frame` counts from 0. Predicted boxes are written like seen ones: the format has no column to tell them apart.
+    `frame` counts from 0, MOTChallenge's files from 1. Predicted boxes are written like seen
+    ones: the format has no column to tell them apart.
     """
     x1, y1, x2, y2 = tracks.xyxy_px.T
     rows = np.stack([x1 + _FIRST_PIXEL, y1 + _FIRST_PIXEL, x2 - x1, y2 - y1, tracks.score], axis=1)
     return [
-        f"{frame + 1},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
+        f"{frame + first_frame},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
         for track_id, (x, y, w, h, score) in zip(tracks.track_id.tolist(), rows.tolist(), strict=True)
     ]
 

@@ -1,0 +1,140 @@
+"""`track-range track`: identities for boxes that a detector found, without a video, a rig or distances."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from detection.classes import ROAD_CLASSES, road_class_ids
+from detection.detection_files import RecordedDetections, read_detections
+from track_range.config import UsageError
+from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences
+from track_range.tables import Column, Grid, grid_of, rich_table
+from track_range.written import make_folder, write_text
+from tracking.mot_format import mot_lines
+from tracking.sort import SortTracker
+from tracking.tracks import Tracks
+
+DEFAULT_FPS = 10.0
+"""KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""
+
+_KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
+_CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
+"""RRC's folders name the class that their rows do not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackOptions:
+    """What `track` is told.
+
+    Attributes:
+        detections: a file, or a folder of sequences (`track_range.sequences`).
+        out: folder of the results.
+        road_class: of rows that name none; None = from the folder's name, else person.
+        fps: None = seqinfo.ini's, else `DEFAULT_FPS`.
+        is_kitti_written: KITTI files are written beside the MOT ones.
+    """
+
+    detections: Path
+    out: Path
+    road_class: str | None
+    fps: float | None
+    is_kitti_written: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """One tracked sequence, for the table."""
+
+    name: str
+    n_frames: int
+    n_boxes: int
+    n_tracks: int
+    us_per_frame: float
+
+
+def track(options: TrackOptions, console: Console) -> None:
+    """Track every sequence and write `mot/NAME.txt`, frames counted as in the input.
+
+    Raises:
+        LabelFileError: boxes cannot be read.
+        ClassNameError, UsageError: the class is unknown, or none is meant.
+        OutputError: `out` cannot be written to.
+    """
+    sequences = find_sequences(options.detections, "det")
+    class_id = _class_of(options)
+    make_folder(options.out / MOT_FOLDER)
+    if options.is_kitti_written:
+        make_folder(options.out / KITTI_FOLDER)
+    done = []
+    for sequence in sequences:
+        recorded = read_detections(sequence.path, unnamed_class_id=class_id)
+        for note in recorded.notes[1:]:
+            console.print(f"- {sequence.name}: {note}", style="dim", highlight=False, markup=False)
+        done.append(_track_one(sequence, recorded, options))
+    console.print(rich_table(_grid(done)))
+    console.print(f"Written: {options.out / MOT_FOLDER}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _class_of(options: TrackOptions) -> int:
+    """Class of rows that name none."""
+    if options.road_class is None:
+        place = options.detections
+        words = [part.lower() for part in (place.name, place.parent.name)]
+        name = next((_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person")
+        return ROAD_CLASSES.index(name)
+    ids = road_class_ids(options.road_class.split(","))
+    if len(ids) != 1:
+        raise UsageError(f"--classes {options.road_class}: rows that name no class want one, such as car.")
+    return int(ids[0])
+
+
+def _track_one(sequence: SequenceFile, recorded: RecordedDetections, options: TrackOptions) -> _Done:
+    fps = options.fps or sequence.info.fps or DEFAULT_FPS
+    last = int(recorded.frame[-1]) + 1 if len(recorded.frame) else 0
+    n_frames = max(sequence.info.n_frames or 0, last)
+    tracker, frames = SortTracker(), []
+    began_s = time.perf_counter()
+    for frame in range(n_frames):
+        frames.append(tracker.update(recorded.at(frame), frame / fps, None))
+    spent_s = time.perf_counter() - began_s
+    name = f"{sequence.name}.txt"
+    write_text(options.out / MOT_FOLDER / name, _mot_text(frames, first_frame=recorded.first_frame))
+    if options.is_kitti_written:
+        write_text(options.out / KITTI_FOLDER / name, _kitti_text(frames))
+    identities = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
+    n_boxes = sum(len(tracks) for tracks in frames)
+    return _Done(sequence.name, n_frames, n_boxes, len(identities), 1e6 * spent_s / max(n_frames, 1))
+
+
+def _mot_text(frames: Sequence[Tracks], *, first_frame: int) -> str:
+    return "".join(
+        line for index, tracks in enumerate(frames) for line in mot_lines(tracks, index, first_frame=first_frame)
+    )
+
+
+def _kitti_text(frames: Sequence[Tracks]) -> str:
+    """KITTI's result rows, frames from 0; classes that KITTI has no name for are left out."""
+    rows = []
+    for frame, tracks in enumerate(frames):
+        kinds = [_KITTI_TYPE.get(ROAD_CLASSES[i]) for i in tracks.class_id]
+        for kind, track_id, box, score in zip(kinds, tracks.track_id, tracks.xyxy_px, tracks.score, strict=True):
+            if kind is not None:
+                edges = " ".join(f"{edge:.2f}" for edge in box)
+                rows.append(f"{frame} {track_id} {kind} -1 -1 -10 {edges} -1 -1 -1 -1000 -1000 -1000 -10 {score:.4f}\n")
+    return "".join(rows)
+
+
+def _grid(done: Sequence[_Done]) -> Grid:
+    columns = [
+        Column("frames", [float(each.n_frames) for each in done], "{:.0f}"),
+        Column("boxes", [float(each.n_boxes) for each in done], "{:.0f}"),
+        Column("tracks", [float(each.n_tracks) for each in done], "{:.0f}"),
+        Column("us per frame", [each.us_per_frame for each in done], "{:.0f}"),
+    ]
+    return grid_of("Tracks", "sequence", [each.name for each in done], columns)
