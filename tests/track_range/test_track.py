@@ -72,6 +72,14 @@ def test_the_same_boxes_give_the_same_tracks(tmp_path, cli, moving):
     assert first == second
 
 
+def test_a_sequence_without_boxes_is_a_sequence_without_tracks(tmp_path, cli, moving):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in/a.txt").write_text("")
+    (tmp_path / "in/b.txt").write_text(plain(*moving))
+    assert cli("track", tmp_path / "in", "--out", tmp_path / "out")[0] == 0
+    assert (tmp_path / "out/mot/a.txt").read_text() == ""
+
+
 def test_wrong_input_is_one_sentence(tmp_path, cli, moving):
     boxes = tmp_path / "boxes.txt"
     boxes.write_text(plain(*moving))

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from detection.classes import ROAD_CLASSES, road_class_ids
 from detection.detection_files import RecordedDetections, read_detections
+from detection.detections import Detections
 from track_range.config import UsageError
 from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences
 from track_range.tables import Column, Grid, grid_of, rich_table
@@ -73,12 +74,20 @@ def track(options: TrackOptions, console: Console) -> None:
         make_folder(options.out / KITTI_FOLDER)
     done = []
     for sequence in sequences:
-        recorded = read_detections(sequence.path, unnamed_class_id=class_id)
+        recorded = _read(sequence.path, class_id)
         for note in recorded.notes[1:]:
             console.print(f"- {sequence.name}: {note}", style="dim", highlight=False, markup=False)
         done.append(_track_one(sequence, recorded, options))
     console.print(rich_table(_grid(done)))
     console.print(f"Written: {options.out / MOT_FOLDER}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _read(path: Path, class_id: int) -> RecordedDetections:
+    """The boxes of a sequence; an empty file means that nothing was found in it."""
+    if path.is_file() and path.stat().st_size == 0:
+        nothing = np.zeros(0, np.int64)
+        return RecordedDetections(nothing, Detections.empty(), first_frame=0, is_rectified=False, notes=("",))
+    return read_detections(path, unnamed_class_id=class_id)
 
 
 def _class_of(options: TrackOptions) -> int:
