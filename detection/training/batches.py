@@ -45,15 +45,15 @@ class BatchMaker:
         self._seed, self._n_workers = seed, n_workers
 
     def __len__(self) -> int:
-        """Batches per epoch; the last one is not left out, nor filled up."""
-        return -(-len(self._images) // self._batch_size)
+        """Batches per epoch; the last one is not filled up, but left out if it had a single image."""
+        whole, rest = divmod(len(self._images), self._batch_size)
+        return max(whole + (rest > 1), 1)
 
     def epoch(self, number: int, settings: AugmentationSettings) -> Iterator[Batch]:
         """The batches of one epoch."""
         order = np.random.default_rng((self._seed, number)).permutation(len(self._images))
         chunks = [order[i : i + self._batch_size] for i in range(0, len(order), self._batch_size)]
-        if len(chunks) > 1 and len(chunks[-1]) == 1:
-            chunks.pop()  # batch norm learns nothing good from one image
+        chunks = chunks[: len(self)]  # batch norm learns nothing good from one image
         with ThreadPoolExecutor(self._n_workers) as makers, ThreadPoolExecutor(1) as gatherer:
             waiting: list[Future[Batch]] = []
             made: Iterator[IntArray] = iter(chunks)

@@ -103,8 +103,8 @@ class WeightAverage:
     @torch.no_grad()
     def update(self, network: nn.Module, decay: float) -> None:
         """Move towards the network's weights."""
-        mine, theirs = list(_floats(self.network)), list(_floats(network))
-        torch._foreach_lerp_(mine, theirs, 1 - decay)
+        for mine, theirs in zip(_floats(self.network), _floats(network), strict=True):
+            mine.lerp_(theirs, 1 - decay)
 
 
 def _floats(network: nn.Module) -> Iterator[torch.Tensor]:

@@ -107,6 +107,8 @@ def train(options: TrainOptions, console: Console) -> None:
         options.out,
         teacher=_teacher(options, data, settings, console),
     )
+    if not options.is_resumed:
+        (options.out / BEST).unlink(missing_ok=True)  # of a run whose last checkpoint is gone
     if options.is_resumed:
         training.resume()
         say(console, f"Going on after epoch {len(training.history)} of {settings.n_epochs}.")

@@ -174,6 +174,13 @@ def test_every_image_is_seen_once_in_an_epoch(sets):
     assert sum(len(batch.objects.image) for batch in batches) == labels
 
 
+def test_a_single_image_too_many_is_left_for_the_next_epoch(sets):
+    for batch_size, sizes in ((11, [11]), (5, [5, 5, 2]), (12, [12]), (50, [12])):
+        maker = BatchMaker(sets.train, size_px=96, batch_size=batch_size, seed=0)
+        told = [len(batch.images) for batch in maker.epoch(0, PLAIN)]
+        assert (told, len(maker)) == (sizes, len(sizes))
+
+
 def test_the_rate_warms_up_and_falls_as_a_cosine():
     schedule = Schedule(SGD, n_epochs=100, n_steps_per_epoch=10)
     optimiser = optimiser_of(make_network("yolov5n", 2), SGD)
