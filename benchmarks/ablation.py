@@ -27,7 +27,7 @@ from detection.classes import ROAD_CLASSES
 from detection.onnx_session import OnnxSession, Runtime
 from detection.training.anchors import by_head, kmeans_anchors, mean_best_iou
 from detection.training.augmentation import AugmentationSettings
-from detection.training.data_set import CachedImages
+from detection.training.data_set import CachedImages, TrainingSets
 from detection.training.data_yaml import read_data_yaml
 from detection.training.detection_loss import Losses
 from detection.training.export import export_onnx
@@ -35,7 +35,7 @@ from detection.training.losses import BoxLoss
 from detection.training.networks import NETWORKS, make_network
 from detection.training.run_folder import LAST
 from detection.training.settings import TrainingSettings, best_precision
-from detection.training.train import Training, TrainingSets, prepare_torch
+from detection.training.train import Training, prepare_torch
 
 MODEL = "yolov5n"
 
@@ -111,8 +111,11 @@ def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any
     """Train one configuration with one seed, unless that was done, and export it; its figures."""
     out = options.out / f"{name}-{seed}"
     figures = out / "figures.json"
+    budget = {key: str(vars(options)[key]) for key in ("data", "images", "size", "epochs", "batch")}
     if figures.is_file():
         done: dict[str, Any] = json.loads(figures.read_text())
+        if done["budget"] != budget:
+            raise SystemExit(f"{out}: a run of another budget ({done['budget']}); choose another --out.")
         return done
     out.mkdir(parents=True, exist_ok=True)
     configuration = CONFIGURATIONS[name]
@@ -145,7 +148,7 @@ def _trained(name: str, seed: int, options: argparse.Namespace) -> dict[str, Any
     run.run(_Log(out.name))
     scores = run.scores()
     export_onnx(run.average.network, out / "model.onnx", {"names": [ROAD_CLASSES[i] for i in data.road_class_id]})
-    told = {"seed": seed, **scores.as_dict(), "anchors": fit}
+    told = {"seed": seed, "budget": budget, **scores.as_dict(), "anchors": fit}
     figures.write_text(json.dumps(told, indent=2))
     return told
 

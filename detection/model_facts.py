@@ -113,9 +113,14 @@ def _literal(text: str) -> object:
 
 
 def names_of(value: object) -> tuple[str, ...]:
-    """Names from a list, or from a mapping number -> name as YOLO's tools write it."""
+    """Names from a list, or from a mapping number -> name, 0 and on, as YOLO's tools write it."""
     if isinstance(value, Mapping):
-        value = [value[key] for key in sorted(value)]
+        numbers = {int(key): name for key, name in value.items()}
+        if sorted(numbers) != list(range(len(numbers))):
+            raise ValueError(
+                f"names are numbered from 0 on without gaps, not {', '.join(map(str, sorted(numbers)))[:40]}"
+            )
+        value = [numbers[key] for key in sorted(numbers)]
     if isinstance(value, Sequence) and not isinstance(value, str) and value:
         return tuple(str(name) for name in value)
     raise ValueError(f"a list of names wanted, not {str(value)[:40]!r}; give them with --names")

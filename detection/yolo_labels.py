@@ -20,6 +20,7 @@ from detection.kitti_format import LabelFileError
 from detection.model_facts import names_of
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
+_MAX_CLASS = 100_000
 _TOLERANCE = 2e-3
 """How far a box may lie outside its image, as a share, without a word: labels are rounded."""
 
@@ -74,9 +75,9 @@ class YoloLabelReader:
         boxes = np.clip(whole, 0.0, 1.0)
         is_cut = np.abs(boxes - whole).max(axis=1, initial=0.0) > _TOLERANCE
         is_there = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
+        cut, gone = "reaches out of the image: cut at its edge", "is empty, or not in the image: left out"
         notes = [
-            f"{file}, line {line[i]}: the box {'reaches out of' if is_there[i] else 'is not in'} the image: "
-            f"{'cut at its edge' if is_there[i] else 'left out'}."
+            f"{file}, line {line[i]}: the box {cut if is_there[i] else gone}."
             for i in np.flatnonzero(is_cut | ~is_there)
         ]
         keep = is_there & (self._road[number] >= 0)
@@ -112,8 +113,11 @@ def _rows(file: Path) -> tuple[FloatArray, IntArray]:
     for number, line in enumerate(text, start=1):
         if words := line.split():
             row = _row(words)
-            if not np.isfinite(row).all() or min(row[3:5]) < 0:
-                raise LabelFileError(f"{file}, line {number}: 'class cx cy w h' wanted, not '{line.strip()[:40]}'.")
+            if not np.isfinite(row).all() or min(row[3:5]) < 0 or row[0] % 1 or abs(row[0]) > _MAX_CLASS:
+                raise LabelFileError(
+                    f"{file}, line {number}: 'class cx cy w h' wanted, a whole number and shares of the image, not "
+                    f"'{line.strip()[:40]}'."
+                )
             rows.append(row)
             lines.append(number)
     return np.array(rows, np.float64).reshape(-1, 6), np.array(lines, np.int64)

@@ -265,6 +265,11 @@ def main() -> None:
         arguments = ["run", *arguments]
     try:
         app(arguments)
+    except SystemExit as ended:
+        if ended.code != 130:  # the shell's word for Ctrl-C
+            raise
+        Console(stderr=True).print("track-range: stopped by the user.", style="red")
+        raise SystemExit(1) from None
     except USER_ERRORS as error:
         told = Console(stderr=True)
         told.print(f"track-range: {error}", style="red", highlight=False, markup=False, soft_wrap=True)

@@ -24,9 +24,14 @@ DataOption = Annotated[
     ),
 ]
 SizeOption = Annotated[
-    int, typer.Option(metavar="PX", min=64, max=2048, help="Side of training images.", rich_help_panel=_HOW)
+    int,
+    typer.Option(
+        metavar="PX", min=64, max=2048, help="Side of training images, a multiple of 32.", rich_help_panel=_HOW
+    ),
 ]
-SeedOption = Annotated[int, typer.Option(min=0, help="Another seed is another run.", rich_help_panel=_HOW)]
+SeedOption = Annotated[
+    int, typer.Option(min=0, max=2**63 - 1, help="Another seed is another run.", rich_help_panel=_HOW)
+]
 
 
 def anchors(
@@ -46,9 +51,11 @@ def simulate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Gets images, labels and data.yaml.")],
     scenes: Annotated[int, typer.Option(min=1, max=100_000, help="Streets, each another.")] = 60,
     frames: Annotated[int, typer.Option(min=1, max=1000, help="Images of each.")] = 6,
-    seed: Annotated[int, typer.Option(min=0, help="Of the first scene; `demo` drives through scene 0.")] = 1000,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**31, help="Of the first scene; `demo` drives through scene 0.")
+    ] = 1000,
 ) -> None:
-    """Draw simulated road images with exact labels, to mix into the data of `train`."""
+    """Draw simulated road images, 640 px wide, with exact labels; `train: [images, DIR/data.yaml]` mixes them in."""
     from track_range.commands.simulate import simulate as run
 
     run(out, _console, n_scenes=scenes, n_frames=frames, seed=seed)
@@ -66,7 +73,10 @@ def train(
         Path, typer.Option(metavar="DIR", help="Run folder: checkpoints, results.csv, curves.png, the model.")
     ] = Path("track-range-training"),
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the run in --out, which was stopped or killed.")
+        bool,
+        typer.Option(
+            "--resume", help="Go on with the run in --out, which was stopped or killed; give its other options again."
+        ),
     ] = False,
     device: Annotated[
         str, typer.Option(metavar="auto|cpu|cuda", help="Where; auto = a GPU if there is one.", rich_help_panel=_HOW)
@@ -89,7 +99,11 @@ def train(
     ] = None,
     weights: Annotated[
         Path | None,
-        typer.Option(metavar="best.pt", help="Begin with another run's weights.", rich_help_panel=_WHAT),
+        typer.Option(
+            metavar="best.pt",
+            help="Begin with another run's weights; anchors stay this run's own.",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
     optimiser: Annotated[Literal["adamw", "sgd"], typer.Option(help="How it learns.", rich_help_panel=_HOW)] = "adamw",
     learning_rate: Annotated[

@@ -32,8 +32,9 @@ def kmeans_anchors(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generato
     Raises:
         ValueError: fewer different boxes than anchors.
     """
-    if len(np.unique(sizes_px, axis=0)) < n_anchors:
-        raise ValueError(f"{n_anchors} anchors want as many boxes of different sizes; there are {len(sizes_px)} boxes.")
+    n_sizes = len(np.unique(sizes_px, axis=0))
+    if n_sizes < n_anchors:
+        raise ValueError(f"{n_anchors} anchors want as many boxes of different sizes; there are {n_sizes}.")
     found = [_kmeans(sizes_px, n_anchors, rng) for _ in range(_N_STARTS)]
     best = max(found, key=lambda anchors: mean_best_iou(sizes_px, anchors))
     return best[np.argsort(best.prod(axis=1))]

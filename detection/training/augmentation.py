@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -65,7 +65,8 @@ class LabelledPixels:
         xyxy: (M, 4) float64 boxes in corner coordinates (the left edge is 0).
         class_index: (M,) int64.
         is_ignored: (M,) neither right nor wrong to find.
-        is_complete: (C,) by class: all are labelled.
+        is_complete: (2, 2, C) by class, all are labelled: above, below x left, right of `meeting_xy`.
+        meeting_xy: (2,) where the parts of a mosaic meet; anywhere for a single image.
     """
 
     image: Image
@@ -73,6 +74,7 @@ class LabelledPixels:
     class_index: IntArray
     is_ignored: BoolArray
     is_complete: BoolArray
+    meeting_xy: FloatArray = field(default_factory=lambda: np.zeros(2))
 
 
 def single(
@@ -90,7 +92,9 @@ def mosaic(
     x, y = (int(at) for at in rng.uniform(0.2, 0.8, 2) * size_px)
     columns, rows = (slice(0, x), slice(x, size_px)), (slice(0, y), slice(y, size_px))
     parts = [_Part(columns[i], rows[j], (2 * i - 1, 2 * j - 1)) for j in (0, 1) for i in (0, 1)]
-    return _finished(sources, parts, size_px, settings, rng)
+    whole = _finished(sources, parts, size_px, settings, rng)
+    complete = np.stack([source.is_complete[0, 0] for source in sources]).reshape(2, 2, -1)
+    return replace(whole, is_complete=complete, meeting_xy=np.array([x, y], np.float64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +169,7 @@ def _finished(
         _paint(source.image, matrix, canvas, part)
         moved.append(_moved(source, matrix, part))
     boxes, class_index, ignored = (np.concatenate(column) for column in zip(*moved, strict=True))
-    complete = np.logical_and.reduce([source.is_complete for source in sources])
-    return LabelledPixels(_coloured(canvas, settings, rng), boxes, class_index, ignored, complete)
+    return LabelledPixels(_coloured(canvas, settings, rng), boxes, class_index, ignored, sources[0].is_complete)
 
 
 def _paint(image: Image, matrix: FloatArray, canvas: Image, shown: _Part) -> None:

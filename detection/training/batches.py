@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -13,20 +12,11 @@ from torch import Tensor
 from detection.detections import IntArray
 from detection.training.assignment import Objects
 from detection.training.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
-from detection.training.detection_loss import Batch
+from detection.training.data_set import LabelledSet
+from detection.training.detection_loss import Batch, Completeness
 
 _AHEAD = 3
 """Batches made before they are wanted."""
-
-
-class LabelledSet(Protocol):
-    """Images with labels, by number."""
-
-    def __len__(self) -> int: ...
-
-    def load(self, index: int) -> LabelledPixels:
-        """Image and labels of one number."""
-        ...
 
 
 class BatchMaker:
@@ -82,7 +72,8 @@ class BatchMaker:
         samples = [part.result() for part in parts]
         images = torch.from_numpy(np.stack([sample.image for sample in samples])).permute(0, 3, 1, 2)
         complete = torch.from_numpy(np.stack([sample.is_complete for sample in samples]))
-        return Batch(images, _objects(samples), complete)
+        meeting = torch.from_numpy(np.stack([sample.meeting_xy for sample in samples]).astype(np.float32))
+        return Batch(images, _objects(samples), Completeness(complete, meeting))
 
 
 def scaled(images: Tensor) -> Tensor:

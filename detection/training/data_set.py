@@ -1,10 +1,13 @@
-"""LabelledImages in memory: decoded once, kept as far as memory allows, read again where it does not."""
+"""Sets of labelled images: what training wants of them, and images in memory, read again where they do not fit."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,6 +23,40 @@ _MEMORY_SHARE = 0.5
 
 _UNKNOWN_MEMORY_BYTES = 2 << 30
 _N_READERS = 4
+
+
+class LabelledSet(Protocol):
+    """Images with labels, by number."""
+
+    def __len__(self) -> int: ...
+
+    def load(self, index: int) -> LabelledPixels:
+        """Image and labels of one number."""
+        ...
+
+
+class ValidationSet(Protocol):
+    """Images with their truth."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingSets:
+    """What to learn from.
+
+    Attributes:
+        train, validation: images.
+        road_class_id: (C,) road class of each of the network's classes.
+        name: tells this data from other data.
+    """
+
+    train: LabelledSet
+    validation: ValidationSet
+    road_class_id: IntArray
+    name: str = ""
 
 
 class CachedImages:
@@ -96,7 +133,7 @@ class CachedImages:
             (truth.xyxy_px[known] + 0.5) * (1.0 if item.is_normalised else self._scale[index]),
             np.maximum(self._index_of[truth.class_id[known]], 0),
             truth.is_ignored[known],
-            truth.is_complete[self._road_class_id],
+            np.broadcast_to(truth.is_complete[self._road_class_id], (2, 2, len(self._road_class_id))),
         )
 
     def box_sizes_px(self, longer_side_px: int) -> FloatArray:
@@ -123,7 +160,8 @@ class CachedImages:
         scale = 1.0 if self._max_side_px is None else min(self._max_side_px / max(image.shape[:2]), 1.0)
         if scale == 1.0:
             return image, scale
-        return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8), scale
+        height, width = (max(round(side * scale), 1) for side in image.shape[:2])
+        return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8), scale
 
     def _read(self, item: LabelledImage) -> tuple[Image, float] | str:
         """The image and its scale, or why there is none."""
@@ -134,8 +172,12 @@ class CachedImages:
 
 
 def _free_bytes() -> int:
-    """What images may take of the memory."""
-    try:
-        return int(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * _MEMORY_SHARE)
-    except (AttributeError, ValueError, OSError):  # not to be asked on Windows and macOS
-        return _UNKNOWN_MEMORY_BYTES
+    """What images may take of the memory: of what Linux says is available, and of what a container may use."""
+    known = []
+    with suppress(OSError, ValueError, IndexError):
+        line = next(line for line in Path("/proc/meminfo").read_text().splitlines() if line.startswith("MemAvailable"))
+        known.append(1024 * int(line.split()[1]))
+    with suppress(OSError, ValueError):  # "max" where there is no limit
+        limit, used = (int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current"))
+        known.append(max(limit - used, 0))
+    return int(min(known) * _MEMORY_SHARE) if known else _UNKNOWN_MEMORY_BYTES

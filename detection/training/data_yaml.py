@@ -9,12 +9,14 @@
     manifest: manifest.csv      # columns file, split, labels_complete: splits, and which classes are complete
     labels_pseudo: teacher      # boxes of a detector, `class cx cy w h score`, where classes are incomplete
 
-Names that are no road classes are left out. A pseudo-label counts as an object from a score of 0.5 on (cars: 0.4) where
-its class is not labelled completely, and is ignored otherwise: neither right nor wrong to find.
+Another data.yaml gives the images of its own split; classes that it does not name count as not labelled in it. Names
+that are no road classes are left out. A pseudo-label that no label overlaps counts as an object from a score of 0.5 on
+(cars: 0.4) where its class is not labelled completely, and is ignored otherwise: neither right nor wrong to find.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +25,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from detection.boxes import are_sound, iou
 from detection.classes import ROAD_CLASSES, road_class_of_each
 from detection.detections import IntArray
 from detection.image_truth import ImageTruth
@@ -34,6 +37,8 @@ from detection.yolo_labels import YoloLabelReader
 _KEYS = frozenset("path train val test names nc format labels manifest labels_pseudo download".split())
 _KITTI_NAMES = ("person", "bicycle", "car", "truck")
 _MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
+_SAME_OBJECT_IOU = 0.5
+"""Overlap from which a pseudo-label is of an object that has a label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,13 @@ class TrainingData:
     train: list[LabelledImage]
     val: list[LabelledImage]
     notes: tuple[str, ...]
+
+    def fingerprint(self) -> str:
+        """Tells this data from other data: names and labels of all images in one number."""
+        crc = 0
+        for item in (*self.train, *self.val):
+            crc = zlib.crc32(item.truth.xyxy_px.tobytes(), zlib.crc32(item.path.name.encode(), crc))
+        return f"{len(self.train)} and {len(self.val)} images, {crc:08x}"
 
 
 def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> TrainingData:
@@ -95,9 +107,14 @@ class _Reader:
         if key not in self.document:
             raise LabelFileError(f"{self.path}: no '{key}' in it; folders of train and val images are wanted.")
         entry = self.document[key]
+        if not entry or not isinstance(entry, str | list) or not all(isinstance(each, str) for each in entry):
+            raise LabelFileError(
+                f"{self.path}: '{key}' names a folder, a list of folders, a .txt or another data.yaml."
+            )
         items = [item for each in (entry if isinstance(entry, list) else [entry]) for item in self._of(str(each), key)]
         if not items:
-            raise LabelFileError(f"{self.path}: no labelled images for '{key}'.")
+            split = f" (the manifest has none of the split '{key}')" if "manifest" in self.document else ""
+            raise LabelFileError(f"{self.path}: no labelled images for '{key}'{split}.")
         return items
 
     def _of(self, entry: str, split: str) -> list[LabelledImage]:
@@ -106,13 +123,22 @@ class _Reader:
         if place.suffix == ".txt":
             return self._listed(place, split)
         if place.suffix in (".yaml", ".yml"):
-            return read_data_yaml(place, within=self.within).train
+            return self._nested(place, split)
         images = self._folder(entry)
         labels = self._labels_of(images)
         found = read_labelled(images, labels, "kitti" if self.form == "kitti" else "yolo", names=self.names)
         if self.form == "kitti":
             return [_with_who_sits(item) for item in found]
         return self._completed([*found, *_background(images, {item.path for item in found})], split)
+
+    def _nested(self, place: Path, split: str) -> list[LabelledImage]:
+        """The same split of another data set; classes that it does not name are not labelled in it."""
+        data = read_data_yaml(place, within=self.within)
+        named = np.isin(np.arange(len(ROAD_CLASSES)), data.road_class_id)
+        return [
+            replace(item, truth=replace(item.truth, is_complete=item.truth.is_complete & named))
+            for item in (data.train if split == "train" else data.val)
+        ]
 
     def _completed(self, items: list[LabelledImage], split: str) -> list[LabelledImage]:
         """Those of the split, with pseudo-labels where they are for training."""
@@ -128,17 +154,16 @@ class _Reader:
         """The images that a text file names, relative to it or to the root."""
         try:
             lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, UnicodeDecodeError, ValueError) as error:
             raise LabelFileError(f"{file}: not readable as a list of images ({error}).") from error
         places = [file.parent / line if (file.parent / line).is_file() else self.root / line for line in lines]
+        missing = [line for line, place in zip(lines, places, strict=True) if not place.is_file()]
+        if missing:
+            raise LabelFileError(f"{file}: {len(missing)} of its images are not there, the first: {missing[0]}.")
         wanted = {place.resolve() for place in places}
         folders = list(dict.fromkeys(place.parent for place in places))
-        return [
-            item
-            for folder in folders
-            for item in self._of(str(folder.absolute()), split)
-            if item.path.resolve() in wanted
-        ]
+        found = [item for folder in folders for item in self._of(str(folder.absolute()), split)]
+        return [item for item in found if item.path.resolve() in wanted]
 
     def _labels_of(self, images: Path) -> Path:
         if "labels" in self.document:
@@ -173,25 +198,32 @@ def _document(path: Path) -> Mapping[str, Any]:
         document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise LabelFileError(f"{path}: not readable as YAML ({type(error).__name__}).") from error
-    if not isinstance(document, dict) or "train" not in document:
+    if not isinstance(document, dict) or document.get("train") is None:
         raise LabelFileError(f"{path}: keys train, val and names are wanted in it.")
-    if unknown := document.keys() - _KEYS:
-        raise LabelFileError(f"{path}: unknown key '{min(unknown)}'; known are {', '.join(sorted(_KEYS))}.")
-    return document
+    if unknown := sorted(str(key) for key in document.keys() - _KEYS):
+        raise LabelFileError(f"{path}: unknown key '{unknown[0]}'; known are {', '.join(sorted(_KEYS))}.")
+    return {key: value for key, value in document.items() if value is not None}
 
 
 def _names(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
     try:
         return names_of(document["names"])
     except (KeyError, ValueError, TypeError) as error:
-        raise LabelFileError(f"{path}: 'names' wanted, the class names in the order of their numbers.") from error
+        why = "" if isinstance(error, KeyError) else f" ({error})"
+        raise LabelFileError(f"{path}: 'names' wanted, the class names in the order of their numbers{why}.") from error
 
 
 def _with_who_sits(item: LabelledImage) -> LabelledImage:
-    """KITTI's Person_sitting, ignored by its evaluation, as persons to be learnt (as the monocular paper does)."""
+    """KITTI's Person_sitting, ignored by its evaluation, as persons to be learnt (as the monocular paper does).
+
+    Raises:
+        LabelFileError: a box is turned inside out, or not a number.
+    """
     truth = item.truth
+    if not are_sound(truth.xyxy_px).all():
+        raise LabelFileError(f"labels of {item.path}: a box without width or height, or whose edges are no numbers.")
     is_sitting = (truth.class_id == ROAD_CLASSES.index("person")) & truth.is_ignored & ~truth.is_region
     return replace(item, truth=replace(truth, is_ignored=truth.is_ignored & ~is_sitting))
 
@@ -210,6 +242,8 @@ def _with_pseudo_labels(item: LabelledImage, file: Path, reader: YoloLabelReader
     if not file.is_file():
         return item
     found, truth = reader.read(file), item.truth
+    is_new = iou(found.xyxy, truth.xyxy_px).max(axis=1, initial=0.0) < _SAME_OBJECT_IOU
+    found = replace(found, xyxy=found.xyxy[is_new], class_id=found.class_id[is_new], score=found.score[is_new])
     enough = np.where(found.class_id == ROAD_CLASSES.index("car"), _MIN_CAR_SCORE, _MIN_SCORE)
     is_object = (found.score >= enough) & ~truth.is_complete[found.class_id]
     boxes = np.concatenate([truth.xyxy_px, found.xyxy])
@@ -231,5 +265,5 @@ def _summed_up(items: Sequence[LabelledImage]) -> list[str]:
     if n_background:
         notes.append(f"{n_background} images have no label file and are taken for background.")
     if other:
-        notes.append(f"{len(other)} boxes reach out of their image, the first: {other[0]}")
+        notes.append(f"{len(other)} labelled boxes reach out of their image or are empty, the first: {other[0]}")
     return notes

@@ -9,8 +9,11 @@
 
 Cells inside an ignored box are left out of the objectness. With a teacher, its objectness is the target of every cell
 that no label claims, and its confident cells are positives too, weighted by that objectness, with its soft class scores
-and its box (the label's box, where one overlaps). Where an image's labels of a class are complete and none overlaps,
-the label is believed: the teacher saw what is not there.
+and its box (box and class of the label, where one overlaps). Where labels of a class are complete and none overlaps,
+they are believed: the teacher saw what is not there.
+
+What nobody labelled, nor a pseudo-label or a teacher found, is background to the objectness, which all classes share: a
+class can be learnt from images where it is not labelled only as well as its stand-ins see it.
 """
 
 from __future__ import annotations
@@ -35,19 +38,41 @@ _SAME_OBJECT_IOU = 0.5
 
 
 @dataclass(frozen=True, slots=True)
+class Completeness:
+    """Where in a batch's images which classes are labelled completely.
+
+    Attributes:
+        flags: (B, 2, 2, C) above, below x left, right of `meeting_xy`.
+        meeting_xy: (B, 2) where the parts of each mosaic meet, in pixels.
+    """
+
+    flags: Tensor
+    meeting_xy: Tensor
+
+    def to(self, device: torch.device) -> Completeness:
+        """The same on a device."""
+        return Completeness(self.flags.to(device), self.meeting_xy.to(device))
+
+    def at(self, image: Tensor, xy: Tensor, class_index: Tensor) -> Tensor:
+        """(P,) whether a class is complete at a place (P, 2) of an image."""
+        right, below = (xy >= self.meeting_xy[image]).long().unbind(1)
+        return self.flags[image, below, right, class_index]
+
+
+@dataclass(frozen=True, slots=True)
 class Batch:
     """What a network is to learn from at once.
 
     Attributes:
         images: (B, 3, H, W) uint8 RGB.
         objects: their labels.
-        is_complete: (B, C) every object of the class is labelled in the image.
+        complete: where every object of a class is labelled.
         answers: the teacher's, by head; None = there is no teacher.
     """
 
     images: Tensor
     objects: Objects
-    is_complete: Tensor
+    complete: Completeness
     answers: list[HeadAnswers] | None = None
 
 
@@ -128,7 +153,7 @@ class DetectionLoss:
         found = _of_labels(assign(labels, network, head, (raw.shape[2], raw.shape[3])), labels, network.n_classes)
         wanted = torch.zeros(raw.shape[:4], device=raw.device)
         if answers is not None:
-            answers = _believed(answers, batch.objects, batch.is_complete)
+            answers = _believed(answers, batch.objects, batch.complete)
             wanted = answers.objectness
             found = found.and_(_of_teacher(answers))
         where = (found.cells.image, found.cells.anchor, found.cells.row, found.cells.column)
@@ -175,21 +200,32 @@ def _counts(raw: Tensor, stride_px: int, objects: Objects, positive: tuple[Tenso
     return counts
 
 
-def _believed(answers: HeadAnswers, objects: Objects, is_complete: Tensor) -> HeadAnswers:
-    """A teacher's answers, with labels' boxes where they meet, and nothing where complete labels know of nothing."""
-    cells = answers.cells
-    overlap = _iou(answers.cxcywh, objects.cxcywh) * (cells.image[:, None] == objects.image[None])
-    nothing = torch.zeros(len(cells.image), 1, device=overlap.device)
-    best, of = torch.cat([overlap, nothing], 1).max(1)
-    is_met = best >= _SAME_OBJECT_IOU
-    wrong = ~is_met & is_complete[cells.image, answers.class_score.argmax(1)]
-    objectness = answers.objectness.clone()
+def _believed(answers: HeadAnswers, objects: Objects, complete: Completeness) -> HeadAnswers:
+    """A teacher's answers, with a label's box and class where they meet, nothing where labels know of nothing."""
+    cells, n_classes = answers.cells, answers.class_score.shape[1]
+    label, is_labelled = _best_of(answers, objects, ~objects.is_ignored)
+    _, is_ignored = _best_of(answers, objects, objects.is_ignored)
+    guess = answers.class_score.argmax(1)
+    wrong = ~is_labelled & ~is_ignored & complete.at(cells.image, answers.cxcywh[:, :2], guess)
+    objectness, boxes, scores = answers.objectness.clone(), answers.cxcywh.clone(), answers.class_score.clone()
     objectness[cells.image[wrong], cells.anchor[wrong], cells.row[wrong], cells.column[wrong]] = 0.0
-    boxes = answers.cxcywh.clone()
-    labelled = is_met.nonzero()[:, 0]
-    labelled = labelled[~objects.is_ignored[of[labelled]]]
-    boxes[labelled] = objects.cxcywh[of[labelled]]
-    return HeadAnswers(objectness, cells.select(~wrong), boxes[~wrong], answers.class_score[~wrong])
+    of = label[is_labelled]
+    boxes[is_labelled] = objects.cxcywh[of]
+    scores[is_labelled] = torch.nn.functional.one_hot(objects.class_index[of], n_classes).to(scores)
+    return HeadAnswers(objectness, cells.select(~wrong), boxes[~wrong], scores[~wrong])
+
+
+def _best_of(answers: HeadAnswers, objects: Objects, among: Tensor) -> tuple[Tensor, Tensor]:
+    """(P,) which of some objects each of a teacher's boxes overlaps most, and whether that is one and the same."""
+    of = torch.zeros_like(answers.cells.image)
+    overlap = torch.zeros(len(of), device=of.device)
+    for image in torch.unique(answers.cells.image).tolist():  # image by image: all pairs would be too many
+        mine = (answers.cells.image == image).nonzero()[:, 0]
+        theirs = ((objects.image == image) & among).nonzero()[:, 0]
+        if len(theirs):
+            overlap[mine], best = _iou(answers.cxcywh[mine], objects.cxcywh[theirs]).max(1)
+            of[mine] = theirs[best]
+    return of, overlap >= _SAME_OBJECT_IOU
 
 
 def _iou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:

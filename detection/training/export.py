@@ -6,6 +6,7 @@ the input size is open, and the metadata has all that `detection.model_facts` re
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -38,7 +39,7 @@ def export_onnx(network: AnchorNetwork, out: Path, metadata: Mapping[str, object
     Raises:
         ModelError: it cannot be converted or written.
     """
-    decoded = _Decoded(network).cpu().float().eval()
+    decoded = _Decoded(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays where it is
     with written_whole(out) as folder:
         path = folder / out.name
         with silent_conversion(out, "exported"):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +31,13 @@ def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except (OSError, RuntimeError) as error:  # torch wraps a full disk into a RuntimeError
+    except RuntimeError as error:  # torch's word for a full disk
+        raise CheckpointError(f"{path}: cannot be written (no space left, or the file is too large).") from error
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be written ({error.strerror or error}).") from error
+    finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise CheckpointError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error}).") from error
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -52,6 +55,42 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise CheckpointError(f"{path}: not a checkpoint of `track-range train`.")
     return content
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other runs out of the folder meanwhile; the lock of a run that was killed does not count.
+
+    Raises:
+        CheckpointError: another run is writing there.
+    """
+    lock = folder / ".running"
+    with suppress(OSError, ValueError):
+        other = int(lock.read_text())
+        if other != os.getpid() and _is_alive(other):
+            raise CheckpointError(
+                f"{folder}: another run (process {other}) is writing there; wait, or choose another --out."
+            )
+    with suppress(OSError):
+        lock.write_text(str(os.getpid()))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            lock.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    """A process of that number runs; unknown, so no, where asking would end it (Windows)."""
+    if os.name != "posix":
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:

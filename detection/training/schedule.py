@@ -43,7 +43,7 @@ class ScheduleSettings:
 
 
 SGD = ScheduleSettings(optimiser="sgd", learning_rate=0.01, weight_decay=5e-4, warmup_epochs=3.0)
-"""YOLOv5's own (hyp.scratch-low.yaml)."""
+"""YOLOv5's own (hyp.scratch-low.yaml); there, small batches are added up to 64 images per step."""
 
 
 class Schedule:
@@ -77,7 +77,7 @@ class Schedule:
 
 
 def optimiser_of(network: nn.Module, settings: ScheduleSettings) -> torch.optim.Optimizer:
-    """SGD with three groups: weights that decay, norms that do not, biases that warm up from above."""
+    """The optimiser with three groups: weights that decay, norms that do not, biases that warm up in their own way."""
     norms = {id(p) for module in network.modules() if isinstance(module, nn.BatchNorm2d) for p in module.parameters()}
     groups: dict[str, list[nn.Parameter]] = {"weight": [], "norm": [], "bias": []}
     for name, parameter in network.named_parameters():

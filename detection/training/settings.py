@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,7 +14,7 @@ from detection.training.losses import BoxLoss
 from detection.training.schedule import ScheduleSettings
 
 COARSEST_STRIDE_PX = 32
-MAX_GAIN = 16.0
+MIN_GAIN, MAX_GAIN = 0.05, 16.0
 
 Precision = Literal["float32", "bfloat16", "float16"]
 
@@ -51,8 +52,9 @@ class TrainingSettings:
             lower = max(self.size_px // COARSEST_STRIDE_PX, 1) * COARSEST_STRIDE_PX
             raise TrainingError(f"--size {self.size_px}: a multiple of {COARSEST_STRIDE_PX} wanted, such as {lower}.")
         low, high = self.augmentation.min_gain, self.augmentation.max_gain
-        if not 0 < low <= high <= MAX_GAIN:
-            raise TrainingError(f"--gain {low:g} {high:g}: 0 < MIN <= MAX <= {MAX_GAIN:g} wanted, such as 0.5 1.5.")
+        if not MIN_GAIN <= low <= high <= MAX_GAIN:
+            limits = f"{MIN_GAIN:g} <= MIN <= MAX <= {MAX_GAIN:g}"
+            raise TrainingError(f"--gain {low:g} {high:g}: {limits} wanted, such as 0.5 1.5.")
 
     @property
     def dtype(self) -> torch.dtype:
@@ -73,7 +75,9 @@ def usable_device(wanted: str) -> tuple[str, str]:
         kind = torch.device(wanted).type
     except RuntimeError as error:
         raise TrainingError(f"--device {wanted}: no device of that name; auto, cpu or cuda wanted.") from error
-    if kind == "cuda" and not has_gpu:
+    if kind not in ("cpu", "cuda"):
+        raise TrainingError(f"--device {wanted}: training is on cpu or cuda.")
+    if kind == "cuda" and not _is_usable(wanted):
         return (
             "cpu",
             f"--device {wanted} is not to be had here (no GPU, or a PyTorch without CUDA): training on cpu.",
@@ -81,9 +85,18 @@ def usable_device(wanted: str) -> tuple[str, str]:
     return wanted, ""
 
 
+def _is_usable(device: str) -> bool:
+    """Torch can put something there."""
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError):  # no such GPU; a PyTorch without CUDA
+        return False
+    return True
+
+
 def best_precision(device: str) -> Precision:
     """Half precision where the device computes in it (twice as fast and more), else float32."""
     if device.startswith("cuda"):
         return "float16"
-    told = torch.cpu.get_capabilities()
+    told: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()  # PyTorch 2.11 and later tell
     return "bfloat16" if told.get("avx512_bf16") or told.get("amx_bf16") else "float32"

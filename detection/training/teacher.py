@@ -8,6 +8,7 @@ Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scale
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,8 @@ from detection.detections import IntArray
 from detection.model_facts import ModelOptions, read_facts
 from detection.onnx_session import ModelError, OnnxSession
 from detection.training.assignment import Cells
-from detection.training.network import placed
+from detection.training.errors import TrainingError
+from detection.training.network import AnchorNetwork, placed
 from detection.training.onnx_weights import yolov5_of_export
 
 CONFIDENT = 0.1
@@ -33,7 +35,7 @@ class HeadAnswers:
     """What a teacher says in one head of a batch.
 
     Attributes:
-        objectness: (B, A, rows, columns) 0..1, of one of the student's classes.
+        objectness: (B, A, rows, columns) 0..1; of the student's classes where it is confident, else of anything.
         cells: where it is confident, P of them.
         cxcywh: (P, 4) its boxes there, in input pixels.
         class_score: (P, C) 0..1, of the student's classes; 0 for those that the teacher does not know.
@@ -63,13 +65,28 @@ class Teacher:
             ModelError: unreadable, no YOLOv5n or s, or it knows none of the classes.
         """
         network = yolov5_of_export(path)
-        names = read_facts(path, OnnxSession(path).metadata, ModelOptions()).of("names", COCO_CLASSES, "default").value
+        metadata = OnnxSession(path).metadata
+        names = read_facts(path, metadata, ModelOptions()).of("names", COCO_CLASSES, "default").value
+        if "trained_anchors" in metadata:
+            network.anchors_px.copy_(torch.tensor(json.loads(metadata["trained_anchors"])))
         mine = road_class_of_each(names)
         if network.n_classes != len(names) or not np.isin(mine, road_class_id).any():
             raise ModelError(f"{path}: its {network.n_classes} classes are not known by name, or none is a road class.")
+        self.name = path.name
         self.network = placed(network, torch.device(device))
         self._columns = [5 + np.flatnonzero(mine == each) for each in road_class_id]
         self._precision = precision
+
+    def check_fits(self, student: AnchorNetwork) -> None:
+        """Make sure that cell and anchor of one are cell and anchor of the other.
+
+        Raises:
+            TrainingError: other grids or anchors.
+        """
+        if student.strides_px != self.network.strides_px:
+            raise TrainingError(f"--teacher: it answers for YOLOv5's grids; {student.name} has others.")
+        if not torch.allclose(student.anchors_px.cpu(), self.network.anchors_px.cpu(), rtol=0.01):
+            raise TrainingError("--teacher: its anchors are not the network's; use --anchors default with it.")
 
     @torch.no_grad()
     def look(self, images: Tensor) -> list[HeadAnswers]:

@@ -2,27 +2,28 @@
 
 The run folder gets `last.pt` after every epoch (network, average, optimiser, history), `best.pt` whenever validation
 improves, and `results.csv`. What a step does depends on the settings, the seed and the step's number alone, so a run
-that was killed and resumed takes the same steps as one that was not.
+that was killed and resumed takes the same steps as one that was not (to the last bit on a CPU, whose sums have one
+order).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 
 from detection.classes import ROAD_CLASSES
-from detection.detections import Image, IntArray
 from detection.evaluation import DetectionScores
-from detection.image_truth import ImageTruth
-from detection.training.batches import BatchMaker, LabelledSet, scaled
+from detection.training.batches import BatchMaker, scaled
+from detection.training.data_set import TrainingSets
 from detection.training.detection_loss import Batch, DetectionLoss, Losses
 from detection.training.errors import CheckpointError, TrainingError
+from detection.training.listener import Listener
 from detection.training.network import AnchorNetwork, placed
 from detection.training.run_folder import (
     BEST,
@@ -41,39 +42,6 @@ _MAX_GRADIENT = 10.0
 """Norm of the whole gradient (YOLOv5's)."""
 
 _LOSSES = ("loss_box", "loss_objectness", "loss_class")
-
-
-class ValidationSet(Protocol):
-    """Images with their truth."""
-
-    def __len__(self) -> int: ...
-
-    def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]: ...
-
-
-class Listener(Protocol):
-    """Hears how training goes."""
-
-    def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
-        """After batch `i` of `n`."""
-        ...
-
-    def validated(self, epoch: int, i: int, n: int) -> None:
-        """After validation image `i` of `n`."""
-        ...
-
-    def epoch(self, row: dict[str, float]) -> None:
-        """After each epoch, with its row of results.csv."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingSets:
-    """Images to train and validate on, and the road class of each of the network's classes, (C,)."""
-
-    train: LabelledSet
-    validation: ValidationSet
-    road_class_id: IntArray
 
 
 class Training:
@@ -96,6 +64,8 @@ class Training:
     ) -> None:
         self._settings, self._sets, self._out, self._teacher = settings, sets, out, teacher
         self._device = torch.device(settings.device)
+        if teacher is not None:
+            teacher.check_fits(network)
         self.network = placed(network, self._device)
         self.average = WeightAverage(self.network)
         self._batches = BatchMaker(
@@ -115,18 +85,15 @@ class Training:
         """
         path = self._out / LAST
         content = load_checkpoint(path)
-        mine, theirs = self._identity(), content["identity"]
-        for key, value in mine.items():
-            if value != theirs.get(key):
-                raise CheckpointError(
-                    f"{path}: of another run: {key} is {theirs.get(key)} there and {value} here; give the options that "
-                    "it began with, or another --out."
-                )
-        self.network.load_state_dict(content["network"])
-        self.average.network.load_state_dict(content["average"])
-        self._optimiser.load_state_dict(content["optimiser"])
-        self._scaler.load_state_dict(content["scaler"])
-        self.history = content["history"]
+        try:
+            self._check_is_mine(path, content["identity"])
+            self.network.load_state_dict(content["network"])
+            self.average.network.load_state_dict(content["average"])
+            self._optimiser.load_state_dict(content["optimiser"])
+            self._scaler.load_state_dict(content["scaler"])
+            self.history = content["history"]
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise CheckpointError(f"{path}: a damaged checkpoint ({type(error).__name__}).") from error
 
     def start_from(self, path: Path) -> None:
         """Begin with the averaged weights of another run's checkpoint, and nothing else of it.
@@ -146,16 +113,30 @@ class Training:
         if (self._out / BEST).is_file():
             self._take(self.average.network, self._out / BEST)
 
+    def _check_is_mine(self, path: Path, theirs: Mapping[str, Any]) -> None:
+        for key, value in self._identity().items():
+            if value != theirs.get(key):
+                there, here = (str(each) if len(str(each)) < 60 else "..." for each in (theirs.get(key), value))
+                raise CheckpointError(
+                    f"{path}: of another run: {key} is {there} there and {here} here; give the options that it began "
+                    "with, or another --out (with --weights, to begin where that run is)."
+                )
+
     def _take(self, network: AnchorNetwork, path: Path) -> None:
+        """Averaged weights of a checkpoint; the anchors stay."""
         content = load_checkpoint(path)
+        theirs, mine = content.get("identity", {}), self._identity()
+        anchors_px = network.anchors_px.clone()
         try:
+            if theirs["classes"] != mine["classes"]:
+                raise KeyError("classes")
             network.load_state_dict(content["average"])
-        except (RuntimeError, KeyError) as error:
-            theirs = content.get("identity", {})
+        except (RuntimeError, KeyError, TypeError) as error:
             raise CheckpointError(
-                f"{path}: of another network ({theirs.get('model')}, {len(theirs.get('classes', []))} classes, "
-                f"attention {theirs.get('attention')}); --model, --attention and the classes must be the same."
+                f"{path}: of another network ({theirs.get('model')}, attention {theirs.get('attention')}, classes "
+                f"{', '.join(theirs.get('classes', []))}); --model, --attention and the names must be the same."
             ) from error
+        network.anchors_px.copy_(anchors_px)
 
     def run(self, listener: Listener) -> None:
         """Train until the last epoch is done.
@@ -170,9 +151,10 @@ class Training:
         except (MemoryError, RuntimeError) as error:
             if not _is_out_of_memory(error):
                 raise
-            batch = self._settings.batch_size
+            batch = min(self._settings.batch_size, len(self._sets.train))
             raise TrainingError(
-                f"memory ran out with a batch of {batch}: try --batch {max(batch // 2, 1)}, or a smaller --size."
+                f"memory ran out with a batch of {batch}: begin anew in another --out with --batch "
+                f"{max(batch // 2, 1)} or a smaller --size{self._start_hint()}."
             ) from error
 
     def scores(self, listener: Listener | None = None) -> DetectionScores:
@@ -216,8 +198,8 @@ class Training:
             total += losses.numbers()
             if not np.isfinite(total).all():
                 raise TrainingError(
-                    f"the loss is no number any more in epoch {epoch + 1}; try a lower --learning-rate, or "
-                    "--precision float32. The checkpoint of the last epoch is sound."
+                    f"the loss is no number any more in epoch {epoch + 1}: begin anew in another --out with a lower "
+                    f"--learning-rate or --precision float32{self._start_hint()}."
                 )
             listener.step(epoch, done, n, losses)
         mean: list[float] = (total / max(done, 1)).tolist()
@@ -228,7 +210,7 @@ class Training:
         settings, device = self._settings, self._device
         images = scaled(batch.images.to(device, memory_format=torch.channels_last))
         answers = None if self._teacher is None else self._teacher.look(images)
-        batch = Batch(batch.images, batch.objects.to(device), batch.is_complete.to(device), answers)
+        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), answers)
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
             raw = self.network(images)
         losses = self._loss([head.float() for head in raw], batch)
@@ -240,9 +222,12 @@ class Training:
         self._optimiser.zero_grad(set_to_none=True)
         return losses
 
+    def _start_hint(self) -> str:
+        return f", and --weights {self._out / LAST}" if self.history else ""
+
     def _keep(self, row: dict[str, float]) -> None:
         """Write the epoch's checkpoint and results."""
-        best = max((each.get("ap50", -1.0) for each in self.history), default=-1.0)
+        best = max((each.get("ap50", 0.0) for each in self.history), default=0.0)
         self.history.append(row)
         content = {
             "identity": self._identity(),
@@ -252,7 +237,7 @@ class Training:
             "scaler": self._scaler.state_dict(),
             "history": self.history,
         }
-        if row.get("ap50", -1.0) > best:
+        if row.get("ap50", -1.0) >= best:  # of equals the later one, which is trained longer
             save_checkpoint(self._out / BEST, content)
         save_checkpoint(self._out / LAST, content)
         write_results(self._out / RESULTS, self.history)
@@ -264,9 +249,9 @@ class Training:
             "attention": self.network.has_cbam,
             "classes": [ROAD_CLASSES[i] for i in self._sets.road_class_id],
             "anchors": self.network.anchors_px.tolist(),
-            "images": len(self._sets.train),
-            "teacher": self._teacher is not None,
-            **asdict(self._settings),
+            "data": self._sets.name,
+            "teacher": None if self._teacher is None else self._teacher.name,
+            **{key: value for key, value in asdict(self._settings).items() if key not in ("device", "validate_every")},
         }
 
 

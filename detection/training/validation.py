@@ -77,8 +77,9 @@ def validate(
         found.append(detector.detect(image))
         truth.append(labels)
         done(len(truth))
-    labelled = np.concatenate([labels.class_id[~labels.is_ignored] for labels in truth])
-    most = int(np.bincount(labelled, minlength=1).max())  # of a small set, the commonest class is averaged at least
+    counted = [labels.class_id[~labels.is_ignored] for labels in truth]
+    counted = [ids[labels.is_complete[ids]] for ids, labels in zip(counted, truth, strict=True)]
+    most = int(np.bincount(np.concatenate(counted), minlength=1).max())  # of a small set, the commonest class counts
     return evaluate_detections(
         found,
         truth,

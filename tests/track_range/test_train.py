@@ -137,9 +137,9 @@ def test_damaged_images_are_counted_and_the_rest_is_learnt(tmp_path, cli):
     ("options", "said"),
     [
         (("--size", 100), "--size 100: a multiple of 32 wanted, such as 96"),
-        (("--gain", 2, 1), "--gain 2 1: 0 < MIN <= MAX <= 16 wanted"),
-        (("--gain", 0, 1), "--gain 0 1: 0 < MIN"),
-        (("--gain", 1, "nan"), "--gain 1 nan: 0 < MIN"),
+        (("--gain", 2, 1), "--gain 2 1: 0.05 <= MIN <= MAX <= 16 wanted"),
+        (("--gain", 0, 1), "--gain 0 1: 0.05 <= MIN"),
+        (("--gain", 1, "nan"), "--gain 1 nan: 0.05 <= MIN"),
     ],
 )
 def test_settings_that_cannot_be_are_told_before_anything_is_read(drawn, tmp_path, cli, options, said):

@@ -16,6 +16,9 @@ from detection.model_lookup import FoundModel, find_model
 from detection.yolo import YoloDetector
 from track_range.detector_options import DetectorOptions, open_detector
 
+_ABOUT = ("data", "date", "epochs", "licence", "license")
+"""What a model may say of where it comes from."""
+
 
 def tell_model(word: str, options: DetectorOptions, console: Console) -> None:
     """Load the model, run it once, and print what it is; of one that is not here, what the catalogue says.
@@ -67,6 +70,9 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     missing = [name for i, name in enumerate(ROAD_CLASSES) if i not in detector.known_class_id]
     if missing:
         yield "it cannot see", ", ".join(missing), ""
+    for key in _ABOUT:
+        if key in session.metadata:
+            yield key, session.metadata[key], "from the model's metadata"
     yield "runs on", session.device, ""
     yield "file", f"{session.path.stat().st_size / 1e6:.1f} MB", ""
     yield "sha256", session.sha256(), ""

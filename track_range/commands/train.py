@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,21 +12,25 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from detection.classes import ROAD_CLASSES
+from detection.kitti_format import LabelFileError
 from detection.training.augmentation import AugmentationSettings
+from detection.training.data_set import TrainingSets
 from detection.training.data_yaml import TrainingData, read_data_yaml
 from detection.training.detection_loss import Losses
+from detection.training.errors import TrainingError
 from detection.training.export import export_onnx
 from detection.training.losses import BoxLoss
 from detection.training.networks import NETWORKS, make_network
-from detection.training.run_folder import BEST, LAST
+from detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, locked
 from detection.training.schedule import SGD, Optimiser, ScheduleSettings
 from detection.training.settings import Precision, TrainingSettings, best_precision, usable_device
 from detection.training.teacher import Teacher
-from detection.training.train import Training, TrainingSets, prepare_torch
+from detection.training.train import Training, prepare_torch
 from track_range.charts import training_chart
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images, say
 from track_range.detection_tables import class_grid
+from track_range.interrupts import termination_as_interrupt
 from track_range.tables import rich_table
 from track_range.written import OutputError, make_folder
 
@@ -85,30 +90,61 @@ def train(options: TrainOptions, console: Console) -> None:
         LabelFileError, ImageFileError: the data cannot be used.
         CheckpointError, TrainingError, ModelError, OutputError: see the modules of `detection.training`.
     """
-    make_folder(options.out)
-    if (options.out / LAST).exists() and not options.is_resumed:
-        raise OutputError(f"{options.out}: a run is there already: go on with --resume, or choose another --out.")
     settings = _settings(options, console)
     data = read_data_yaml(options.data)
     for note in data.notes:
         say(console, note)
+    if not any((~item.truth.is_ignored).any() for item in data.train):
+        raise LabelFileError(f"{options.data}: there is no labelled object in its training images.")
+    _check_checkpoints(options)
+    teacher = _teacher(options, data, settings, console)
+    make_folder(options.out)
+    curves = options.out / CURVES
+    with locked(options.out), termination_as_interrupt():
+        try:
+            training = _prepared(options, settings, data, teacher, console)
+            with _Display(console, settings.n_epochs, lambda: training_chart(training.history, curves)) as display:
+                training.run(display)
+            _finish(training, options, data, console)
+        except KeyboardInterrupt:
+            raise TrainingError(f"stopped by the user; --resume goes on with the run in {options.out}.") from None
+
+
+def _check_checkpoints(options: TrainOptions) -> None:
+    """Everything that can be said of the run folder and of `--weights` before images are read.
+
+    Raises:
+        OutputError: there is a run, and it is not to be resumed; or what would be written is there already.
+        CheckpointError: a checkpoint is missing or damaged.
+    """
+    if options.is_resumed:
+        load_checkpoint(options.out / LAST)
+        if (options.out / BEST).exists():
+            load_checkpoint(options.out / BEST)
+        return
+    if (options.out / LAST).exists():
+        raise OutputError(f"{options.out}: a run is there already: go on with --resume, or choose another --out.")
+    for name in (BEST, RESULTS, CURVES, f"{options.model}.onnx"):
+        if (options.out / name).exists():
+            raise OutputError(f"{options.out / name} would be overwritten: choose another --out.")
+    if options.weights is not None:
+        load_checkpoint(options.weights)
+
+
+def _prepared(
+    options: TrainOptions, settings: TrainingSettings, data: TrainingData, teacher: Teacher | None, console: Console
+) -> Training:
+    """Images read, network made; resumed or started from weights where told."""
     largest_px = int(settings.size_px * settings.augmentation.max_gain)
     images = read_images(data.train, data, console, max_side_px=largest_px)
     validation = read_images(data.val, data, console, max_side_px=None)
-    anchors = (
-        own_anchors(images, options.model, options.size_px, options.seed, console) if options.has_own_anchors else None
-    )
+    anchors = None
+    if options.has_own_anchors:
+        anchors = own_anchors(images, options.model, options.size_px, options.seed, console)
     prepare_torch(seed=settings.seed, n_threads=options.n_threads)
     network = make_network(options.model, len(data.road_class_id), anchors_px=anchors, has_cbam=options.has_cbam)
-    training = Training(
-        network,
-        settings,
-        TrainingSets(images, validation, data.road_class_id),
-        options.out,
-        teacher=_teacher(options, data, settings, console),
-    )
-    if not options.is_resumed:
-        (options.out / BEST).unlink(missing_ok=True)  # of a run whose last checkpoint is gone
+    sets = TrainingSets(images, validation, data.road_class_id, data.fingerprint())
+    training = Training(network, settings, sets, options.out, teacher=teacher)
     if options.is_resumed:
         training.resume()
         say(console, f"Going on after epoch {len(training.history)} of {settings.n_epochs}.")
@@ -120,19 +156,14 @@ def train(options: TrainOptions, console: Console) -> None:
         f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million weights, {settings.device}, {settings.precision}; "
         f"{len(images)} images to learn from ({images.n_kept} in memory), {len(validation)} to validate on.",
     )
-    try:
-        with _Display(console, settings.n_epochs) as display:
-            training.run(display)
-    finally:
-        training_chart(training.history, options.out / CURVES)
-    _finish(training, options, data, console)
+    return training
 
 
 class _Display:
     """A bar of the epoch in progress, and a line for each that is done."""
 
-    def __init__(self, console: Console, n_epochs: int) -> None:
-        self._console, self._n_epochs = console, n_epochs
+    def __init__(self, console: Console, n_epochs: int, draw: Callable[[], None]) -> None:
+        self._console, self._n_epochs, self._draw = console, n_epochs, draw
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -168,8 +199,9 @@ class _Display:
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
         figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
         losses = f"box {row['loss_box']:.4f}, objectness {row['loss_objectness']:.4f}, class {row['loss_class']:.4f}"
-        told = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {row['minutes']:.1f} min"
+        told = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
         say(self._console, f"{told}, {_duration(left)} left")
+        self._draw()
 
     def _move(self, description: str, i: int, n: int, text: str) -> None:
         self._progress.update(self._task, description=description, completed=i, total=n, text=text)
@@ -210,7 +242,8 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData, conso
     export_onnx(training.average.network, model, _metadata(options, data, training))
     figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
     console.print(rich_table(class_grid(figures)))
-    say(console, f"Written: {model}, and {CURVES}, results.csv, {BEST}, {LAST} beside it.")
+    names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
+    say(console, f"Written: {model}, and {', '.join(names)} beside it.")
     say(console, f"Use it: track-range --mono VIDEO --focal-px F --detector {model}")
 
 
@@ -233,4 +266,6 @@ def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> 
 
 
 def _duration(minutes: float) -> str:
+    if minutes < 1.5:
+        return f"{60 * minutes:.0f} s"
     return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"

@@ -27,7 +27,11 @@ def print_anchors(data_yaml: Path, *, size_px: int, n_anchors: int, seed: int, c
         LabelFileError, ImageFileError: the data cannot be used, or there are too few boxes.
     """
     data = read_data_yaml(data_yaml)
+    for note in data.notes:
+        say(console, note)
     sizes = read_images(data.train, data, console, max_side_px=size_px).box_sizes_px(size_px)
+    if not len(sizes):
+        raise LabelFileError(f"{data_yaml}: there is no labelled object in its training images.")
     for kind in NETWORKS.values():
         own = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
         say(console, f"{mean_best_iou(sizes, own):.3f} mean best IoU with {kind.family}'s own {len(own)} anchors")

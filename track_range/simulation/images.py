@@ -19,7 +19,7 @@ from detection.kitti_format import KittiLabels
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
-from track_range.written import make_folder, write_bytes, write_text
+from track_range.written import OutputError, make_folder, write_bytes, write_text
 
 WIDTH_PX = 640
 SECONDS = 6.0
@@ -50,10 +50,12 @@ def write_image_set(
         The data.yaml.
 
     Raises:
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written, or there are images or a data.yaml in it.
     """
     for name in ("images", "labels", "ignored"):
         make_folder(folder / name)
+    if (folder / "data.yaml").exists() or any((folder / "images").iterdir()):
+        raise OutputError(f"{folder}: a data set is there already: choose another folder.")
     rig = kitti_like_rig()
     times_s = (np.arange(n_frames) * SECONDS / n_frames).tolist()
     for i, seed in enumerate(seeds):

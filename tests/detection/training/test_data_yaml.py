@@ -54,7 +54,7 @@ def test_boxes_out_of_their_image_are_cut_and_told_with_file_and_line(tmp_path):
     data = read_data_yaml(path)
     assert data.train[0].truth.xyxy_px[:, 2].max() == 1.0
     assert len(data.train[0].truth.class_id) == 2
-    assert "2 boxes reach out of their image" in data.notes[0]
+    assert "2 labelled boxes reach out of their image or are empty" in data.notes[0]
     assert "000.txt, line 2" in data.notes[0]
 
 
@@ -65,6 +65,8 @@ def test_boxes_out_of_their_image_are_cut_and_told_with_file_and_line(tmp_path):
         ("0 0.5 0.5 -0.2 0.2", "line 1: 'class cx cy w h' wanted"),
         ("0 0.5 0.5", "line 1: 'class cx cy w h' wanted"),
         ("car 0.5 0.5 0.2 0.2", "line 1: 'class cx cy w h' wanted"),
+        ("1.5 0.5 0.5 0.2 0.2", "line 1: 'class cx cy w h' wanted"),
+        ("1e30 0.5 0.5 0.2 0.2", "line 1: 'class cx cy w h' wanted"),
         ("7 0.5 0.5 0.2 0.2", "line 1: class 7, but only 2 class names"),
         ("-1 0.5 0.5 0.2 0.2", "line 1: class -1, but only 2"),
     ],
@@ -91,6 +93,12 @@ def test_outlines_become_boxes(tmp_path):
         ({"names": ["cat", "dog"]}, "none of its names is a road class"),
         ({"format": "coco"}, "format is yolo or kitti"),
         ({"anchors": 3}, "unknown key 'anchors'"),
+        ({"foo": 1, "bar": 2}, "unknown key 'bar'"),
+        ({"train": ""}, "'train' names a folder"),
+        ({"train": {"a": "b"}}, "'train' names a folder"),
+        ({"train": [None]}, "'train' names a folder"),
+        ({"names": {1: "person", 2: "car"}}, "numbered from 0 on without gaps, not 1, 2"),
+        ({"names": {0: "person", 2: "car"}}, "numbered from 0 on without gaps, not 0, 2"),
         ({"labels": "nowhere"}, "no such folder: .*nowhere"),
         ({"labels_pseudo": "nowhere"}, "no such folder: .*nowhere"),
         ({"manifest": "nowhere.csv"}, "nowhere.csv: not readable"),
@@ -186,6 +194,31 @@ def test_another_data_set_can_be_a_part(tmp_path):
     other = write_data_set(tmp_path / "drawn", n_train=3)
     path = changed(write_data_set(tmp_path / "mine", n_train=2), train=["images/train", "../drawn/data.yaml"])
     assert len(read_data_yaml(path).train) == 5
+    both = changed(path, val="../drawn/data.yaml")
+    changed(other, val="images/train", names=["car", "zebra"])
+    (tmp_path / "drawn/images/val").mkdir(exist_ok=True)
+    data = read_data_yaml(both)
+    assert {item.path.parent.parent.parent.name for item in data.val} == {"drawn"}
+    nested = [item for item in data.train if "drawn" in str(item.path)]
+    assert not any(item.truth.is_complete[PERSON] for item in nested)  # it does not name them
+    assert all(item.truth.is_complete[CAR] for item in nested)
     changed(other, train="../mine/data.yaml")
     with pytest.raises(LabelFileError, match="names itself"):
         read_data_yaml(path)
+
+
+def test_images_of_a_list_that_are_not_there_are_named(tmp_path):
+    path = changed(write_data_set(tmp_path, n_train=2), train="some.txt")
+    (tmp_path / "some.txt").write_text("images/train/000.png\nimages/train/gone.png\n")
+    with pytest.raises(LabelFileError, match=r"1 of its images are not there, the first: images/train/gone\.png"):
+        read_data_yaml(path)
+
+
+def test_kitti_boxes_inside_out_are_refused(tmp_path):
+    for folder in ("images", "labels"):
+        (tmp_path / folder).mkdir()
+    cv2.imwrite(str(tmp_path / "images/000000.png"), np.zeros((100, 300, 3), np.uint8))
+    (tmp_path / "labels/000000.txt").write_text("Car 0 0 0 60 60 10 10 1 1 1 0 0 0 0\n")
+    (tmp_path / "data.yaml").write_text("train: images\nval: images\nformat: kitti\n")
+    with pytest.raises(LabelFileError, match="a box without width or height"):
+        read_data_yaml(tmp_path / "data.yaml")

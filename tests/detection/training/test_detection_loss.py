@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from detection.training.assignment import Cells, Objects
-from detection.training.detection_loss import Batch, DetectionLoss
+from detection.training.detection_loss import Batch, Completeness, DetectionLoss
 from detection.training.networks import make_network
 from detection.training.teacher import HeadAnswers
 
@@ -25,7 +25,8 @@ def one(cx, cy, w, h, class_index=0):
 
 def batch(objects, *, answers=None, is_complete=(True, True)):
     images = torch.zeros(1, 3, SIDE, SIDE, dtype=torch.uint8)
-    return Batch(images, objects, torch.tensor([is_complete]), answers)
+    flags = torch.tensor(is_complete).expand(1, 2, 2, 2)
+    return Batch(images, objects, Completeness(flags, torch.zeros(1, 2)), answers)
 
 
 def silent(network):
@@ -149,3 +150,39 @@ def test_eiou_is_another_loss(network):
     raw[0][..., 2] += 1.0
     ciou, eiou = (float(DetectionLoss(network, box_loss=name)(raw, batch(objects)).box) for name in ("ciou", "eiou"))
     assert eiou != pytest.approx(ciou, rel=0.01)
+
+
+def test_the_class_of_a_label_is_learnt_from_the_teachers_cell_too(network):
+    objects = one(27, 43, 16, 30, class_index=0)
+    raw = perfect(network, objects)
+    loss = DetectionLoss(network)
+    agreeing, differing = (batch(objects, answers=answers(network, scores=s)) for s in ((0.9, 0.1), (0.1, 0.9)))
+    assert float(loss(raw, differing).class_score) == pytest.approx(float(loss(raw, agreeing).class_score), abs=1e-6)
+
+
+def test_an_ignored_box_does_not_stand_in_a_labels_way(network):
+    label = one(27, 43, 16, 30)
+    both = Objects(
+        *(
+            torch.cat([getattr(nobody(ignored=[(29, 45, 16, 30)]), n), getattr(label, n)])
+            for n in ("image", "class_index", "cxcywh", "is_ignored")
+        )
+    )
+    raw = perfect(network, label)
+    loss = DetectionLoss(network)
+    shifted = loss(raw, batch(both, answers=answers(network, box=(29, 45, 16, 30))))
+    assert float(shifted.box) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_labels_are_believed_in_the_part_of_a_mosaic_where_they_are_complete(network):
+    """A class complete on the right alone: the teacher's car on the left is learnt, the one on the right is not."""
+    flags = torch.zeros(1, 2, 2, 2, dtype=torch.bool)
+    flags[0, :, 1] = True
+    images = torch.zeros(1, 3, SIDE, SIDE, dtype=torch.uint8)
+    loss = DetectionLoss(network)
+    told = {}
+    for name, x in (("left of it", 20.0), ("right of it", 60.0)):
+        complete = Completeness(flags, torch.tensor([[x, 0.0]]))  # the box's centre is at 27
+        told[name] = loss(silent(network), Batch(images, nobody(), complete, answers(network)))
+    assert float(told["right of it"].box) > 1e-3
+    assert told["left of it"].numbers() == pytest.approx((0, 0, 0), abs=1e-3)

@@ -10,7 +10,7 @@ import torch
 from detection.onnx_session import ModelError
 from detection.training.augmentation import PLAIN, AugmentationSettings
 from detection.training.batches import BatchMaker
-from detection.training.data_set import CachedImages
+from detection.training.data_set import CachedImages, TrainingSets
 from detection.training.data_yaml import read_data_yaml
 from detection.training.errors import CheckpointError, TrainingError
 from detection.training.export import export_onnx
@@ -19,7 +19,7 @@ from detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
 from detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
 from detection.training.settings import TrainingSettings
 from detection.training.teacher import Teacher
-from detection.training.train import Training, TrainingSets, prepare_torch
+from detection.training.train import Training, prepare_torch
 from tests.detection.training.road_scenes import write_data_set
 
 SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings())
@@ -143,7 +143,9 @@ def test_out_of_memory_suggests_a_batch(sets, tmp_path, monkeypatch):
         raise RuntimeError("[enforce fail at alloc_cpu.cpp:121] DefaultCPUAllocator: can't allocate memory")
 
     monkeypatch.setattr(Training, "_step", fail)
-    with pytest.raises(TrainingError, match="memory ran out with a batch of 4: try --batch 2"):
+    with pytest.raises(
+        TrainingError, match="memory ran out with a batch of 4: begin anew in another --out with --batch 2"
+    ):
         training(sets, tmp_path).run(Quiet())
 
 
