@@ -106,13 +106,19 @@ def find_model(name_or_path: str | Path, *, cache: Path | None = None, packaged:
 def model_rows(*, cache: Path | None = None, packaged: Path = PACKAGED_FOLDER) -> list[ModelRow]:
     """Everything that `--detector NAME` can name: packaged, catalogued, and what else lies in the cache folder."""
     folder = cache or models_folder()
-    rows = [_row_of_file(name, "packaged with track-range") for name in _names_in([packaged])]
+    rows = [_packaged_row(packaged / f"{name}.onnx") for name in _names_in([packaged])]
     for entry in CATALOGUE:
         state = "here" if (folder / f"{entry.name}.onnx").is_file() else "to be fetched"
         size = f"{entry.size_bytes / 1e6:.1f} MB"
         rows.append(ModelRow(entry.name, entry.input, size, entry.licence.name, entry.project, state))
     known = {entry.name for entry in CATALOGUE}
     return rows + [_row_of_file(name, "in the cache folder") for name in _names_in([folder]) if name not in known]
+
+
+def _packaged_row(file: Path) -> ModelRow:
+    """A model of our own: its card is the README beside it."""
+    size = f"{file.stat().st_size / 1e6:.1f} MB"
+    return ModelRow(file.stem, "open", size, "Apache-2.0", "track-range", "packaged")
 
 
 def _row_of_file(name: str, state: str) -> ModelRow:

@@ -101,7 +101,7 @@ def test_the_list_names_what_is_here_and_what_could_be(places):
     for name in ("yolov5n", "mine"):
         (places["cache"] / f"{name}.onnx").touch()
     rows = {row.name: row for row in model_rows(**places)}
-    assert rows["road"].state == "packaged with track-range"
+    assert rows["road"].state == "packaged"
     assert (rows["yolov5n"].state, rows["yolov4-tiny"].state) == ("here", "to be fetched")
     assert rows["mine"].state == "in the cache folder"
     assert rows["yolov5n"].licence == "AGPL-3.0"
