@@ -169,7 +169,8 @@ def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
         axes.set_ylabel(label)
         axes.set_ylim(bottom=0)
         axes.grid(True, alpha=0.25)
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+        if axes.lines:  # nothing is validated in the first epochs, where it is not done in each
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     lower.set_xlabel("epoch")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)

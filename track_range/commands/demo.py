@@ -33,7 +33,7 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0, is
         if is_played_back
         else "Boxes come from the packaged detector."
     )
-    console.print(f"A simulated stereo drive, with exact truth. {boxes}", highlight=False)
+    console.print(f"A simulated stereo drive, with exact truth. {boxes}", highlight=False, soft_wrap=True)
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=None)
         drive = write_drive(
