@@ -93,7 +93,10 @@ def images_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise ImageFileError(f"{folder}: no such folder of images.")
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    try:
+        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    except OSError as error:
+        raise ImageFileError(f"{folder}: cannot be read ({error.strerror or error}).") from error
     if not found:
         raise ImageFileError(f"{folder}: no images ({', '.join(sorted(IMAGE_SUFFIXES))}) in it.")
     return found
@@ -163,21 +166,13 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
 
 
 def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestRow], split: str) -> list[LabelledImage]:
-    """The images of one split, each with the classes that are complete in it.
-
-    Raises:
-        LabelFileError: the manifest has no image of that split among them.
-    """
+    """The images of one split, each with the classes that are complete in it; empty if there are none."""
     rows = [(item, manifest[item.path.name]) for item in labelled if item.path.name in manifest]
-    found = [
+    return [
         replace(item, truth=replace(item.truth, is_complete=row.is_complete))
         for item, row in rows
         if row.split == split
     ]
-    if not found:
-        splits = ", ".join(sorted({row.split for row in manifest.values()}))
-        raise LabelFileError(f"no image is of the split '{split}' in the manifest; it has: {splits}.")
-    return found
 
 
 def _number(path: Path) -> int | None:

@@ -101,7 +101,13 @@ class LabelledSource:
             LabelFileError, ImageFileError: labels or images cannot be read.
         """
         found = read_labelled(self.images, self.labels, self.format, names=self.label_names)
-        return found if self.manifest is None else of_split(found, read_manifest(self.manifest), self.split)
+        if self.manifest is None:
+            return found
+        manifest = read_manifest(self.manifest)
+        if wanted := of_split(found, manifest, self.split):
+            return wanted
+        splits = ", ".join(sorted({row.split for row in manifest.values()}))
+        raise LabelFileError(f"{self.manifest}: no image is of the split '{self.split}' in it; it has: {splits}.")
 
     def open(self) -> LabelledFrames:
         """Read all labels.

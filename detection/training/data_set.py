@@ -73,7 +73,7 @@ class CachedImages:
         *,
         max_side_px: int | None = None,
         max_bytes: int | None = None,
-        advance: Callable[[], None] = lambda: None,
+        progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
         """Read every image once.
 
@@ -82,7 +82,7 @@ class CachedImages:
             road_class_id: (C,) road class of each class to be learnt.
             max_side_px: images with a longer side are kept scaled down to it; None = as they are.
             max_bytes: that may be kept; None = half of the free memory.
-            advance: told after each image.
+            progress: told after each image: how many are read, and of how many.
 
         Raises:
             ImageFileError: none of them can be read.
@@ -96,8 +96,8 @@ class CachedImages:
         self.unreadable: list[str] = []
         room = _free_bytes() if max_bytes is None else max_bytes
         with ThreadPoolExecutor(_N_READERS) as readers:
-            for item, read in zip(items, readers.map(self._read, items), strict=True):
-                advance()
+            for done, (item, read) in enumerate(zip(items, readers.map(self._read, items), strict=True), start=1):
+                progress(done, len(items))
                 if isinstance(read, str):
                     self.unreadable.append(read)
                     continue

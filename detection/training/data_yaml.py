@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from detection.classes import ROAD_CLASSES, road_class_of_each
 from detection.detections import IntArray
 from detection.image_truth import ImageTruth
 from detection.kitti_format import LabelFileError
-from detection.labelled_images import LabelledImage, ManifestRow, images_in, read_labelled, read_manifest
+from detection.labelled_images import LabelledImage, images_in, of_split, read_labelled, read_manifest
 from detection.model_facts import names_of
 from detection.yolo_labels import YoloLabelReader
 
@@ -90,17 +90,20 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
     train, val = reader.split("train"), reader.split("val")
     unknown = [name for name, each in zip(names, road, strict=True) if each < 0]
     notes = [f"Left out, since no road classes: {', '.join(unknown)}."] if unknown else []
-    return TrainingData(classes, train, val, (*notes, *_summed_up([*train, *val])))
+    return TrainingData(classes, train, val, (*notes, *dict.fromkeys(reader.notes), *_summed_up([*train, *val])))
 
 
 @dataclass(frozen=True, slots=True)
 class _Reader:
+    """Reads the splits of one data.yaml; `notes` gathers what was left out on the way."""
+
     path: Path
     root: Path
     document: Mapping[str, Any]
     form: str
     names: Sequence[str]
     within: frozenset[Path]
+    notes: list[str] = field(default_factory=list)
 
     def split(self, key: str) -> list[LabelledImage]:
         """The images of one split with their labels."""
@@ -128,6 +131,9 @@ class _Reader:
         labels = self._labels_of(images)
         found = read_labelled(images, labels, "kitti" if self.form == "kitti" else "yolo", names=self.names)
         if self.form == "kitti":
+            n_unlabelled = len(images_in(images)) - len(found)
+            if n_unlabelled:
+                self.notes.append(f"{n_unlabelled} images of {images} have no label file: left out.")
             return [_with_who_sits(item) for item in found]
         return self._completed([*found, *_background(images, {item.path for item in found})], split)
 
@@ -143,7 +149,11 @@ class _Reader:
     def _completed(self, items: list[LabelledImage], split: str) -> list[LabelledImage]:
         """Those of the split, with pseudo-labels where they are for training."""
         if "manifest" in self.document:
-            items = self._of_manifest(items, split)
+            manifest = read_manifest(self.root / str(self.document["manifest"]))
+            n_unlisted = sum(item.path.name not in manifest for item in items)
+            if n_unlisted:
+                self.notes.append(f"{n_unlisted} images for '{split}' are not in the manifest: left out.")
+            items = of_split(items, manifest, split)
         if "labels_pseudo" in self.document and split == "train":
             folder = self._folder(str(self.document["labels_pseudo"]))
             reader = YoloLabelReader(self.names)
@@ -182,15 +192,6 @@ class _Reader:
         if not folder.is_dir():
             raise LabelFileError(f"{self.path}: no such folder: {folder}.")
         return folder
-
-    def _of_manifest(self, items: Sequence[LabelledImage], split: str) -> list[LabelledImage]:
-        rows: Mapping[str, ManifestRow] = read_manifest(self.root / str(self.document["manifest"]))
-        mine = [(item, rows[item.path.name]) for item in items if item.path.name in rows]
-        return [
-            replace(item, truth=replace(item.truth, is_complete=row.is_complete))
-            for item, row in mine
-            if row.split == split
-        ]
 
 
 def _document(path: Path) -> Mapping[str, Any]:

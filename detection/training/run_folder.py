@@ -17,6 +17,27 @@ LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 
 _FORMAT = 1
 
+_OPTION = {
+    "model": "--model",
+    "attention": "--attention",
+    "classes": "--data (its names)",
+    "anchors": "--anchors",
+    "data": "--data",
+    "teacher": "--teacher",
+    "size_px": "--size",
+    "n_epochs": "--epochs",
+    "batch_size": "--batch",
+    "seed": "--seed",
+    "box_loss": "--box-loss",
+    "precision": "--precision",
+    "optimiser": "--optimiser",
+    "learning_rate": "--learning-rate",
+    "mosaic": "--mosaic",
+    "min_gain": "--gain",
+    "max_gain": "--gain",
+}
+"""What the command line calls what makes a run."""
+
 
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
     """Write a checkpoint of tensors and plain values; who is killed meanwhile leaves the old one.
@@ -55,6 +76,21 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise CheckpointError(f"{path}: not a checkpoint of `track-range train`.")
     return content
+
+
+def check_same_run(path: Path, theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> None:
+    """Compare what makes a run in a checkpoint with what it should be.
+
+    Raises:
+        CheckpointError: they differ; the message names the first option that does.
+    """
+    for key, value in mine.items():
+        if value != theirs.get(key):
+            there, here = (str(each) if len(str(each)) < 60 else "..." for each in (theirs.get(key), value))
+            raise CheckpointError(
+                f"{path}: of another run: {_OPTION.get(key, key)} is {there} there and {here} here; give the "
+                "options that it began with, or another --out (with --weights, to begin where that run is)."
+            )
 
 
 @contextmanager

@@ -9,7 +9,7 @@ order).
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from detection.training.run_folder import (
     BEST,
     LAST,
     RESULTS,
+    check_same_run,
     load_checkpoint,
     save_checkpoint,
     write_results,
@@ -86,7 +87,7 @@ class Training:
         path = self._out / LAST
         content = load_checkpoint(path)
         try:
-            self._check_is_mine(path, content["identity"])
+            check_same_run(path, content["identity"], self._identity())
             self.network.load_state_dict(content["network"])
             self.average.network.load_state_dict(content["average"])
             self._optimiser.load_state_dict(content["optimiser"])
@@ -112,15 +113,6 @@ class Training:
         """
         if (self._out / BEST).is_file():
             self._take(self.average.network, self._out / BEST)
-
-    def _check_is_mine(self, path: Path, theirs: Mapping[str, Any]) -> None:
-        for key, value in self._identity().items():
-            if value != theirs.get(key):
-                there, here = (str(each) if len(str(each)) < 60 else "..." for each in (theirs.get(key), value))
-                raise CheckpointError(
-                    f"{path}: of another run: {key} is {there} there and {here} here; give the options that it began "
-                    "with, or another --out (with --weights, to begin where that run is)."
-                )
 
     def _take(self, network: AnchorNetwork, path: Path) -> None:
         """Averaged weights of a checkpoint; the anchors stay."""
@@ -251,7 +243,7 @@ class Training:
             "anchors": self.network.anchors_px.tolist(),
             "data": self._sets.name,
             "teacher": None if self._teacher is None else self._teacher.name,
-            **{key: value for key, value in asdict(self._settings).items() if key not in ("device", "validate_every")},
+            **{key: value for key, value in _flat(asdict(self._settings)) if key not in ("device", "validate_every")},
         }
 
 
@@ -260,6 +252,15 @@ def prepare_torch(*, seed: int, n_threads: int = 0) -> None:
     torch.manual_seed(seed)
     if n_threads:
         torch.set_num_threads(n_threads)
+
+
+def _flat(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Settings within settings, by their own names."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value)
+        else:
+            yield key, value
 
 
 def _figures(scores: DetectionScores) -> dict[str, float]:

@@ -69,6 +69,20 @@ def test_a_manifest_and_a_missing_class_and_a_damaged_image_are_told(rectangles,
     assert found["models"]["finder"]["classes"]["car"]["n_images"] == 2  # in image 0 cars are not all labelled
     assert "p has no class for: car" in printed
     assert "1 images left out, the first: " in printed.replace("\n", " ")
+    status, _, complaint = cli(
+        "evaluate",
+        "detections",
+        *models,
+        "--images",
+        rectangles / "images",
+        "--labels",
+        rectangles / "labels",
+        "--manifest",
+        rectangles / "m.csv",
+        "--split",
+        "test",
+    )
+    assert (status, "no image is of the split 'test' in it; it has: train, val" in complaint) == (1, True)
 
 
 def test_classes_and_working_scores(rectangles, cli):

@@ -93,6 +93,8 @@ def test_anchors_are_told_with_how_well_they_fit(drawn, cli):
     assert "mean best IoU with these 2" in lines[-2]
     (w1, h1), (w2, h2) = (map(float, pair.split(",")) for pair in lines[-1].split())
     assert (w1 < h1, w2 > h2) == (True, True)  # people are tall, cars are wide
+    told = cli("anchors", "--data", data, "--size", 160, "--clusters", 6)[1]
+    assert [len(head.split()) for head in told.splitlines()[-1].split(" / ")] == [3, 3]  # as --anchors takes them
     status, _, complaint = cli("anchors", "--data", data, "--clusters", 32)
     assert (status, "32 anchors want as many boxes" in complaint) == (1, True)
 
@@ -128,8 +130,8 @@ def test_damaged_images_are_counted_and_the_rest_is_learnt(tmp_path, cli):
     (tmp_path / "images/train/001.png").write_bytes(b"junk")
     status, told, _ = train(cli, data, tmp_path / "run", "--epochs", 1)
     assert status == 0
-    assert "1 images left out, the first: " in told
-    assert "001.png" in told
+    assert "1 images left out:" in told
+    assert "001.png: not an image" in told
     assert "4 images to learn from" in told
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
+from track_range.commands.progress import say, step_progress
 from track_range.commands.run import run
 from track_range.config import RunSettings
 from track_range.simulation.drive import write_drive
@@ -33,15 +33,9 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0, is
         if is_played_back
         else "Boxes come from the packaged detector."
     )
-    console.print(f"A simulated stereo drive, with exact truth. {boxes}", highlight=False, soft_wrap=True)
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("rendering", total=None)
-        drive = write_drive(
-            out / "drive",
-            seed=seed,
-            seconds=seconds,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
-        )
+    say(console, f"A simulated stereo drive, with exact truth. {boxes}")
+    with step_progress(console, "rendering") as progress:
+        drive = write_drive(out / "drive", seed=seed, seconds=seconds, progress=progress)
     settings = RunSettings(
         stereo=(drive.left, drive.right),
         rig=drive.rig,
@@ -50,5 +44,4 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0, is
         out=out,
     )
     run(settings, console)
-    told = f"Open {out / 'report.html'} in a browser; {out / 'overlay.mp4'} is the video."
-    console.print(told, highlight=False, markup=False, soft_wrap=True)
+    say(console, f"Open {out / 'report.html'} in a browser; {out / 'overlay.mp4'} is the video.")

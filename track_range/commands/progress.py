@@ -1,4 +1,4 @@
-"""The progress bar of a run."""
+"""What commands say while they work: progress bars, and lines as they are."""
 
 from __future__ import annotations
 
@@ -37,3 +37,17 @@ def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield _Advance(progress, n_frames)
+
+
+@contextmanager
+def step_progress(console: Console, text: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar that goes when the work is done; the callable tells steps done, and of how many."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+        task = progress.add_task(text, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+def say(console: Console, text: str) -> None:
+    """One line, as it is."""
+    console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
+from track_range.commands.progress import say, step_progress
 from track_range.simulation.images import write_image_set
 
 
@@ -16,12 +16,6 @@ def simulate(out: Path, console: Console, *, n_scenes: int, n_frames: int, seed:
     Raises:
         OutputError: `out` cannot be written.
     """
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("rendering", total=None)
-        path = write_image_set(
-            out,
-            range(seed, seed + n_scenes),
-            n_frames=n_frames,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
-        )
-    console.print(f"Written: {n_scenes * n_frames} images, and {path}", highlight=False, markup=False, soft_wrap=True)
+    with step_progress(console, "rendering") as progress:
+        path = write_image_set(out, range(seed, seed + n_scenes), n_frames=n_frames, progress=progress)
+    say(console, f"Written: {n_scenes * n_frames} images, and {path}")

@@ -27,8 +27,9 @@ from detection.training.settings import Precision, TrainingSettings, best_precis
 from detection.training.teacher import Teacher
 from detection.training.train import Training, prepare_torch
 from track_range.charts import training_chart
+from track_range.commands.progress import say
 from track_range.commands.ready_model import ready_model
-from track_range.commands.training_data import own_anchors, read_images, say
+from track_range.commands.training_data import own_anchors, read_images
 from track_range.detection_tables import class_grid
 from track_range.interrupts import termination_as_interrupt
 from track_range.tables import rich_table

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from detection.detections import FloatArray
 from detection.kitti_format import LabelFileError
@@ -18,6 +16,13 @@ from detection.training.anchors import as_text, by_head, kmeans_anchors, mean_be
 from detection.training.data_set import CachedImages
 from detection.training.data_yaml import TrainingData, read_data_yaml
 from detection.training.networks import NETWORKS
+from track_range.commands.progress import say, step_progress
+
+_N_TOLD = 20
+"""Images told by name that cannot be read."""
+
+_N_PER_HEAD = 3
+"""Anchors of a head, of all networks here."""
 
 
 def print_anchors(data_yaml: Path, *, size_px: int, n_anchors: int, seed: int, console: Console) -> None:
@@ -37,7 +42,8 @@ def print_anchors(data_yaml: Path, *, size_px: int, n_anchors: int, seed: int, c
         say(console, f"{mean_best_iou(sizes, own):.3f} mean best IoU with {kind.family}'s own {len(own)} anchors")
     found = _kmeans(sizes, n_anchors, seed)
     say(console, f"{mean_best_iou(sizes, found):.3f} mean best IoU with these {n_anchors}, of {len(sizes)} boxes:")
-    say(console, " ".join(f"{w:.4g},{h:.4g}" for w, h in found))
+    n_heads = n_anchors // _N_PER_HEAD if n_anchors % _N_PER_HEAD == 0 else 1
+    say(console, as_text(by_head(found, n_heads)))
 
 
 def read_images(
@@ -48,19 +54,15 @@ def read_images(
     Raises:
         ImageFileError: none can be read.
     """
-    with _bar(console, "reading images", len(items)) as advance:
-        images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, advance=advance)
+    with step_progress(console, "reading images") as progress:
+        images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
     if images.unreadable:
-        say(console, f"{len(images.unreadable)} images left out, the first: {images.unreadable[0]}")
+        say(console, f"{len(images.unreadable)} images left out:")
+        for sentence in images.unreadable[:_N_TOLD]:
+            say(console, f"- {sentence}")
+        if len(images.unreadable) > _N_TOLD:
+            say(console, f"- and {len(images.unreadable) - _N_TOLD} more")
     return images
-
-
-@contextmanager
-def _bar(console: Console, text: str, n: int) -> Iterator[Callable[[], None]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
-        task = progress.add_task(text, total=n)
-        yield lambda: progress.advance(task)
 
 
 def own_anchors(images: CachedImages, model: str, size_px: int, seed: int, console: Console) -> Anchors:
@@ -85,8 +87,3 @@ def _kmeans(sizes: FloatArray, n_anchors: int, seed: int) -> FloatArray:
         return kmeans_anchors(sizes, n_anchors, np.random.default_rng(seed))
     except ValueError as error:
         raise LabelFileError(f"{error}") from error
-
-
-def say(console: Console, text: str) -> None:
-    """One line, as it is."""
-    console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -145,6 +145,9 @@ def test_pseudo_labels_fill_what_is_not_complete_and_are_ignored_elsewhere(tmp_p
     assert data.train[0].truth.is_ignored.tolist() == [False, True, True]  # cars are not complete, people are
     assert data.train[1].truth.is_ignored.tolist() == [True, True, True]
     assert len(data.val) == 1
+    assert "1 images for 'train' are not in the manifest: left out." not in data.notes
+    (tmp_path / "images/train/new.png").write_bytes((tmp_path / "images/train/000.png").read_bytes())
+    assert "1 images for 'train' are not in the manifest: left out." in read_data_yaml(path).notes
 
 
 def test_kitti_labels(tmp_path):
@@ -156,7 +159,9 @@ def test_kitti_labels(tmp_path):
         "\n".join(row.format(kind, box) for kind, box in (("Car", "10 20 60 50"), ("Person_sitting", "80 20 90 50")))
     )
     (tmp_path / "data.yaml").write_text("train: images\nval: images\nformat: kitti\n")
+    cv2.imwrite(str(tmp_path / "images/000001.png"), np.zeros((100, 300, 3), np.uint8))
     data = read_data_yaml(tmp_path / "data.yaml")
+    assert data.notes == (f"1 images of {tmp_path / 'images'} have no label file: left out.",)
     assert data.road_class_id.tolist() == [0, 1, 2, 5]
     told = CachedImages(data.train, data.road_class_id, max_side_px=150).load(0)
     assert told.image.shape == (50, 150, 3)

@@ -92,10 +92,11 @@ def test_the_run_folder_has_checkpoints_and_a_row_per_epoch(sets, tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda s, o: training(s, o, name="yolov4-tiny"), "model is yolov5n there and yolov4-tiny here"),
-        (lambda s, o: training(s, o, has_cbam=True), "attention is False there and True here"),
-        (lambda s, o: training(s, o, replace(SMALL, size_px=128)), "size_px is 96 there and 128 here"),
-        (lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")), "box_loss is ciou there and eiou here"),
+        (lambda s, o: training(s, o, name="yolov4-tiny"), "--model is yolov5n there and yolov4-tiny here"),
+        (lambda s, o: training(s, o, has_cbam=True), "--attention is False there and True here"),
+        (lambda s, o: training(s, o, replace(SMALL, size_px=128)), "--size is 96 there and 128 here"),
+        (lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")), "--box-loss is ciou there and eiou here"),
+        (lambda s, o: training(s, o, replace(SMALL, augmentation=AugmentationSettings(mosaic=0.5))), "--mosaic is"),
     ],
 )
 def test_a_checkpoint_of_another_run_is_refused(sets, tmp_path, change, said):
