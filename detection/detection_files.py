@@ -1,6 +1,7 @@
 """Boxes of somebody's own detector, read from a file.
 
-KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score`, or our own tracks.csv: told from the content.
+KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC's), or our own tracks.csv: told from the content. A
+feat.npy beside a MOTChallenge file, the same rows with a descriptor after each (nwojke/deep_sort's), is read with it.
 """
 
 from __future__ import annotations
@@ -8,16 +9,21 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from detection.boxes import are_sound
 from detection.classes import ROAD_CLASSES, road_class_of_each
-from detection.detections import Detections, FloatArray, IntArray
+from detection.detections import Descriptors, Detections, FloatArray, IntArray
 from detection.kitti_format import LabelFileError, read_kitti
 
 _MOT_COLUMNS = range(7, 11)
 _PLAIN_COLUMNS = 6
+_FEATURES_NAME = "feat.npy"
+
+DetectionForm = Literal["mot", "kitti", "rrc", "tracks"]
+"""MOTChallenge's rows, KITTI's, plain ones as RRC published them, or our own tracks.csv."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +50,21 @@ class RecordedDetections:
         return self.detections.select(np.arange(first, last))
 
 
-def read_detections(path: Path, *, unnamed_class_id: int = 0) -> RecordedDetections:
+def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionForm | None = None) -> RecordedDetections:
     """Read a file, or a folder of KITTI object files.
 
     Args:
         path: the file or folder.
         unnamed_class_id: class of every box where the format names none (MOT and plain boxes).
+        form: what it must be; None = what it is.
 
     Raises:
-        LabelFileError: it cannot be read, or is none of the formats.
+        LabelFileError: it cannot be read, or is none of the formats, or not the one wanted.
     """
     file_format = _format_of(path)
     kind, frame, boxes = _FORMATS[file_format](path, unnamed_class_id)
+    if form not in (None, found := _form_of(file_format, kind)):
+        raise LabelFileError(f"{path}: read as {kind}, that is the format {found}, not {form}.")
     score, score_note = _as_probability(boxes.score)
     sound = are_sound(boxes.xyxy_px) & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
     order = np.flatnonzero(sound)[np.argsort(frame[sound], kind="stable")]
@@ -89,6 +98,12 @@ def _format_of(path: Path) -> str:
     return "tracks" if first.startswith("frame,") else "comma"
 
 
+def _form_of(file_format: str, kind: str) -> DetectionForm:
+    if file_format != "comma":
+        return "kitti" if file_format == "kitti" else "tracks"
+    return "mot" if kind.startswith("MOT") else "rrc"
+
+
 def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     labels = read_kitti(path)
     score = np.where(np.isfinite(labels.score), labels.score, 1.0)
@@ -112,8 +127,35 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
             "or frame,x1,y1,x2,y2,score (6) wanted."
         )
     score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 is MOTChallenge's "no score"
-    boxes = Detections.of(xyxy_from_mot(table[:, 2:6]), score, class_id)
-    return f"MOTChallenge rows of class {name}", table[:, 0].astype(np.int64) - 1, boxes
+    boxes = Detections(xyxy_from_mot(table[:, 2:6]), score, class_id.astype(np.int64), _descriptors(path, table))
+    with_looks = f" with descriptors of {boxes.descriptor.shape[1]} numbers" if boxes.descriptor.shape[1] else ""
+    return f"MOTChallenge rows of class {name}{with_looks}", table[:, 0].astype(np.int64) - 1, boxes
+
+
+def _descriptors(path: Path, table: FloatArray) -> Descriptors:
+    """(N, D) float32 of length 1, from the feat.npy beside; D = 0 where there is none.
+
+    Raises:
+        LabelFileError: it is there, but its rows are not those of the file.
+    """
+    beside = path.with_name(_FEATURES_NAME)
+    if not beside.is_file():
+        return np.zeros((len(table), 0), np.float32)
+    try:
+        features = np.asarray(np.load(beside, allow_pickle=False), np.float64)
+    except (OSError, ValueError, EOFError) as error:
+        raise LabelFileError(f"{beside}: not an array of numbers ({type(error).__name__}).") from error
+    n_columns = table.shape[1]
+    if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
+        raise LabelFileError(
+            f"{beside}: {len(table)} rows of {n_columns} numbers and a descriptor wanted, as in {path.name}; "
+            f"{features.shape} got."
+        )
+    if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not np.isfinite(features).all():
+        raise LabelFileError(f"{beside}: its rows are not those of {path.name}, or are no numbers.")
+    looks = features[:, n_columns:]
+    length = np.linalg.norm(looks, axis=1, keepdims=True)
+    return np.asarray(np.divide(looks, length, out=np.zeros_like(looks), where=length > 0), np.float32)
 
 
 def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+Descriptors = npt.NDArray[np.float32]
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -40,7 +41,7 @@ class Detections:
     xyxy_px: FloatArray
     score: FloatArray
     class_id: IntArray
-    descriptor: npt.NDArray[np.float32]
+    descriptor: Descriptors
 
     def __post_init__(self) -> None:
         n = len(self.score)

@@ -32,10 +32,16 @@ DOORS = {
     "pydantic": {"stereo/rig_files.py", "track_range/config.py"},
     "matplotlib": {"track_range/charts.py"},
     "jinja2": {"track_range/report.py"},
-    "typer": {"track_range/cli.py", "track_range/cli_models.py", "track_range/cli_training.py"},
+    "typer": {
+        "track_range/cli.py",
+        "track_range/cli_models.py",
+        "track_range/cli_tracking.py",
+        "track_range/cli_training.py",
+    },
     "rich": {
         "track_range/cli.py",
         "track_range/cli_models.py",
+        "track_range/cli_tracking.py",
         "track_range/cli_training.py",
         "track_range/tables.py",
         "track_range/commands/",

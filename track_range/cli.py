@@ -24,13 +24,12 @@ from detection.training.errors import TrainingError
 from ranging.size_curve import CurveError
 from stereo.rig import RigError
 from track_range.cli_models import evaluation, models
+from track_range.cli_tracking import track
 from track_range.cli_training import anchors, simulate, train
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.fit import fit_curves_of_kitti
 from track_range.commands.run import RunStoppedError
 from track_range.commands.run import run as run_video
-from track_range.commands.track import TrackOptions
-from track_range.commands.track import track as run_track
 from track_range.config import ConfigError, UsageError, settings_from
 from track_range.video import VideoError
 from track_range.written import OutputError
@@ -65,6 +64,7 @@ app = typer.Typer(
 
 app.add_typer(models, name="models")
 app.add_typer(evaluation, name="evaluate")
+app.command("track")(track)
 app.command("train")(train)
 app.command("anchors")(anchors)
 app.command("simulate")(simulate)
@@ -188,6 +188,21 @@ def _run(
             rich_help_panel=_HOW,
         ),
     ] = None,
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            metavar="deepsort|sort",
+            help="deepsort, the default, tells boxes apart by their looks too; sort does not.",
+            rich_help_panel=_HOW,
+        ),
+    ] = None,
+    reid: Annotated[
+        Path | None,
+        typer.Option(
+            help="A re-identification network (ONNX) for looks (default: a built-in description of colours).",
+            rich_help_panel=_HOW,
+        ),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option(metavar="N", help="Threads of the network (default: all).", rich_help_panel=_HOW)
     ] = None,
@@ -214,33 +229,6 @@ def _demo(
     ] = False,
 ) -> None:
     run_demo(out, _console, seed=seed, seconds=seconds, is_played_back=playback)
-
-
-@app.command("track", help="Give boxes of a detector identities: no video, no distances.")
-def _track(
-    detections: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DETECTIONS",
-            help="MOT det.txt, KITTI rows, or frame,x1,y1,x2,y2,score; a file, a folder of them (NAME.txt), or "
-            "MOTChallenge's folders (NAME/det/det.txt).",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Gets mot/NAME.txt per sequence.")],
-    classes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X", help="Class of rows that name none (default: car or person by the folder's name, else person)."
-        ),
-    ] = None,
-    fps: Annotated[
-        float | None, typer.Option(min=0.01, max=1000, help="Frames per second (default: seqinfo.ini's, else 10).")
-    ] = None,
-    kitti: Annotated[bool, typer.Option("--kitti", help="Write KITTI rows too: kitti/NAME.txt.")] = False,
-) -> None:
-    run_track(
-        TrackOptions(detections=detections, out=out, road_class=classes, fps=fps, is_kitti_written=kitti), _console
-    )
 
 
 @app.command("fit", help="Fit the monocular size curves on KITTI tracking labels of your own camera.")

@@ -14,6 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from detection.model_lookup import DEFAULT_MODEL
 from track_range.written import write_text
 
+TrackerName = Literal["deepsort", "sort"]
+"""With looks, or without."""
+
 
 class ConfigError(Exception):
     """Settings that make no sense; the message names the one that is wrong."""
@@ -65,6 +68,10 @@ class RunSettings(BaseModel):
     threads: int = Field(default=0, ge=0, le=256)
     """Threads of the network; 0 = one per core."""
     device: Literal["auto", "cpu", "cuda", "tensorrt"] = "auto"
+    tracker: TrackerName = "deepsort"
+    """Whether boxes are told apart by their looks too."""
+    reid: Path | None = None
+    """A re-identification network for looks; None = the built-in descriptor."""
     overlay: bool = True
     sgbm: bool = True
     """Dense matching beside the patch matcher, in stereo runs."""
@@ -87,6 +94,8 @@ class RunSettings(BaseModel):
             raise ValueError("give --rig or --focal-px, not both")
         if self.focal_px is not None and self.stereo is not None:
             raise ValueError("--focal-px is for --mono; two cameras need --rig")
+        if self.reid is not None and self.tracker == "sort":
+            raise ValueError("--reid describes looks, which --tracker sort does not compare; take one of them")
         return self
 
     @property
@@ -138,7 +147,7 @@ def _option(place: tuple[int | str, ...]) -> str:
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
     run = settings.model_dump(mode="json", exclude_none=True)
-    for key in ("rig", "detections", "curves", "truth", "out", "mono"):
+    for key in ("rig", "detections", "curves", "truth", "out", "mono", "reid"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
     for key in ("detector", "names"):  # a file, or a word

@@ -3,10 +3,13 @@
     cost = 1 - IoU(predicted box, detected box)      inf where the classes cannot be one object
     minimise the sum of costs over pairs, a track left alone costing max_cost
 
-The rectangular assignment is scipy's (Crouse's form of Jonker and Volgenant's algorithm).
+Most tracks and boxes of a frame have but one partner that they could take: those pairs are taken at once, and only the
+rest is a problem of assignment, scipy's (Crouse's form of Jonker and Volgenant's algorithm).
 """
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -15,13 +18,18 @@ from detection.boxes import iou
 from detection.classes import SAME_OBJECT_GROUP
 from detection.detections import BoolArray, FloatArray, IntArray
 
+Classes = Literal["similar", "same", "any"]
+"""Which classes may be one object: those that detectors take for each other, equal ones only, or all."""
+
 
 def iou_cost(track_xyxy_px: FloatArray, found_xyxy_px: FloatArray, *, margin: float = 0.0) -> FloatArray:
     """(N, M) 1 - IoU, in [0, 1], of boxes widened by `margin` of their own size on every side.
 
     A margin lets a box that moved by more than its width find itself again (Yang et al., C-BIoU, 2023).
     """
-    return 1.0 - iou(widened(track_xyxy_px, margin), widened(found_xyxy_px, margin))
+    if margin:
+        track_xyxy_px, found_xyxy_px = widened(track_xyxy_px, margin), widened(found_xyxy_px, margin)
+    return 1.0 - iou(track_xyxy_px, found_xyxy_px)
 
 
 def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
@@ -30,9 +38,13 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
     return np.concatenate([xyxy_px[:, :2] - pad_px, xyxy_px[:, 2:] + pad_px], axis=1)
 
 
-def are_compatible(track_class_id: IntArray, found_class_id: IntArray) -> BoolArray:
+def are_compatible(track_class_id: IntArray, found_class_id: IntArray, classes: Classes = "similar") -> BoolArray:
     """(N, M) whether a track and a box may be one object: detectors take cars, buses and trucks for each other."""
-    return np.asarray(SAME_OBJECT_GROUP[track_class_id][:, None] == SAME_OBJECT_GROUP[found_class_id][None, :])
+    if classes == "any":
+        return np.ones((len(track_class_id), len(found_class_id)), np.bool_)
+    if classes == "similar":
+        track_class_id, found_class_id = SAME_OBJECT_GROUP[track_class_id], SAME_OBJECT_GROUP[found_class_id]
+    return np.asarray(track_class_id[:, None] == found_class_id[None, :])
 
 
 def assigned(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
@@ -42,6 +54,15 @@ def assigned(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
         cost: (N, M), no NaN; N or M may be 0.
         max_cost: also what leaving a row alone costs, so that no pair is made only to make more pairs.
     """
-    rows, columns = linear_sum_assignment(np.minimum(cost, max_cost))
-    good = cost[rows, columns] <= max_cost
-    return np.asarray(rows[good], np.int64), np.asarray(columns[good], np.int64)
+    may = cost <= max_cost
+    n_of_row, n_of_column = may.sum(axis=1), may.sum(axis=0)
+    rows, columns = np.nonzero(may & (n_of_row == 1)[:, None] & (n_of_column == 1)[None, :])
+    open_rows, open_columns = np.flatnonzero(n_of_row), np.flatnonzero(n_of_column)
+    if len(rows) == len(open_rows) or len(rows) == len(open_columns):
+        return rows, columns
+    i = np.setdiff1d(open_rows, rows, assume_unique=True)
+    j = np.setdiff1d(open_columns, columns, assume_unique=True)
+    rest = cost[np.ix_(i, j)]
+    r, c = linear_sum_assignment(np.minimum(rest, max_cost))
+    good = rest[r, c] <= max_cost
+    return np.concatenate([rows, i[r[good]]]), np.concatenate([columns, j[c[good]]])

@@ -1,12 +1,14 @@
-"""Motion: one constant-velocity Kalman filter per coordinate of every box, all of them as arrays.
+"""Motion: constant-velocity Kalman filters of all boxes, as arrays.
 
 A box is cx, cy, w, h; each coordinate has a state x = [value px, rate px/s]. The noise has no cross terms between
-coordinates, so that the usual 8x8 filter falls apart into four exact 2x2 ones (about 15 times faster as arrays).
+coordinates, so that the usual 8x8 filter falls apart into four exact 2x2 ones; it is the same for all four, so that
+they share one covariance P = [[var, cov], [cov, var_rate]] and one gain.
 
-    F = [[1, dt], [0, 1]]   Q = s^2 (d^2 [[dt, 0], [0, 0]] + a^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]])   R = s^2 r^2
+    F = [[1, dt], [0, 1]]   Q = s^2 q (d^2 [[dt, 0], [0, 0]] + a^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]])   R = s^2 r^2
 
 s is the height of the box last seen: near objects move more pixels (nwojke/deep_sort's scaling). d and a are densities
-of continuous noise, so two steps of dt/2 give what one step of dt gives, and 10 Hz and 30 Hz behave alike.
+of continuous noise, so two steps of dt/2 give what one step of dt gives, and 10 Hz and 30 Hz behave alike. q is the
+stream's level of noise (`tracking.noise_level`), 1 unless told.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from detection.boxes import xyxy_from_cxcywh
 from detection.detections import BoolArray, FloatArray, IntArray
 
 _MIN_SIZE_PX = 1.0  # a box predicted to shrink stops here: IoU wants a positive size
+_VAR, _COV, _VAR_RATE = range(3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,15 +45,17 @@ class MotionNoise:
 
 @dataclass(frozen=True, slots=True)
 class BoxFilters:
-    """The motion of N boxes at one instant; never written to.
+    """The motion of N boxes at one instant.
 
     Attributes:
-        x: (N, 4, 2) value and rate of cx, cy, w, h; px and px/s.
-        P: (N, 4, 2, 2) their covariances.
+        value: (N, 4) cx, cy, w, h in px.
+        rate: (N, 4) of each, px/s.
+        P: (N, 3) variance of a value, covariance of value and rate, variance of a rate; the same for all four.
         height_px: (N,) height of the box last measured, the unit of the noise.
     """
 
-    x: FloatArray
+    value: FloatArray
+    rate: FloatArray
     P: FloatArray
     height_px: FloatArray
 
@@ -60,17 +65,24 @@ class BoxFilters:
     @property
     def xyxy_px(self) -> FloatArray:
         """(N, 4) boxes now; no side is shorter than a pixel."""
-        size = np.maximum(self.x[:, 2:, 0], _MIN_SIZE_PX)
-        return xyxy_from_cxcywh(np.concatenate([self.x[:, :2, 0], size], axis=1))
+        value = self.value.copy()
+        value[:, 2:] = np.maximum(value[:, 2:], _MIN_SIZE_PX)
+        return xyxy_from_cxcywh(value)
+
+    @property
+    def spread(self) -> FloatArray:
+        """(N,) standard deviation of a value, in heights of the box last measured."""
+        return np.asarray(np.sqrt(self.P[:, _VAR]) / self.height_px)
 
     def select(self, keep: BoolArray | IntArray) -> BoxFilters:
         """The rows that a mask or an index array names, in its order."""
-        return BoxFilters(self.x[keep], self.P[keep], self.height_px[keep])
+        return BoxFilters(self.value[keep], self.rate[keep], self.P[keep], self.height_px[keep])
 
     def joined(self, other: BoxFilters) -> BoxFilters:
         """These rows, then the other's."""
         return BoxFilters(
-            np.concatenate([self.x, other.x]),
+            np.concatenate([self.value, other.value]),
+            np.concatenate([self.rate, other.rate]),
             np.concatenate([self.P, other.P]),
             np.concatenate([self.height_px, other.height_px]),
         )
@@ -78,39 +90,36 @@ class BoxFilters:
 
 def begun(xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
     """Filters of boxes (N, 4) seen for the first time: rate 0, not known."""
-    z = _cxcywh(xyxy_px)
-    x = np.stack([z, np.zeros_like(z)], axis=2)
-    height_px = z[:, 3]
-    P = np.zeros((len(z), 4, 2, 2))
-    P[:, :, 0, 0] = ((noise.measured * height_px) ** 2)[:, None]
-    P[:, :, 1, 1] = ((noise.first_rate * height_px) ** 2)[:, None]
-    return BoxFilters(x, P, height_px)
+    value = cxcywh(xyxy_px)
+    height_px = value[:, 3]
+    P = np.outer(height_px**2, [noise.measured**2, 0.0, noise.first_rate**2])
+    return BoxFilters(value, np.zeros_like(value), P, height_px)
 
 
-def predicted(filters: BoxFilters, dt_s: float, noise: MotionNoise) -> BoxFilters:
-    """The filters `dt_s` >= 0 seconds later."""
-    x = filters.x.copy()
-    x[:, :, 0] += dt_s * filters.x[:, :, 1]
-    s2 = (filters.height_px**2)[:, None]
-    drift, acceleration = noise.drift**2, noise.acceleration**2
-    var_rate = filters.P[:, :, 1, 1]
-    P = filters.P.copy()
-    P[:, :, 0, 0] += dt_s * (2 * filters.P[:, :, 0, 1] + dt_s * var_rate)
-    P[:, :, 0, 0] += s2 * (drift * dt_s + acceleration * dt_s**3 / 3)
-    P[:, :, 0, 1] += dt_s * var_rate + s2 * acceleration * dt_s**2 / 2
-    P[:, :, 1, 0] = P[:, :, 0, 1]
-    P[:, :, 1, 1] += s2 * acceleration * dt_s
-    return BoxFilters(x, P, filters.height_px)
+def predicted(filters: BoxFilters, dt_s: float, noise: MotionNoise, *, level: float = 1.0) -> BoxFilters:
+    """The filters `dt_s` >= 0 seconds later, in a stream whose motion is `level` times as noisy."""
+    d2, a2 = noise.drift**2, noise.acceleration**2
+    moved = np.array([[1.0, 0.0, 0.0], [2 * dt_s, 1.0, 0.0], [dt_s**2, dt_s, 1.0]])  # F P F^T, for var, cov, var_rate
+    walked = level * np.array([d2 * dt_s + a2 * dt_s**3 / 3, a2 * dt_s**2 / 2, a2 * dt_s])
+    P = filters.P @ moved + np.multiply.outer(filters.height_px**2, walked)
+    return BoxFilters(filters.value + dt_s * filters.rate, filters.rate, P, filters.height_px)
 
 
 def updated(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
     """The filters after each has seen its box, (N, 4) in their order."""
-    z = _cxcywh(xyxy_px)
-    S = filters.P[:, :, 0, 0] + ((noise.measured * filters.height_px) ** 2)[:, None]
-    gain = filters.P[:, :, :, 0] / S[:, :, None]
-    x = filters.x + gain * (z - filters.x[:, :, 0])[:, :, None]
-    P = filters.P - gain[:, :, :, None] * filters.P[:, :, 0, None, :]
-    return BoxFilters(x, P, z[:, 3])
+    z = cxcywh(xyxy_px)
+    innovation = z - filters.value
+    P = filters.P
+    gain = P[:, :2] / _innovation_variance(filters, noise)[:, None]
+    value = filters.value + gain[:, :1] * innovation
+    rate = filters.rate + gain[:, 1:] * innovation
+    P = P - np.stack([gain[:, 0] * P[:, _VAR], gain[:, 0] * P[:, _COV], gain[:, 1] * P[:, _COV]], axis=1)
+    return BoxFilters(value, rate, P, z[:, 3])
+
+
+def innovations(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
+    """(N, 4) how far each filter's box, (N, 4) in their order, lies from its prediction, in standard deviations."""
+    return np.asarray((cxcywh(xyxy_px) - filters.value) / np.sqrt(_innovation_variance(filters, noise))[:, None])
 
 
 def squared_mahalanobis(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
@@ -118,12 +127,24 @@ def squared_mahalanobis(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionN
 
     Of a box that belongs to the track it is chi-square distributed with 4 degrees of freedom.
     """
-    z = _cxcywh(xyxy_px)
-    S = filters.P[:, :, 0, 0] + ((noise.measured * filters.height_px) ** 2)[:, None]
-    innovation = z[None, :, :] - filters.x[:, None, :, 0]
-    return np.asarray((innovation**2 / S[:, None, :]).sum(axis=2))
+    innovation = cxcywh(xyxy_px)[None, :, :] - filters.value[:, None, :]
+    return np.asarray((innovation**2).sum(axis=2) / _innovation_variance(filters, noise)[:, None])
 
 
-def _cxcywh(xyxy_px: FloatArray) -> FloatArray:
-    size = xyxy_px[:, 2:] - xyxy_px[:, :2]
-    return np.concatenate([xyxy_px[:, :2] + size / 2, size], axis=1)
+def carried(filters: BoxFilters, now_from_before: FloatArray) -> BoxFilters:
+    """The filters in another frame's pixels: a similarity (2, 3) turns centres and rates, and scales sizes."""
+    turn, shift = now_from_before[:, :2], now_from_before[:, 2]
+    scale = float(np.sqrt(abs(np.linalg.det(turn))))
+    value = np.concatenate([filters.value[:, :2] @ turn.T + shift, scale * filters.value[:, 2:]], axis=1)
+    rate = np.concatenate([filters.rate[:, :2] @ turn.T, scale * filters.rate[:, 2:]], axis=1)
+    return BoxFilters(value, rate, filters.P * scale**2, filters.height_px * scale)
+
+
+def cxcywh(xyxy_px: FloatArray) -> FloatArray:
+    """(..., 4) centre and size of boxes."""
+    size = xyxy_px[..., 2:] - xyxy_px[..., :2]
+    return np.concatenate([xyxy_px[..., :2] + size / 2, size], axis=-1)
+
+
+def _innovation_variance(filters: BoxFilters, noise: MotionNoise) -> FloatArray:
+    return np.asarray(filters.P[:, _VAR] + (noise.measured * filters.height_px) ** 2)

@@ -1,13 +1,18 @@
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracking.history import BoxHistory, FillGates, begun, filled, median_prediction
+from detection.detections import FloatArray
+from tracking.history import BoxHistory, FillGates, Form, begun, filled, median_prediction, smoothed
 
-IMAGE_HW = (375, 1242)
+BORDER_XYXY_PX = np.array([0.0, 0.0, 1241.0, 374.0])
+AT_ONCE = FillGates(min_running_in_sight=5)
+"""Gates that let a box in plain sight through as soon as a hidden one."""
 
 
 def seen(boxes: list[list[float]], times_s: list[float], *, n_kept: int = 6) -> BoxHistory:
@@ -43,6 +48,40 @@ def test_spread_by_hand() -> None:
     assert spread[0] == pytest.approx(2 * 2 / 40)
 
 
+def test_step_of_medians_by_hand() -> None:
+    # k = 3 of left edges 10, 14, 40, 22, 26: l(t-1) = median(40, 22, 26) = 26, l(t-2) = median(14, 40, 22) = 22
+    history = seen([[x, 0, x + 20, 40] for x in (10, 14, 40, 22, 26)], [0.0, 0.1, 0.2, 0.3, 0.4], n_kept=4)
+    box, spread = median_prediction(history, 0.5, form="step-of-medians")
+    np.testing.assert_allclose(box, [[30, 0, 50, 40]])
+    # steps kept: 26, -18, 4; from the 4 px of the medians: 22, 22, 0: median 22
+    assert spread[0] == pytest.approx(22 / 40)
+    np.testing.assert_allclose(smoothed(history), [[26, 0, 46, 40]])
+
+
+def test_with_two_boxes_kept_both_forms_are_the_papers() -> None:
+    history = seen([[10, 10, 30, 50], [14, 11, 36, 53]], [0.0, 0.1], n_kept=2)
+    for form in get_args(Form):
+        np.testing.assert_allclose(median_prediction(history, 0.2, form=form)[0], [[18, 12, 42, 56]])
+    np.testing.assert_allclose(smoothed(history), [[14, 11, 36, 53]])
+
+
+@given(n=st.integers(2, 9), step_px=st.floats(-20, 20), dt_s=st.floats(0.02, 0.5))
+@settings(deadline=None)
+def test_step_of_medians_lags_by_half_the_buffer(n: int, step_px: float, dt_s: float) -> None:
+    history = steady(n, step_px=step_px, dt_s=dt_s)
+    steps, medians = (median_prediction(history, n * dt_s, form=form)[0] for form in get_args(Form))
+    # the middle of the newest boxes, 5 at most, is that many frames before the last
+    lag = (min(n, 5) - 1) / 2
+    np.testing.assert_allclose(steps[0, 0] - medians[0, 0], lag * step_px, atol=1e-6)
+    np.testing.assert_allclose(smoothed(history)[0, 0], history.last_xyxy_px[0, 0] - lag * step_px, atol=1e-6)
+
+
+def test_a_label_forgets_what_is_older_than_the_buffer_and_takes_what_there_is() -> None:
+    assert smoothed(steady(1))[0].tolist() == [100, 50, 160, 90]
+    assert smoothed(steady(3))[0].tolist() == [105, 50, 165, 90]
+    assert smoothed(steady(9))[0].tolist() == [130, 50, 190, 90]  # of the last 5 of 9 the third
+
+
 @given(times_s=st.lists(st.floats(0.01, 0.5), min_size=2, max_size=8), missing_s=st.floats(0.0, 1.0))
 @settings(deadline=None)
 def test_a_steady_box_is_predicted_exactly_at_any_times(times_s: list[float], missing_s: float) -> None:
@@ -55,8 +94,9 @@ def test_a_steady_box_is_predicted_exactly_at_any_times(times_s: list[float], mi
     assert spread[0] < 1e-6
 
 
-def test_seen_once_nothing_is_known() -> None:
-    box, spread = median_prediction(seen([[10, 10, 30, 50]], [0.0]), 0.1)
+@pytest.mark.parametrize("form", ["median-of-steps", "step-of-medians"])
+def test_seen_once_nothing_is_known(form: Form) -> None:
+    box, spread = median_prediction(seen([[10, 10, 30, 50]], [0.0]), 0.1, form=form)
     assert np.isnan(box).all()
     assert np.isnan(spread).all()
 
@@ -71,7 +111,7 @@ def test_old_boxes_are_forgotten_and_a_break_restarts_the_run() -> None:
 
 
 def test_a_steady_track_is_filled() -> None:
-    rows, boxes = filled(steady(6), 0.6, gates=FillGates(), image_hw=IMAGE_HW)
+    rows, boxes = filled(steady(6), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
     assert rows.tolist() == [0]
     np.testing.assert_allclose(boxes, [[130.0, 50.0, 190.0, 90.0]])
 
@@ -79,41 +119,80 @@ def test_a_steady_track_is_filled() -> None:
 @pytest.mark.parametrize(
     ("history", "time_s", "gates"),
     [
-        (steady(6), 0.8, FillGates(max_missing_s=0.25)),  # 0.3 s missing
-        (steady(4), 0.4, FillGates(min_running=5)),
-        (steady(1), 0.1, FillGates(min_running=2)),  # no step is known
-        (seen([[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]), 0.6, FillGates()),
-        (steady(6, x_px=1154.0), 0.6, FillGates()),  # right edge would be at 1244
-        (steady(6, x_px=22.0, step_px=-4.0), 0.6, FillGates()),  # left edge would be at -2
+        (steady(6), 0.8, FillGates(max_missing_s=0.25, min_running_in_sight=5)),  # 0.3 s missing
+        (steady(4), 0.4, FillGates(min_running=5, min_running_in_sight=2)),
+        (steady(14), 1.4, FillGates()),
+        (steady(1), 0.1, FillGates(min_running=2, min_running_in_sight=1)),  # no step is known
+        (seen([[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]), 0.6, AT_ONCE),
+        (steady(6, x_px=1154.0), 0.6, AT_ONCE),  # right edge would be at 1244
+        (steady(6, x_px=1150.0), 0.6, AT_ONCE),  # right edge at 1240: nearer than 0.05 of 40 px
+        (steady(6, x_px=22.0, step_px=-4.0), 0.6, AT_ONCE),  # left edge would be at -2
     ],
-    ids=["too long", "too new", "seen once", "restless", "leaves right", "leaves left"],
+    ids="too long,too new,too new in sight,seen once,restless,leaves right,too near,leaves left".split(","),
 )
 def test_gates_close(history: BoxHistory, time_s: float, gates: FillGates) -> None:
-    assert filled(history, time_s, gates=gates, image_hw=IMAGE_HW)[0].tolist() == []
+    assert filled(history, time_s, gates=gates, border_xyxy_px=BORDER_XYXY_PX)[0].tolist() == []
+
+
+NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
+"""Hides (145 - 130) / 60 of the width and 30 / 40 of the height of the box predicted from `steady(6)`."""
+
+
+@pytest.mark.parametrize(
+    ("others", "gates", "wanted"),
+    [
+        (NEARER, FillGates(min_cover=0.18), True),
+        (NEARER, FillGates(min_cover=0.19), False),  # in plain sight: 15 frames wanted
+        (
+            NEARER - np.array([0, 40, 0, 40]),
+            FillGates(min_cover=0.01),
+            False,
+        ),  # lower edge at 80 px, above 90: farther away
+        (NEARER + np.array([0, 40, 0, 0]), FillGates(min_cover=0.01), False),  # nearer, but beside it
+        (np.repeat(NEARER, 3, axis=0), FillGates(min_cover=0.19), False),  # three that hide the same
+        (NEARER, FillGates(min_cover=0.0, max_cover=0.19), True),
+        (NEARER, FillGates(min_cover=0.0, max_cover=0.18), False),
+        (np.array([[0.0, 0.0, 500.0, 300.0]]), FillGates(), True),  # hidden as a whole
+        (None, FillGates(), False),
+    ],
+    ids="enough,too little,farther,beside,thrice the same,not too much,too much,whole,alone".split(","),
+)
+def test_a_hidden_box_is_filled_sooner(others: FloatArray | None, gates: FillGates, wanted: bool) -> None:
+    rows, _ = filled(steady(6), 0.6, gates=gates, others_xyxy_px=others)
+    assert rows.tolist() == ([0] if wanted else [])
+
+
+def test_in_sight_it_takes_a_longer_run() -> None:
+    assert filled(steady(15), 1.5, gates=FillGates())[0].tolist() == [0]
+
+
+def test_the_form_is_the_gates() -> None:
+    by_form = [filled(steady(15), 1.5, gates=FillGates(form=form))[1][0, 0] for form in get_args(Form)]
+    assert by_form == pytest.approx([175.0, 165.0])
 
 
 def test_a_box_predicted_inside_out_is_not_filled() -> None:
     history = seen([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
     shrinking = BoxHistory(history.xyxy_px[:, :-1], history.time_s[:, :-1], history.n_running)
-    assert filled(shrinking, 0.6, gates=FillGates(), image_hw=None)[0].tolist() == []
+    assert filled(shrinking, 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == []
 
 
 def test_without_an_image_the_border_is_not_known() -> None:
-    assert filled(steady(6, x_px=1154.0), 0.6, gates=FillGates(), image_hw=None)[0].tolist() == [0]
+    assert filled(steady(6, x_px=1154.0), 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == [0]
 
 
 def test_tracks_do_not_mix() -> None:
     both = steady(6).joined(steady(2, step_px=-3.0))
     alone, _ = median_prediction(steady(2, step_px=-3.0), 0.6)
     np.testing.assert_array_equal(median_prediction(both, 0.6)[0][1:], alone)
-    rows, boxes = filled(both.select(np.array([1, 0])), 0.6, gates=FillGates(), image_hw=IMAGE_HW)
+    rows, boxes = filled(both.select(np.array([1, 0])), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
     assert rows.tolist() == [1]
     np.testing.assert_array_equal(boxes, median_prediction(both, 0.6)[0][:1])
     assert len(both.select(np.array([False, True]))) == 1
 
 
 def test_no_tracks() -> None:
-    rows, boxes = filled(begun(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=FillGates(), image_hw=IMAGE_HW)
+    rows, boxes = filled(begun(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=FillGates(), border_xyxy_px=BORDER_XYXY_PX)
     assert rows.shape == (0,)
     assert boxes.shape == (0, 4)
 
@@ -122,3 +201,8 @@ def test_no_tracks() -> None:
 def test_gates_that_cannot_work_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="min_running and n_kept: at least 2 wanted"):
         FillGates(**wrong)
+
+
+def test_a_form_that_is_not_known_is_refused() -> None:
+    with pytest.raises(ValueError, match="form: median-of-steps or step-of-medians wanted, mean got"):
+        FillGates(form="mean")

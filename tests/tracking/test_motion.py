@@ -7,9 +7,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from tracking.motion import BoxFilters, MotionNoise, begun, predicted, squared_mahalanobis, updated
+from tracking.motion import (
+    BoxFilters,
+    MotionNoise,
+    begun,
+    carried,
+    innovations,
+    predicted,
+    squared_mahalanobis,
+    updated,
+)
 
 NOISE = MotionNoise()
+HALF_PX = np.array([20.0, 40.0])
 BOX = np.array([[100.0, 50.0, 140.0, 130.0]])  # centre 120, 90; 40 x 80
 
 
@@ -48,10 +58,11 @@ def test_equals_filterpy_on_random_sequences(seed: int) -> None:
             oracle_step(filter8, dt_s, old[3], new, noise)
         boxes = moved
     for i, filter8 in enumerate(theirs):
-        np.testing.assert_allclose(ours.x[i].reshape(8), filter8.x.reshape(8), rtol=1e-8, atol=1e-8)
-        for c in range(4):
-            block = filter8.P[2 * c : 2 * c + 2, 2 * c : 2 * c + 2]
-            np.testing.assert_allclose(ours.P[i, c], block, rtol=1e-8, atol=1e-8)
+        x = np.stack([ours.value[i], ours.rate[i]], axis=1)
+        np.testing.assert_allclose(x.reshape(8), filter8.x.reshape(8), rtol=1e-8, atol=1e-8)
+        var, cov, var_rate = ours.P[i]
+        P = np.kron(np.eye(4), [[var, cov], [cov, var_rate]])  # four coordinates, one covariance
+        np.testing.assert_allclose(P, filter8.P, rtol=1e-8, atol=1e-8)
 
 
 @given(first_s=st.floats(0.001, 1.0), second_s=st.floats(0.001, 1.0))
@@ -60,7 +71,7 @@ def test_two_steps_are_one_long_step(first_s: float, second_s: float) -> None:
     start = updated(predicted(begun(BOX, NOISE), 0.1, NOISE), BOX + np.array([4.0, 1.0, 6.0, 3.0]), NOISE)
     twice = predicted(predicted(start, first_s, NOISE), second_s, NOISE)
     once = predicted(start, first_s + second_s, NOISE)
-    np.testing.assert_allclose(twice.x, once.x, rtol=1e-9)
+    np.testing.assert_allclose(twice.value, once.value, rtol=1e-9)
     np.testing.assert_allclose(twice.P, once.P, rtol=1e-9)
 
 
@@ -70,7 +81,7 @@ def test_rate_of_a_steady_box_is_found_at_10_and_at_30_hz() -> None:
         filters = begun(BOX, NOISE)
         for i in range(1, 2 * hz + 1):
             filters = updated(predicted(filters, 1 / hz, NOISE), BOX + 60.0 * i / hz * np.array([1, 0, 1, 0]), NOISE)
-        rates.append(filters.x[0, 0, 1])
+        rates.append(filters.rate[0, 0])
     assert rates[0] == pytest.approx(60.0, abs=2.0)
     assert rates[1] == pytest.approx(60.0, abs=2.0)
 
@@ -79,21 +90,20 @@ def test_unmeasured_box_stays_where_it_was_seen_and_grows_uncertain() -> None:
     later = predicted(begun(BOX, NOISE), 0.5, NOISE)
     np.testing.assert_allclose(later.xyxy_px, BOX)
     # 80 px high: (0.05 * 80)^2 + (1.9 * 80 * 0.5)^2 + 80^2 * (0.27^2 * 0.5 + 0.5^3 / 3)
-    assert later.P[0, 0, 0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
+    assert later.P[0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
 
 
 def test_a_box_that_shrinks_away_keeps_one_pixel() -> None:
     filters = begun(BOX, NOISE)
-    x = filters.x.copy()
-    x[0, 2:, 1] = -500.0
-    gone = predicted(BoxFilters(x, filters.P, filters.height_px), 1.0, NOISE)
+    shrinking = np.array([[0.0, 0.0, -500.0, -500.0]])
+    gone = predicted(BoxFilters(filters.value, shrinking, filters.P, filters.height_px), 1.0, NOISE)
     np.testing.assert_allclose(gone.xyxy_px, [[119.5, 89.5, 120.5, 90.5]])
 
 
 def test_squared_mahalanobis_is_the_full_form() -> None:
     filters = predicted(begun(BOX, NOISE), 0.1, NOISE)
     z = np.array([[110.0, 44.0, 152.0, 140.0], [100.0, 50.0, 140.0, 130.0]])
-    S = np.diag(filters.P[0, :, 0, 0] + (0.05 * 80) ** 2)
+    S = np.eye(4) * (filters.P[0, 0] + (0.05 * 80) ** 2)
     innovation = np.array([131.0 - 120.0, 92.0 - 90.0, 42.0 - 40.0, 96.0 - 80.0])
     expected = innovation @ np.linalg.inv(S) @ innovation
     np.testing.assert_allclose(squared_mahalanobis(filters, z, NOISE), [[expected, 0.0]])
@@ -102,8 +112,8 @@ def test_squared_mahalanobis_is_the_full_form() -> None:
 def test_squared_mahalanobis_of_the_models_own_boxes_is_chi_square() -> None:
     rng = np.random.default_rng(7)
     filters = predicted(begun(BOX, NOISE), 0.1, NOISE)
-    sigma = np.sqrt(filters.P[0, :, 0, 0] + (0.05 * 80) ** 2)
-    cxcywh = filters.x[0, :, 0] + rng.normal(0, 1, (4000, 4)) * sigma
+    sigma = np.sqrt(filters.P[0, 0] + (0.05 * 80) ** 2)
+    cxcywh = filters.value[0] + rng.normal(0, 1, (4000, 4)) * sigma
     xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
     distance = squared_mahalanobis(filters, xyxy, NOISE)[0]
     for share in (0.5, 0.9, 0.99):
@@ -114,7 +124,7 @@ def test_rows_are_independent_of_each_other() -> None:
     two = begun(np.concatenate([BOX, BOX + 200.0]), NOISE)
     moved = updated(predicted(two, 0.1, NOISE), np.concatenate([BOX + 3.0, BOX + 190.0]), NOISE)
     alone = updated(predicted(begun(BOX + 200.0, NOISE), 0.1, NOISE), BOX + 190.0, NOISE)
-    np.testing.assert_array_equal(moved.select(np.array([1])).x, alone.x)
+    np.testing.assert_array_equal(moved.select(np.array([1])).value, alone.value)
     np.testing.assert_array_equal(moved.select(np.array([True, False])).joined(alone).P, moved.P)
 
 
@@ -127,7 +137,52 @@ def test_no_tracks() -> None:
 
 def test_inputs_are_not_written_to() -> None:
     filters = begun(BOX, NOISE)
-    x, P = filters.x.copy(), filters.P.copy()
+    value, P = filters.value.copy(), filters.P.copy()
     updated(predicted(filters, 0.1, NOISE), BOX + 5.0, NOISE)
-    np.testing.assert_array_equal(filters.x, x)
+    np.testing.assert_array_equal(filters.value, value)
     np.testing.assert_array_equal(filters.P, P)
+
+
+def test_innovations_of_simulated_motion_are_standard_normal() -> None:
+    """A box that walks as the model says: each innovation has variance 1, and their sum is chi-square distributed."""
+    rng, dt_s, n = np.random.default_rng(3), 0.1, 300
+    noise = MotionNoise(measured=0.05, drift=0.1, acceleration=0.5, first_rate=0.5)
+    height = 80.0
+    value, rate = np.zeros((n, 2)), rng.normal(0, noise.first_rate * height, (n, 2))
+
+    def box(at: np.ndarray) -> np.ndarray:
+        seen = at + rng.normal(0, noise.measured * height, (n, 2)) + 500.0
+        return np.concatenate([seen - HALF_PX, seen + HALF_PX], axis=1)
+
+    filters = begun(box(value), noise)
+    found = []
+    half = 0.5 * noise.acceleration * height * dt_s**1.5
+    for _ in range(30):
+        push, beside = rng.normal(0, 1, (2, n, 2))
+        value = (
+            value + rate * dt_s + half * (push + beside / np.sqrt(3)) + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
+        )
+        rate = rate + noise.acceleration * height * dt_s**0.5 * push
+        filters = predicted(filters, dt_s, noise)
+        z = box(value)
+        found.append(innovations(filters, z, noise)[:, :2])
+        filters = updated(filters, z, noise)
+    squared = np.sum(np.square(found), axis=2).ravel()
+    for share in (0.5, 0.9, 0.99):
+        assert np.mean(squared <= chi2.ppf(share, df=2)) == pytest.approx(share, abs=0.015)
+
+
+def test_a_noisier_stream_trusts_its_boxes_more() -> None:
+    calm, wild = (predicted(begun(BOX, NOISE), 0.1, NOISE, level=level) for level in (0.1, 1.0))
+    assert calm.P[0, 0] < wild.P[0, 0]
+    assert calm.spread[0] == pytest.approx(np.sqrt(calm.P[0, 0]) / 80.0)
+
+
+def test_filters_are_carried_with_the_camera() -> None:
+    """A quarter turn about the origin, twice as large, 10 px to the right."""
+    filters = BoxFilters(BOX * 0 + [120.0, 90.0, 40.0, 80.0], np.full((1, 4), 3.0), np.ones((1, 3)), np.array([80.0]))
+    moved = carried(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(moved.value, [[-170.0, 240.0, 80.0, 160.0]])
+    np.testing.assert_allclose(moved.rate, [[-6.0, 6.0, 6.0, 6.0]])
+    np.testing.assert_allclose(moved.P, [[4.0, 4.0, 4.0]])
+    np.testing.assert_allclose(moved.spread, filters.spread)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 
+from detection.onnx_session import Runtime
 from ranging.ranger import Ranger
 from ranging.size_curve import SizeCurves, load_curves
 from ranging.size_regression import SizeRegressionRanger
@@ -40,8 +41,8 @@ from track_range.summary import (
     write_summary,
 )
 from track_range.tables import summary_tables
+from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.written import clear_results, make_folder
-from tracking.sort import SortTracker
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
@@ -168,6 +169,7 @@ def _input_files(settings: RunSettings) -> list[Path]:
         settings.detections,
         settings.truth,
         settings.curves,
+        settings.reid,
     )
     words = (settings.detector, settings.names)
     return [*(path for path in named if path is not None), *(Path(word) for word in words if word is not None)]
@@ -179,7 +181,9 @@ def _pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: S
     if source.rig is not None:
         rangers["stereo"] = PatchRanger(source.rig, PatchMatcher(PatchMatcherSettings.for_rig(source.rig)))
         dense = DenseRanger(source.rig) if settings.sgbm else None
-    return Pipeline(camera=source.camera, detect=boxes.detect, tracker=SortTracker(), rangers=rangers, dense=dense)
+    runtime = Runtime(n_threads=settings.threads, device=settings.device)
+    tracker = new_tracker(settings.tracker, open_descriptor(settings.tracker, settings.reid, runtime))
+    return Pipeline(camera=source.camera, detect=boxes.detect, tracker=tracker, rangers=rangers, dense=dense)
 
 
 def _work(this: _Run, folder: Path, console: Console) -> None:

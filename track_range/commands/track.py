@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +10,17 @@ import numpy as np
 from rich.console import Console
 
 from detection.classes import ROAD_CLASSES, road_class_ids
-from detection.detection_files import RecordedDetections, read_detections
+from detection.detection_files import DetectionForm, RecordedDetections, read_detections
 from detection.detections import Detections
-from track_range.config import UsageError
+from track_range.commands.progress import frame_progress, say
+from track_range.config import TrackerName, UsageError
+from track_range.sequence_tracking import images_of, track_sequence
 from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences
 from track_range.tables import Column, Grid, grid_of, rich_table
+from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.written import make_folder, write_text
+from tracking.appearance import Descriptor
 from tracking.mot_format import mot_lines
-from tracking.sort import SortTracker
 from tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0
@@ -36,15 +38,25 @@ class TrackOptions:
     Attributes:
         detections: a file, or a folder of sequences (`track_range.sequences`).
         out: folder of the results.
+        images: the video of the boxes, or a folder of videos or images (`sequence_tracking.images_of`); None = none.
+        form: of the boxes; None = told from the files.
         road_class: of rows that name none; None = from the folder's name, else person.
         fps: None = seqinfo.ini's, else `DEFAULT_FPS`.
+        tracker: with looks, or without.
+        reid: network that describes boxes; None = descriptors of the file, else the built-in ones.
+        is_online: each frame says what was known then, as a live run would.
         is_kitti_written: KITTI files are written beside the MOT ones.
     """
 
     detections: Path
     out: Path
+    images: Path | None
+    form: DetectionForm | None
     road_class: str | None
     fps: float | None
+    tracker: TrackerName
+    reid: Path | None
+    is_online: bool
     is_kitti_written: bool
 
 
@@ -64,30 +76,34 @@ def track(options: TrackOptions, console: Console) -> None:
 
     Raises:
         LabelFileError: boxes cannot be read.
+        VideoError: images cannot.
+        ModelError: `reid` is no re-identification network.
         ClassNameError, UsageError: the class is unknown, or none is meant.
         OutputError: `out` cannot be written to.
     """
     sequences = find_sequences(options.detections, "det")
     class_id = _class_of(options)
+    places = [images_of(each, options.images, is_alone=len(sequences) == 1) for each in sequences]
+    descriptor = open_descriptor(options.tracker, options.reid)
+    for note in getattr(descriptor, "notes", ()):
+        say(console, f"- {note}")
     make_folder(options.out / MOT_FOLDER)
     if options.is_kitti_written:
         make_folder(options.out / KITTI_FOLDER)
     done = []
-    for sequence in sequences:
-        recorded = _read(sequence.path, class_id)
-        for note in recorded.notes[1:]:
-            console.print(f"- {sequence.name}: {note}", style="dim", highlight=False, markup=False)
-        done.append(_track_one(sequence, recorded, options))
+    for sequence, images in zip(sequences, places, strict=True):
+        recorded = _read(sequence.path, class_id, options.form)
+        done.append(_track_one(sequence, recorded, images, descriptor, options, console))
     console.print(rich_table(_grid(done)))
-    console.print(f"Written: {options.out / MOT_FOLDER}", highlight=False, markup=False, soft_wrap=True)
+    say(console, f"Written: {options.out / MOT_FOLDER}")
 
 
-def _read(path: Path, class_id: int) -> RecordedDetections:
+def _read(path: Path, class_id: int, form: DetectionForm | None) -> RecordedDetections:
     """The boxes of a sequence; an empty file means that nothing was found in it."""
     if path.is_file() and path.stat().st_size == 0:
         nothing = np.zeros(0, np.int64)
         return RecordedDetections(nothing, Detections.empty(), first_frame=0, is_rectified=False, notes=("",))
-    return read_detections(path, unnamed_class_id=class_id)
+    return read_detections(path, unnamed_class_id=class_id, form=form)
 
 
 def _class_of(options: TrackOptions) -> int:
@@ -103,22 +119,35 @@ def _class_of(options: TrackOptions) -> int:
     return int(ids[0])
 
 
-def _track_one(sequence: SequenceFile, recorded: RecordedDetections, options: TrackOptions) -> _Done:
-    fps = options.fps or sequence.info.fps or DEFAULT_FPS
+def _track_one(
+    sequence: SequenceFile,
+    recorded: RecordedDetections,
+    images: Path | None,
+    descriptor: Descriptor | None,
+    options: TrackOptions,
+    console: Console,
+) -> _Done:
     last = int(recorded.frame[-1]) + 1 if len(recorded.frame) else 0
     n_frames = max(sequence.info.n_frames or 0, last)
-    tracker, frames = SortTracker(), []
-    began_s = time.perf_counter()
-    for frame in range(n_frames):
-        frames.append(tracker.update(recorded.at(frame), frame / fps, None))
-    spent_s = time.perf_counter() - began_s
-    name = f"{sequence.name}.txt"
+    with frame_progress(console, n_frames) as advance:
+        tracked = track_sequence(
+            recorded,
+            new_tracker(options.tracker, descriptor),
+            n_frames=n_frames,
+            fps=options.fps or sequence.info.fps or DEFAULT_FPS,
+            images=images,
+            is_online=options.is_online,
+            advance=advance,
+        )
+    for note in (*recorded.notes[1:], *tracked.notes):
+        say(console, f"- {sequence.name}: {note}")
+    frames, name = tracked.frames, f"{sequence.name}.txt"
     write_text(options.out / MOT_FOLDER / name, _mot_text(frames, first_frame=recorded.first_frame))
     if options.is_kitti_written:
         write_text(options.out / KITTI_FOLDER / name, _kitti_text(frames))
     identities = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
     n_boxes = sum(len(tracks) for tracks in frames)
-    return _Done(sequence.name, n_frames, n_boxes, len(identities), 1e6 * spent_s / max(n_frames, 1))
+    return _Done(sequence.name, n_frames, n_boxes, len(identities), tracked.us_per_frame)
 
 
 def _mot_text(frames: Sequence[Tracks], *, first_frame: int) -> str:

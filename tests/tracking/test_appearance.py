@@ -1,0 +1,196 @@
+"""The built-in descriptor: colours worked by hand, what it must not mind, and boxes that nobody could describe."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.kitti_format import read_kitti
+from tracking.appearance import ColourLayout, ColourLayoutSettings, are_describable
+
+RED, BLUE, GREY = (40, 40, 200), (200, 60, 40), (110, 110, 110)
+LAYOUT = ColourLayout()
+
+
+def painted(upper, lower, *, size=1, ground=(60, 120, 60)):
+    """A picture with one box, 40 x 80 px times `size`, of two colours one above the other; and that box."""
+    image = np.full((120 * size, 100 * size, 3), ground, np.uint8)
+    image[20 * size : 60 * size, 30 * size : 70 * size] = upper
+    image[60 * size : 100 * size, 30 * size : 70 * size] = lower
+    return image, np.array([[30.0, 20, 70, 100]]) * size - 0.5
+
+
+def distance(a, b):
+    return float(1 - LAYOUT.describe(*a)[0] @ LAYOUT.describe(*b)[0])
+
+
+def scene(seed=0):
+    """A picture of coloured blobs, none of its pixels grey."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(20, 235, (12, 16, 3)).astype(np.uint8)
+    return cv2.resize(coarse, (320, 240), interpolation=cv2.INTER_CUBIC)
+
+
+def test_one_colour_by_hand():
+    # L*, a*, b* in OpenCV's bytes; levels are counted in fours, so 113 stands at 113.5: 113.5 / 255 * 7 = 3.116, which
+    # goes to bins 3 and 4 as 0.884 to 0.116. a* and b* are 61 and 41 from grey, beyond the span of 40: the last bin.
+    assert cv2.cvtColor(np.uint8([[RED]]), cv2.COLOR_BGR2LAB)[0, 0].tolist() == [113, 189, 169]
+    weight = (LAYOUT.describe(*painted(RED, RED))[0].astype(float) ** 2).reshape(3, 6, 8)
+    band = weight.sum(axis=2)
+    np.testing.assert_allclose(band, np.broadcast_to(band[0], band.shape), rtol=1e-5)  # the channels weigh the same
+    np.testing.assert_allclose(band.sum(), 1, rtol=1e-5)
+    np.testing.assert_allclose(band[0], band[0, ::-1], rtol=1e-5)
+    share = weight / band[:, :, None]
+    lightness = 113.5 / 255 * 7 - 3
+    for row in range(6):
+        np.testing.assert_allclose(share[0, row], [0, 0, 0, 1 - lightness, lightness, 0, 0, 0], atol=1e-4)
+        np.testing.assert_allclose(share[1:, row], [[0] * 7 + [1]] * 2, atol=1e-4)
+
+
+def test_two_colours_by_hand():
+    # Blue's L* of 86 goes to bins 2 and 3 as 0.653 to 0.347, its a* to the last bin as red's does, its b* to the first.
+    assert cv2.cvtColor(np.uint8([[BLUE]]), cv2.COLOR_BGR2LAB)[0, 0].tolist() == [86, 171, 54]
+    common = (np.sqrt((1 - (113.5 / 255 * 7 - 3)) * (85.5 / 255 * 7 - 2)) + 1 + 0) / 3
+    assert distance(painted(RED, BLUE), painted(BLUE, RED)) == pytest.approx(1 - common, abs=1e-4)
+    assert distance(painted(RED, RED), painted(RED, BLUE)) == pytest.approx((1 - common) / 2, abs=1e-4)
+    assert distance(painted(RED, BLUE), painted(RED, BLUE)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_size_of_a_box_hardly_matters():
+    assert distance(painted(RED, BLUE), painted(RED, BLUE, size=5)) < 1e-6
+    image = scene()
+    small = cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA)
+    box = np.array([[80.0, 60, 180, 200]])
+    assert distance((image, box), (small, (box + 0.5) / 2 - 0.5)) < LAYOUT.max_distance / 4
+
+
+def test_less_light_is_under_the_gate_and_another_colour_over_it():
+    for seed in range(5):
+        image, box = scene(seed), np.array([[80.0, 60, 180, 200]])
+        darker = (image * 0.8).astype(np.uint8)
+        assert 0.002 < distance((image, box), (darker, box)) < LAYOUT.max_distance
+    assert distance(painted(RED, GREY), painted(BLUE, GREY)) > 2 * LAYOUT.max_distance
+
+
+def test_the_middle_counts_more_than_the_corners():
+    image, box = painted(RED, RED)
+    corner, middle = image.copy(), image.copy()
+    corner[20:40, 30:40] = BLUE
+    middle[50:70, 45:55] = BLUE
+    assert 2 * distance((image, box), (corner, box)) < distance((image, box), (middle, box))
+
+
+def test_the_ground_around_a_box_does_not_matter():
+    image, box = painted(RED, BLUE)
+    other, _ = painted(RED, BLUE, ground=(250, 20, 200))
+    np.testing.assert_array_equal(LAYOUT.describe(image, box), LAYOUT.describe(other, box))
+
+
+def test_pictures_without_colour_are_told_apart_by_lightness():
+    # Were grey's a* and b*, which all share, counted, no two grey things could be further apart than 1/3.
+    dark, light = painted((40,) * 3, (40,) * 3, ground=(90,) * 3), painted((200,) * 3, (200,) * 3, ground=(90,) * 3)
+    assert distance(dark, light) == pytest.approx(1.0)
+    assert LAYOUT.describe(*dark)[0].reshape(3, -1)[1:].max() == 0
+    np.testing.assert_allclose(np.linalg.norm(LAYOUT.describe(*dark)), 1, rtol=1e-6)
+    coloured = painted((40,) * 3, (40,) * 3)
+    assert LAYOUT.describe(*coloured)[0].reshape(3, -1)[1:].max() > 0
+
+
+def test_parts_outside_the_image_do_not_count():
+    image, box = painted(RED, RED)
+    edged = image.copy()
+    edged[:, 48:50] = BLUE
+    whole, cut = LAYOUT.describe(edged, box), LAYOUT.describe(edged[:, :50], box)  # cut: its right half is outside
+    plain = LAYOUT.describe(image, box)
+    assert (
+        0.01 < float(1 - whole[0] @ plain[0]) < float(1 - cut[0] @ plain[0]) < 0.1
+    )  # 1 of 16 columns of points, 1 of 8
+
+
+@pytest.mark.parametrize(
+    "box",
+    [
+        [200, 20, 240, 100],
+        [-60, 20, -10, 100],
+        [30, 20, 30, 100],
+        [70, 20, 30, 100],
+        [30, 20, 33, 100],
+        [-100, 20, 10, 100],
+        [np.nan, 20, 70, 100],
+        [30, 20, np.inf, 100],
+        [-1e300, -1e300, 1e300, 1e300],
+        [1e300, 0, 1.5e300, 10],
+    ],
+)
+def test_boxes_that_nobody_could_describe(box):
+    image, good = painted(RED, BLUE)
+    described = LAYOUT.describe(image, np.concatenate([good, [box]]))
+    np.testing.assert_allclose(np.linalg.norm(described, axis=1), [1, 0], atol=1e-6)
+    assert are_describable(image, np.array([box])).tolist() == [False]
+
+
+def test_no_boxes_and_tiny_pictures():
+    image, box = painted(RED, BLUE)
+    assert LAYOUT.describe(image, np.zeros((0, 4))).shape == (0, LAYOUT.n_values)
+    for shape in ((1, 1, 3), (0, 0, 3), (0, 5, 3)):
+        assert not LAYOUT.describe(np.zeros(shape, np.uint8), box).any()
+    two_px = LAYOUT.describe(np.full((5, 2, 3), RED, np.uint8), np.array([[-1.5, -0.5, 2.5, 4.5]]))
+    np.testing.assert_allclose(np.linalg.norm(two_px), 1, rtol=1e-6)
+
+
+def test_ten_thousand_boxes_are_the_same_as_one_by_one():
+    rng = np.random.default_rng(1)
+    corner = rng.uniform(-40, 300, (10_000, 2))
+    boxes = np.concatenate([corner, corner + rng.uniform(0, 120, corner.shape)], axis=1)
+    image = scene()
+    described = LAYOUT.describe(image, boxes)
+    length = np.linalg.norm(described, axis=1)
+    np.testing.assert_allclose(length[length > 0], 1, rtol=1e-5)
+    np.testing.assert_array_equal(length > 0, are_describable(image, boxes))
+    assert 1000 < (length > 0).sum() < 9000
+    for row in range(0, 10_000, 997):
+        np.testing.assert_allclose(described[row], LAYOUT.describe(image, boxes[row : row + 1])[0], atol=1e-6)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(*[st.floats(width=32)] * 4), max_size=5), st.integers(1, 40), st.integers(1, 40))
+def test_any_box_gives_length_1_or_zeros(boxes, height, width):
+    image = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    length = np.linalg.norm(LAYOUT.describe(image, np.array(boxes, np.float64).reshape(-1, 4)), axis=1)
+    assert (np.isclose(length, 1, atol=1e-5) | (length == 0)).all()
+
+
+def test_nothing_is_written_to():
+    image, box = painted(RED, BLUE)
+    image.setflags(write=False)
+    box.setflags(write=False)
+    first = LAYOUT.describe(image, box)
+    np.testing.assert_array_equal(first, LAYOUT.describe(image, box))
+
+
+def test_what_is_refused():
+    with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) wanted, \(10, 10\) got"):
+        LAYOUT.describe(np.zeros((10, 10), np.uint8), np.zeros((0, 4)))
+    with pytest.raises(ValueError, match="n_rows: a multiple of n_bands = 7 wanted, 24 got"):
+        ColourLayout(ColourLayoutSettings(n_bands=7))
+
+
+def test_real_cars_are_nearer_to_themselves(shared_data):
+    # Sequence 0005: not the one that the descriptor's form was chosen on.
+    folder = shared_data / "kitti_stereo" / "0005"
+    labels, video = read_kitti(folder / "label.txt"), cv2.VideoCapture(str(folder / "left.mp4"))
+    same, other = [], []
+    before = None
+    for frame in range(16):
+        rows = labels.select((labels.frame == frame) & (labels.track_id >= 0) & (labels.kitti_type == "Car"))
+        now = rows.track_id, LAYOUT.describe(video.read()[1], rows.xyxy_px)
+        if before is not None:
+            apart, is_same = 1 - before[1] @ now[1].T, before[0][:, None] == now[0]
+            same.append(apart[is_same])
+            other.append(apart[~is_same])
+        before = now
+    assert np.quantile(np.concatenate(same), 0.95) < LAYOUT.max_distance / 2
+    assert 0.5 * LAYOUT.max_distance < np.quantile(np.concatenate(other), 0.05) < np.concatenate(other).mean() < 0.5

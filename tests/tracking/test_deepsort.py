@@ -1,0 +1,378 @@
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.classes import ROAD_CLASSES
+from detection.detections import Detections
+from tracking.appearance import ColourLayout
+from tracking.association import Classes
+from tracking.deepsort import DeepSortTracker
+from tracking.history import FillGates
+from tracking.score_threshold import ScoreThresholdSettings
+from tracking.tracker_settings import AppearanceGates, TrackerSettings
+from tracking.tracks import Tracks
+
+CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
+IMAGE = np.zeros((375, 1242, 3), np.uint8)
+NO_FILL = TrackerSettings(fill=FillGates(max_missing_s=0.0))
+SOON_FILLED = TrackerSettings(fill=FillGates(min_running_in_sight=5))
+
+
+def car_at(x_px: float, *, score: float = 0.9, class_id: int = CAR) -> Detections:
+    return Detections.of([[x_px, 100.0, x_px + 60.0, 140.0]], [score], [class_id])
+
+
+def both(*parts: Detections) -> Detections:
+    return Detections.of(
+        np.concatenate([p.xyxy_px for p in parts]),
+        np.concatenate([p.score for p in parts]),
+        np.concatenate([p.class_id for p in parts]),
+    )
+
+
+def drive(tracker: DeepSortTracker, frames: Iterable[Detections], *, start_s: float = 0.0) -> list[Tracks]:
+    return [tracker.update(found, start_s + 0.1 * i, IMAGE) for i, found in enumerate(frames)]
+
+
+def test_first_frame_is_confirmed_at_once_and_ids_count_from_1() -> None:
+    tracks = DeepSortTracker().update(both(car_at(100), car_at(500)), 0.0, IMAGE)
+    assert tracks.track_id.tolist() == [1, 2]
+    assert tracks.observed.all()
+
+
+def test_ids_belong_to_the_instance() -> None:
+    DeepSortTracker().update(car_at(100), 0.0, IMAGE)
+    assert DeepSortTracker().update(car_at(100), 0.0, IMAGE).track_id.tolist() == [1]
+
+
+def test_the_detected_box_is_reported_not_the_filters() -> None:
+    frames = [car_at(100), car_at(104), car_at(115), car_at(113)]
+    for tracks, found in zip(drive(DeepSortTracker(), frames), frames, strict=True):
+        np.testing.assert_array_equal(tracks.xyxy_px, found.xyxy_px)
+        assert tracks.track_id.tolist() == [1]
+        assert tracks.score.tolist() == [0.9]
+
+
+def test_later_tracks_are_tentative_first() -> None:
+    out = drive(DeepSortTracker(), [Detections.empty(), car_at(100), car_at(102), car_at(104)])
+    assert [len(tracks) for tracks in out] == [0, 0, 1, 1]
+
+
+def test_weak_starts_wait_until_their_scores_add_up() -> None:
+    out = drive(DeepSortTracker(), [Detections.empty(), *[car_at(100, score=0.45)] * 5])
+    assert [len(tracks) for tracks in out] == [0, 0, 0, 0, 1, 1]  # 4 * 0.45 >= 1.5
+
+
+def test_a_tentative_track_that_is_not_seen_again_at_once_is_dropped() -> None:
+    frames = [Detections.empty(), car_at(100), Detections.empty(), car_at(100), car_at(100)]
+    out = drive(DeepSortTracker(), frames)
+    assert [len(tracks) for tracks in out] == [0, 0, 0, 0, 1]
+    assert out[-1].track_id.tolist() == [2]
+
+
+def test_a_new_track_is_found_again_though_it_moved_by_more_than_its_width() -> None:
+    out = drive(DeepSortTracker(), [Detections.empty(), car_at(100), car_at(170), car_at(240)])
+    assert [tracks.track_id.tolist() for tracks in out] == [[], [], [], []]  # widened boxes overlap too little: 0.21
+    out = drive(DeepSortTracker(), [Detections.empty(), car_at(100), car_at(150), car_at(200)])
+    assert out[-1].track_id.tolist() == [1]
+
+
+def test_a_weak_box_keeps_a_track_but_does_not_start_one() -> None:
+    out = drive(DeepSortTracker(), [both(car_at(100), car_at(500, score=0.3)), *[car_at(100, score=0.2)] * 3])
+    assert [tracks.track_id.tolist() for tracks in out] == [[1], [1], [1], [1]]
+    assert out[-1].observed.all()
+    assert out[-1].score.tolist() == [0.2]
+
+
+@pytest.mark.parametrize(("x_px", "track_id"), [(110, [1]), (125, [])])
+def test_a_weak_box_wakes_a_lost_track_only_where_it_lies_well_on_it(x_px: float, track_id: list[int]) -> None:
+    frames = [*[car_at(100)] * 3, Detections.empty(), car_at(x_px, score=0.3)]  # IoU 0.71 and 0.41
+    assert drive(DeepSortTracker(NO_FILL), frames)[-1].track_id.tolist() == track_id
+
+
+def test_strong_boxes_choose_first() -> None:
+    # the weak box lies better on the track, but the strong one is taken
+    near, far = car_at(101, score=0.3), car_at(108, score=0.8)
+    tracks = drive(DeepSortTracker(), [car_at(100), both(near, far)])[-1]
+    np.testing.assert_array_equal(tracks.xyxy_px, far.xyxy_px)
+
+
+@pytest.mark.parametrize(("n_missing", "track_id"), [(5, 1), (10, 1), (13, 2)])
+def test_a_lost_track_is_recovered_until_its_time_is_up(n_missing: int, track_id: int) -> None:
+    frames = [*[car_at(100)] * 5, *[Detections.empty()] * n_missing, car_at(100), car_at(100)]
+    out = drive(DeepSortTracker(NO_FILL), frames)
+    assert [len(tracks) for tracks in out[5 : 5 + n_missing]] == [0] * n_missing
+    assert out[-1].track_id.tolist() == [track_id]
+
+
+def test_a_moving_track_is_recovered_where_it_would_be_by_then() -> None:
+    frames = [*[car_at(100 + 20 * i) for i in range(8)], *[Detections.empty()] * 4, car_at(100 + 20 * 12)]
+    assert drive(DeepSortTracker(NO_FILL), frames)[-1].track_id.tolist() == [1]
+
+
+def test_a_gap_of_ten_seconds_ends_all_tracks() -> None:
+    tracker = DeepSortTracker()
+    drive(tracker, [car_at(100)] * 5)
+    assert len(tracker.update(car_at(100), 10.4, IMAGE)) == 0
+    assert tracker.update(car_at(100), 10.5, IMAGE).track_id.tolist() == [2]
+
+
+def test_a_missing_box_is_predicted_from_the_last_steps() -> None:
+    out = drive(
+        DeepSortTracker(SOON_FILLED), [*[car_at(100 + 5 * i) for i in range(6)], Detections.empty(), car_at(135)]
+    )
+    missing = out[6]
+    assert missing.track_id.tolist() == [1]
+    assert missing.observed.tolist() == [False]
+    np.testing.assert_allclose(missing.xyxy_px, [[130.0, 100.0, 190.0, 140.0]])
+    assert missing.score[0] == pytest.approx(0.9 * 0.5**0.5)  # 0.1 s of a half-life of 0.2 s
+    assert out[7].observed.tolist() == [True]
+    assert out[7].track_id.tolist() == [1]
+
+
+def test_prediction_ends_after_a_while() -> None:
+    out = drive(DeepSortTracker(SOON_FILLED), [*[car_at(100)] * 6, *[Detections.empty()] * 4])
+    assert [len(tracks) for tracks in out[6:]] == [1, 1, 0, 0]  # 0.25 s
+
+
+def test_a_box_that_leaves_the_image_is_not_predicted() -> None:
+    # the border is at 1241, and a box 40 px high keeps 2 px from it: its right edge would be at 1235, and at 1240
+    for start_px, n_predicted in ((1145, 1), (1150, 0)):
+        leaving = [*[car_at(start_px + 5 * i) for i in range(6)], Detections.empty()]
+        assert len(drive(DeepSortTracker(SOON_FILLED), leaving)[-1]) == n_predicted
+
+
+def test_the_label_is_voted_on_and_does_not_flicker() -> None:
+    labels = [CAR, CAR, TRUCK, CAR, TRUCK, CAR, CAR]
+    out = drive(DeepSortTracker(), [car_at(100, class_id=c) for c in labels])
+    assert [tracks.class_id.tolist() for tracks in out] == [[CAR]] * 7
+    assert [tracks.track_id.tolist() for tracks in out] == [[1]] * 7
+
+
+def test_a_first_label_that_was_wrong_is_outvoted() -> None:
+    out = drive(DeepSortTracker(), [car_at(100, class_id=TRUCK, score=0.5), *[car_at(100)] * 3])
+    assert [tracks.class_id.tolist() for tracks in out] == [[TRUCK], [CAR], [CAR], [CAR]]
+
+
+def test_a_person_does_not_become_a_car() -> None:
+    out = drive(DeepSortTracker(NO_FILL), [car_at(100), car_at(100, class_id=PERSON), car_at(100, class_id=PERSON)])
+    assert [tracks.track_id.tolist() for tracks in out] == [[1], [], [2]]
+
+
+def test_two_cars_that_pass_each_other_keep_their_ids() -> None:
+    near = [Detections.of([[600.0 - 30 * i, 100, 760 - 30 * i, 220]], [0.9], [CAR]) for i in range(20)]
+    far = [Detections.of([[300.0 + 4 * i, 110, 340 + 4 * i, 140]], [0.9], [CAR]) for i in range(20)]
+    out = drive(DeepSortTracker(), [both(a, b) for a, b in zip(near, far, strict=True)])
+    for i, tracks in enumerate(out):
+        assert tracks.track_id.tolist() == [1, 2]
+        np.testing.assert_array_equal(tracks.xyxy_px, both(near[i], far[i]).xyxy_px)
+
+
+@pytest.mark.parametrize("hz", [10, 30])
+def test_the_frame_rate_does_not_matter(hz: int) -> None:
+    tracker = DeepSortTracker(NO_FILL)
+    ids = set()
+    for i in range(4 * hz):
+        t = i / hz
+        hidden = 1.5 < t < 2.3
+        tracks = tracker.update(Detections.empty() if hidden else car_at(50 + 250 * t), t, IMAGE)
+        ids |= set(tracks.track_id.tolist())
+    assert ids == {1}
+
+
+@pytest.mark.parametrize("time_s", [0.3, 0.5, float("nan"), float("inf")])
+def test_time_must_go_forward(time_s: float) -> None:
+    tracker = DeepSortTracker()
+    tracker.update(car_at(100), 0.5, IMAGE)
+    with pytest.raises(ValueError, match=r"time must go forward: .* s after 0\.5 s"):
+        tracker.update(car_at(100), time_s, IMAGE)
+
+
+def test_unsound_boxes_are_ignored() -> None:
+    bad = Detections.of(
+        [[np.nan, 0, 10, 10], [5, 5, 5, 9], [9, 0, 3, 9], [0, 0, np.inf, 9], [300, 10, 320, 40]],
+        [0.9, 0.9, 0.9, 0.9, np.nan],
+        [CAR] * 5,
+    )
+    assert DeepSortTracker().update(both(bad, car_at(100)), 0.0, None).track_id.tolist() == [1]
+
+
+def test_frames_without_boxes() -> None:
+    assert [len(tracks) for tracks in drive(DeepSortTracker(), [Detections.empty()] * 3)] == [0, 0, 0]
+
+
+def random_frames(seed: int, *, n_frames: int = 25) -> list[Detections]:
+    """Ten boxes that wander, some left out, some false, all scores."""
+    rng = np.random.default_rng(seed)
+    corner, size = rng.uniform(0, [1100, 250], (10, 2)), rng.uniform(10, 120, (10, 2))
+    speed = rng.normal(0, 8, (10, 2))
+    frames = []
+    for i in range(n_frames):
+        at = corner + speed * i + rng.normal(0, 1, (10, 2))
+        boxes = np.concatenate([at, at + size], axis=1)
+        found = Detections.of(boxes, rng.uniform(0, 1, 10), rng.choice([CAR, TRUCK, PERSON], 10))
+        frames.append(found.select(rng.random(10) < 0.8))
+    return frames
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=15, deadline=None)
+def test_what_is_always_true_of_the_tracks(seed: int) -> None:
+    frames = random_frames(seed)
+    out = drive(DeepSortTracker(), frames)
+    for found, tracks in zip(frames, out, strict=True):
+        assert (np.diff(tracks.track_id) > 0).all()
+        assert (tracks.track_id >= 1).all()
+        assert ((tracks.score >= 0) & (tracks.score <= 1)).all()
+        known = {tuple(box) for box in found.xyxy_px.tolist()}
+        reported = [tuple(box) for box in tracks.xyxy_px[tracks.observed].tolist()]
+        assert set(reported) <= known
+        assert len(set(reported)) == len(reported)
+    assert sum(len(tracks) for tracks in out) > 0
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=10, deadline=None)
+def test_the_same_input_gives_the_same_output(seed: int) -> None:
+    frames = random_frames(seed)
+    for a, b in zip(drive(DeepSortTracker(), frames), drive(DeepSortTracker(), frames), strict=True):
+        np.testing.assert_array_equal(a.track_id, b.track_id)
+        np.testing.assert_array_equal(a.xyxy_px, b.xyxy_px)
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=10, deadline=None)
+def test_the_order_of_the_boxes_changes_names_only(seed: int) -> None:
+    frames = random_frames(seed)
+    turned = [found.select(np.arange(len(found))[::-1]) for found in frames]
+    for a, b in zip(drive(DeepSortTracker(), frames), drive(DeepSortTracker(), turned), strict=True):
+        assert sorted(a.xyxy_px.tolist()) == sorted(b.xyxy_px.tolist())
+
+
+def described(found: Detections, *looks: int) -> Detections:
+    """Each box with one of eight looks that have nothing in common."""
+    return Detections(found.xyxy_px, found.score, found.class_id, np.eye(8, dtype=np.float32)[list(looks)])
+
+
+def crossing(*, with_looks: bool) -> list[Detections]:
+    """Two people of one size who walk towards each other, stand behind one another unseen, and turn back."""
+    frames = []
+    for i in range(30):
+        a, b = (200 + 10 * i, 400 - 10 * i) if i <= 8 else (300 - 10 * (i - 12), 300 + 10 * (i - 12))
+        both_seen = both(*(Detections.of([[x, 100, x + 40, 200]], [0.9], [PERSON]) for x in (a, b)))
+        frames.append(described(both_seen, 0, 1) if with_looks else both_seen)
+        if 8 < i < 16:
+            frames[-1] = frames[-1].select(np.zeros(0, np.int64))
+    return frames
+
+
+def test_looks_tell_apart_who_motion_confuses() -> None:
+    by_looks, by_motion = (drive(DeepSortTracker(NO_FILL), crossing(with_looks=looks))[-1] for looks in (True, False))
+    left_is_first = by_looks.xyxy_px[0, 0] < by_looks.xyxy_px[1, 0]
+    assert (by_looks.track_id.tolist(), bool(left_is_first)) == ([1, 2], True)
+    assert by_motion.xyxy_px[0, 0] > by_motion.xyxy_px[1, 0]  # it takes them to have gone on
+
+
+def test_looks_do_not_reach_across_the_image() -> None:
+    frames = [*[described(car_at(100), 3)] * 5, described(car_at(900), 3), described(car_at(900), 3)]
+    assert drive(DeepSortTracker(NO_FILL), frames)[-1].track_id.tolist() == [2]
+
+
+def test_other_looks_do_not_forbid_what_overlaps() -> None:
+    out = drive(DeepSortTracker(), [described(car_at(100 + i), i % 8) for i in range(6)])
+    assert [tracks.track_id.tolist() for tracks in out] == [[1]] * 6
+
+
+def test_looks_are_told_from_images_where_the_detector_brings_none() -> None:
+    """Two cars, red and blue, change places while unseen: the built-in descriptor follows the colours."""
+    red, blue = (20, 20, 220), (220, 20, 20)
+    settings = TrackerSettings(
+        appearance=AppearanceGates(max_mahalanobis=1e9), is_camera_followed=False, fill=FillGates(max_missing_s=0.0)
+    )
+
+    def last(tracker: DeepSortTracker) -> Tracks:
+        for i in range(12):
+            image = np.full((375, 1242, 3), 128, np.uint8)
+            left, right = (red, blue) if i < 6 else (blue, red)
+            image[100:141, 300:361], image[100:141, 380:441] = left, right
+            found = Detections.empty() if i == 6 else both(car_at(300), car_at(380))
+            tracks = tracker.update(found, 0.1 * i, image)
+        return tracks
+
+    assert last(DeepSortTracker(settings)).xyxy_px[:, 0].tolist() == [300.0, 380.0]
+    assert last(DeepSortTracker(settings, descriptor=ColourLayout())).xyxy_px[:, 0].tolist() == [380.0, 300.0]
+
+
+def test_predictions_move_with_the_camera() -> None:
+    """A shaking camera: 60 px to and fro between frames, three quarters of a standing person's width too far."""
+    rng = np.random.default_rng(0)
+    world = np.kron(rng.integers(0, 255, (75, 260)), np.ones((8, 8))).astype(np.uint8)
+    frames = []
+    for i in range(14):
+        shift = 60 * (i % 2)
+        image = np.ascontiguousarray(np.repeat(world[:375, shift : shift + 1242, None], 3, axis=2))
+        frames.append((Detections.of([[600 - shift, 150, 640 - shift, 250]], [0.9], [PERSON]), image))
+    ids = {}
+    for followed in (True, False):
+        tracker = DeepSortTracker(TrackerSettings(is_camera_followed=followed))
+        ids[followed] = [
+            tracker.update(found, 0.1 * i, image).track_id.tolist() for i, (found, image) in enumerate(frames)
+        ]
+    assert ids[True] == [[1]] * 14
+    assert ids[False] != [[1]] * 14
+
+
+def test_an_occlusion_of_a_second_is_bridged() -> None:
+    """A walker behind a standing van: 8 px a frame, unseen for 10 frames."""
+    van = Detections.of([[400, 80, 560, 220]], [0.9], [TRUCK])
+    walker = [Detections.of([[200 + 8 * i, 100, 240 + 8 * i, 200]], [0.9], [PERSON]) for i in range(60)]
+    frames = [both(van, walker[i]) if not 24 <= i < 34 else van for i in range(60)]
+    out = drive(DeepSortTracker(), frames)
+    assert out[-1].track_id.tolist() == [1, 2]
+
+
+def test_a_target_that_leaves_does_not_haunt() -> None:
+    frames = [*[car_at(1000 + 20 * i) for i in range(9)], *[Detections.empty()] * 20]
+    assert [len(tracks) for tracks in drive(DeepSortTracker(), frames)[9:]] == [0] * 20
+
+
+@pytest.mark.parametrize(("classes", "n_tracks"), [("similar", 1), ("same", 2), ("any", 1)])
+def test_which_classes_may_be_one_object(classes: Classes, n_tracks: int) -> None:
+    settings = TrackerSettings(classes=classes, fill=FillGates(max_missing_s=0.0))
+    out = drive(DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=TRUCK)] * 4])
+    assert len({i for tracks in out for i in tracks.track_id.tolist()}) == n_tracks
+    people = drive(DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=PERSON)] * 4])
+    assert len({i for tracks in people for i in tracks.track_id.tolist()}) == (1 if classes == "any" else 2)
+
+
+def test_doubled_boxes_are_two_tracks_and_keep_their_ids() -> None:
+    out = drive(DeepSortTracker(), [both(car_at(100), car_at(100))] * 5)
+    assert [tracks.track_id.tolist() for tracks in out] == [[1, 2]] * 5
+
+
+def test_ten_thousand_boxes() -> None:
+    rng = np.random.default_rng(5)
+    at = rng.uniform(0, 50_000, (10_000, 2))
+    found = Detections.of(np.concatenate([at, at + 20], axis=1), np.full(10_000, 0.9), np.full(10_000, CAR))
+    tracker = DeepSortTracker()
+    assert len(tracker.update(found, 0.0, None)) == 10_000
+    assert tracker.update(found, 0.1, None).track_id.tolist() == list(range(1, 10_001))
+
+
+@pytest.mark.parametrize(("min_share", "least", "most"), [(0.85, 0, 0), (0.0, 100, 200)])
+def test_what_is_strong_is_learnt_from_the_detector(min_share: float, least: int, most: int) -> None:
+    """False alarms of 0.55 that jump about while cars of 0.85 stay: they do not even start a track."""
+    rng = np.random.default_rng(6)
+    tracker = DeepSortTracker(TrackerSettings(strong_score=ScoreThresholdSettings(min_share=min_share)))
+    n_new = []
+    for i in range(50):
+        false = [car_at(x, score=0.55) for x in rng.uniform(300, 1100, 4)]
+        tracker.update(both(*[car_at(60 * k, score=0.85) for k in range(3)], *false), 0.1 * i, None)
+        n_new.append(len(tracker.tentative))
+    assert least <= sum(n_new[5:]) <= most
+    assert (tracker.strong_score(np.array([CAR]))[0] > 0.55) == (min_share > 0)

@@ -1,0 +1,193 @@
+"""Galleries: against a loop, their slots by hand, tracks and boxes without looks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tracking.gallery import Gallery, unit_rows
+
+EAST, NORTH, WEST = np.float32([[1, 0]]), np.float32([[0, 1]]), np.float32([[-1, 0]])
+NOTHING = np.zeros((1, 2), np.float32)
+FIRST = np.array([0])
+
+
+def random_rows(rng, n, length, *, unknown=0.3):
+    rows = unit_rows(rng.normal(size=(n, length)))
+    rows[rng.random(n) < unknown] = 0
+    return rows
+
+
+def of_one(*descriptors, n_kept=4):
+    gallery = Gallery.empty(n_kept=n_kept).begun(descriptors[0])
+    for descriptor in descriptors[1:]:
+        gallery = gallery.appended(FIRST, descriptor)
+    return gallery
+
+
+class Slow:
+    """The same with lists: one track's past."""
+
+    def __init__(self, first, n_kept):
+        self.n_kept, self.mean, self.last = n_kept, None, []
+        self.append(first)
+
+    def append(self, new):
+        if not new.any():
+            return
+        mixed = new if self.mean is None else 0.9 * self.mean + 0.1 * new
+        self.mean = mixed / np.linalg.norm(mixed)
+        self.last = [new, *self.last][: self.n_kept - 1]
+
+    def distance(self, found):
+        if self.mean is None or not found.any():
+            return np.inf
+        return min(1 - float(kept @ found) for kept in (self.mean, *self.last))
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 6),
+    st.integers(0, 7),
+    st.integers(1, 5),
+    st.integers(2, 5),
+    st.floats(0, 1),
+)
+def test_equals_a_loop_over_lists(seed, n, m, n_kept, length, share):
+    rng = np.random.default_rng(seed)
+    first = random_rows(rng, n, length)
+    gallery, slow = Gallery.empty(n_kept=n_kept).begun(first), [Slow(row, n_kept) for row in first]
+    for _ in range(4):
+        rows = rng.permutation(n)[: rng.integers(0, n + 1)]
+        new = random_rows(rng, len(rows), length)
+        gallery = gallery.appended(rows, new)
+        for row, descriptor in zip(rows, new, strict=True):
+            slow[row].append(descriptor)
+    found = random_rows(rng, m, length)
+    wanted = np.array([[track.distance(row) for row in found] for track in slow]).reshape(n, m)
+    np.testing.assert_allclose(gallery.cosine_distance(found), wanted, atol=1e-5)
+    among = rng.random((n, m)) < share
+    np.testing.assert_allclose(gallery.cosine_distance(found, among), np.where(among, wanted, np.inf), atol=1e-5)
+
+
+def test_few_pairs_among_many_are_the_same_as_all():
+    rng = np.random.default_rng(3)
+    gallery = (
+        Gallery.empty(n_kept=3).begun(random_rows(rng, 120, 16)).appended(np.arange(120), random_rows(rng, 120, 16))
+    )
+    found = random_rows(rng, 150, 16)
+    among = rng.random((120, 150)) < 0.05  # one by one, in more than one block
+    assert among.sum() > 512
+    every = np.where(among, gallery.cosine_distance(found), np.inf)
+    np.testing.assert_allclose(gallery.cosine_distance(found, among), every, atol=1e-6)
+
+
+def test_a_distance_is_never_negative():
+    rows = random_rows(np.random.default_rng(2), 300, 144, unknown=0)
+    assert (1 - np.einsum("nd,nd->n", rows, rows)).min() < 0  # so rounding would make it
+    gallery = Gallery.empty(n_kept=2).begun(rows)
+    for among in (None, np.eye(300, dtype=bool)):
+        nearest = np.diag(gallery.cosine_distance(rows, among))
+        assert 0 <= nearest.min() <= nearest.max() < 1e-6
+
+
+def test_distances_by_hand():
+    gallery = Gallery.empty(n_kept=4).begun(np.concatenate([EAST, NORTH, NOTHING]))
+    found = np.concatenate([EAST, WEST, NOTHING])
+    wanted = [[0, 2, np.inf], [1, 1, np.inf], [np.inf] * 3]
+    np.testing.assert_array_equal(gallery.cosine_distance(found), wanted)
+    assert gallery.is_known.tolist() == [True, True, False]
+
+
+def test_the_last_ones_and_the_mean_are_kept():
+    gallery = of_one(EAST, NORTH, NORTH)
+    assert gallery.cosine_distance(EAST)[0, 0] == 0  # the first is the last slot
+    gallery = gallery.appended(FIRST, NORTH)
+    mean = np.array([0.9, 0.1]) / np.hypot(0.9, 0.1)
+    for _ in range(2):
+        mean = 0.9 * mean + [0, 0.1]
+        mean /= np.linalg.norm(mean)
+    np.testing.assert_allclose(gallery.kept[0], [mean, [0, 1], [0, 1], [0, 1]], atol=1e-6)
+    assert gallery.cosine_distance(EAST)[0, 0] == pytest.approx(1 - mean[0], abs=1e-6)  # now only the mean remembers
+
+
+def test_one_slot_is_the_mean_alone():
+    gallery = of_one(EAST, NORTH, n_kept=1)
+    np.testing.assert_allclose(gallery.kept[0, 0], np.array([0.9, 0.1]) / np.hypot(0.9, 0.1), atol=1e-6)
+
+
+def test_what_nobody_could_tell_changes_nothing():
+    assert of_one(EAST, NOTHING).kept.tolist() == of_one(EAST).kept.tolist()
+    late = of_one(NOTHING, NOTHING, WEST)
+    np.testing.assert_array_equal(late.kept, np.broadcast_to(WEST[0], (1, 4, 2)))
+    assert late.cosine_distance(EAST)[0, 0] == 2  # an empty slot would say 1
+
+
+def test_opposite_descriptors_have_a_mean_that_is_no_nan():
+    gallery = Gallery(np.repeat(EAST[:, None], 2, axis=1), mean_memory=0.5).appended(FIRST, WEST)
+    assert np.isfinite(gallery.kept).all()
+    assert np.isfinite(Gallery.empty(n_kept=2).begun(EAST).cosine_distance(WEST)).all()
+
+
+def test_nothing_is_written_to():
+    rng = np.random.default_rng(0)
+    first, new = random_rows(rng, 5, 4, unknown=0), random_rows(rng, 2, 4, unknown=0)
+    gallery = Gallery.empty(n_kept=3).begun(first)
+    before = [array.copy() for array in (gallery.kept, first, new)]
+    for array in (gallery.kept, first, new):
+        array.setflags(write=False)
+    later = gallery.appended(np.array([3, 1]), new)
+    later.select(np.array([1, 0])).joined(gallery).cosine_distance(new)
+    for array, was in zip((gallery.kept, first, new), before, strict=True):
+        np.testing.assert_array_equal(array, was)
+    np.testing.assert_array_equal(later.kept[[0, 2, 4]], gallery.kept[[0, 2, 4]])
+    np.testing.assert_array_equal(later.kept[[3, 1], 1], new)
+
+
+def test_select_and_joined_keep_rows_together():
+    gallery = Gallery(np.repeat(np.concatenate([EAST, NORTH, WEST])[:, None], 2, axis=1), mean_memory=0.7)
+    chosen = gallery.select(np.array([2, 0]))
+    both = chosen.joined(gallery.select(np.array([False, True, False])))
+    np.testing.assert_array_equal(both.kept[:, 0], np.concatenate([WEST, EAST, NORTH]))
+    assert (len(both), both.mean_memory) == (3, 0.7)
+
+
+def test_without_looks_everything_works():
+    none = np.zeros((3, 0), np.float32)
+    gallery = Gallery.empty(n_kept=4).begun(none)
+    gallery = gallery.appended(np.array([0, 1, 2]), none).select(np.array([True, False, True]))
+    assert gallery.kept.shape == (2, 4, 0)
+    np.testing.assert_array_equal(gallery.cosine_distance(none), np.full((2, 3), np.inf))
+    np.testing.assert_array_equal(gallery.cosine_distance(np.concatenate([EAST, WEST])), np.full((2, 2), np.inf))
+    assert Gallery.empty(n_kept=4).cosine_distance(EAST).shape == (0, 1)
+    assert of_one(EAST).cosine_distance(np.zeros((0, 2), np.float32)).shape == (1, 0)
+
+
+def test_looks_may_come_later_and_stay_away_for_a_frame():
+    gallery = Gallery.empty(n_kept=2).begun(np.zeros((2, 0), np.float32))
+    gallery = gallery.appended(np.array([1]), EAST).begun(NORTH).begun(np.zeros((1, 0), np.float32))
+    gallery = gallery.appended(np.array([1, 2]), np.zeros((2, 0), np.float32))
+    np.testing.assert_array_equal(gallery.cosine_distance(EAST)[:, 0], [np.inf, 0, 1, np.inf])
+
+
+def test_lengths_that_do_not_fit():
+    longer = np.float32([[1, 0, 0]])
+    wrong = "descriptors of one length wanted, 2 and 3 numbers got"
+    for act in (of_one(EAST).begun, of_one(EAST).cosine_distance, lambda d: of_one(EAST).appended(FIRST, d)):
+        with pytest.raises(ValueError, match=wrong):
+            act(longer)
+    with pytest.raises(ValueError, match=r"kept: shape \(\*, \*, \*\) wanted, \(2, 3\) got"):
+        Gallery(np.zeros((2, 3), np.float32))
+    with pytest.raises(ValueError, match="at least one slot per track wanted"):
+        Gallery.empty(n_kept=0)
+
+
+def test_rows_of_length_1():
+    rows = unit_rows(np.array([[3.0, 4.0], [0, 0], [np.nan, 1], [np.inf, 1], [1e300, 0], [1e-300, 1e-300]]))
+    assert rows.dtype == np.float32
+    np.testing.assert_allclose(rows, [[0.6, 0.8], [0, 0], [0, 0], [0, 0], [1, 0], [0.5**0.5] * 2], atol=1e-6)
+    assert unit_rows(np.zeros((2, 0))).shape == (2, 0)
+    assert unit_rows(np.zeros((0, 3))).shape == (0, 3)

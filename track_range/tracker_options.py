@@ -1,0 +1,32 @@
+"""The tracker that the options name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from detection.onnx_session import Runtime
+from track_range.config import TrackerName, UsageError
+from tracking.appearance import ColourLayout, Descriptor
+from tracking.deepsort import DeepSortTracker
+from tracking.reid import ReidModel
+from tracking.tracker_settings import AppearanceGates, TrackerSettings
+
+
+def open_descriptor(name: TrackerName, reid: Path | None, runtime: Runtime | None = None) -> Descriptor | None:
+    """Who says what boxes look like, where there are images: a network, else the built-in one; None for `sort`.
+
+    Raises:
+        UsageError: a network is named, and looks are not compared.
+        ModelError: it is no re-identification network.
+    """
+    if name == "deepsort":
+        return ColourLayout() if reid is None else ReidModel(reid, runtime)
+    if reid is not None:
+        raise UsageError("--reid describes looks, which --tracker sort does not compare: take one of them.")
+    return None
+
+
+def new_tracker(name: TrackerName, descriptor: Descriptor | None) -> DeepSortTracker:
+    """A tracker that has seen nothing; descriptors of a file count for `deepsort` only, too."""
+    looks = AppearanceGates() if name == "deepsort" else AppearanceGates(max_distance=0.0)
+    return DeepSortTracker(TrackerSettings(appearance=looks), descriptor=descriptor)

@@ -1,0 +1,183 @@
+"""Appearance: what a box looks like, as a vector of length 1; zeros stand for looks that nobody could tell.
+
+`ColourLayout` needs no network: histograms of colour in horizontal bands, as square roots, so that
+
+    cos(a, b) = sum sqrt(a_i b_i)
+
+is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic and Zisserman, 2012). What tracks have
+looked like is `tracking.gallery`'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from detection.boxes import are_sound, share_inside
+from detection.detections import BoolArray, Descriptors, FloatArray, Image, check_shape
+from tracking.gallery import unit_rows
+
+MIN_SIDE_PX = 4.0
+"""Boxes narrower or lower than this have no looks."""
+
+MIN_SHARE_INSIDE = 0.3
+"""Nor have boxes of which less lies inside the image."""
+
+_FAR_PX = 1e6
+"""Edges further out are pulled in, so that areas of absurd boxes stay finite."""
+
+_BOX_BLOCK = 64
+"""Boxes described at once: what they need then stays in the processor's cache."""
+
+_N_LEVELS = 64
+"""Values 0..255 are counted in so many classes before they are spread over soft bins."""
+
+_NEUTRAL = 8
+"""Channels of a grey video differ by no more than this."""
+
+_STEP_PX = 16
+"""Pixels that are looked at to tell a grey picture are so far apart."""
+
+
+class Descriptor(Protocol):
+    """Says what boxes look like.
+
+    Attributes:
+        max_distance: cosine distance up to which two descriptors are taken for one object's.
+    """
+
+    max_distance: float
+
+    def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
+        """(N, D) descriptors of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
+        ...
+
+
+def are_describable(image: Image, xyxy_px: FloatArray) -> BoolArray:
+    """(N,) which boxes are large enough, and lie far enough inside the image, to have looks."""
+    height, width = image.shape[:2]
+    boxes = np.clip(np.where(are_sound(xyxy_px)[:, None], xyxy_px, 0.0), -_FAR_PX, _FAR_PX)
+    inside = share_inside(boxes, np.array([[-0.5, -0.5, width - 0.5, height - 0.5]]))[:, 0]
+    large = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf) >= MIN_SIDE_PX
+    return np.asarray(large & (inside >= MIN_SHARE_INSIDE))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColourLayoutSettings:
+    """The form of the built-in descriptor.
+
+    Attributes:
+        n_columns, n_rows: points at which a box's colour is taken, whatever its size.
+        n_bands: horizontal bands of the box, each with histograms of its own; divides `n_rows`.
+        n_bins: soft bins per histogram.
+        chroma_span: a* and b* are told apart up to this far from grey, CIELAB units.
+        spread_x, spread_y: a point's weight falls off from the box's middle like a normal distribution with this
+            standard deviation, in widths and heights: corners are background.
+        max_distance: see `Descriptor`.
+    """
+
+    n_columns: int = 16
+    n_rows: int = 24
+    n_bands: int = 6
+    n_bins: int = 8
+    chroma_span: float = 40.0
+    spread_x: float = 0.4
+    spread_y: float = 0.35
+    max_distance: float = 0.08
+
+    def __post_init__(self) -> None:
+        if self.n_rows % self.n_bands:
+            raise ValueError(f"n_rows: a multiple of n_bands = {self.n_bands} wanted, {self.n_rows} got")
+
+
+class ColourLayout:
+    """The built-in descriptor: lightness, a* and b* of CIELAB in bands from top to bottom.
+
+    Pictures without colour are described by lightness alone, so that grey, which all share, does not make all alike.
+
+    Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, three cars only, took no
+    part in that, but `max_distance` was chosen on all of them. One descriptor against one, within a class, at least
+    half visible, boxes jittered by 4 %. (OSNet x0.25, which takes a hundred times as long, was tuned on none of them.)
+
+        frames apart (0.1, 0.125 s)       1      5     10     OSNet:    1      5     10
+        0005   area under the curve   1.000  0.995  0.967             0.981  0.985  0.967
+               same object, 95 % below 0.036  0.050  0.069             0.250  0.286  0.317
+        drives area under the curve   0.989  0.975  0.981             0.991  0.976  0.962
+               same object, 95 % below 0.059  0.103  0.100             0.236  0.367  0.379
+
+    At `max_distance`, and with a track's gallery, 0 to 9 % of the same are missed and 11 to 25 % of the others pass.
+    A light of 0.8 stays below it (0.075 in 95 of 100 boxes), one of 0.6 does not.
+    """
+
+    def __init__(self, settings: ColourLayoutSettings | None = None) -> None:
+        self._settings = form = settings or ColourLayoutSettings()
+        self.max_distance = form.max_distance
+        self._u = (np.arange(form.n_columns) + 0.5) / form.n_columns
+        self._v = (np.arange(form.n_rows) + 0.5) / form.n_rows
+        fall_x, fall_y = (self._u - 0.5) / form.spread_x, (self._v - 0.5) / form.spread_y
+        self._weight = np.exp(-0.5 * (fall_x**2 + fall_y[:, None] ** 2))
+        self._band = np.arange(form.n_rows) * form.n_bands // form.n_rows
+        level = (np.arange(_N_LEVELS) + 0.5) * (256 / _N_LEVELS) - 0.5
+        chroma = (level - 128.0) / form.chroma_span / 2 + 0.5
+        self._soft = np.stack([_soft_bins(share, form.n_bins) for share in (level / 255, chroma, chroma)])
+
+    @property
+    def n_values(self) -> int:
+        """Length D of a descriptor."""
+        return 3 * self._settings.n_bands * self._settings.n_bins
+
+    def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
+        """As `Descriptor.describe`; parts of a box outside the image do not count.
+
+        Raises:
+            ValueError: the image is not (H, W, 3).
+        """
+        check_shape("image", image, (None, None, 3))
+        descriptor = np.zeros((len(xyxy_px), self.n_values), np.float32)
+        good = np.flatnonzero(are_describable(image, xyxy_px))
+        coloured = not _is_neutral(image)
+        for start in range(0, len(good), _BOX_BLOCK):
+            rows = good[start : start + _BOX_BLOCK]
+            descriptor[rows] = self._described(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), coloured)
+        return descriptor
+
+    def _described(self, image: Image, xyxy_px: FloatArray, coloured: bool) -> Descriptors:
+        n, form = len(xyxy_px), self._settings
+        bgr, weight = self._sampled(image, xyxy_px)
+        lab = cv2.cvtColor(bgr.reshape(n * form.n_rows, form.n_columns, 3), cv2.COLOR_BGR2LAB)
+        # One count for all boxes: level, in its band, of its box, of its channel.
+        place = (np.arange(n)[:, None] * form.n_bands + self._band) * _N_LEVELS
+        level = lab.reshape(n, form.n_rows, form.n_columns, 3) // (256 // _N_LEVELS)
+        cells = n * form.n_bands * _N_LEVELS
+        index = level.transpose(3, 0, 1, 2) + place[:, :, None] + (np.arange(3) * cells)[:, None, None, None]
+        weights = np.broadcast_to(weight, index.shape)
+        counts = np.bincount(index.ravel(), weights.ravel(), minlength=3 * cells)
+        histograms = counts.reshape(3, -1, _N_LEVELS) @ self._soft
+        if not coloured:
+            histograms[1:] = 0.0
+        return unit_rows(np.sqrt(histograms).reshape(3, n, -1).transpose(1, 0, 2).reshape(n, -1))
+
+    def _sampled(self, image: Image, xyxy_px: FloatArray) -> tuple[Image, FloatArray]:
+        """(N, rows, columns, 3) colours at the grid's points, and their weights, 0 outside the image."""
+        height, width = image.shape[:2]
+        left, top, right, bottom = (edge[:, None] for edge in xyxy_px.T)
+        x = np.rint(left + (right - left) * self._u).astype(np.int64)
+        y = np.rint(top + (bottom - top) * self._v).astype(np.int64)
+        inside = ((y >= 0) & (y < height))[:, :, None] & ((x >= 0) & (x < width))[:, None, :]
+        bgr = image[y.clip(0, height - 1)[:, :, None], x.clip(0, width - 1)[:, None, :]]
+        return bgr, inside * self._weight
+
+
+def _soft_bins(share: FloatArray, n_bins: int) -> FloatArray:
+    """(levels, bins) how much of each level falls into each bin: into its two nearest, by nearness; ends are open."""
+    place = np.clip(share, 0.0, 1.0) * (n_bins - 1)
+    return np.maximum(1.0 - np.abs(place[:, None] - np.arange(n_bins)), 0.0)
+
+
+def _is_neutral(image: Image) -> bool:
+    """Whether a picture is grey all over, as far as a coarse grid of its pixels tells."""
+    blue, green, red = image[::_STEP_PX, ::_STEP_PX].astype(np.int16).reshape(-1, 3).T
+    return bool(max(np.abs(blue - green).max(initial=0), np.abs(green - red).max(initial=0)) <= _NEUTRAL)
