@@ -47,9 +47,11 @@ class Descriptor(Protocol):
 
     Attributes:
         max_distance: cosine distance up to which two descriptors are taken for one object's.
+        notes: sentences for the user.
     """
 
     max_distance: float
+    notes: tuple[str, ...]
 
     def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
         """(N, D) descriptors of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
@@ -115,6 +117,7 @@ class ColourLayout:
     def __init__(self, settings: ColourLayoutSettings | None = None) -> None:
         self._settings = form = settings or ColourLayoutSettings()
         self.max_distance = form.max_distance
+        self.notes: tuple[str, ...] = ()
         self._u = (np.arange(form.n_columns) + 0.5) / form.n_columns
         self._v = (np.arange(form.n_rows) + 0.5) / form.n_rows
         fall_x, fall_y = (self._u - 0.5) / form.spread_x, (self._v - 0.5) / form.spread_y

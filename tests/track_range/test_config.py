@@ -96,3 +96,11 @@ def test_the_packaged_detector_is_taken_where_none_is_named(tmp_path):
     assert settings_from({}, tmp_path / "s.yaml").detector == "road"
     again = settings_from({"detections": Path("d.txt")}, tmp_path / "s.yaml")
     assert (again.detector, again.detections) == (None, Path("d.txt"))
+
+
+def test_a_reid_network_wants_a_tracker_that_compares_looks() -> None:
+    with pytest.raises(UsageError, match="--reid describes looks, which --tracker sort does not compare"):
+        settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx"), "tracker": "sort"})
+    with pytest.raises(UsageError, match="--tracker: "):
+        settings_from({"mono": Path("a.mp4"), "tracker": "kalman"})
+    assert settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx")}).tracker == "deepsort"

@@ -2,6 +2,8 @@
 
 import json
 
+import cv2
+import numpy as np
 import pytest
 
 
@@ -97,3 +99,119 @@ def test_wrong_input_is_one_sentence(tmp_path, cli, moving):
     (tmp_path / "A/seqinfo.ini").write_text("[Sequence]\nframeRate=0\n")
     told, _, complaint = cli("track", tmp_path / "A", "--out", tmp_path / "out")
     assert (told, "frameRate and seqLength must be positive" in complaint) == (1, True)
+
+
+def frames_of(folder, n, *, hw=(64, 480), suffix=".png"):
+    folder.mkdir(parents=True)
+    for i in range(n):
+        image = np.random.default_rng(7).integers(0, 255, (*hw, 3)).astype(np.uint8)
+        image[10:51, 100 + 2 * i : 141 + 2 * i] = (20, 20, 200)
+        cv2.imwrite(str(folder / f"{i + 1:06d}{suffix}"), image)
+    return folder
+
+
+def test_gaps_are_filled_unless_it_is_to_say_what_a_live_run_says(tmp_path, cli, moving):
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    n_rows = {}
+    for name, options in (("whole", ()), ("live", ("--online",))):
+        assert cli("track", tmp_path / "boxes.txt", "--out", tmp_path / name, *options)[0] == 0
+        rows = rows_of(tmp_path / name / "mot/boxes.txt")
+        n_rows[name] = len(rows)
+    assert n_rows == {"whole": 20, "live": 19}  # 400 px pauses in frame 5
+    filled = next(row for row in rows_of(tmp_path / "whole/mot/boxes.txt") if row[0] == 5 and row[2] > 300)
+    assert filled[2:6] == [401.0, 11.0, 40.0, 40.0]
+
+
+def test_images_of_one_file_and_of_a_folder_of_sequences(tmp_path, cli, moving):
+    images = frames_of(tmp_path / "frames/one", 10)
+    frames_of(tmp_path / "frames/two/img1", 10)
+    for name in ("one", "two"):
+        (tmp_path / "boxes").mkdir(exist_ok=True)
+        (tmp_path / f"boxes/{name}.txt").write_text(plain(*moving))
+    status, told, _ = cli("track", tmp_path / "boxes/one.txt", "--images", images, "--out", tmp_path / "a")
+    assert status == 0, told
+    status, told, _ = cli("track", tmp_path / "boxes", "--images", tmp_path / "frames", "--out", tmp_path / "b")
+    assert status == 0, told
+    assert (tmp_path / "a/mot/one.txt").read_bytes() == (tmp_path / "b/mot/two.txt").read_bytes()
+    status, _, complaint = cli("track", tmp_path / "boxes", "--images", tmp_path / "none", "--out", tmp_path / "c")
+    assert (status, "there is no such file or folder" in complaint) == (1, True)
+    status, _, complaint = cli("track", tmp_path / "boxes", "--images", images, "--out", tmp_path / "c")
+    assert (status, "no one.mp4 and no folder one in it" in complaint) == (1, True)
+
+
+def test_fewer_images_than_frames_are_told_and_the_rest_is_tracked(tmp_path, cli, moving):
+    images = frames_of(tmp_path / "frames", 6)
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    status, told, _ = cli("track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out")
+    assert (status, "images of 6 of 10 frames; the others are tracked without" in told) == (0, True)
+    assert {row[0] for row in rows_of(tmp_path / "out/mot/boxes.txt")} == set(range(10))
+
+
+def test_a_missing_image_is_a_frame_without_one(tmp_path, cli, moving):
+    images = frames_of(tmp_path / "frames", 10)
+    (images / "000004.png").unlink()
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    status, told, _ = cli("track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out")
+    assert (status, "images of 9 of 10 frames" in told) == (0, True)
+    assert {row[1] for row in rows_of(tmp_path / "out/mot/boxes.txt")} == {1, 2}
+
+
+def test_a_format_that_it_is_not_is_refused(tmp_path, cli, moving):
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    assert cli("track", tmp_path / "boxes.txt", "--format", "rrc", "--out", tmp_path / "out")[0] == 0
+    status, _, complaint = cli("track", tmp_path / "boxes.txt", "--format", "mot", "--out", tmp_path / "out")
+    assert (status, "that is the format rrc, not mot" in complaint) == (1, True)
+
+
+@pytest.fixture
+def described(tmp_path):
+    """Two people who stand, are unseen for a second, and have changed places; feat.npy tells who is who."""
+    rows, looks = [], []
+    for f in range(30):
+        for who, x in ((0, 100 if f < 10 else 130), (1, 130 if f < 10 else 100)):
+            if not 10 <= f < 18:
+                rows.append([f + 1, -1, x + 1, 11, 40, 80, 0.9])
+                looks.append(np.eye(8)[who] * 3.0)
+    folder = tmp_path / "S/det"
+    folder.mkdir(parents=True)
+    (folder / "det.txt").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+    np.save(folder / "feat.npy", np.concatenate([np.array(rows), np.array(looks)], axis=1))
+    return folder
+
+
+def last_ids_by_place(path):
+    return [row[1] for row in sorted((row for row in rows_of(path) if row[0] == 30), key=lambda row: row[2])]
+
+
+def test_descriptors_beside_the_boxes_are_used_and_sort_leaves_them_out(tmp_path, cli, described):
+    ids = {}
+    for tracker in ("deepsort", "sort"):
+        status, told, _ = cli("track", tmp_path / "S", "--tracker", tracker, "--out", tmp_path / tracker)
+        assert status == 0, told
+        ids[tracker] = last_ids_by_place(tmp_path / tracker / "mot/S.txt")
+    assert ids == {"deepsort": [2, 1], "sort": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (lambda path, table: path.write_bytes(b"junk"), "not an array of numbers"),
+        (lambda path, table: np.save(path, table[:-1]), "44 rows of 7 numbers and a descriptor wanted"),
+        (lambda path, table: np.save(path, table[:, :7]), "44 rows of 7 numbers and a descriptor wanted"),
+        (lambda path, table: np.save(path, table[::-1]), "its rows are not those of det.txt"),
+        (lambda path, table: np.save(path, table * np.nan), "its rows are not those of det.txt, or are no numbers"),
+    ],
+)
+def test_descriptors_that_are_not_the_boxes_are_refused(tmp_path, cli, described, write, said):
+    write(described / "feat.npy", np.load(described / "feat.npy"))
+    status, _, complaint = cli("track", tmp_path / "S", "--out", tmp_path / "out")
+    assert (status, said in complaint) == (1, True), complaint
+
+
+def test_reid_wants_looks_and_a_network_that_describes(tmp_path, cli, moving):
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    arguments = ("track", tmp_path / "boxes.txt", "--out", tmp_path / "out", "--reid", tmp_path / "none.onnx")
+    status, _, complaint = cli(*arguments)
+    assert (status, "none.onnx" in complaint) == (1, True)
+    status, _, complaint = cli(*arguments, "--tracker", "sort")
+    assert (status, "which --tracker sort does not compare" in complaint) == (2, True)

@@ -85,7 +85,7 @@ def track(options: TrackOptions, console: Console) -> None:
     class_id = _class_of(options)
     places = [images_of(each, options.images, is_alone=len(sequences) == 1) for each in sequences]
     descriptor = open_descriptor(options.tracker, options.reid)
-    for note in getattr(descriptor, "notes", ()):
+    for note in () if descriptor is None else descriptor.notes:
         say(console, f"- {note}")
     make_folder(options.out / MOT_FOLDER)
     if options.is_kitti_written:
