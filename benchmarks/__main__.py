@@ -6,9 +6,17 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import ablation, detection, memory, pipeline
+from benchmarks import ablation, detection, history, looks, memory, pipeline, tracking
 
-WORKLOADS = {"pipeline": pipeline, "memory": memory, "detection": detection, "ablation": ablation}
+WORKLOADS = {
+    "pipeline": pipeline,
+    "memory": memory,
+    "detection": detection,
+    "ablation": ablation,
+    "history": history,
+    "looks": looks,
+    "tracking": tracking,
+}
 """Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""
 
 

@@ -16,7 +16,6 @@ break the filter's model, and overlap is its own gate.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -35,6 +34,9 @@ from tracking.tracks import Tracks
 
 _MAX_DISTANCE_OF_FILES = 0.2
 """Cosine distance up to which descriptors of a file are one object's: deep_sort's, for its vectors of 128 numbers."""
+
+_UNRELATED_COST = 0.95
+"""1 - IoU from which on a track and a box have nothing to do with each other."""
 
 
 class DeepSortTracker:
@@ -79,7 +81,9 @@ class DeepSortTracker:
         self._move_to(time_s, found, image)
         rows, columns = self._pairs(found, strong, max_distance)
         self._see(rows, found.select(columns), time_s)
-        self._begin(found.select(_without(len(found), columns) & strong), time_s)
+        strong[columns] = False
+        if strong.any():
+            self._begin(found.select(strong), time_s)
         self._last_s = time_s
         return self._reported(time_s, image)
 
@@ -103,15 +107,14 @@ class DeepSortTracker:
         What a nearer box hides has no looks of its own: it would make the one behind look like the one in front.
         """
         told = self._settings.appearance.max_distance
-        if told == 0 or not strong.any():
+        is_told, describer = found.descriptor.shape[1] > 0, None if image is None else self._descriptor
+        if told == 0 or not (is_told or describer) or not strong.any():
             return found, 0.0
         clear = strong & (history.hidden_share(found.xyxy_px, found.xyxy_px) <= self._settings.appearance.max_hidden)
-        if found.descriptor.shape[1]:
+        if image is None or is_told or describer is None:
             of_clear, limit = unit_rows(found.descriptor[clear]), _MAX_DISTANCE_OF_FILES
-        elif self._descriptor is not None and image is not None:
-            of_clear, limit = self._descriptor.describe(image, found.xyxy_px[clear]), self._descriptor.max_distance
         else:
-            return found, 0.0
+            of_clear, limit = describer.describe(image, found.xyxy_px[clear]), describer.max_distance
         descriptor = np.zeros((len(found), of_clear.shape[1]), np.float32)
         descriptor[clear] = of_clear
         described = Detections(found.xyxy_px, found.score, found.class_id, descriptor)
@@ -135,21 +138,24 @@ class DeepSortTracker:
         if not len(table) or not len(found):
             return pairing.rows, pairing.columns
         boxes, confirmed = table.filters.xyxy_px, table.is_confirmed
-        may = are_compatible(table.class_id, found.class_id, keep.classes)
-
-        def overlap(i: IntArray, j: IntArray, *, margin: float = 0.0) -> FloatArray:
-            cost = iou_cost(boxes[i], found.xyxy_px[j], margin=margin)
-            cost[~may[np.ix_(i, j)]] = np.inf
-            return cost
-
+        may = are_compatible(table.label, found.class_id, keep.classes)
+        cost = iou_cost(boxes, found.xyxy_px)
+        cost[~may] = np.inf
         if max_distance > 0:
             looks = self._cost_of_looks(found, may)
             fresh = table.last_s == self._last_s
             for tracks in (fresh, ~fresh):  # the cascade: who was seen last chooses first
                 pairing.add(looks, confirmed & tracks, strong, max_cost=max_distance)
-        pairing.add(overlap, confirmed, strong, max_cost=1 - keep.min_iou)
-        pairing.add(overlap, confirmed, ~strong, max_cost=1 - keep.weak_min_iou)
-        widened = partial(overlap, margin=keep.tentative_margin)
+        else:
+            max_cost = np.where(strong, 1 - keep.min_iou, 1 - keep.weak_min_iou)
+            pairing.add_unrivalled(cost, confirmed, max_cost)
+        pairing.add(_part_of(cost), confirmed, strong, max_cost=1 - keep.min_iou)
+        pairing.add(_part_of(cost), confirmed, ~strong, max_cost=1 - keep.weak_min_iou)
+
+        def widened(i: IntArray, j: IntArray) -> FloatArray:
+            wide = iou_cost(boxes[i], found.xyxy_px[j], margin=keep.tentative_margin)
+            return np.where(may[np.ix_(i, j)], wide, np.inf)
+
         pairing.add(widened, ~confirmed, strong, max_cost=1 - keep.tentative_min_iou)
         return pairing.rows, pairing.columns
 
@@ -158,26 +164,27 @@ class DeepSortTracker:
         gates, table = self._settings.appearance, self._table
         squared = motion.squared_mahalanobis(table.filters, found.xyxy_px, self._settings.noise)
         distance = table.gallery.cosine_distance(found.descriptor, may & (squared <= gates.max_mahalanobis))
-        return lambda i, j: distance[np.ix_(i, j)]
+        return _part_of(distance)
 
     def _see(self, rows: IntArray, found: Detections, time_s: float) -> None:
         """Give each of these tracks its box, and learn from how they moved."""
         keep, table = self._settings, self._table
+        if not len(rows):
+            return
         was_seen = table.last_s[rows] == self._last_s
         before = table.innovation[rows]
         table.see(rows, found, time_s, noise=keep.noise)
-        table.gallery = table.gallery.appended(rows, found.descriptor)
+        if found.descriptor.shape[1]:
+            table.gallery = table.gallery.appended(rows, found.descriptor)
         table.n_running[rows] = np.where(was_seen, table.n_running[rows] + 1, 1)
-        steady = was_seen & (table.n_hits[rows] > keep.level.min_hits) & np.isfinite(before[:, 0])
-        steady &= table.is_confirmed[rows]
+        if not table.is_confirmed.all():
+            table.is_confirmed |= (table.n_hits >= keep.confirm_hits) & (table.evidence >= keep.confirm_score)
+        steady = was_seen & (table.n_hits[rows] > keep.level.min_hits) & table.is_confirmed[rows]
+        steady &= np.isfinite(before[:, 0])
         self._level.learn(before[steady], table.innovation[rows[steady]])
-        sure = (table.n_hits >= keep.confirm_hits) & (table.votes.sum(axis=1) >= keep.confirm_score)
-        table.is_confirmed |= sure
 
     def _begin(self, found: Detections, time_s: float) -> None:
         """New tracks of strong boxes that belong to nobody."""
-        if not len(found):
-            return
         table = self._table
         table.begin(self._next_id, found, time_s, noise=self._settings.noise)
         table.gallery = table.gallery.begun(found.descriptor)
@@ -209,7 +216,7 @@ class DeepSortTracker:
         everyone = Tracks(
             np.concatenate([tracks.track_id, table.track_id[lost]]),
             np.concatenate([tracks.xyxy_px, boxes]),
-            np.concatenate([tracks.class_id, table.class_id[lost]]),
+            np.concatenate([tracks.class_id, table.label[lost]]),
             np.concatenate([tracks.score, faded]),
             np.arange(len(tracks) + len(lost)) < len(tracks),
         )
@@ -218,9 +225,8 @@ class DeepSortTracker:
     def _as_tracks(self, rows: IntArray) -> Tracks:
         """Tracks seen in this frame, with the boxes that were detected."""
         table = self._table
-        class_id = np.asarray(table.votes[rows].argmax(axis=1), np.int64)
         seen = np.ones(len(rows), np.bool_)
-        return Tracks(table.track_id[rows], table.last_xyxy_px[rows], class_id, table.score[rows], seen)
+        return Tracks(table.track_id[rows], table.last_xyxy_px[rows], table.label[rows], table.score[rows], seen)
 
     def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray | None:
         """(4,) outermost pixels of the image; without one, the extent of the boxes reported so far."""
@@ -241,6 +247,18 @@ class _Pairing:
         self.rows, self.columns = np.zeros((2, 0), np.int64)
         self._free_track, self._free_box = np.ones(n_tracks, np.bool_), np.ones(n_boxes, np.bool_)
 
+    def add_unrivalled(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
+        """Pair tracks and boxes (max_cost (M,) each) that overlap with each other and with hardly anything else.
+
+        The stages after would pair them too, one by one: most of a frame is done with here.
+        """
+        related = cost <= _UNRELATED_COST
+        column = related.argmax(axis=1)
+        alone = tracks & (related.sum(axis=1) == 1) & (related.sum(axis=0) == 1)[column]
+        rows = alone.nonzero()[0]
+        good = cost[rows, column[rows]] <= max_cost[column[rows]]
+        self._take(rows[good], column[rows[good]])
+
     def add(
         self,
         cost: Callable[[IntArray, IntArray], FloatArray],
@@ -254,13 +272,13 @@ class _Pairing:
         if not len(i) or not len(j):
             return
         r, c = assigned(cost(i, j), max_cost=max_cost)
-        rows, columns = i[r], j[c]
+        self._take(i[r], j[c])
+
+    def _take(self, rows: IntArray, columns: IntArray) -> None:
         self._free_track[rows], self._free_box[columns] = False, False
         self.rows, self.columns = np.concatenate([self.rows, rows]), np.concatenate([self.columns, columns])
 
 
-def _without(n: int, taken: IntArray) -> BoolArray:
-    """(n,) True but for the indices taken."""
-    free = np.ones(n, np.bool_)
-    free[taken] = False
-    return free
+def _part_of(cost: FloatArray) -> Callable[[IntArray, IntArray], FloatArray]:
+    """What `_Pairing.add` asks for, from a matrix of all tracks and boxes."""
+    return lambda i, j: cost[i[:, None], j]

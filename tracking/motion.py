@@ -107,19 +107,25 @@ def predicted(filters: BoxFilters, dt_s: float, noise: MotionNoise, *, level: fl
 
 def updated(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> BoxFilters:
     """The filters after each has seen its box, (N, 4) in their order."""
-    z = cxcywh(xyxy_px)
-    innovation = z - filters.value
-    P = filters.P
-    gain = P[:, :2] / _innovation_variance(filters, noise)[:, None]
-    value = filters.value + gain[:, :1] * innovation
-    rate = filters.rate + gain[:, 1:] * innovation
-    P = P - np.stack([gain[:, 0] * P[:, _VAR], gain[:, 0] * P[:, _COV], gain[:, 1] * P[:, _COV]], axis=1)
-    return BoxFilters(value, rate, P, z[:, 3])
+    return updated_with_innovations(filters, xyxy_px, noise)[0]
 
 
 def innovations(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
     """(N, 4) how far each filter's box, (N, 4) in their order, lies from its prediction, in standard deviations."""
-    return np.asarray((cxcywh(xyxy_px) - filters.value) / np.sqrt(_innovation_variance(filters, noise))[:, None])
+    return updated_with_innovations(filters, xyxy_px, noise)[1]
+
+
+def updated_with_innovations(
+    filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise
+) -> tuple[BoxFilters, FloatArray]:
+    """`updated` and `innovations` at once."""
+    z, P, variance = cxcywh(xyxy_px), filters.P, _innovation_variance(filters, noise)
+    innovation = z - filters.value
+    gain = P[:, :2] / variance[:, None]
+    value = filters.value + gain[:, :1] * innovation
+    rate = filters.rate + gain[:, 1:] * innovation
+    P = P - np.stack([gain[:, 0] * P[:, _VAR], gain[:, 0] * P[:, _COV], gain[:, 1] * P[:, _COV]], axis=1)
+    return BoxFilters(value, rate, P, z[:, 3]), innovation / np.sqrt(variance)[:, None]
 
 
 def squared_mahalanobis(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:

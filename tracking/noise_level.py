@@ -59,7 +59,7 @@ class NoiseLevel:
         """Compare the innovations of tracks seen in two frames running: (N, D) each, in standard deviations."""
         if not len(now):
             return
-        a, b = np.clip(before, -_MAX_SIGMAS, _MAX_SIGMAS), np.clip(now, -_MAX_SIGMAS, _MAX_SIGMAS)
+        a, b = (np.maximum(np.minimum(each, _MAX_SIGMAS), -_MAX_SIGMAS) for each in (before, now))
         power = np.maximum((a * a + b * b).sum(axis=1) / 2, _MIN_POWER)
         correlation = float(((a * b).sum(axis=1) / power).mean())
         keep = self._settings

@@ -31,6 +31,9 @@ _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS
 _MAX_ASKED = 64
 """Boxes of a frame that are looked for in the next one; of more, every k-th."""
 
+_N_EAGER, _LAZY_STEP = 200, 4
+"""After so many frames only every fourth is asked: it has little to add."""
+
 _N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1
 
 
@@ -62,7 +65,7 @@ class ScoreThreshold:
         self._asked, self._persisted = np.zeros((2, _N_GROUPS * _N_BINS))
         self._before: Detections | None = None
         self._by_group = np.full(_N_GROUPS, settings.first)
-        self._n_learnt = 0.0
+        self._n_learnt, self._n_frames = 0.0, 0
         slope = 1 - settings.min_share
         # a line through 1 at score 1 that meets min_share at `first`
         self._prior = 1 - slope * (1 - _MIDDLE) / max(1 - settings.first, 1e-6)
@@ -76,6 +79,9 @@ class ScoreThreshold:
         if self._settings.min_share <= 0:
             return
         before, self._before = self._before, found
+        self._n_frames += 1
+        if self._n_frames > _N_EAGER and self._n_frames % _LAZY_STEP:
+            return
         if before is None or not len(before):
             return
         if len(before) > _MAX_ASKED:

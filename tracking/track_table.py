@@ -23,7 +23,9 @@ class TrackTable:
         filters: their motion.
         boxes_px, box_times_s: (N, K, 4), (N, K) the last boxes seen, newest last; NaN where there are fewer.
         n_running: (N,) frames in a row in which the track was seen, up to its last box.
-        votes: (N, classes) sum of scores by class; the label is the class with most, so that it does not flicker.
+        votes: (N, classes) sum of scores by class.
+        label: (N,) the class with most of them, so that it does not flicker.
+        evidence: (N,) sum of all scores.
         score: (N,) of the last box.
         n_hits: (N,) boxes seen.
         is_confirmed: (N,) False = tentative.
@@ -38,6 +40,8 @@ class TrackTable:
         self.box_times_s: FloatArray = np.zeros((0, n_kept))
         self.n_running: IntArray = np.zeros(0, np.int64)
         self.votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))
+        self.label: IntArray = np.zeros(0, np.int64)
+        self.evidence: FloatArray = np.zeros(0)
         self.score: FloatArray = np.zeros(0)
         self.n_hits: IntArray = np.zeros(0, np.int64)
         self.is_confirmed: BoolArray = np.zeros(0, np.bool_)
@@ -46,11 +50,6 @@ class TrackTable:
 
     def __len__(self) -> int:
         return len(self.track_id)
-
-    @property
-    def class_id(self) -> IntArray:
-        """(N,) each track's label."""
-        return np.asarray(self.votes.argmax(axis=1), np.int64)
 
     @property
     def last_s(self) -> FloatArray:
@@ -73,19 +72,22 @@ class TrackTable:
         self.track_id, self.filters = self.track_id[alive], self.filters.select(alive)
         self.boxes_px, self.box_times_s = self.boxes_px[alive], self.box_times_s[alive]
         self.n_running, self.votes, self.score = self.n_running[alive], self.votes[alive], self.score[alive]
+        self.label, self.evidence = self.label[alive], self.evidence[alive]
         self.n_hits, self.is_confirmed = self.n_hits[alive], self.is_confirmed[alive]
         self.innovation, self.gallery = self.innovation[alive], self.gallery.select(alive)
 
     def see(self, rows: IntArray, found: Detections, time_s: float, *, noise: MotionNoise) -> None:
         """Give each of these tracks its box of this frame."""
         before = self.filters.select(rows)
-        self.innovation[rows] = motion.innovations(before, found.xyxy_px, noise)[:, :2]
-        after, mine = motion.updated(before, found.xyxy_px, noise), self.filters
+        after, innovation = motion.updated_with_innovations(before, found.xyxy_px, noise)
+        self.innovation[rows], mine = innovation[:, :2], self.filters
         mine.value[rows], mine.rate[rows] = after.value, after.rate
         mine.P[rows], mine.height_px[rows] = after.P, after.height_px
         self.boxes_px[rows, :-1], self.box_times_s[rows, :-1] = self.boxes_px[rows, 1:], self.box_times_s[rows, 1:]
         self.boxes_px[rows, -1], self.box_times_s[rows, -1] = found.xyxy_px, time_s
         self.votes[rows, found.class_id] += found.score
+        self.label[rows] = self.votes[rows].argmax(axis=1)
+        self.evidence[rows] += found.score
         self.score[rows] = found.score
         self.n_hits[rows] += 1
 
@@ -104,6 +106,8 @@ class TrackTable:
         self.box_times_s = np.concatenate([self.box_times_s, times])
         self.n_running = np.concatenate([self.n_running, ones])
         self.votes = np.concatenate([self.votes, votes])
+        self.label = np.concatenate([self.label, found.class_id])
+        self.evidence = np.concatenate([self.evidence, found.score])
         self.score = np.concatenate([self.score, found.score])
         self.n_hits = np.concatenate([self.n_hits, ones])
         self.is_confirmed = np.concatenate([self.is_confirmed, np.zeros(n, np.bool_)])

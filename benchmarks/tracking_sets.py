@@ -1,0 +1,140 @@
+"""What the tracking benchmark runs on: sequences with stored boxes and official truth, and scenes to take the time of.
+
+KITTI tracking (RRC's boxes; cars, pedestrians), MOT15 and MOT17 as `evaluate tracks` scores them. A scene is objects on
+smooth random paths, with jitter, missing boxes and false alarms; the same for the same seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from detection.classes import ROAD_CLASSES
+from detection.detection_files import RecordedDetections, read_detections
+from detection.detections import Detections, FloatArray, IntArray
+from detection.kitti_format import KittiLabels, read_kitti
+from track_range.sequences import find_sequences
+from tracking.evaluation import TrackingCounts
+from tracking.mot_format import MotRows, read_mot
+from tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from tracking.tracked_boxes import TrackedBoxes
+
+SETS = ("kitti-car", "kitti-person", "mot15", "mot17")
+_KITTI_FPS, _KITTI_SIZE_PX, _USUAL_SIZE_PX = 10.0, (1242, 375), (1920, 1080)
+_MIN_SCORE = {"kitti-car": 0.5, "kitti-person": 0.5, "mot15": 0.5, "mot17": 0.3}
+"""Boxes below are dropped for trackers of one threshold."""
+
+N_WARM_UP = 20
+"""Frames of a scene that are not counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """Boxes of a sequence, and the truth.
+
+    Attributes:
+        name, set_name: which, of `SETS`.
+        road_class: the class of all boxes.
+        found: the boxes.
+        n_frames, fps, size_px: length, rate, and (width, height) of the images.
+        truth: KITTI's or MOTChallenge's; None for a scene.
+    """
+
+    name: str
+    set_name: str
+    road_class: str
+    found: RecordedDetections
+    n_frames: int
+    fps: float
+    size_px: tuple[int, int]
+    truth: KittiLabels | MotRows | None
+
+    @property
+    def min_score(self) -> float:
+        """For trackers of one threshold."""
+        return _MIN_SCORE.get(self.set_name, 0.5)
+
+    @property
+    def has_vectors(self) -> bool:
+        """Whether the boxes have appearance vectors."""
+        return bool(self.found.detections.descriptor.shape[1])
+
+    def counts(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackingCounts:
+        """How good these tracks (N rows) are by the official rules; boxes with two decimals, as files have them."""
+        class_id = np.full(len(frame), ROAD_CLASSES.index(self.road_class))
+        boxes = TrackedBoxes(frame, track_id, np.round(xyxy_px, 2), class_id)
+        if isinstance(self.truth, KittiLabels):
+            return TrackingCounts.of(*kitti_cleaned(self.truth, boxes, self.road_class))
+        if self.truth is None:
+            raise ValueError(f"{self.name}: a scene has no truth")
+        return TrackingCounts.of(*mot_cleaned(self.truth, boxes))
+
+
+def sequences_of(set_name: str, data: Path) -> list[Sequence]:
+    """All sequences of one of `SETS` that have boxes; none where `data` has no such folder."""
+    if set_name.startswith("kitti"):
+        return list(_kitti(data / "kitti_labels", set_name))
+    return list(_mot(data / "mot" / set_name.upper(), set_name))
+
+
+def _kitti(folder: Path, set_name: str) -> Iterator[Sequence]:
+    road_class = set_name.removeprefix("kitti-")
+    boxes = folder / "rrc" / KITTI_TYPES[road_class][0]
+    for each in find_sequences(boxes, "det") if boxes.is_dir() else ():
+        if each.path.stat().st_size == 0:  # and its truth is without that class too
+            continue
+        found = read_detections(each.path, unnamed_class_id=ROAD_CLASSES.index(road_class))
+        truth = read_kitti(folder / "label_02" / f"{each.name}.txt")
+        n_frames = int(found.frame[-1]) + 1
+        yield Sequence(each.name, set_name, road_class, found, n_frames, _KITTI_FPS, _KITTI_SIZE_PX, truth)
+
+
+def _mot(folder: Path, set_name: str) -> Iterator[Sequence]:
+    for each in find_sequences(folder, "det") if folder.is_dir() else ():
+        found = read_detections(each.path, unnamed_class_id=ROAD_CLASSES.index("person"))
+        n_frames = max(each.info.n_frames or 0, int(found.frame[-1]) + 1)
+        truth = read_mot(folder / each.name / "gt" / "gt.txt")
+        fps, size_px = each.info.fps or 30.0, each.info.size_px or _USUAL_SIZE_PX
+        yield Sequence(each.name, set_name, "person", found, n_frames, fps, size_px, truth)
+
+
+def scene(n_objects: int, *, n_frames: int, seed: int = 0) -> Sequence:
+    """Objects on smooth random paths: 2 % jitter, 5 % missing, 2 % false alarms, in a random order per frame.
+
+    The image is 1920 x 1080, and larger for more than 200 objects, so that a crowd stays as dense.
+    """
+    random = np.random.default_rng(seed)
+    side = max(1.0, (n_objects / 200) ** 0.5)
+    size_px = np.array(_USUAL_SIZE_PX) * side
+    height_px = random.uniform(40, 160, n_objects)
+    size = np.stack([height_px * random.uniform(0.4, 1.5, n_objects), height_px], axis=1)
+    middle, swing = random.uniform(0.1, 0.9, (2, n_objects, 2)) * size_px * np.array([[[1.0]], [[0.1 / side]]])
+    speed, phase = random.uniform(0.2, 1.0, (n_objects, 2)), random.uniform(0, 2 * np.pi, (n_objects, 2))
+    frames = []
+    for frame in range(n_frames):
+        centre = middle + swing * np.sin(speed * frame / 30 + phase)
+        boxes = np.concatenate([centre - size / 2, centre + size / 2], axis=1)
+        boxes = (boxes + random.normal(0, 0.02, boxes.shape) * np.tile(size, 2))[random.random(n_objects) > 0.05]
+        corner = random.uniform(0, 0.9, (random.binomial(n_objects, 0.02), 2)) * size_px
+        alarms = np.concatenate([corner, corner + random.uniform(30, 120, corner.shape)], axis=1)
+        score = np.concatenate([random.uniform(0.6, 1.0, len(boxes)), random.uniform(0.3, 0.7, len(alarms))])
+        order = random.permutation(len(score))
+        frames.append(Detections.of(np.concatenate([boxes, alarms])[order], score[order], np.zeros(len(score))))
+    return Sequence(f"{n_objects} objects", "scene", "person", _recorded(frames), n_frames, 30.0, _pair(size_px), None)
+
+
+def _recorded(frames: list[Detections]) -> RecordedDetections:
+    boxes = Detections.of(
+        np.concatenate([each.xyxy_px for each in frames]),
+        np.concatenate([each.score for each in frames]),
+        np.concatenate([each.class_id for each in frames]),
+    )
+    frame = np.repeat(np.arange(len(frames)), [len(each) for each in frames])
+    return RecordedDetections(frame, boxes, first_frame=0, is_rectified=False, notes=())
+
+
+def _pair(size_px: FloatArray) -> tuple[int, int]:
+    return round(float(size_px[0])), round(float(size_px[1]))
