@@ -31,7 +31,7 @@ _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS
 _MAX_ASKED = 64
 """Boxes of a frame that are looked for in the next one; of more, every k-th."""
 
-_N_EAGER, _LAZY_STEP = 200, 4
+_N_EAGER, _LAZY_STEP = 1000, 4
 """After so many frames only every fourth is asked: it has little to add."""
 
 _N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1

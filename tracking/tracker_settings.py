@@ -22,13 +22,13 @@ class AppearanceGates:
     Attributes:
         max_distance: cosine distance (1 - cos) from the nearest of the track's descriptors; 0 = looks are not compared;
             None = what the descriptor says of itself, 0.2 for descriptors of a file.
-        max_mahalanobis: squared, from the track's prediction: the chi-square gate, 95 % at 4 degrees.
+        max_mahalanobis: squared, from the track's prediction: the chi-square gate, 99.7 % at 4 degrees.
         max_hidden: a box of which a nearer one hides more, as a share of its area, has no looks of its own.
         n_kept: descriptors per track, the running mean among them.
     """
 
     max_distance: float | None = None
-    max_mahalanobis: float = 9.49
+    max_mahalanobis: float = 16.0
     max_hidden: float = 0.5
     n_kept: int = 4
 
