@@ -22,6 +22,12 @@ _MOT_COLUMNS = range(7, 11)
 _PLAIN_COLUMNS = 6
 _FEATURES_NAME = "feat.npy"
 
+MAX_FRAME = 1_000_000
+"""Largest frame number that is believed: nine hours at 30 Hz."""
+
+_FAR_PX = 1e7
+"""Edges further out are no image's."""
+
 DetectionForm = Literal["mot", "kitti", "rrc", "tracks"]
 """MOTChallenge's rows, KITTI's, plain ones as RRC published them, or our own tracks.csv."""
 
@@ -66,7 +72,10 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionFor
     if form not in (None, found := _form_of(file_format, kind)):
         raise LabelFileError(f"{path}: read as {kind}, that is the format {found}, not {form}.")
     score, score_note = _as_probability(boxes.score)
-    sound = are_sound(boxes.xyxy_px) & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
+    near = (np.abs(np.nan_to_num(boxes.xyxy_px, nan=np.inf)) < _FAR_PX).all(axis=1)
+    sound = are_sound(boxes.xyxy_px) & near & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
+    if np.any(frame > MAX_FRAME):
+        raise LabelFileError(f"{path}: frame {frame.max()}: numbers up to {MAX_FRAME} wanted.")
     order = np.flatnonzero(sound)[np.argsort(frame[sound], kind="stable")]
     notes = [f"{path.name} read as {kind}: {len(order)} boxes."]
     if len(order) < len(frame):
@@ -116,6 +125,9 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
         table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
         raise LabelFileError(f"{path}: rows of numbers separated by commas, all of one length, wanted.") from error
+    number = table[:, 0]
+    if not np.all((np.abs(number) <= MAX_FRAME) & (np.rint(number) == number)):  # NaN fails too
+        raise LabelFileError(f"{path}: frames must be whole numbers up to {MAX_FRAME}.")
     class_id = np.full(len(table), unnamed_class_id)
     name = ROAD_CLASSES[unnamed_class_id]
     if table.shape[1] == _PLAIN_COLUMNS:
@@ -166,12 +178,12 @@ def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
 
 def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     wanted = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = list(csv.DictReader(file))
     try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file))
         table = np.array([[float(row[key]) for key in wanted] for row in rows]).reshape(-1, len(wanted))
         class_id = road_class_of_each([row["class"] for row in rows])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, csv.Error) as error:
         raise LabelFileError(f"{path}: columns {', '.join(wanted)}, class wanted, with a number in each.") from error
     seen = table[:, 6] == 1
     return (
@@ -186,8 +198,9 @@ _FORMATS = {"kitti": _read_kitti, "comma": _read_comma, "tracks": _read_tracks_c
 
 def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     """Scores in [0, 1]; raw detector margins, which know no bounds, go through a logistic, and a note says so."""
-    if not len(score) or (np.nanmin(score) >= 0 and np.nanmax(score) <= 1):
+    known = score[np.isfinite(score)]
+    if not len(known) or (known.min() >= 0 and known.max() <= 1):
         return score, ()
-    squashed = 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50)))
-    span = f"{np.nanmin(score):.2f} .. {np.nanmax(score):.2f}"
+    squashed = np.where(np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan)
+    span = f"{known.min():.2f} .. {known.max():.2f}"
     return squashed, (f"Scores of {span} are no probabilities: taken through a logistic (0 becomes 0.5).",)

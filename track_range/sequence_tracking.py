@@ -77,7 +77,7 @@ def track_sequence(
         recorded: boxes by frame.
         tracker: gives them identities.
         n_frames: frames to go through; those without boxes too.
-        fps: of frames whose time no video tells.
+        fps: of frames whose time no video tells; a video's own rate wins.
         images: video or folder whose frame k is that of the boxes' frame k.
         is_online: say of each frame what was known then; else what the whole sequence tells (`tracking.lookahead`).
         advance: told after each frame.
@@ -111,10 +111,12 @@ def _frames(video: VideoReader | None, n_frames: int, fps: float) -> Iterator[tu
     """Number, time and image of each frame; times go on at `fps` where the video has no frame."""
     next_frame, time_s = 0, -1 / fps
     if video is not None:
-        first_s, first_index = video.first_time_s, None
+        fps, start_s = video.fps, None
         for read in video:
-            first_index = read.index if first_index is None else first_index
-            frame, read_s = read.index - first_index, read.time_s - first_s
+            frame = read.index
+            # frames that cannot be decoded come before the first time that is known
+            start_s = read.time_s - frame / fps if start_s is None else start_s
+            read_s = read.time_s - start_s
             if frame >= n_frames:
                 break
             n_between = frame - next_frame + 1

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from detection.detection_files import MAX_FRAME
 from detection.kitti_format import LabelFileError
 
 Kind = Literal["det", "gt"]
@@ -69,6 +70,9 @@ def find_sequences(place: Path, kind: Kind) -> list[SequenceFile]:
     folders = [folder / inner for folder in (place, *sorted(place.iterdir())) if (folder / inner).is_file()]
     files = sorted(file for file in place.glob("*.txt") if not file.name.startswith("."))
     found = [_sequence(path) for path in folders or files]
+    names = [each.name for each in found]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise LabelFileError(f"{place}: two sequences are called {twice}: their results would be one file.")
     if not found:
         raise LabelFileError(f"{place}: no sequences: NAME.txt files, or folders NAME with {inner.as_posix()}, wanted.")
     return found
@@ -115,8 +119,10 @@ def _read_info(file: Path) -> SequenceInfo:
         info = SequenceInfo(section.getfloat("frameRate"), section.getint("seqLength"), _pair(width, height))
     except (OSError, UnicodeDecodeError, configparser.Error, KeyError, ValueError) as error:
         raise LabelFileError(f"{file}: not MOTChallenge's [Sequence] with numbers ({type(error).__name__}).") from error
-    if (info.fps is not None and not 0 < info.fps < 10_000) or (info.n_frames is not None and info.n_frames < 1):
-        raise LabelFileError(f"{file}: frameRate and seqLength must be positive.")
+    if (info.fps is not None and not 0 < info.fps < 10_000) or (
+        info.n_frames is not None and not 0 < info.n_frames <= MAX_FRAME
+    ):
+        raise LabelFileError(f"{file}: frameRate and seqLength must be positive, and no more than {MAX_FRAME} frames.")
     return info
 
 

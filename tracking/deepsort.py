@@ -61,6 +61,7 @@ class DeepSortTracker:
         self._strong, self._level = ScoreThreshold(keep.strong_score), NoiseLevel(keep.level)
         self._table = TrackTable(n_kept=keep.fill.n_kept, gallery=Gallery.empty(n_kept=keep.appearance.n_kept))
         self._next_id, self._last_s = 1, -np.inf
+        self._last_fed_s = -np.inf  # of the last frame with any box: who detects in every second frame misses nothing
         self._extent_px: FloatArray | None = None
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
@@ -85,6 +86,8 @@ class DeepSortTracker:
         if strong.any():
             self._begin(found.select(strong), time_s)
         self._last_s = time_s
+        if len(found):
+            self._last_fed_s = time_s
         return self._reported(time_s, image)
 
     @property
@@ -109,7 +112,7 @@ class DeepSortTracker:
         told = self._settings.appearance.max_distance
         is_told, describer = found.descriptor.shape[1] > 0, None if image is None else self._descriptor
         if told == 0 or not (is_told or describer) or not strong.any():
-            return found, 0.0
+            return Detections.of(found.xyxy_px, found.score, found.class_id) if is_told else found, 0.0
         clear = strong & (history.hidden_share(found.xyxy_px, found.xyxy_px) <= self._settings.appearance.max_hidden)
         if image is None or is_told or describer is None:
             of_clear, limit = unit_rows(found.descriptor[clear]), _MAX_DISTANCE_OF_FILES
@@ -126,7 +129,8 @@ class DeepSortTracker:
         if self._camera is not None and image is not None:
             table.carry(self._camera.update(image, found.xyxy_px))
         recent = (time_s - table.last_s <= keep.max_lost_s) & (table.filters.spread <= keep.max_spread)
-        table.keep(recent & (table.is_confirmed | (table.last_s == self._last_s)))
+        waits = (table.last_s == self._last_fed_s) & (time_s - table.last_s <= keep.max_tentative_s)
+        table.keep(recent & (table.is_confirmed | waits))
         if len(table):
             dt_s = time_s - self._last_s
             table.filters = motion.predicted(table.filters, dt_s, keep.noise, level=self._level.value)
@@ -143,7 +147,7 @@ class DeepSortTracker:
         cost[~may] = np.inf
         if max_distance > 0:
             looks = self._cost_of_looks(found, may)
-            fresh = table.last_s == self._last_s
+            fresh = table.last_s == self._last_fed_s
             for tracks in (fresh, ~fresh):  # the cascade: who was seen last chooses first
                 pairing.add(looks, confirmed & tracks, strong, max_cost=max_distance)
         else:
@@ -171,7 +175,7 @@ class DeepSortTracker:
         keep, table = self._settings, self._table
         if not len(rows):
             return
-        was_seen = table.last_s[rows] == self._last_s
+        was_seen = table.last_s[rows] == self._last_fed_s
         before = table.innovation[rows]
         table.see(rows, found, time_s, noise=keep.noise)
         if found.descriptor.shape[1]:

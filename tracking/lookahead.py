@@ -1,7 +1,7 @@
 """Look-ahead: what a whole recording tells of its tracks that a live stream could not know yet.
 
     a track's first boxes     belong to it, once it was confirmed later
-    a gap                     lies on the straight line between the boxes on either side (observed False)
+    a gap                     lies on the line between the boxes on either side, scores too (observed False)
     a track of few or
     of weak boxes             was a false alarm: fewer than `min_boxes`, or a mean score below what is strong
 
@@ -26,7 +26,7 @@ class LookaheadSettings:
 
     Attributes:
         max_gap_s: longer gaps stay open.
-        min_boxes: a track needs.
+        min_boxes: a track needs, unless there are fewer frames.
         min_score_share: of the strong score of its class, which the mean of its scores needs.
     """
 
@@ -59,8 +59,8 @@ class Recording:
         """
         settings = settings or LookaheadSettings()
         rows = _Rows.of(self._parts)
-        rows = rows.select(rows.are_worth(strong_score, settings))
         time_s = np.array(self._time_s)
+        rows = rows.select(rows.are_worth(strong_score, settings, n_frames=len(time_s)))
         return _by_frame(rows.with_gaps_filled(time_s, settings.max_gap_s), len(time_s))
 
 
@@ -88,12 +88,14 @@ class _Rows:
     def select(self, keep: BoolArray) -> _Rows:
         return _Rows(self.frame[keep], self.tracks.select(keep))
 
-    def are_worth(self, strong_score: Callable[[IntArray], FloatArray], settings: LookaheadSettings) -> BoolArray:
+    def are_worth(
+        self, strong_score: Callable[[IntArray], FloatArray], settings: LookaheadSettings, *, n_frames: int
+    ) -> BoolArray:
         """(N,) which rows belong to tracks of enough boxes and scores."""
         _, place, n = np.unique(self.tracks.track_id, return_inverse=True, return_counts=True)
         mean = np.bincount(place, self.tracks.score, len(n)) / np.maximum(n, 1)
         enough = mean[place] >= settings.min_score_share * strong_score(self.tracks.class_id)
-        return np.asarray(enough & (n[place] >= settings.min_boxes))
+        return np.asarray(enough & (n[place] >= min(settings.min_boxes, n_frames)))
 
     def with_gaps_filled(self, time_s: FloatArray, max_gap_s: float) -> _Rows:
         """With boxes on the line between a gap's ends, in every frame of it."""

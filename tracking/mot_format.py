@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.detection_files import xyxy_from_mot
+from detection.detection_files import MAX_FRAME, xyxy_from_mot
 from detection.detections import FloatArray, IntArray, check_shape
 from tracking.tracks import Tracks
 
@@ -85,7 +85,7 @@ def read_mot(path: Path, *, first_frame: int = 1) -> MotRows:
             w, h < 0.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise MotFormatError(f"{path}: cannot be read as text ({error}).") from error
     rows = [_row(line, f"{path}, line {i}", first_frame) for i, line in enumerate(lines, start=1) if line.strip()]
@@ -111,7 +111,7 @@ def _row(line: str, where: str, first_frame: int) -> list[float]:
         raise MotFormatError(f"{where}: a number wanted ({error}).") from error
     if not np.isfinite(row).all():
         raise MotFormatError(f"{where}: finite numbers wanted, '{line.strip()}' got.")
-    if row[0] < first_frame or row[0] % 1 or row[1] % 1:
+    if not first_frame <= row[0] <= MAX_FRAME or row[0] % 1 or row[1] % 1:
         raise MotFormatError(
             f"{where}: a whole frame from {first_frame} on and a whole id wanted, {cells[0]} and {cells[1]} got."
         )

@@ -31,6 +31,9 @@ _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS
 _MAX_ASKED = 64
 """Boxes of a frame that are looked for in the next one; of more, every k-th."""
 
+_MIN_BEST = 0.4
+"""Persistence of the better half of boxes below which it tells nothing of scores."""
+
 _N_EAGER, _LAZY_STEP = 1000, 4
 """After so many frames only every fourth is asked: it has little to add."""
 
@@ -78,7 +81,12 @@ class ScoreThreshold:
         """Take in one frame's boxes, weak ones too."""
         if self._settings.min_share <= 0:
             return
-        before, self._before = self._before, found
+        if not len(found):
+            return  # a frame that nobody looked at says nothing; one that is truly empty says little
+        mine = Detections.of(
+            found.xyxy_px.copy(), found.score.copy(), found.class_id.copy()
+        )  # the caller may reuse his
+        before, self._before = self._before, mine
         self._n_frames += 1
         if self._n_frames > _N_EAGER and self._n_frames % _LAZY_STEP:
             return
@@ -108,6 +116,8 @@ class ScoreThreshold:
         top = _N_BINS - 1 - int(np.searchsorted(from_top, from_top[-1] / 2))
         n = keep.prior_boxes
         best = (persisted[top:].sum() + n * 0.97) / (asked[top:].sum() + n)
+        if best < _MIN_BEST:
+            return keep.first  # frames are too far apart for anything to overlap
         share = (persisted + n * self._prior * best) / (asked + n) / best
         short = np.flatnonzero(share < keep.min_share)
         k = int(short[-1]) if len(short) else -1

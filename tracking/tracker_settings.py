@@ -45,7 +45,9 @@ class TrackerSettings:
         tentative_min_iou: of a strong box with a tentative track, both widened by `tentative_margin`.
         tentative_margin: share of a box's size added on every side, since a new track's speed is not known.
         confirm_hits: boxes a tentative track needs, one per frame, to be confirmed.
-        confirm_score: sum of their scores that it needs as well, so that weak starts wait longer.
+        confirm_score: sum of their scores that it needs as well, so that weak starts wait longer; not if one box is
+            enough.
+        max_tentative_s: a tentative track that waits for a frame with boxes in it waits no longer.
         max_lost_s: a track not seen for longer ends.
         max_spread: so does one whose place is less sure than this, standard deviation in heights of its box.
         score_half_life_s: time in which the score of a predicted box halves.
@@ -64,6 +66,7 @@ class TrackerSettings:
     tentative_margin: float = 0.3
     confirm_hits: int = 2
     confirm_score: float = 1.5
+    max_tentative_s: float = 1.0
     max_lost_s: float = 4.0
     max_spread: float = 2.0
     score_half_life_s: float = 0.2

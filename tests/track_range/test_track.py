@@ -210,8 +210,61 @@ def test_descriptors_that_are_not_the_boxes_are_refused(tmp_path, cli, described
 
 def test_reid_wants_looks_and_a_network_that_describes(tmp_path, cli, moving):
     (tmp_path / "boxes.txt").write_text(plain(*moving))
+    images = frames_of(tmp_path / "frames", 3)
     arguments = ("track", tmp_path / "boxes.txt", "--out", tmp_path / "out", "--reid", tmp_path / "none.onnx")
+    status, _, complaint = cli(*arguments)
+    assert (status, "--reid describes pictures: give --images" in complaint) == (2, True)
+    arguments = (*arguments, "--images", images)
     status, _, complaint = cli(*arguments)
     assert (status, "none.onnx" in complaint) == (1, True)
     status, _, complaint = cli(*arguments, "--tracker", "sort")
     assert (status, "which --tracker sort does not compare" in complaint) == (2, True)
+
+
+def test_nothing_is_overwritten_with_its_own_tracks_or_another_sequences(tmp_path, cli, moving):
+    (tmp_path / "mot").mkdir()
+    (tmp_path / "mot/a.txt").write_text(plain(*moving))
+    status, _, complaint = cli("track", tmp_path / "mot", "--out", tmp_path)
+    assert (status, "would be overwritten with its own tracks" in complaint) == (1, True)
+    assert (tmp_path / "mot/a.txt").read_text() == plain(*moving)
+    for folder in ("same/S/det", "same/S/S/det"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "det.txt").write_text("1,-1,1,1,10,10,1\n")
+    status, _, complaint = cli("track", tmp_path / "same/S", "--out", tmp_path / "out")
+    assert (status, "two sequences are called S" in complaint) == (1, True)
+
+
+@pytest.mark.parametrize("frame", ["1000000000", "nan", "inf", "1e19", "1.5"])
+def test_frames_that_cannot_be_are_refused(tmp_path, cli, frame):
+    (tmp_path / "boxes.txt").write_text(f"1,-1,1,1,10,10,1\n{frame},-1,1,1,10,10,1\n")
+    status, _, complaint = cli("track", tmp_path / "boxes.txt", "--out", tmp_path / "out")
+    assert (status, "frames must be whole numbers up to 1000000" in complaint) == (1, True)
+
+
+def test_a_recording_of_one_frame_has_tracks(tmp_path, cli):
+    (tmp_path / "boxes.txt").write_text("0,10,10,50,50,0.9\n")
+    assert cli("track", tmp_path / "boxes.txt", "--out", tmp_path / "out")[0] == 0
+    assert len(rows_of(tmp_path / "out/mot/boxes.txt")) == 1
+
+
+def test_classes_that_kitti_rows_name_are_evaluated(tmp_path, cli):
+    rows = [
+        f"{f} {i} {kind} 0 0 -10 {x} 100 {x + 60} 160 1 1 1 0 0 0 0 {{}}"
+        for f in range(6)
+        for i, kind, x in ((1, "Car", 100), (2, "Pedestrian", 400))
+    ]
+    (tmp_path / "truth.txt").write_text("".join(row.format("").strip() + "\n" for row in rows))
+    (tmp_path / "boxes.txt").write_text("".join(row.format("0.9") + "\n" for row in rows))
+    assert cli("track", tmp_path / "boxes.txt", "--kitti", "--out", tmp_path / "out")[0] == 0
+    status, told, _ = cli(
+        "evaluate",
+        "tracks",
+        "--truth",
+        tmp_path / "truth.txt",
+        "--results",
+        tmp_path / "out",
+        "--json",
+        tmp_path / "f.json",
+    )
+    assert status == 0, told
+    assert json.loads((tmp_path / "f.json").read_text())["combined"]["hota"] == 100

@@ -69,10 +69,24 @@ def test_weak_starts_wait_until_their_scores_add_up() -> None:
 
 
 def test_a_tentative_track_that_is_not_seen_again_at_once_is_dropped() -> None:
-    frames = [Detections.empty(), car_at(100), Detections.empty(), car_at(100), car_at(100)]
+    other = car_at(900)
+    frames = [other, both(other, car_at(100)), other, both(other, car_at(100)), both(other, car_at(100))]
     out = drive(DeepSortTracker(), frames)
-    assert [len(tracks) for tracks in out] == [0, 0, 0, 0, 1]
-    assert out[-1].track_id.tolist() == [2]
+    assert [tracks.track_id.tolist() for tracks in out] == [[1], [1], [1], [1], [1, 3]]
+
+
+@pytest.mark.parametrize("step", [2, 3])
+def test_a_detector_that_looks_at_every_other_frame_misses_nothing_in_between(step: int) -> None:
+    cars = both(*(car_at(200 * k, score=0.95) for k in range(3)))
+    out = drive(DeepSortTracker(NO_FILL), [cars if i % step == 1 else Detections.empty() for i in range(30)])
+    assert [tracks.track_id.tolist() for tracks in out[1 + step :: step]] == [[1, 2, 3]] * len(out[1 + step :: step])
+
+
+def test_frames_too_far_apart_to_overlap_say_nothing_of_scores() -> None:
+    tracker = DeepSortTracker()
+    for i in range(40):
+        tracker.update(both(*(car_at(200 * k + 70 * (i % 3), score=0.8) for k in range(3))), 0.5 * i, None)
+    assert tracker.strong_score(np.array([CAR])).tolist() == [0.4]
 
 
 def test_a_new_track_is_found_again_though_it_moved_by_more_than_its_width() -> None:

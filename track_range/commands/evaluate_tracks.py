@@ -15,7 +15,7 @@ from detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from detection.detections import IntArray
 from detection.kitti_format import LabelFileError, read_kitti
 from track_range.config import UsageError
-from track_range.sequences import MOT_FOLDER, SequenceFile, find_sequences, paired
+from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences, paired
 from track_range.tables import Column, Grid, figure, grid_of, rich_table
 from track_range.written import write_text
 from tracking.evaluation import TrackingCounts, TrackingScores
@@ -45,9 +45,11 @@ def evaluate_track_files(
         LabelFileError, MotFormatError: files cannot be read, or results of a sequence are missing.
         UsageError, ClassNameError: a class that cannot be evaluated.
     """
-    written = results / MOT_FOLDER
-    pairs = paired(find_sequences(truth, "gt"), find_sequences(written if written.is_dir() else results, "det"))
-    form: TruthFormat = truth_format or ("mot" if "," in _first_line(pairs[0][0].path) else "kitti")
+    wanted = find_sequences(truth, "gt")
+    form: TruthFormat = truth_format or ("mot" if "," in _first_line(wanted[0].path) else "kitti")
+    # what `track` wrote: KITTI's rows name classes, which KITTI's truth asks for
+    folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
+    pairs = paired(wanted, find_sequences(next((each for each in folders if each.is_dir()), results), "det"))
     name = _class_of(form, road_class)
     counts = {wanted.name: _counts(wanted, got, form, name) for wanted, got in pairs}
     combined = TrackingCounts.sum_of(list(counts.values()))
@@ -88,8 +90,11 @@ def _counts(truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_
     """One sequence, with the official rules of what does not count."""
     if form == "mot":
         wanted = read_mot(truth.path)
+        _check_once(truth.path, wanted.frame, wanted.track_id)
         return TrackingCounts.of(*mot_cleaned(wanted, _read_results(results.path, road_class, first_frame=1)))
     labels = read_kitti(truth.path)
+    named = labels.track_id >= 0
+    _check_once(truth.path, labels.frame[named], labels.track_id[named])
     return TrackingCounts.of(*kitti_cleaned(labels, _read_results(results.path, road_class, first_frame=0), road_class))
 
 
@@ -106,6 +111,11 @@ def _read_results(path: Path, road_class: str, *, first_frame: int) -> TrackedBo
     mine = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id
     labels = labels.select(mine & (labels.track_id >= 0))
     return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
+
+
+def _check_once(path: Path, frame: IntArray, track_id: IntArray) -> None:
+    if len(np.unique(np.stack([frame, track_id]), axis=1).T) < len(frame):
+        raise LabelFileError(f"{path}: an identity is there twice in one frame.")
 
 
 def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: Any, class_id: int) -> TrackedBoxes:

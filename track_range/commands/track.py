@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +18,16 @@ from track_range.sequence_tracking import images_of, track_sequence
 from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences
 from track_range.tables import Column, Grid, grid_of, rich_table
 from track_range.tracker_options import new_tracker, open_descriptor
-from track_range.written import make_folder, write_text
+from track_range.written import OutputError, make_folder, write_text
 from tracking.appearance import Descriptor
 from tracking.mot_format import mot_lines
 from tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0
 """KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""
+
+_BLANK_BYTES = 1024
+"""A file of blanks that is longer is none that a detector left for an empty sequence."""
 
 _KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
 _CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
@@ -84,6 +87,9 @@ def track(options: TrackOptions, console: Console) -> None:
     sequences = find_sequences(options.detections, "det")
     class_id = _class_of(options)
     places = [images_of(each, options.images, is_alone=len(sequences) == 1) for each in sequences]
+    if options.reid is not None and None in places:
+        raise UsageError("--reid describes pictures: give --images with the frames of every sequence.")
+    _check_inputs_stay(sequences, options)
     descriptor = open_descriptor(options.tracker, options.reid)
     for note in () if descriptor is None else descriptor.notes:
         say(console, f"- {note}")
@@ -93,23 +99,41 @@ def track(options: TrackOptions, console: Console) -> None:
     done = []
     for sequence, images in zip(sequences, places, strict=True):
         recorded = _read(sequence.path, class_id, options.form)
+        if options.reid is not None:  # what it says of looks wins over what the file says
+            recorded = replace(recorded, detections=_without_looks(recorded.detections))
         done.append(_track_one(sequence, recorded, images, descriptor, options, console))
     console.print(rich_table(_grid(done)))
     say(console, f"Written: {options.out / MOT_FOLDER}")
 
 
+def _check_inputs_stay(sequences: Sequence[SequenceFile], options: TrackOptions) -> None:
+    """No result may take the place of what it is made from.
+
+    Raises:
+        OutputError: one would.
+    """
+    for each in sequences:
+        for folder in (MOT_FOLDER, KITTI_FOLDER):
+            if (options.out / folder / f"{each.name}.txt").resolve() == each.path.resolve():
+                raise OutputError(f"{each.path} would be overwritten with its own tracks: choose another --out.")
+
+
 def _read(path: Path, class_id: int, form: DetectionForm | None) -> RecordedDetections:
     """The boxes of a sequence; an empty file means that nothing was found in it."""
-    if path.is_file() and path.stat().st_size == 0:
+    if path.is_file() and path.stat().st_size < _BLANK_BYTES and not path.read_bytes().strip():
         nothing = np.zeros(0, np.int64)
         return RecordedDetections(nothing, Detections.empty(), first_frame=0, is_rectified=False, notes=("",))
     return read_detections(path, unnamed_class_id=class_id, form=form)
 
 
+def _without_looks(found: Detections) -> Detections:
+    return Detections.of(found.xyxy_px, found.score, found.class_id)
+
+
 def _class_of(options: TrackOptions) -> int:
     """Class of rows that name none."""
     if options.road_class is None:
-        place = options.detections
+        place = options.detections.resolve()  # `.` has a name too
         words = [part.lower() for part in (place.name, place.parent.name)]
         name = next((_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person")
         return ROAD_CLASSES.index(name)
