@@ -26,44 +26,33 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import tracking_sets
 from benchmarks.drives import REAL_DATA
+from benchmarks.tracking_sets import sequences_of
 from detection.boxes import iou
 from detection.classes import ROAD_CLASSES
-from detection.detection_files import read_detections
-from detection.detections import BoolArray, Detections, FloatArray, IntArray
-from detection.kitti_format import KittiLabels, read_kitti
-from track_range.sequences import find_sequences
+from detection.detections import BoolArray, FloatArray, IntArray
+from detection.kitti_format import KittiLabels
+from track_range.sequence_tracking import track_sequence
 from tracking.association import assigned
 from tracking.deepsort import DeepSortTracker
 from tracking.evaluation import TrackingCounts
 from tracking.history import BoxHistory, FillGates, Form, smoothed
-from tracking.official_rules import KITTI_TYPES, kitti_cleaned
+from tracking.official_rules import KITTI_TYPES
 from tracking.tracked_boxes import TrackedBoxes
 from tracking.tracker_settings import TrackerSettings
 
-FRAME_S = 0.1
 FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")
 TRUTH, FOUND, PREDICTED = "#8c96a0", "#2f7ed8", "#e08214"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of this workload."""
-    folder = REAL_DATA / "kitti_labels"
-    parser.add_argument("--data", type=Path, default=folder, help="folder with label_02 and rrc")
+    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with kitti_labels")
     parser.add_argument("--classes", nargs="+", default=["car", "person"], choices=["car", "person"])
     parser.add_argument("--k", type=int, nargs="+", default=[2, 3, 5, 7, 9], help="frames of the median")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the figure (PNG) instead of the tables")
     parser.add_argument("--track", metavar="NAME:ID", help="its track; default: one that shows much")
-
-
-@dataclass(frozen=True, slots=True)
-class _Sequence:
-    """Boxes found, frame by frame, and KITTI's labels."""
-
-    name: str
-    road_class: str
-    found: list[Detections]
-    labels: KittiLabels
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +74,7 @@ class _Tracked:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Run all settings and print a table per class; or draw the figure."""
-    sequences = {name: _sequences(options.data, name) for name in options.classes}
+    sequences = {name: sequences_of(f"kitti-{name}", options.data) for name in options.classes}
     if options.figure:
         return _draw(sequences[options.classes[0]], options.k[len(options.k) // 2], options)
     figures = {}
@@ -105,25 +94,12 @@ def _settings(ks: Sequence[int]) -> list[tuple[str, int, FillGates]]:
     return rows
 
 
-def _sequences(folder: Path, road_class: str) -> list[_Sequence]:
-    kitti_type, class_id = KITTI_TYPES[road_class][0], ROAD_CLASSES.index(road_class)
-    found = []
-    for each in find_sequences(folder / "rrc" / kitti_type, "det"):
-        if each.path.stat().st_size == 0:
-            continue
-        boxes = read_detections(each.path, unnamed_class_id=class_id)
-        labels = read_kitti(folder / "label_02" / f"{each.name}.txt")
-        n = 1 + int(max(boxes.frame.max(), labels.frame.max()))
-        found.append(_Sequence(each.name, road_class, [boxes.at(i) for i in range(n)], labels))
-    return found
-
-
-def _row(sequences: Sequence[_Sequence], name: str, k: int, gates: FillGates) -> dict[str, Any]:
+def _row(sequences: Sequence[tracking_sets.Sequence], name: str, k: int, gates: FillGates) -> dict[str, Any]:
     """Figures of one setting."""
     tracked = [_tracked(each, gates) for each in sequences]
+    boxes = [result.boxes for result in tracked]
     counts = [
-        TrackingCounts.of(*kitti_cleaned(each.labels, result.boxes, each.road_class))
-        for each, result in zip(sequences, tracked, strict=True)
+        each.counts(found.frame, found.track_id, found.xyxy_px) for each, found in zip(sequences, boxes, strict=True)
     ]
     even = [int(each.name) % 2 == 0 for each in sequences]
     halves = [TrackingCounts.sum_of([c for c, e in zip(counts, even, strict=True) if e == half]) for half in (1, 0)]
@@ -139,16 +115,16 @@ def _row(sequences: Sequence[_Sequence], name: str, k: int, gates: FillGates) ->
         "mota": scores.mota,
         "frag": scores.frag,
         "n_predicted": sum(int(np.count_nonzero(~result.observed)) for result in tracked),
-        "jitter_px": _jitter_px(tracked, [result.boxes.xyxy_px for result in tracked]),
+        "jitter_px": _jitter_px(tracked, [found.xyxy_px for found in boxes]),
         "label_jitter_px": _jitter_px(tracked, labels),
-        "error_px": float(np.nanmedian(np.abs(np.concatenate([r.boxes.xyxy_px for r in tracked]) - truth))),
+        "error_px": float(np.nanmedian(np.abs(np.concatenate([found.xyxy_px for found in boxes]) - truth))),
         "label_error_px": float(np.nanmedian(np.abs(np.concatenate(labels) - truth))),
     }
 
 
-def _tracked(sequence: _Sequence, gates: FillGates) -> _Tracked:
-    tracker = DeepSortTracker(TrackerSettings(fill=gates))
-    tracks = [tracker.update(found, FRAME_S * i, None) for i, found in enumerate(sequence.found)]
+def _tracked(sequence: tracking_sets.Sequence, gates: FillGates) -> _Tracked:
+    tracker, n_frames = DeepSortTracker(TrackerSettings(fill=gates)), sequence.n_frames
+    tracks = track_sequence(sequence.found, tracker, n_frames=n_frames, fps=sequence.fps, is_online=True).frames
     frame = np.repeat(np.arange(len(tracks)), [len(each) for each in tracks])
     track_id = np.concatenate([each.track_id for each in tracks])
     xyxy_px = np.concatenate([each.xyxy_px for each in tracks])
@@ -157,15 +133,21 @@ def _tracked(sequence: _Sequence, gates: FillGates) -> _Tracked:
     boxes = TrackedBoxes(frame, track_id, xyxy_px, class_id).select(order)
     observed = np.concatenate([each.observed for each in tracks])[order]
     row = _truth_of_each(sequence, boxes)
-    return _Tracked(boxes, observed, row, np.where(row[:, None] >= 0, sequence.labels.xyxy_px[row], np.nan))
+    return _Tracked(boxes, observed, row, np.where(row[:, None] >= 0, _truth(sequence).xyxy_px[row], np.nan))
 
 
-def _truth_of_each(sequence: _Sequence, boxes: TrackedBoxes) -> IntArray:
+def _truth(sequence: tracking_sets.Sequence) -> KittiLabels:
+    if not isinstance(sequence.truth, KittiLabels):
+        raise TypeError(f"{sequence.name}: KITTI's labels wanted")
+    return sequence.truth
+
+
+def _truth_of_each(sequence: tracking_sets.Sequence, boxes: TrackedBoxes) -> IntArray:
     """(N,) the row of the labels that each box matches in its frame; -1 = none."""
-    labels = sequence.labels
+    labels = _truth(sequence)
     is_class = labels.kitti_type == KITTI_TYPES[sequence.road_class][0]
     found = np.full(len(boxes), -1)
-    for frame in range(len(sequence.found)):
+    for frame in range(sequence.n_frames):
         rows, here = np.flatnonzero(boxes.frame == frame), np.flatnonzero((labels.frame == frame) & is_class)
         overlap = iou(boxes.xyxy_px[rows], labels.xyxy_px[here])
         got, wanted = assigned(np.where(overlap >= 0.5, 1.0 - overlap, np.inf), max_cost=1.0)
@@ -233,7 +215,7 @@ def _tell(rows: Sequence[dict[str, Any]], title: str) -> None:
     Console(width=140).print(table)
 
 
-def _draw(sequences: Sequence[_Sequence], k: int, options: argparse.Namespace) -> dict[str, Any]:
+def _draw(sequences: Sequence[tracking_sets.Sequence], k: int, options: argparse.Namespace) -> dict[str, Any]:
     """The paper's figure 5: an edge of one track's box over the frames, before and after."""
     gates = FillGates(form="step-of-medians", n_kept=k + 1)
     tracked = {each.name: _tracked(each, gates) for each in sequences}
@@ -267,9 +249,11 @@ def _draw(sequences: Sequence[_Sequence], k: int, options: argparse.Namespace) -
     return {"sequence": name, "track_id": int(track), "k": k, "n_predicted": int(np.count_nonzero(~observed))}
 
 
-def _truth_of_track(sequence: _Sequence, result: _Tracked, own: IntArray, edge: int) -> tuple[IntArray, FloatArray]:
+def _truth_of_track(
+    sequence: tracking_sets.Sequence, result: _Tracked, own: IntArray, edge: int
+) -> tuple[IntArray, FloatArray]:
     """Frames and edge of the true object that a track matches most, over the track's time."""
-    labels, rows = sequence.labels, result.truth_row[own]
+    labels, rows = _truth(sequence), result.truth_row[own]
     true_id = np.bincount(labels.track_id[rows[rows >= 0]]).argmax()
     first, last = result.boxes.frame[own[[0, -1]]]
     here = np.flatnonzero((labels.track_id == true_id) & (labels.frame >= first) & (labels.frame <= last))

@@ -133,7 +133,7 @@ def _recorded(frames: list[Detections]) -> RecordedDetections:
         np.concatenate([each.class_id for each in frames]),
     )
     frame = np.repeat(np.arange(len(frames)), [len(each) for each in frames])
-    return RecordedDetections(frame, boxes, first_frame=0, is_rectified=False, notes=())
+    return RecordedDetections(frame, boxes, "rrc", notes=())
 
 
 def _pair(size_px: FloatArray) -> tuple[int, int]:

@@ -11,9 +11,9 @@ _NMS_BLOCK = 128
 
 
 def xyxy_from_cxcywh(cxcywh: FloatArray) -> FloatArray:
-    """(N, 4) centre x, centre y, width, height -> left, top, right, bottom."""
-    half = cxcywh[:, 2:] / 2
-    return np.concatenate([cxcywh[:, :2] - half, cxcywh[:, :2] + half], axis=1)
+    """(..., 4) centre x, centre y, width, height -> left, top, right, bottom."""
+    half = cxcywh[..., 2:] / 2
+    return np.concatenate([cxcywh[..., :2] - half, cxcywh[..., :2] + half], axis=-1)
 
 
 def area_px2(xyxy_px: FloatArray) -> FloatArray:

@@ -39,16 +39,29 @@ class RecordedDetections:
     Attributes:
         frame: (N,) frame number from 0, ascending.
         detections: (N) boxes in the same order.
-        first_frame: what the file counts frames from: 1 where it is MOTChallenge's, else 0.
-        is_rectified: whether the boxes are in rectified pixels, as our own tracks are, not in the video's own.
+        form: of the file.
         notes: sentences for the user: what was recognised, what was dropped.
     """
 
     frame: IntArray
     detections: Detections
-    first_frame: int
-    is_rectified: bool
+    form: DetectionForm
     notes: tuple[str, ...]
+
+    @property
+    def first_frame(self) -> int:
+        """What the file counts frames from."""
+        return 1 if self.form == "mot" else 0
+
+    @property
+    def is_rectified(self) -> bool:
+        """Whether the boxes are in rectified pixels, as our own tracks are, not in the video's own."""
+        return self.form == "tracks"
+
+    @property
+    def names_classes(self) -> bool:
+        """Whether the rows say what each box is."""
+        return self.form in ("kitti", "tracks")
 
     def at(self, frame_index: int) -> Detections:
         """The detections of one frame; none where the file has none."""
@@ -69,7 +82,8 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionFor
     """
     file_format = _format_of(path)
     kind, frame, boxes = _FORMATS[file_format](path, unnamed_class_id)
-    if form not in (None, found := _form_of(file_format, kind)):
+    found = _form_of(file_format, kind)
+    if form not in (None, found):
         raise LabelFileError(f"{path}: read as {kind}, that is the format {found}, not {form}.")
     score, score_note = _as_probability(boxes.score)
     near = (np.abs(np.nan_to_num(boxes.xyxy_px, nan=np.inf)) < _FAR_PX).all(axis=1)
@@ -81,13 +95,7 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionFor
     if len(order) < len(frame):
         notes.append(f"{len(frame) - len(order)} rows of {path.name} are no box of a road class and were left out.")
     detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
-    return RecordedDetections(
-        frame[order],
-        detections.select(order),
-        first_frame=1 if kind.startswith("MOT") else 0,
-        is_rectified=file_format == "tracks",
-        notes=(*notes, *score_note),
-    )
+    return RecordedDetections(frame[order], detections.select(order), found, notes=(*notes, *score_note))
 
 
 def _format_of(path: Path) -> str:
@@ -145,7 +153,7 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
 
 
 def _descriptors(path: Path, table: FloatArray) -> Descriptors:
-    """(N, D) float32 of length 1, from the feat.npy beside; D = 0 where there is none.
+    """(N, D) float32 from the feat.npy beside, of any length; D = 0 where there is none.
 
     Raises:
         LabelFileError: it is there, but its rows are not those of the file.
@@ -165,9 +173,7 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors:
         )
     if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not np.isfinite(features).all():
         raise LabelFileError(f"{beside}: its rows are not those of {path.name}, or are no numbers.")
-    looks = features[:, n_columns:]
-    length = np.linalg.norm(looks, axis=1, keepdims=True)
-    return np.asarray(np.divide(looks, length, out=np.zeros_like(looks), where=length > 0), np.float32)
+    return features[:, n_columns:].astype(np.float32)
 
 
 def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:

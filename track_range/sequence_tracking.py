@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from detection.detection_files import RecordedDetections
-from detection.detections import Image
+from detection.detections import FloatArray, Image
 from track_range.sequences import SequenceFile
 from track_range.video import VideoError, VideoReader
 from tracking.deepsort import DeepSortTracker
@@ -16,6 +18,9 @@ from tracking.lookahead import Recording
 from tracking.tracks import Tracks
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
+
+_MAX_OUTSIDE = 0.05
+"""A larger share of boxes with their centres outside the images is told; boxes of what the border cuts reach out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +45,7 @@ def images_of(sequence: SequenceFile, place: Path | None, *, is_alone: bool) -> 
         sequence: whose.
         place: what the user named: the video itself, or a folder with NAME.mp4, NAME/ or NAME/img1/; None = only
             MOTChallenge's img1 beside the boxes counts.
-        is_alone: there is no other sequence, so that `place` may be its folder of images.
+        is_alone: there is no other sequence, so that `place`, or img1 in it, may be its folder of images.
 
     Raises:
         VideoError: `place` does not exist, or has nothing of that name.
@@ -52,13 +57,17 @@ def images_of(sequence: SequenceFile, place: Path | None, *, is_alone: bool) -> 
         return place
     if not place.exists():
         raise VideoError(f"{place}: there is no such file or folder: check the name.")
-    named = [place / sequence.name / "img1", place / sequence.name]
-    named += [place / f"{sequence.name}{suffix}" for suffix in _VIDEO_SUFFIXES]
+    named = [place / sequence.name / "img1", place / sequence.name, *_videos(place, sequence.name)]
+    named += [place / "img1", place] if is_alone else []
     if found := next((each for each in named if each.exists()), None):
         return found
-    if is_alone:
-        return place
     raise VideoError(f"{place}: no {sequence.name}.mp4 and no folder {sequence.name} in it.")
+
+
+def _videos(place: Path, name: str) -> list[Path]:
+    """Videos of this name in a folder, the usual suffixes first; cameras write .MP4 too."""
+    found = [each for each in place.iterdir() if each.stem == name] if place.is_dir() else []
+    return [each for suffix in _VIDEO_SUFFIXES for each in sorted(found) if each.suffix.lower() == suffix]
 
 
 def track_sequence(
@@ -86,10 +95,10 @@ def track_sequence(
         VideoError: the images cannot be read.
     """
     video = None if images is None else VideoReader(images, folder_fps=fps)
-    recording, online, spent_s, n_seen = Recording(), [], 0.0, 0
+    recording, online, spent_s, seen = Recording(), [], 0.0, _Seen()
     for frame, time_s, image in _frames(video, n_frames, fps):
-        n_seen += image is not None
         found = recorded.at(frame)
+        seen.add(found.xyxy_px, image)
         began_s = time.perf_counter()
         tracks = tracker.update(found, time_s, image)
         if is_online:
@@ -101,10 +110,40 @@ def track_sequence(
     began_s = time.perf_counter()
     frames = online if is_online else recording.completed(tracker.strong_score)
     spent_s += time.perf_counter() - began_s
-    notes = () if video is None else video.notes
-    if video is not None and n_seen < n_frames:
-        notes = (*notes, f"{images}: images of {n_seen} of {n_frames} frames; the others are tracked without.")
+    notes = () if video is None else (*video.notes, *seen.notes(images, n_frames))
     return TrackedSequence(frames, 1e6 * spent_s / max(n_frames, 1), notes)
+
+
+class _Seen:
+    """Counts the frames that had images, and the boxes that are not in them."""
+
+    def __init__(self) -> None:
+        self._n_frames = self._n_boxes = self._n_outside = 0
+        self._size_text = ""
+
+    def add(self, xyxy_px: FloatArray, image: Image | None) -> None:
+        """One frame's boxes (N, 4)."""
+        if image is None:
+            return
+        height, width = image.shape[:2]
+        centre = (xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2
+        outside = (centre < -0.5) | (centre > [width - 0.5, height - 0.5])
+        self._n_frames += 1
+        self._n_boxes += len(centre)
+        self._n_outside += int(np.count_nonzero(outside.any(axis=1)))
+        self._size_text = f"{width} x {height}"
+
+    def notes(self, images: Path | None, n_frames: int) -> tuple[str, ...]:
+        """What the user should know of the images of `n_frames` frames."""
+        found = []
+        if self._n_frames < n_frames:
+            found.append(f"{images}: images of {self._n_frames} of {n_frames} frames; the others are tracked without.")
+        if self._n_outside > _MAX_OUTSIDE * self._n_boxes:
+            found.append(
+                f"{self._n_outside} of {self._n_boxes} boxes lie outside the images of {self._size_text} pixels: "
+                "are these the images that the boxes were found in?"
+            )
+        return tuple(found)
 
 
 def _frames(video: VideoReader | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:

@@ -68,8 +68,7 @@ def find_sequences(place: Path, kind: Kind) -> list[SequenceFile]:
         raise LabelFileError(f"{place}: no such file or folder.")
     inner = Path(kind) / f"{kind}.txt"
     folders = [folder / inner for folder in (place, *sorted(place.iterdir())) if (folder / inner).is_file()]
-    files = sorted(file for file in place.glob("*.txt") if not file.name.startswith("."))
-    found = [_sequence(path) for path in folders or files]
+    found = [_sequence(path) for path in folders or _text_files(place)]
     names = [each.name for each in found]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise LabelFileError(f"{place}: two sequences are called {twice}: their results would be one file.")
@@ -89,11 +88,46 @@ def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> li
     by_name = {each.name: each for each in results}
     missing = [each.name for each in truth if each.name not in by_name]
     if missing:
-        raise LabelFileError(
-            f"no results for {', '.join(missing[:5])}{' and more' if len(missing) > 5 else ''}; an empty file NAME.txt "
-            "means that nothing was found."
-        )
+        raise LabelFileError(f"no results for {listed(missing)}; an empty file NAME.txt means that nothing was found.")
     return [(each, by_name[each.name]) for each in truth]
+
+
+def passed_over(place: Path, found: Sequence[SequenceFile]) -> tuple[str, ...]:
+    """A note on a folder's NAME.txt files that are none of its sequences, since MOTChallenge's folders go first."""
+    taken = {each.path for each in found}
+    left = [file.name for file in _text_files(place) if file not in taken] if place.is_dir() else []
+    return (f"{place}: taken as MOTChallenge's folders; left out: {listed(left)}.",) if left else ()
+
+
+def without_truth(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:
+    """A note on results that `paired` has nothing to hold against."""
+    names = {each.name for each in truth}
+    extra = [each.name for each in results if each.name not in names]
+    if not extra or len(truth) == len(results) == 1:
+        return ()
+    return (f"{len(extra)} of {len(results)} sequences of results have no truth and do not count: {listed(extra)}.",)
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first five, and whether there are more."""
+    return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}"
+
+
+def first_line(path: Path) -> str:
+    """The first line with anything in it; empty where there is none.
+
+    Raises:
+        LabelFileError: the file is no text.
+    """
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            return next((line for line in file if line.strip()), "")
+    except (OSError, UnicodeDecodeError) as error:
+        raise LabelFileError(f"{path}: cannot be read as text ({type(error).__name__}).") from error
+
+
+def _text_files(place: Path) -> list[Path]:
+    return sorted(file for file in place.glob("*.txt") if file.is_file() and not file.name.startswith("."))
 
 
 def _sequence(path: Path) -> SequenceFile:

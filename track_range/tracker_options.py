@@ -12,18 +12,25 @@ from tracking.reid import ReidModel
 from tracking.tracker_settings import AppearanceGates, TrackerSettings
 
 
+def check_looks(name: TrackerName, reid: Path | None) -> None:
+    """A network that describes looks wants a tracker that compares them.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if reid is not None and name == "sort":
+        raise UsageError("--reid describes looks, which --tracker sort does not compare; take one of them.")
+
+
 def open_descriptor(name: TrackerName, reid: Path | None, runtime: Runtime | None = None) -> Descriptor | None:
     """Who says what boxes look like, where there are images: a network, else the built-in one; None for `sort`.
 
     Raises:
-        UsageError: a network is named, and looks are not compared.
-        ModelError: it is no re-identification network.
+        ModelError: the file is no re-identification network.
     """
-    if name == "deepsort":
-        return ColourLayout() if reid is None else ReidModel(reid, runtime)
-    if reid is not None:
-        raise UsageError("--reid describes looks, which --tracker sort does not compare: take one of them.")
-    return None
+    if name == "sort":
+        return None
+    return ColourLayout() if reid is None else ReidModel(reid, runtime)
 
 
 def new_tracker(name: TrackerName, descriptor: Descriptor | None) -> DeepSortTracker:

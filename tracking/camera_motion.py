@@ -128,11 +128,6 @@ class CameraMotion:
         return _in_full_pixels(_motion(was, now, grey.shape, self._settings), 1 << n_halved)
 
 
-def moved(points_px: FloatArray, now_from_before: FloatArray) -> FloatArray:
-    """(N, 2) points of the frame before -> (N, 2) in this frame."""
-    return np.asarray(points_px @ now_from_before[:, :2].T + now_from_before[:, 2])
-
-
 def _small_grey(image: Image, n_halved: int) -> Image:
     """The green channel halved so many times: means of 2x2 pixels do not alias, green costs less than a mix."""
     grey = np.asarray(cv2.extractChannel(image, 1), np.uint8)

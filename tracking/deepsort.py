@@ -16,6 +16,7 @@ break the filter's model, and overlap is its own gate.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -110,18 +111,24 @@ class DeepSortTracker:
         What a nearer box hides has no looks of its own: it would make the one behind look like the one in front.
         """
         told = self._settings.appearance.max_distance
-        is_told, describer = found.descriptor.shape[1] > 0, None if image is None else self._descriptor
-        if told == 0 or not (is_told or describer) or not strong.any():
-            return Detections.of(found.xyxy_px, found.score, found.class_id) if is_told else found, 0.0
-        clear = strong & (history.hidden_share(found.xyxy_px, found.xyxy_px) <= self._settings.appearance.max_hidden)
-        if image is None or is_told or describer is None:
-            of_clear, limit = unit_rows(found.descriptor[clear]), _MAX_DISTANCE_OF_FILES
+        nobody = Detections.of(found.xyxy_px, found.score, found.class_id), 0.0
+        if told == 0 or not strong.any():
+            return nobody
+        if found.descriptor.shape[1]:
+            clear, limit = self._are_clear(found, strong), _MAX_DISTANCE_OF_FILES
+            of_clear = unit_rows(found.descriptor[clear])
+        elif image is not None and self._descriptor is not None:
+            clear, limit = self._are_clear(found, strong), self._descriptor.max_distance
+            of_clear = self._descriptor.describe(image, found.xyxy_px[clear])
         else:
-            of_clear, limit = describer.describe(image, found.xyxy_px[clear]), describer.max_distance
+            return nobody
         descriptor = np.zeros((len(found), of_clear.shape[1]), np.float32)
         descriptor[clear] = of_clear
-        described = Detections(found.xyxy_px, found.score, found.class_id, descriptor)
-        return described, limit if told is None else told
+        return replace(found, descriptor=descriptor), limit if told is None else told
+
+    def _are_clear(self, found: Detections, strong: BoolArray) -> BoolArray:
+        hidden = history.hidden_share(found.xyxy_px, found.xyxy_px)
+        return np.asarray(strong & (hidden <= self._settings.appearance.max_hidden))
 
     def _move_to(self, time_s: float, found: Detections, image: Image | None) -> None:
         """Predict the tracks that are still alive."""
@@ -129,11 +136,15 @@ class DeepSortTracker:
         if self._camera is not None and image is not None:
             table.carry(self._camera.update(image, found.xyxy_px))
         recent = (time_s - table.last_s <= keep.max_lost_s) & (table.filters.spread <= keep.max_spread)
-        waits = (table.last_s == self._last_fed_s) & (time_s - table.last_s <= keep.max_tentative_s)
-        table.keep(recent & (table.is_confirmed | waits))
+        table.keep(recent & (table.is_confirmed | self._are_running(time_s)))
         if len(table):
             dt_s = time_s - self._last_s
             table.filters = motion.predicted(table.filters, dt_s, keep.noise, level=self._level.value)
+
+    def _are_running(self, time_s: float) -> BoolArray:
+        """(N,) which tracks were seen in the frame before, as far as it had any boxes, and not too long ago."""
+        last_s = self._table.last_s
+        return np.asarray((last_s == self._last_fed_s) & (time_s - last_s <= self._settings.max_break_s))
 
     def _pairs(self, found: Detections, strong: BoolArray, max_distance: float) -> tuple[IntArray, IntArray]:
         """Rows of tracks and of boxes that belong together, stage by stage, each with what the ones before left."""
@@ -175,15 +186,13 @@ class DeepSortTracker:
         keep, table = self._settings, self._table
         if not len(rows):
             return
-        was_seen = table.last_s[rows] == self._last_fed_s
-        before = table.innovation[rows]
-        table.see(rows, found, time_s, noise=keep.noise)
+        before, are_running = table.innovation[rows], self._are_running(time_s)[rows]
+        table.see(rows, found, time_s, are_running=are_running, noise=keep.noise)
         if found.descriptor.shape[1]:
             table.gallery = table.gallery.appended(rows, found.descriptor)
-        table.n_running[rows] = np.where(was_seen, table.n_running[rows] + 1, 1)
         if not table.is_confirmed.all():
             table.is_confirmed |= (table.n_hits >= keep.confirm_hits) & (table.evidence >= keep.confirm_score)
-        steady = was_seen & (table.n_hits[rows] > keep.level.min_hits) & table.is_confirmed[rows]
+        steady = are_running & (table.n_hits[rows] > keep.level.min_hits) & table.is_confirmed[rows]
         steady &= np.isfinite(before[:, 0])
         self._level.learn(before[steady], table.innovation[rows[steady]])
 
@@ -207,7 +216,7 @@ class DeepSortTracker:
         if not len(lost) or self._settings.fill.max_missing_s <= 0:
             return tracks
         filled, boxes = history.filled(
-            table.history(lost),
+            table.past.select(lost),
             time_s,
             gates=self._settings.fill,
             border_xyxy_px=border_px,
@@ -233,9 +242,9 @@ class DeepSortTracker:
         return Tracks(table.track_id[rows], table.last_xyxy_px[rows], table.label[rows], table.score[rows], seen)
 
     def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray | None:
-        """(4,) outermost pixels of the image; without one, the extent of the boxes reported so far."""
+        """(4,) edges of the image; without one, the extent of the boxes reported so far."""
         if image is not None:
-            return np.array([0.0, 0.0, image.shape[1] - 1.0, image.shape[0] - 1.0])
+            return np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
         if len(xyxy_px):
             low, high = xyxy_px[:, :2].min(axis=0), xyxy_px[:, 2:].max(axis=0)
             if self._extent_px is not None:

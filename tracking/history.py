@@ -43,7 +43,6 @@ class FillGates:
         min_running_in_sight: the same where less than `min_cover` of the box is hidden, so that nothing explains why
             it is missing.
         min_cover: share of the box.
-        max_cover: a box that is hidden by more is not predicted; 1 = all are.
         max_spread: median deviation of the steps, carried over the missing time, in heights of the box.
         min_margin: distance from the image's border, in heights of the box: what is nearer is leaving.
     """
@@ -54,7 +53,6 @@ class FillGates:
     min_running: int = 5
     min_running_in_sight: int = 15
     min_cover: float = 0.3
-    max_cover: float = 1.0
     max_spread: float = 0.1
     min_margin: float = 0.05
 
@@ -67,7 +65,7 @@ class FillGates:
 
 @dataclass(frozen=True, slots=True)
 class BoxHistory:
-    """The last K boxes seen of N tracks, newest last; slots not filled yet are NaN. Never written to.
+    """The last K boxes seen of N tracks, newest last; slots not filled yet are NaN.
 
     Attributes:
         xyxy_px: (N, K, 4).
@@ -104,14 +102,18 @@ class BoxHistory:
             np.concatenate([self.n_running, other.n_running]),
         )
 
-    def appended(self, xyxy_px: FloatArray, time_s: float, *, previous_s: float) -> BoxHistory:
-        """With every track seen at `time_s` as (N, 4); the frame before that was at `previous_s`."""
-        now = np.full((len(self), 1), time_s)
-        return BoxHistory(
-            np.concatenate([self.xyxy_px[:, 1:], xyxy_px[:, None]], axis=1),
-            np.concatenate([self.time_s[:, 1:], now], axis=1),
-            np.where(self.last_s == previous_s, self.n_running + 1, 1),
-        )
+    def see(self, rows: IntArray, xyxy_px: FloatArray, time_s: float, *, are_running: BoolArray) -> None:
+        """Write the boxes (M, 4) of M tracks into their rows, in place of the oldest.
+
+        Args:
+            rows: (M,) no track twice.
+            xyxy_px: as they were seen.
+            time_s: when.
+            are_running: (M,) which of them were seen in the frame before, too.
+        """
+        self.xyxy_px[rows, :-1], self.time_s[rows, :-1] = self.xyxy_px[rows, 1:], self.time_s[rows, 1:]
+        self.xyxy_px[rows, -1], self.time_s[rows, -1] = xyxy_px, time_s
+        self.n_running[rows] = np.where(are_running, self.n_running[rows] + 1, 1)
 
 
 def begun(xyxy_px: FloatArray, time_s: float, *, n_kept: int) -> BoxHistory:
@@ -162,7 +164,7 @@ def filled(
         history: of the missing tracks.
         time_s: now.
         gates: what is let through.
-        border_xyxy_px: (4,) the image's outermost pixels, or the extent of all boxes seen so far; None = not known,
+        border_xyxy_px: (4,) the image's outer edges, or the extent of all boxes seen so far; None = not known,
             so that boxes that leave are predicted for a while.
         others_xyxy_px: (K, 4) boxes seen now, which may hide a missing one; None = none.
     """
@@ -179,8 +181,7 @@ def filled(
     rows, boxes = rows[good], boxes[good]
     cover = np.zeros(len(rows)) if others_xyxy_px is None else hidden_share(boxes, others_xyxy_px)
     is_explained = (cover >= gates.min_cover) | (history.n_running[rows] >= gates.min_running_in_sight)
-    good = is_explained & (cover <= gates.max_cover)
-    return rows[good], boxes[good]
+    return rows[is_explained], boxes[is_explained]
 
 
 def hidden_share(xyxy_px: FloatArray, others_xyxy_px: FloatArray) -> FloatArray:

@@ -139,17 +139,27 @@ def squared_mahalanobis(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionN
 
 def carried(filters: BoxFilters, now_from_before: FloatArray) -> BoxFilters:
     """The filters in another frame's pixels: a similarity (2, 3) turns centres and rates, and scales sizes."""
-    turn, shift = now_from_before[:, :2], now_from_before[:, 2]
-    scale = float(np.sqrt(abs(np.linalg.det(turn))))
-    value = np.concatenate([filters.value[:, :2] @ turn.T + shift, scale * filters.value[:, 2:]], axis=1)
-    rate = np.concatenate([filters.rate[:, :2] @ turn.T, scale * filters.rate[:, 2:]], axis=1)
+    turn = now_from_before * [1.0, 1.0, 0.0]
+    scale = _scale(turn)
+    value, rate = moved(filters.value, now_from_before), moved(filters.rate, turn)
     return BoxFilters(value, rate, filters.P * scale**2, filters.height_px * scale)
+
+
+def moved(box_cxcywh: FloatArray, now_from_before: FloatArray) -> FloatArray:
+    """(..., 4) centres and sizes of the frame before -> the same in this frame, by a similarity (2, 3)."""
+    turn, shift = now_from_before[:, :2], now_from_before[:, 2]
+    centre, size = box_cxcywh[..., :2] @ turn.T + shift, _scale(now_from_before) * box_cxcywh[..., 2:]
+    return np.concatenate([centre, size], axis=-1)
 
 
 def cxcywh(xyxy_px: FloatArray) -> FloatArray:
     """(..., 4) centre and size of boxes."""
     size = xyxy_px[..., 2:] - xyxy_px[..., :2]
     return np.concatenate([xyxy_px[..., :2] + size / 2, size], axis=-1)
+
+
+def _scale(now_from_before: FloatArray) -> float:
+    return float(np.sqrt(abs(np.linalg.det(now_from_before[:, :2]))))
 
 
 def _innovation_variance(filters: BoxFilters, noise: MotionNoise) -> FloatArray:

@@ -1,15 +1,17 @@
 """TrackTable: all live tracks of one stream as parallel arrays, by id; the tracker's own memory, changed in place.
 
-Rows are changed where they stand and copied only when tracks begin or end: most frames copy nothing.
+What a track has seen and been called is changed where it stands, and copied only when tracks begin or end; its filter
+(every frame), its looks (where they are told) and its past boxes (where the camera moves) become new arrays.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from detection.boxes import xyxy_from_cxcywh
 from detection.classes import ROAD_CLASSES
 from detection.detections import BoolArray, Detections, FloatArray, IntArray
-from tracking import motion
+from tracking import history, motion
 from tracking.gallery import Gallery
 from tracking.history import BoxHistory
 from tracking.motion import MotionNoise
@@ -21,8 +23,7 @@ class TrackTable:
     Attributes:
         track_id: (N,) growing.
         filters: their motion.
-        boxes_px, box_times_s: (N, K, 4), (N, K) the last boxes seen, newest last; NaN where there are fewer.
-        n_running: (N,) frames in a row in which the track was seen, up to its last box.
+        past: the last boxes seen.
         votes: (N, classes) sum of scores by class.
         label: (N,) the class with most of them, so that it does not flicker.
         evidence: (N,) sum of all scores.
@@ -36,9 +37,7 @@ class TrackTable:
     def __init__(self, *, n_kept: int, gallery: Gallery) -> None:
         self.track_id: IntArray = np.zeros(0, np.int64)
         self.filters = motion.begun(np.zeros((0, 4)), MotionNoise())
-        self.boxes_px: FloatArray = np.zeros((0, n_kept, 4))
-        self.box_times_s: FloatArray = np.zeros((0, n_kept))
-        self.n_running: IntArray = np.zeros(0, np.int64)
+        self.past = history.begun(np.zeros((0, 4)), 0.0, n_kept=n_kept)
         self.votes: FloatArray = np.zeros((0, len(ROAD_CLASSES)))
         self.label: IntArray = np.zeros(0, np.int64)
         self.evidence: FloatArray = np.zeros(0)
@@ -54,37 +53,33 @@ class TrackTable:
     @property
     def last_s(self) -> FloatArray:
         """(N,) when each was last seen."""
-        return self.box_times_s[:, -1]
+        return self.past.last_s
 
     @property
     def last_xyxy_px(self) -> FloatArray:
         """(N, 4) each one's box when it was last seen."""
-        return self.boxes_px[:, -1]
-
-    def history(self, rows: IntArray) -> BoxHistory:
-        """The last boxes of some tracks."""
-        return BoxHistory(self.boxes_px[rows], self.box_times_s[rows], self.n_running[rows])
+        return self.past.last_xyxy_px
 
     def keep(self, alive: BoolArray) -> None:
         """Forget the other tracks."""
         if alive.all():
             return
         self.track_id, self.filters = self.track_id[alive], self.filters.select(alive)
-        self.boxes_px, self.box_times_s = self.boxes_px[alive], self.box_times_s[alive]
-        self.n_running, self.votes, self.score = self.n_running[alive], self.votes[alive], self.score[alive]
+        self.past, self.votes, self.score = self.past.select(alive), self.votes[alive], self.score[alive]
         self.label, self.evidence = self.label[alive], self.evidence[alive]
         self.n_hits, self.is_confirmed = self.n_hits[alive], self.is_confirmed[alive]
         self.innovation, self.gallery = self.innovation[alive], self.gallery.select(alive)
 
-    def see(self, rows: IntArray, found: Detections, time_s: float, *, noise: MotionNoise) -> None:
-        """Give each of these tracks its box of this frame."""
+    def see(
+        self, rows: IntArray, found: Detections, time_s: float, *, are_running: BoolArray, noise: MotionNoise
+    ) -> None:
+        """Give each of these tracks its box of this frame; `are_running` (M,) were seen in the frame before, too."""
         before = self.filters.select(rows)
         after, innovation = motion.updated_with_innovations(before, found.xyxy_px, noise)
         self.innovation[rows], mine = innovation[:, :2], self.filters
         mine.value[rows], mine.rate[rows] = after.value, after.rate
         mine.P[rows], mine.height_px[rows] = after.P, after.height_px
-        self.boxes_px[rows, :-1], self.box_times_s[rows, :-1] = self.boxes_px[rows, 1:], self.box_times_s[rows, 1:]
-        self.boxes_px[rows, -1], self.box_times_s[rows, -1] = found.xyxy_px, time_s
+        self.past.see(rows, found.xyxy_px, time_s, are_running=are_running)
         self.votes[rows, found.class_id] += found.score
         self.label[rows] = self.votes[rows].argmax(axis=1)
         self.evidence[rows] += found.score
@@ -93,31 +88,23 @@ class TrackTable:
 
     def begin(self, first_id: int, found: Detections, time_s: float, *, noise: MotionNoise) -> None:
         """Add a tentative track for each box; ids count from `first_id`."""
-        n, k = len(found), self.boxes_px.shape[1]
+        n = len(found)
         ids = np.arange(first_id, first_id + n, dtype=np.int64)
-        boxes, times = np.full((n, k, 4), np.nan), np.full((n, k), np.nan)
-        boxes[:, -1], times[:, -1] = found.xyxy_px, time_s
         votes = np.zeros((n, len(ROAD_CLASSES)))
         votes[np.arange(n), found.class_id] = found.score
-        ones = np.ones(n, np.int64)
         self.track_id = np.concatenate([self.track_id, ids])
         self.filters = self.filters.joined(motion.begun(found.xyxy_px, noise))
-        self.boxes_px = np.concatenate([self.boxes_px, boxes])
-        self.box_times_s = np.concatenate([self.box_times_s, times])
-        self.n_running = np.concatenate([self.n_running, ones])
+        self.past = self.past.joined(history.begun(found.xyxy_px, time_s, n_kept=self.past.time_s.shape[1]))
         self.votes = np.concatenate([self.votes, votes])
         self.label = np.concatenate([self.label, found.class_id])
         self.evidence = np.concatenate([self.evidence, found.score])
         self.score = np.concatenate([self.score, found.score])
-        self.n_hits = np.concatenate([self.n_hits, ones])
+        self.n_hits = np.concatenate([self.n_hits, np.ones(n, np.int64)])
         self.is_confirmed = np.concatenate([self.is_confirmed, np.zeros(n, np.bool_)])
         self.innovation = np.concatenate([self.innovation, np.full((n, 2), np.nan)])
 
     def carry(self, now_from_before: FloatArray) -> None:
         """Move everything with the background: predictions, and the boxes seen."""
         self.filters = motion.carried(self.filters, now_from_before)
-        turn, shift = now_from_before[:, :2], now_from_before[:, 2]
-        scale = float(np.sqrt(abs(np.linalg.det(turn))))
-        box = motion.cxcywh(self.boxes_px)
-        centre, half = box[..., :2] @ turn.T + shift, scale * box[..., 2:] / 2
-        self.boxes_px = np.concatenate([centre - half, centre + half], axis=-1)
+        boxes_px = xyxy_from_cxcywh(motion.moved(motion.cxcywh(self.past.xyxy_px), now_from_before))
+        self.past = BoxHistory(boxes_px, self.past.time_s, self.past.n_running)

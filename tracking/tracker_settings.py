@@ -47,7 +47,8 @@ class TrackerSettings:
         confirm_hits: boxes a tentative track needs, one per frame, to be confirmed.
         confirm_score: sum of their scores that it needs as well, so that weak starts wait longer; not if one box is
             enough.
-        max_tentative_s: a tentative track that waits for a frame with boxes in it waits no longer.
+        max_break_s: frames without any boxes, which a detector did not look at, do not count for so long: a tentative
+            track waits, and a run of frames in a row goes on.
         max_lost_s: a track not seen for longer ends.
         max_spread: so does one whose place is less sure than this, standard deviation in heights of its box.
         score_half_life_s: time in which the score of a predicted box halves.
@@ -66,7 +67,7 @@ class TrackerSettings:
     tentative_margin: float = 0.3
     confirm_hits: int = 2
     confirm_score: float = 1.5
-    max_tentative_s: float = 1.0
+    max_break_s: float = 1.0
     max_lost_s: float = 4.0
     max_spread: float = 2.0
     score_half_life_s: float = 0.2

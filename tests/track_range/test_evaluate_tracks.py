@@ -49,6 +49,21 @@ def test_sequences_and_together(kitti, tmp_path, cli):
     assert set(both) >= set("hota deta assa loca mota motp idf1 idsw fp fn frag mt ml".split())
 
 
+def test_results_without_truth_are_named(kitti, tmp_path, cli):
+    results = tmp_path / "results"
+    results.mkdir()
+    for name in ("0001", "0002", "0003"):
+        (results / f"{name}.txt").write_text(mot_rows((0, 7, 100)))
+    figures = tmp_path / "figures.json"
+    status, told, _ = cli("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures)
+    note = "1 of 3 sequences of results have no truth and do not count: 0003."
+    assert (status, note in told) == (0, True)
+    assert json.loads(figures.read_text())["notes"] == [note]
+    (results / "0003.txt").unlink()
+    told = cli("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures)[1]
+    assert ("no truth" in told, json.loads(figures.read_text())["notes"]) == (False, [])
+
+
 def test_kitti_results_of_another_class(kitti, tmp_path, cli):
     results = tmp_path / "0001.txt"
     results.write_text(kitti_rows((0, 5, "Pedestrian", 500), (0, 6, "Car", 100)))

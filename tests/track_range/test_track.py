@@ -268,3 +268,65 @@ def test_classes_that_kitti_rows_name_are_evaluated(tmp_path, cli):
     )
     assert status == 0, told
     assert json.loads((tmp_path / "f.json").read_text())["combined"]["hota"] == 100
+
+
+def test_a_sequence_that_cannot_be_read_does_not_keep_the_others_from_being_tracked(tmp_path, cli, moving):
+    (tmp_path / "in").mkdir()
+    for name in ("a", "c"):
+        (tmp_path / f"in/{name}.txt").write_text(plain(*moving))
+    (tmp_path / "in/b.txt").write_text("1,2,3\n")
+    status, told, complaint = cli("track", tmp_path / "in", "--out", tmp_path / "out")
+    assert (status, "- b: " in told, "3 columns" in told, "Written" in told) == (1, True, True, True)
+    assert "1 of 3 sequences could not be tracked, see above: b." in complaint
+    assert sorted(path.name for path in (tmp_path / "out/mot").iterdir()) == ["a.txt", "c.txt"]
+
+
+def test_files_beside_motchallenge_folders_are_named(tmp_path, cli, moving):
+    (tmp_path / "in/A/det").mkdir(parents=True)
+    (tmp_path / "in/A/det/det.txt").write_text("1,-1,1,1,10,10,1\n")
+    (tmp_path / "in/b.txt").write_text(plain(*moving))
+    status, told, _ = cli("track", tmp_path / "in", "--out", tmp_path / "out")
+    assert (status, "taken as MOTChallenge's folders; left out: b.txt." in told) == (0, True)
+
+
+def test_boxes_that_are_not_in_the_images_are_told(tmp_path, cli, moving):
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    wide, narrow = frames_of(tmp_path / "wide", 10), frames_of(tmp_path / "narrow", 10, hw=(64, 320))
+    status, told, _ = cli("track", tmp_path / "boxes.txt", "--images", wide, "--out", tmp_path / "out")
+    assert (status, "outside the images" in told) == (0, False)
+    status, told, _ = cli("track", tmp_path / "boxes.txt", "--images", narrow, "--out", tmp_path / "out")
+    assert (status, "9 of 19 boxes lie outside the images of 320 x 64 pixels" in told) == (0, True)
+
+
+def test_images_lie_where_motchallenge_and_cameras_put_them(tmp_path, cli, moving):
+    (tmp_path / "one.txt").write_text(plain(*moving))
+    frames_of(tmp_path / "sequence/img1", 6)
+    frames_of(tmp_path / "named/one", 6)
+    video = cv2.VideoWriter(str(tmp_path / "one.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (480, 64))
+    for image in sorted((tmp_path / "named/one").iterdir()):
+        video.write(cv2.imread(str(image)))
+    video.release()
+    (tmp_path / "camera").mkdir()
+    (tmp_path / "one.mp4").rename(tmp_path / "camera/one.MP4")
+    for place in ("sequence", "named", "camera"):
+        status, told, _ = cli("track", tmp_path / "one.txt", "--images", tmp_path / place, "--out", tmp_path / "out")
+        assert (status, "images of 6 of 10 frames" in told) == (0, True), told
+
+
+def test_classes_that_kitti_has_no_name_for_are_told(tmp_path, cli, moving):
+    (tmp_path / "boxes.txt").write_text(plain(*moving))
+    arguments = ("track", tmp_path / "boxes.txt", "--kitti", "--out", tmp_path / "out")
+    status, told, _ = cli(*arguments, "--classes", "bus")
+    assert (status, "20 of 20 boxes are not in kitti/boxes.txt: KITTI has no name for bus." in told) == (0, True)
+    assert (tmp_path / "out/kitti/boxes.txt").read_text() == ""
+    assert "has no name" not in cli(*arguments, "--classes", "car")[1]
+
+
+def test_a_class_for_rows_that_name_theirs_is_told_not_to_count(tmp_path, cli):
+    row = "{} -1 Car -1 -1 -10 100 100 160 160 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
+    (tmp_path / "boxes.txt").write_text("".join(row.format(f) for f in range(3)))
+    arguments = ("track", tmp_path / "boxes.txt", "--kitti", "--out", tmp_path / "out")
+    status, told, _ = cli(*arguments, "--classes", "person")
+    assert (status, "--classes person does not count: the rows of boxes.txt name their classes" in told) == (0, True)
+    assert "Pedestrian" not in (tmp_path / "out/kitti/boxes.txt").read_text()
+    assert "does not count" not in cli(*arguments)[1]

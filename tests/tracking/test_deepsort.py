@@ -154,6 +154,16 @@ def test_prediction_ends_after_a_while() -> None:
     assert [len(tracks) for tracks in out[6:]] == [1, 1, 0, 0]  # 0.25 s
 
 
+@pytest.mark.parametrize(("pause_s", "is_predicted"), [(0.9, True), (1.1, False), (3.0, False)])
+def test_a_pause_of_more_than_a_second_ends_a_run(pause_s: float, is_predicted: bool) -> None:
+    tracker = DeepSortTracker()
+    drive(tracker, [car_at(100)] * 20)
+    again_s = 1.9 + pause_s
+    assert tracker.update(car_at(100), again_s, IMAGE).track_id.tolist() == [1]
+    missing = tracker.update(Detections.empty(), again_s + 0.1, IMAGE)
+    assert missing.track_id.tolist() == ([1] if is_predicted else [])
+
+
 def test_a_box_that_leaves_the_image_is_not_predicted() -> None:
     # the border is at 1241, and a box 40 px high keeps 2 px from it: its right edge would be at 1235, and at 1240
     for start_px, n_predicted in ((1145, 1), (1150, 0)):

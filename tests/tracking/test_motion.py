@@ -13,6 +13,7 @@ from tracking.motion import (
     begun,
     carried,
     innovations,
+    moved,
     predicted,
     squared_mahalanobis,
     updated,
@@ -181,8 +182,15 @@ def test_a_noisier_stream_trusts_its_boxes_more() -> None:
 def test_filters_are_carried_with_the_camera() -> None:
     """A quarter turn about the origin, twice as large, 10 px to the right."""
     filters = BoxFilters(BOX * 0 + [120.0, 90.0, 40.0, 80.0], np.full((1, 4), 3.0), np.ones((1, 3)), np.array([80.0]))
-    moved = carried(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(moved.value, [[-170.0, 240.0, 80.0, 160.0]])
-    np.testing.assert_allclose(moved.rate, [[-6.0, 6.0, 6.0, 6.0]])
-    np.testing.assert_allclose(moved.P, [[4.0, 4.0, 4.0]])
-    np.testing.assert_allclose(moved.spread, filters.spread)
+    later = carried(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(later.value, [[-170.0, 240.0, 80.0, 160.0]])
+    np.testing.assert_allclose(later.rate, [[-6.0, 6.0, 6.0, 6.0]])
+    np.testing.assert_allclose(later.P, [[4.0, 4.0, 4.0]])
+    np.testing.assert_allclose(later.spread, filters.spread)
+
+
+def test_boxes_of_the_past_are_moved_as_filters_are() -> None:
+    turn = np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]])
+    past = np.array([[[np.nan] * 4, [120.0, 90.0, 40.0, 80.0]], [[0.0, 0.0, 2.0, 4.0], [1.0, 0.0, 2.0, 4.0]]])
+    wanted = [[[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]], [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]]]
+    np.testing.assert_allclose(moved(past, turn), wanted)

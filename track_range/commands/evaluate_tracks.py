@@ -14,8 +14,18 @@ from rich.console import Console
 from detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from detection.detections import IntArray
 from detection.kitti_format import LabelFileError, read_kitti
+from track_range.commands.progress import say
 from track_range.config import UsageError
-from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences, paired
+from track_range.sequences import (
+    KITTI_FOLDER,
+    MOT_FOLDER,
+    SequenceFile,
+    find_sequences,
+    first_line,
+    paired,
+    passed_over,
+    without_truth,
+)
 from track_range.tables import Column, Grid, figure, grid_of, rich_table
 from track_range.written import write_text
 from tracking.evaluation import TrackingCounts, TrackingScores
@@ -46,12 +56,14 @@ def evaluate_track_files(
         UsageError, ClassNameError: a class that cannot be evaluated.
     """
     wanted = find_sequences(truth, "gt")
-    form: TruthFormat = truth_format or ("mot" if "," in _first_line(wanted[0].path) else "kitti")
+    form: TruthFormat = truth_format or ("mot" if "," in first_line(wanted[0].path) else "kitti")
     # what `track` wrote: KITTI's rows name classes, which KITTI's truth asks for
     folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
-    pairs = paired(wanted, find_sequences(next((each for each in folders if each.is_dir()), results), "det"))
-    name = _class_of(form, road_class)
-    counts = {wanted.name: _counts(wanted, got, form, name) for wanted, got in pairs}
+    place = next((each for each in folders if each.is_dir()), results)
+    got = find_sequences(place, "det")
+    pairs, name = paired(wanted, got), _class_of(form, road_class)
+    notes = (*passed_over(truth, wanted), *passed_over(place, got), *without_truth(wanted, got))
+    counts = {of.name: _counts(of, tracks, form, name) for of, tracks in pairs}
     combined = TrackingCounts.sum_of(list(counts.values()))
     figures: dict[str, Any] = {
         "truth": str(truth),
@@ -60,7 +72,10 @@ def evaluate_track_files(
         "class": name,
         "combined": _figures(combined.scores()),
         "sequences": {key: _figures(each.scores()) for key, each in counts.items()},
+        "notes": list(notes),
     }
+    for note in notes:
+        say(console, f"- {note}")
     console.print(rich_table(_grid(figures)))
     return figures
 
@@ -101,7 +116,7 @@ def _counts(truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_
 def _read_results(path: Path, road_class: str, *, first_frame: int) -> TrackedBoxes:
     """Tracks of one class from MOT rows, which name none and count frames as the truth does, or from KITTI rows."""
     class_id = ROAD_CLASSES.index(road_class)
-    first = _first_line(path)
+    first = first_line(path)
     if not first:
         return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
     if "," in first:
@@ -123,15 +138,6 @@ def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: Any, clas
         return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
     except ValueError as error:
         raise LabelFileError(f"{path}: an identity is there twice in one frame.") from error
-
-
-def _first_line(path: Path) -> str:
-    """The first line with anything in it; empty where there is none."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            return next((line for line in file if line.strip()), "")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{path}: cannot be read as text ({type(error).__name__}).") from error
 
 
 def _figures(scores: TrackingScores) -> dict[str, float | int | None]:

@@ -12,24 +12,29 @@ from rich.console import Console
 from detection.classes import ROAD_CLASSES, road_class_ids
 from detection.detection_files import DetectionForm, RecordedDetections, read_detections
 from detection.detections import Detections
+from detection.kitti_format import LabelFileError
 from track_range.commands.progress import frame_progress, say
 from track_range.config import TrackerName, UsageError
 from track_range.sequence_tracking import images_of, track_sequence
-from track_range.sequences import KITTI_FOLDER, MOT_FOLDER, SequenceFile, find_sequences
+from track_range.sequences import (
+    KITTI_FOLDER,
+    MOT_FOLDER,
+    SequenceFile,
+    find_sequences,
+    first_line,
+    listed,
+    passed_over,
+)
 from track_range.tables import Column, Grid, grid_of, rich_table
-from track_range.tracker_options import new_tracker, open_descriptor
-from track_range.written import OutputError, make_folder, write_text
+from track_range.track_files import write_kitti, write_mot
+from track_range.tracker_options import check_looks, new_tracker, open_descriptor
+from track_range.video import VideoError
+from track_range.written import OutputError, make_folder
 from tracking.appearance import Descriptor
-from tracking.mot_format import mot_lines
-from tracking.tracks import Tracks
 
 DEFAULT_FPS = 10.0
 """KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""
 
-_BLANK_BYTES = 1024
-"""A file of blanks that is longer is none that a detector left for an empty sequence."""
-
-_KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
 _CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
 """RRC's folders name the class that their rows do not."""
 
@@ -77,13 +82,16 @@ class _Done:
 def track(options: TrackOptions, console: Console) -> None:
     """Track every sequence and write `mot/NAME.txt`, frames counted as in the input.
 
+    A sequence of several that cannot be read does not keep the others from being tracked.
+
     Raises:
-        LabelFileError: boxes cannot be read.
+        LabelFileError: boxes cannot be read; of several sequences, after all have been tried.
         VideoError: images cannot.
         ModelError: `reid` is no re-identification network.
         ClassNameError, UsageError: the class is unknown, or none is meant.
         OutputError: `out` cannot be written to.
     """
+    check_looks(options.tracker, options.reid)
     sequences = find_sequences(options.detections, "det")
     class_id = _class_of(options)
     places = [images_of(each, options.images, is_alone=len(sequences) == 1) for each in sequences]
@@ -91,19 +99,31 @@ def track(options: TrackOptions, console: Console) -> None:
         raise UsageError("--reid describes pictures: give --images with the frames of every sequence.")
     _check_inputs_stay(sequences, options)
     descriptor = open_descriptor(options.tracker, options.reid)
-    for note in () if descriptor is None else descriptor.notes:
+    for note in (*passed_over(options.detections, sequences), *(() if descriptor is None else descriptor.notes)):
         say(console, f"- {note}")
+    _make_folders(options)
+    done, failed = [], []
+    for sequence, images in zip(sequences, places, strict=True):
+        try:
+            recorded = _read(sequence.path, class_id, options)
+            done.append(_track_one(sequence, recorded, images, descriptor, options, console))
+        except (LabelFileError, VideoError) as error:
+            if len(sequences) == 1:
+                raise
+            say(console, f"- {sequence.name}: {error}")
+            failed.append(sequence.name)
+    if done:
+        console.print(rich_table(_grid(done)))
+        say(console, f"Written: {options.out / MOT_FOLDER}")
+    if failed:
+        told = f"{len(failed)} of {len(sequences)} sequences could not be tracked, see above: {listed(failed)}."
+        raise LabelFileError(f"{options.detections}: {told}")
+
+
+def _make_folders(options: TrackOptions) -> None:
     make_folder(options.out / MOT_FOLDER)
     if options.is_kitti_written:
         make_folder(options.out / KITTI_FOLDER)
-    done = []
-    for sequence, images in zip(sequences, places, strict=True):
-        recorded = _read(sequence.path, class_id, options.form)
-        if options.reid is not None:  # what it says of looks wins over what the file says
-            recorded = replace(recorded, detections=_without_looks(recorded.detections))
-        done.append(_track_one(sequence, recorded, images, descriptor, options, console))
-    console.print(rich_table(_grid(done)))
-    say(console, f"Written: {options.out / MOT_FOLDER}")
 
 
 def _check_inputs_stay(sequences: Sequence[SequenceFile], options: TrackOptions) -> None:
@@ -118,16 +138,17 @@ def _check_inputs_stay(sequences: Sequence[SequenceFile], options: TrackOptions)
                 raise OutputError(f"{each.path} would be overwritten with its own tracks: choose another --out.")
 
 
-def _read(path: Path, class_id: int, form: DetectionForm | None) -> RecordedDetections:
-    """The boxes of a sequence; an empty file means that nothing was found in it."""
-    if path.is_file() and path.stat().st_size < _BLANK_BYTES and not path.read_bytes().strip():
-        nothing = np.zeros(0, np.int64)
-        return RecordedDetections(nothing, Detections.empty(), first_frame=0, is_rectified=False, notes=("",))
-    return read_detections(path, unnamed_class_id=class_id, form=form)
-
-
-def _without_looks(found: Detections) -> Detections:
-    return Detections.of(found.xyxy_px, found.score, found.class_id)
+def _read(path: Path, class_id: int, options: TrackOptions) -> RecordedDetections:
+    """The boxes of a sequence, with notes for the user; an empty file means that nothing was found in it."""
+    if not first_line(path):
+        return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), options.form or "rrc", notes=())
+    recorded = read_detections(path, unnamed_class_id=class_id, form=options.form)
+    found, notes = recorded.detections, recorded.notes[1:]  # the first says what the file was read as
+    if options.reid is not None:  # what it says of looks wins over what the file says
+        found = Detections.of(found.xyxy_px, found.score, found.class_id)
+    if recorded.names_classes and options.road_class is not None:
+        notes = (*notes, f"--classes {options.road_class} does not count: the rows of {path.name} name their classes.")
+    return replace(recorded, detections=found, notes=notes)
 
 
 def _class_of(options: TrackOptions) -> int:
@@ -163,33 +184,15 @@ def _track_one(
             is_online=options.is_online,
             advance=advance,
         )
-    for note in (*recorded.notes[1:], *tracked.notes):
-        say(console, f"- {sequence.name}: {note}")
-    frames, name = tracked.frames, f"{sequence.name}.txt"
-    write_text(options.out / MOT_FOLDER / name, _mot_text(frames, first_frame=recorded.first_frame))
+    frames, notes = tracked.frames, (*recorded.notes, *tracked.notes)
+    write_mot(frames, options.out, sequence.name, first_frame=recorded.first_frame)
     if options.is_kitti_written:
-        write_text(options.out / KITTI_FOLDER / name, _kitti_text(frames))
+        notes = (*notes, *write_kitti(frames, options.out, sequence.name))
+    for note in notes:
+        say(console, f"- {sequence.name}: {note}")
     identities = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
     n_boxes = sum(len(tracks) for tracks in frames)
     return _Done(sequence.name, n_frames, n_boxes, len(identities), tracked.us_per_frame)
-
-
-def _mot_text(frames: Sequence[Tracks], *, first_frame: int) -> str:
-    return "".join(
-        line for index, tracks in enumerate(frames) for line in mot_lines(tracks, index, first_frame=first_frame)
-    )
-
-
-def _kitti_text(frames: Sequence[Tracks]) -> str:
-    """KITTI's result rows, frames from 0; classes that KITTI has no name for are left out."""
-    rows = []
-    for frame, tracks in enumerate(frames):
-        kinds = [_KITTI_TYPE.get(ROAD_CLASSES[i]) for i in tracks.class_id]
-        for kind, track_id, box, score in zip(kinds, tracks.track_id, tracks.xyxy_px, tracks.score, strict=True):
-            if kind is not None:
-                edges = " ".join(f"{edge:.2f}" for edge in box)
-                rows.append(f"{frame} {track_id} {kind} -1 -1 -10 {edges} -1 -1 -1 -1000 -1000 -1000 -10 {score:.4f}\n")
-    return "".join(rows)
 
 
 def _grid(done: Sequence[_Done]) -> Grid:
