@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from detection.detections import BoolArray, FloatArray, Image, IntArray
 from ranging.ranges import Ranges
-from stereo.frames import Frame
+from stereo.alignment import Alignment
+from stereo.frames import Frame, ImageView, whole_image
 from stereo.rig import StereoRig
 from stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
 from tracking.tracks import Tracks
@@ -31,37 +32,71 @@ class Matcher(Protocol):
     """Finds the disparity of single boxes; `stereo.patch_matcher.PatchMatcher` does."""
 
     def match(
-        self, left: Image, right: Image, xyxy_px: FloatArray, prior_px: FloatArray
+        self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(N,) disparity_px and (N,) sigma_px of boxes (N, 4); prior_px NaN = search the full range."""
         ...
 
 
-class PatchRanger:
-    """Ranges each observed box by matching it alone, about the disparity that its track had last.
+@dataclass(frozen=True, slots=True)
+class Triangulation:
+    """From measured disparities to metres.
+
+    Attributes:
+        rig: the rectified pair.
+        alignment: what is wrong with its disparities.
+    """
+
+    rig: StereoRig
+    alignment: Alignment
+
+    def ranges(self, tracks: Tracks, disparity_px: FloatArray, sigma_px: FloatArray) -> Ranges:
+        """Distances of the tracks from their (N,) disparities and standard deviations; NaN where not positive."""
+        x_px = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
+        disparity_px, sigma_px = self.alignment.corrected(disparity_px, sigma_px, x_px=x_px, camera=self.rig.left)
+        distance_m = self.rig.distance_m(disparity_px)
+        return Ranges(
+            tracks.track_id, distance_m, distance_m**2 / (self.rig.left.fx_px * self.rig.baseline_m) * sigma_px
+        )
+
+
+class TrackMatcher:
+    """Matches each observed box alone, about the disparity that its track had last.
 
     A predicted box is not measured: what hides an object from the detector stands where the box is.
     """
 
-    def __init__(self, rig: StereoRig, matcher: Matcher) -> None:
-        """Range for a rectified rig."""
-        self._rig = rig
+    def __init__(self, matcher: Matcher) -> None:
+        """Remember for `matcher` what its tracks had."""
         self._matcher = matcher
         self._memory = _Disparities.none()
 
-    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
-        if frame.right is None:
-            return Ranges.unmeasured(tracks.track_id)
-        seen = np.flatnonzero(tracks.observed)
+    def match(self, tracks: Tracks, frame: Frame) -> tuple[FloatArray, FloatArray]:
+        """(N,) disparities and standard deviations, px; NaN where there is no match or no right eye."""
         disparity_px, sigma_px = np.full(len(tracks), np.nan), np.full(len(tracks), np.nan)
+        if frame.right is None:
+            return disparity_px, sigma_px
+        seen = np.flatnonzero(tracks.observed)
         prior_px = self._memory.prior_px(tracks.track_id[seen], frame.time_s)
         found = self._matcher.match(frame.left, frame.right, tracks.xyxy_px[seen], prior_px)
         disparity_px[seen], sigma_px[seen] = found
         self._memory = self._memory.with_matches(
             tracks.track_id[seen], found[0], is_full_range=np.isnan(prior_px), time_s=frame.time_s
         )
-        return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
+        return disparity_px, sigma_px
+
+
+class PatchRanger:
+    """Ranges each observed box by matching it alone."""
+
+    def __init__(self, rig: StereoRig, matcher: Matcher, *, alignment: Alignment | None = None) -> None:
+        """Range for a rectified rig; disparities are put right by `alignment`."""
+        self._triangulate = Triangulation(rig, alignment or Alignment())
+        self._matcher = TrackMatcher(matcher)
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
+        return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,16 +141,24 @@ class _Disparities:
 
 
 class DenseRanger:
-    """Ranges each box by the median of dense disparity in its inner half; matching runs in a thread of its own."""
+    """Ranges each box by the median of dense disparity in its inner half; matching runs in a thread of its own.
 
-    def __init__(self, rig: StereoRig, settings: SgbmSettings | None = None) -> None:
-        """Range for a rectified rig."""
-        self._rig = rig
+    Attributes:
+        disparity: (H, W) px of the frame measured last, NaN where unknown, as matched (the alignment is not in it).
+        busy_s: time spent matching so far.
+    """
+
+    def __init__(
+        self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: Alignment | None = None
+    ) -> None:
+        """Range for a rectified rig; disparities are put right by `alignment`."""
+        self._triangulate = Triangulation(rig, alignment or Alignment())
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
         self._pending: dict[int, Future[FloatArray32]] = {}
         self.busy_s = 0.0
+        self.disparity: FloatArray32 | None = None
 
     def start(self, frame: Frame) -> None:
         """Begin on a frame's disparity image in the background; `measure` waits for it."""
@@ -125,10 +168,10 @@ class DenseRanger:
         """Distances of the observed boxes with enough valid disparities; NaN for the rest."""
         if frame.index not in self._pending:
             self.start(frame)
-        disparity = self._pending.pop(frame.index).result()
+        self.disparity = disparity = self._pending.pop(frame.index).result()
         disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px, settings=self._settings)
         disparity_px = np.where(tracks.observed, disparity_px, np.nan)
-        return ranges_of_disparity(self._rig, tracks.track_id, disparity_px=disparity_px, sigma_px=sigma_px)
+        return self._triangulate.ranges(tracks, disparity_px, sigma_px)
 
     def close(self) -> None:
         """Drop what is pending and end the thread."""
@@ -138,14 +181,6 @@ class DenseRanger:
         if frame.right is None:
             return np.full(frame.left.shape[:2], np.nan, np.float32)
         began_s = time.perf_counter()
-        disparity = self._sgbm.dense_disparity(frame.left, frame.right)
+        disparity = self._sgbm.dense_disparity(frame.left, whole_image(frame.right))
         self.busy_s += time.perf_counter() - began_s
         return disparity
-
-
-def ranges_of_disparity(
-    rig: StereoRig, track_id: IntArray, *, disparity_px: FloatArray, sigma_px: FloatArray
-) -> Ranges:
-    """Ranges from (N,) disparities and their standard deviations; NaN where a disparity is not positive."""
-    distance_m = rig.distance_m(disparity_px)
-    return Ranges(track_id, distance_m, distance_m**2 / (rig.left.fx_px * rig.baseline_m) * sigma_px)

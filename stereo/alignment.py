@@ -1,24 +1,22 @@
-"""check_pair: does a rectified pair keep its rows, and is left really left? From sparse features of one pair.
+"""Alignment: what a calibrated pair still gets wrong, and its correction.
 
-    row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for every real point
+    d_true = d_measured + offset_px + bow_px u^2        u = (x - cx) / (width / 2), about -1 .. 1
+    y_right = y_left + row_offset_px                    rows of the rectified right image that match those of the left
 
-A pair whose disparities are nearly all negative, in equal rows, has been swapped. Few matches, unequal rows or
-disparities of both signs say nothing, and "unknown" is the answer.
+The offset is an error of vergence, the bow what distortion leaves (and vergence: it turns the right image plane). On
+KITTI's pairs six matchers agree on about half a pixel at the objects.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.frames import Image
+from stereo.camera import PinholeCamera
 
 FloatArray = npt.NDArray[np.float64]
-EyeOrder = Literal["right", "swapped", "unknown"]
 
 UNCORRECTED_SIGMA_PX = 0.5
 """Disparity error that a calibrated pair keeps while nobody has measured and corrected it.
@@ -26,107 +24,90 @@ UNCORRECTED_SIGMA_PX = 0.5
 Six matchers agree that KITTI's pairs, carefully calibrated, read about half a pixel low at small disparities.
 """
 
-_N_FEATURES = 2000
 
-_MAX_RATIO = 0.85
-"""A match must be nearer than this share of the next best one (Lowe 2004)."""
+MIN_SIGMAS = 2.0
+"""An estimate nearer to zero than this many of its standard deviations is not to be applied."""
 
-_ROW_TOLERANCE_PX = 2.0
-"""Matches in rows further from the median offset are wrong ones."""
-
-_CLEAR_DISPARITY_PX = 1.0
-"""Disparities below it, of far points and of small errors of alignment, are of no sign."""
-
-_MIN_MATCHES = 30
-
-_MIN_SHARE_OF_SIGN = 0.8
-"""Share of the signed disparities that must agree."""
-
-_MIN_SHARE_IN_ROW = 0.5
-"""Share of all matches that must agree in row; of chance matches about one in a hundred does."""
+MAX_ROW_OFFSET_PX = 0.3
+"""Rows further apart than this are worth a warning and a correction."""
 
 
-@dataclass(frozen=True, slots=True)
-class PairCheck:
-    """What the matches of one pair say.
+def column_from_axis(x_px: FloatArray, camera: PinholeCamera) -> FloatArray:
+    """(N,) u of columns (N,) of the left image: 0 on the optical axis, 1 half an image's width right of it."""
+    return (x_px - camera.cx_px) / (camera.width_px / 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """A measured correction of the disparities of one rectified rig.
 
     Attributes:
-        n_matches: matches that agree in row.
-        row_offset_px: mean of y_right - y_left over them (features lie on whole rows, so a median would too); NaN
-            without matches.
-        negative_share: share of them with a disparity below -1 px, 0..1; NaN without matches.
-        eye_order: "right", "swapped", or "unknown" where the matches do not tell.
+        offset_px: added to each disparity.
+        bow_px: added at the image's side edges, and less by the square of the distance from the axis inside.
+        row_offset_px: y_right - y_left of matching points.
+        residual_px: standard deviation of the disparity error that is left, this estimate's own error included.
+        offset_sigma_px: standard deviation of the estimated offset.
+        bow_sigma_px: of the bow; 0 where none was estimated.
+        source: where it comes from, in words for the user.
     """
 
-    n_matches: int
-    row_offset_px: float
-    negative_share: float
-    eye_order: EyeOrder
+    offset_px: float = 0.0
+    bow_px: float = 0.0
+    row_offset_px: float = 0.0
+    residual_px: float = UNCORRECTED_SIGMA_PX
+    offset_sigma_px: float = UNCORRECTED_SIGMA_PX
+    bow_sigma_px: float = 0.0
+    source: str = "not measured"
+
+    def corrected(
+        self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera
+    ) -> tuple[FloatArray, FloatArray]:
+        """(N,) disparities measured at the columns x_px (N,) of the left image, put right, and (N,) their sigmas.
+
+        `camera` is the rectified left one. NaN stays NaN.
+        """
+        u = column_from_axis(x_px, camera)
+        return disparity_px + self.offset_px + self.bow_px * u**2, np.hypot(sigma_px, self.residual_px)
 
     @property
-    def is_conclusive(self) -> bool:
-        """Whether the matches tell left from right; only then is the row offset worth a word, too."""
-        return self.eye_order != "unknown"
+    def is_correcting(self) -> bool:
+        """Whether it changes any disparity."""
+        return self.offset_px != 0.0 or self.bow_px != 0.0
 
     @property
-    def is_swapped(self) -> bool:
-        """Whether left and right are certainly swapped."""
-        return self.eye_order == "swapped"
+    def is_clear(self) -> bool:
+        """Whether its correction is more than its own uncertainty."""
+        return (
+            abs(self.offset_px) > MIN_SIGMAS * self.offset_sigma_px or abs(self.bow_px) > MIN_SIGMAS * self.bow_sigma_px
+        )
 
+    @property
+    def rows_to_move_px(self) -> float:
+        """How far the right image is to be moved up; 0 for a small offset, since moving by part of a pixel blurs."""
+        return self.row_offset_px if abs(self.row_offset_px) > MAX_ROW_OFFSET_PX else 0.0
 
-def check_pair(left: Image, right: Image) -> PairCheck:
-    """Check one pair, (H, W) or (H, W, 3) uint8 each, taken by a rig that is (or has been) rectified."""
-    left_px, right_px = _matches(left, right)
-    if len(left_px) == 0:
-        return PairCheck(0, float("nan"), float("nan"), "unknown")
-    row_offset = right_px[:, 1] - left_px[:, 1]
-    fullest_px = _mode_px(row_offset)
-    agreeing = np.abs(row_offset - fullest_px) <= _ROW_TOLERANCE_PX
-    disparity_px = (left_px - right_px)[agreeing, 0]
-    return PairCheck(
-        n_matches=int(agreeing.sum()),
-        row_offset_px=float(row_offset[agreeing].mean()),
-        negative_share=float((disparity_px < -_CLEAR_DISPARITY_PX).mean()),
-        eye_order=_eye_order(disparity_px, float(agreeing.mean())),
-    )
+    def if_clear(self) -> Alignment:
+        """Itself where it is clear; else without its correction, which is then part of what is left."""
+        if self.is_clear:
+            return self
+        residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), UNCORRECTED_SIGMA_PX)
+        return replace(self, offset_px=0.0, bow_px=0.0, residual_px=residual_px)
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether anybody has measured the offset, applied or not."""
+        return self.offset_sigma_px < UNCORRECTED_SIGMA_PX
 
-def _mode_px(offset_px: FloatArray) -> float:
-    """The centre of the fullest row band, which wrong matches, scattered over all rows, do not move."""
-    offsets = np.sort(offset_px)
-    until = np.searchsorted(offsets, offsets + 2 * _ROW_TOLERANCE_PX, side="right")
-    start = int((until - np.arange(len(offsets))).argmax())
-    return float(np.median(offsets[start : until[start]]))
-
-
-def _eye_order(disparity_px: FloatArray, share_agreeing: float) -> EyeOrder:
-    signed = disparity_px[np.abs(disparity_px) > _CLEAR_DISPARITY_PX]
-    if len(signed) < _MIN_MATCHES or share_agreeing < _MIN_SHARE_IN_ROW:
-        return "unknown"
-    share_negative = float((signed < 0).mean())
-    if share_negative > _MIN_SHARE_OF_SIGN:
-        return "swapped"
-    return "right" if share_negative < 1 - _MIN_SHARE_OF_SIGN else "unknown"
-
-
-def _matches(left: Image, right: Image) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) pixels of matching ORB features in the left and the right image: each other's best, and clearly so."""
-    orb = cv2.ORB.create(nfeatures=_N_FEATURES)
-    left_points, left_words = orb.detectAndCompute(_grey(left), None)
-    right_points, right_words = orb.detectAndCompute(_grey(right), None)
-    if min(len(left_points), len(right_points)) < 2:
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    back = {match.queryIdx: match.trainIdx for match in matcher.match(right_words, left_words)}
-    pairs = [
-        (first.queryIdx, first.trainIdx)
-        for first, second in matcher.knnMatch(left_words, right_words, k=2)
-        if first.distance < _MAX_RATIO * second.distance and back[first.trainIdx] == first.queryIdx
-    ]
-    left_px = np.array([left_points[i].pt for i, _ in pairs], np.float64).reshape(-1, 2)
-    right_px = np.array([right_points[j].pt for _, j in pairs], np.float64).reshape(-1, 2)
-    return left_px, right_px
-
-
-def _grey(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+    def sentence(self) -> str:
+        """What it says and does, in plain words."""
+        if self.is_correcting:
+            way = "low" if self.offset_px >= 0 else "high"
+            bow = f", and {abs(self.bow_px):.2f} px {'lower' if self.bow_px > 0 else 'higher'} at the side edges"
+            told = f"{abs(self.offset_px):.2f} +- {self.offset_sigma_px:.2f} px {way}{bow if self.bow_px else ''}"
+            return f"Alignment: disparities read {told} (from {self.source}); corrected."
+        if self.is_measured:
+            return (
+                f"Alignment: no clear error of the disparities, +- {self.offset_sigma_px:.2f} px (from {self.source}); "
+                "they are taken as they are."
+            )
+        return f"Alignment: {self.source}; disparities are taken as they are, +- {self.residual_px:.2f} px."

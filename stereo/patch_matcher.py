@@ -1,34 +1,32 @@
-"""PatchMatcher: the disparity of one box, from its inner half alone.
+"""PatchMatcher: the disparity of each box, from the windows in its inner half, all boxes of a frame at once.
 
-Census cost summed over the inner half, the integer minimum, then a V-shaped (equiangular) fit, since a sum of absolute
-differences falls off linearly on both sides of the true shift (Shimizu & Okutomi 2005):
+    windows (`box_windows`) -> costs at each disparity (`census`) -> the object's surface (`surfaces`) -> is it clear?
 
-    d = k + (c[k-1] - c[k+1]) / (2 (max(c[k-1], c[k+1]) - c[k]))
-
-It rather says NaN than a wrong number: where the minimum lies at the end of the range, is not deep (no texture), or has
-a rival of nearly the same depth (repeated texture, two surfaces, a steep one).
+It rather says NaN, with the reason, than a wrong number: where the windows' common minimum lies at the end of the
+range, is not deep (no texture), has a rival of nearly the same depth (repeated texture), or costs nearly as much as a
+match by chance (12 bits). The best of many chance matches has some depth too: that the object is not near its prior
+shows in the cost, and in windows without a minimum; then the full range is searched.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment import UNCORRECTED_SIGMA_PX
-from stereo.census import MARGIN_PX, CostCurves, cost_curves
-from stereo.frames import Image
-from stereo.patches import Patch, inner_halves
+from stereo.box_windows import COARSE, FINE, WINDOW_HW, BoxWindows, GreyLevels, band_of
+from stereo.census import cost_curves
+from stereo.clarity import clarity_of
+from stereo.frames import Image, ImageView
+from stereo.patch_matches import Outcome, PatchMatches
 from stereo.rig import StereoRig
+from stereo.surfaces import Surface, matched_windows, object_surface
 
 FloatArray = npt.NDArray[np.float64]
-
-_NO_MATCH = (math.nan, math.nan)
-
-_CHANCE_PERCENTILE = 75.0
-"""The costs' percentile that stands for a chance match, also about a prior, where half the costs are in the valley."""
+FloatArray32 = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,130 +36,192 @@ class PatchMatcherSettings:
     Attributes:
         min_disparity_px: smallest disparity that is searched.
         max_disparity_px: largest; sets the nearest distance (192 px: 2 m with KITTI's rig).
-        search_px: half width of the search about a prior.
-        max_pixels: rows of a larger patch are skipped until so many pixels are left; more gain nothing.
-        min_side_px: smallest side of an inner half; boxes are at least about twice as large.
+        max_disparity_per_side: largest disparity per px of the box's larger side, baseline / smallest object, both in
+            metres; inf = no limit.
+        search_px: half width of the search about a prior, px of the box's level.
+        min_side_px: smallest side of a box.
+        min_seen_share: share of the windows that must have a minimum that the right eye sees.
+        min_support: share of those that must belong to one surface.
         min_depth_bits: least depth of the minimum below the cost of a chance match, in bits of 24 per pixel.
-        noise_bits: a minimum must also be deeper than this / sqrt(pixels): 4 times the scatter of chance matches.
+        max_cost_bits: largest cost of the minimum; not asked near what the full range has shown already.
+        min_minima_share: share of the windows seen that must have a minimum near a track's prior: where the object is
+            elsewhere, most have theirs at an end of the search. As above.
         min_rival_share: cost of the next best minimum above the best one, as a share of the depth.
-        alignment_sigma_px: what the eyes' alignment leaves, added to every sigma.
-        shape_share: share of the cells' scatter (the object's own depth) that goes into sigma; from the 36 cars of
-            16 KITTI 2015 pairs, so their share within 1 sigma is no proof of it.
+        floor_px: error of a flat, textured, noiseless box, px of its level.
+        noise_bits: difference of the costs at neighbouring disparities by chance, bits per pixel.
+        scatter_share: share of the windows' scatter about the plane that goes into sigma.
+        tilt_share: the same of the plane's tilt across the box.
     """
 
     min_disparity_px: int = 1
     max_disparity_px: int = 192
+    max_disparity_per_side: float = math.inf
     search_px: int = 8
-    max_pixels: int = 2500
-    min_side_px: int = 5
+    min_side_px: float = 8.0
+    min_seen_share: float = 0.25
+    min_support: float = 0.3
     min_depth_bits: float = 1.5
-    noise_bits: float = 48.0
+    max_cost_bits: float = 8.0
+    min_minima_share: float = 0.5
     min_rival_share: float = 0.1
-    alignment_sigma_px: float = UNCORRECTED_SIGMA_PX
-    shape_share: float = 0.3
+    floor_px: float = 0.04
+    noise_bits: float = 3.0
+    scatter_share: float = 0.75
+    tilt_share: float = 0.15
 
     @classmethod
-    def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0) -> PatchMatcherSettings:
-        """Settings that reach as near as `nearest_m` with a rectified rig."""
+    def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
+        """Settings for a rectified rig that reach as near as `nearest_m`, for objects no smaller than `smallest_m`."""
         reach_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
-        return cls(max_disparity_px=math.ceil(reach_px))
+        return cls(max_disparity_px=math.ceil(reach_px), max_disparity_per_side=rig.baseline_m / smallest_m)
 
 
 class PatchMatcher:
-    """Measures disparities box by box; keeps no state between calls."""
+    """Measures disparities of boxes; keeps no state between calls."""
 
     def __init__(self, settings: PatchMatcherSettings | None = None) -> None:
         self._settings = settings or PatchMatcherSettings()
 
     def match(
-        self, left: Image, right: Image, xyxy_px: FloatArray, prior_px: FloatArray
+        self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Disparity and its standard deviation, (N,) pixels each, of boxes in the left image; NaN = not measured.
 
+        See `matches`.
+        """
+        found = self.matches(left, right, xyxy_px, prior_px)
+        return found.disparity_px, found.sigma_px
+
+    def matches(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+        """The disparities of boxes in the left image, and why some have none.
+
         Args:
             left: (H, W) grey or (H, W, 3) BGR uint8, rectified.
-            right: the same size.
+            right: the same height and width; only what the boxes need of it is looked at.
             xyxy_px: (N, 4) boxes; any values, also NaN and outside the image.
             prior_px: (N,) the disparity expected; NaN = none, and the full range is searched, as it is where the match
-                does not lie near the prior.
+                near the prior is not clear.
 
         Raises:
             ValueError: the images differ in size.
         """
-        if left.shape != right.shape:
-            raise ValueError(f"left and right: equal shapes wanted, {left.shape} and {right.shape} got")
-        disparity_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-        image_hw = (left.shape[0], left.shape[1])
-        patches = inner_halves(xyxy_px, image_hw, margin_px=MARGIN_PX, min_side_px=self._settings.min_side_px)
-        for i, (patch, prior) in enumerate(zip(patches, prior_px.tolist(), strict=True)):
-            if patch is not None:
-                disparity_px[i], sigma_px[i] = self._measure(left, right, patch, prior)
-        return disparity_px, sigma_px
+        if left.shape[:2] != right.shape[:2]:
+            raise ValueError(f"left and right: equal sizes wanted, {left.shape[:2]} and {right.shape[:2]} got")
+        boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
+        found = PatchMatches(np.full(len(boxes), np.nan), np.full(len(boxes), np.nan), outcome)
+        todo = outcome == Outcome.MATCHED
+        limit_px = self._limit_px(boxes)
+        near = np.flatnonzero(todo & (prior_px >= self._settings.min_disparity_px) & (prior_px <= limit_px))
+        if len(near):
+            found.put(near, self._search(left, right, boxes[near], prior_px[near], limit_px[near]))
+        lost = np.flatnonzero(todo & np.isnan(found.disparity_px))
+        if len(lost):
+            nothing = np.full(len(lost), np.nan)
+            found.put(lost, self._search(left, right, boxes[lost], nothing, limit_px[lost]))
+            again = lost[np.isfinite(found.disparity_px[lost])]
+            if len(again):
+                coarse_px = found.disparity_px[again]
+                found.put(again, self._search(left, right, boxes[again], coarse_px, limit_px[again], is_known=True))
+        return found
 
-    def _measure(self, left: Image, right: Image, patch: Patch, prior_px: float) -> tuple[float, float]:
-        """One patch: near the prior if there is one, in the full range otherwise or when that fails."""
+    def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
+        """Boxes cut to the image, and which of them can be looked at."""
+        height, width = image_hw
+        with np.errstate(invalid="ignore"):
+            boxes = np.clip(xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
+            side_px = (boxes[:, 2:] - boxes[:, :2]).min(axis=1)
+            outside = ~np.isfinite(xyxy_px).all(axis=1) | ~(side_px > 0)
+        outcome = np.full(len(boxes), int(Outcome.MATCHED), np.int64)
+        outcome[(side_px < self._settings.min_side_px) | (height < WINDOW_HW[0] + 4) | (width < WINDOW_HW[1] + 4)] = (
+            Outcome.TOO_SMALL
+        )
+        outcome[outside] = Outcome.OUTSIDE
+        return boxes, outcome
+
+    def _limit_px(self, boxes: FloatArray) -> FloatArray:
+        """(N,) largest disparity that is searched for each box."""
         keep = self._settings
-        row_step = _row_step(patch, keep.max_pixels)
-        n_pixels = patch.width_px * -(-patch.height_px // row_step)
-        # One disparity more at both ends, so that each one that is searched has two neighbours.
-        full = (keep.min_disparity_px - 1, keep.max_disparity_px + 1)
-        for first, last in (*_near(prior_px, full, keep.search_px + 1), full):
-            curves = cost_curves(left, right, patch, first_px=first, last_px=last, row_step=row_step)
-            best = int(curves.whole.argmin())
-            if _is_enclosed(curves.whole, best) and self._is_clear(curves, best, n_pixels):
-                return self._refine(curves, best)
-        return _NO_MATCH
+        if math.isinf(keep.max_disparity_per_side):
+            return np.full(len(boxes), float(keep.max_disparity_px))
+        side_px = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
+        return np.asarray(np.minimum(side_px * keep.max_disparity_per_side, keep.max_disparity_px))
 
-    def _is_clear(self, curves: CostCurves, best: int, n_pixels: int) -> bool:
-        """Whether the minimum is deep, and alone."""
-        keep, cost = self._settings, curves.whole
-        depth = float(np.percentile(cost[np.isfinite(cost)], _CHANCE_PERCENTILE) - cost[best])
-        if depth < max(keep.min_depth_bits, keep.noise_bits / math.sqrt(n_pixels)):
-            return False
-        aside = 2 + (curves.first_px + best) // 20  # the nearer the object, the wider the valley that it makes itself
-        rivals = np.concatenate([cost[: max(best - aside, 0)], cost[best + aside + 1 :]])
-        return len(rivals) == 0 or bool(rivals.min() - cost[best] >= keep.min_rival_share * depth)
+    def _search(
+        self,
+        left: Image,
+        right: ImageView,
+        boxes: FloatArray,
+        prior_px: FloatArray,
+        limit_px: FloatArray,
+        *,
+        is_known: bool = False,
+    ) -> PatchMatches:
+        """Boxes that can be looked at, all about their priors or all (NaN) over the full range.
 
-    def _refine(self, curves: CostCurves, best: int) -> tuple[float, float]:
-        """Subpixel disparity, and sigma from how much the cells disagree about it."""
-        keep, cost, cells = self._settings, curves.whole, curves.cells
-        higher = best + 1 if cost[best + 1] > cost[best - 1] else best - 1
-        slope = cost[higher] - cost[best]
-        lean = cells[best - 1] - cells[best + 1]
-        rise = cells[higher] - cells[best]
-        known = np.isfinite(lean)
-        if slope <= 0 or known.sum() < 3 or rise[known].sum() <= 0:
-            return _NO_MATCH
-        offset = (cost[best - 1] - cost[best + 1]) / (2 * slope)
-        # Standard error of a ratio of sums over cells: offset = sum(lean) / (2 sum(rise)).
-        residual = lean[known] - 2 * offset * rise[known]
-        error = math.sqrt(float(residual @ residual) * len(residual) / (len(residual) - 1)) / (2 * rise[known].sum())
-        shape = keep.shape_share * _cell_scatter_px(cells, best, keep.search_px)
-        return curves.first_px + best + float(offset), math.hypot(keep.alignment_sigma_px, error, shape)
+        is_known: the priors were found in this very pair.
+        """
+        is_near = bool(np.isfinite(prior_px).all())
+        windows = BoxWindows.of_boxes(boxes, (left.shape[0], left.shape[1]), look=FINE if is_near else COARSE)
+        first, n_disparities = self._range(windows.scale, prior_px, limit_px)
+        reach = windows.reach(first, first + n_disparities - 1, (left.shape[0], left.shape[1]))
+        n_levels = int(windows.level.max()) + 1
+        top = int(reach[:, 1].min())
+        cost = cost_curves(
+            GreyLevels.of(left[top : int(reach[:, 3].max())], n_levels),
+            GreyLevels.of(band_of(right, reach), n_levels),
+            replace(windows, row=windows.row - (top >> windows.level)[:, None]),
+            first=first,
+            n_disparities=n_disparities,
+        )
+        beyond = first + np.arange(n_disparities)[:, None] > limit_px / windows.scale + 1
+        cost[beyond] = np.nan  # the range is the largest box's
+        return self._measured(cost, windows, first, prior_px, is_known=is_known)
 
+    def _range(self, scale: FloatArray, prior_px: FloatArray, limit_px: FloatArray) -> tuple[IntArray, int]:
+        """First disparity (N,) of each box at its level, and how many; one more at both ends than is searched.
 
-def _near(prior_px: float, full: tuple[int, int], reach_px: int) -> tuple[tuple[int, int], ...]:
-    """The range about a prior inside the full one; none without a prior, or where it leaves too little."""
-    if not full[0] <= prior_px <= full[1]:
-        return ()
-    centre = round(prior_px)
-    return ((max(centre - reach_px, full[0]), min(centre + reach_px, full[1])),)
+        In the full range the first may be -1: a disparity of 1 px is about 0 in the shrunk image that finds it.
+        """
+        keep = self._settings
+        lowest = np.floor(keep.min_disparity_px / scale).astype(np.int64) - 1
+        if np.isfinite(prior_px).all():
+            first = np.rint(prior_px / scale).astype(np.int64) - keep.search_px - 1
+            return np.maximum(first, np.maximum(lowest, 0)), 2 * keep.search_px + 3
+        n_disparities = int(np.ceil(limit_px / scale).max()) + 2 - int(lowest.min())
+        return lowest, max(n_disparities, 2 * keep.search_px + 3)
 
+    def _measured(
+        self, cost: FloatArray32, windows: BoxWindows, first: IntArray, prior_px: FloatArray, *, is_known: bool
+    ) -> PatchMatches:
+        keep = self._settings
+        found = matched_windows(cost)
+        disparity = np.maximum(first[:, None] + found.index + found.offset, 0.1)
+        surface = object_surface(disparity, found.weight, places=windows.places(), prior=prior_px / windows.scale)
+        outcome = np.full(len(first), int(Outcome.MATCHED), np.int64)
+        clear = clarity_of(cost, surface, windows, first)
+        is_alone = clear.rival >= keep.min_rival_share * clear.depth
+        outcome[~is_alone | (surface.support < keep.min_support)] = Outcome.AMBIGUOUS
+        outcome[~clear.is_inside] = Outcome.OUT_OF_RANGE
+        outcome[~(clear.depth >= keep.min_depth_bits) | np.isnan(surface.centre)] = Outcome.NO_TEXTURE
+        minima, seen = (found.weight > 0).mean(axis=1), np.isfinite(cost).any(axis=0).mean(axis=1)
+        if not is_known:
+            elsewhere = np.isfinite(prior_px) & (minima < keep.min_minima_share * seen)
+            outcome[np.isfinite(clear.cost) & (elsewhere | (clear.cost > keep.max_cost_bits))] = Outcome.NO_FIT
+        outcome[minima < keep.min_seen_share] = Outcome.NO_TEXTURE
+        outcome[seen < keep.min_seen_share] = Outcome.NOT_SEEN
+        sigma_px = windows.scale * self._sigma(surface, found.weight, windows.n_pixels)
+        matched = outcome == Outcome.MATCHED
+        disparity_px = np.where(matched, windows.scale * surface.centre, np.nan)
+        return PatchMatches(disparity_px, np.where(matched, sigma_px, np.nan), outcome)
 
-def _row_step(patch: Patch, max_pixels: int) -> int:
-    """How many rows to go down for each one used; at least six rows stay."""
-    wanted = -(-patch.width_px * patch.height_px // max_pixels)
-    return max(1, min(wanted, patch.height_px // 6))
-
-
-def _is_enclosed(cost: FloatArray, best: int) -> bool:
-    """Whether the minimum has a neighbour on both sides that the right eye sees."""
-    return 0 < best < len(cost) - 1 and bool(np.isfinite(cost[best - 1 : best + 2]).all())
-
-
-def _cell_scatter_px(cells: FloatArray, best: int, reach_px: int) -> float:
-    """Median distance, scaled to a standard deviation, of each cell's own minimum from the whole's."""
-    start = max(best - reach_px, 0)
-    around = cells[start : best + reach_px + 1]
-    own = np.where(np.isfinite(around), around, np.inf).argmin(axis=0) + start
-    return 1.4826 * float(np.median(np.abs(own - best)))
+    def _sigma(self, surface: Surface, slope: FloatArray, n_pixels: FloatArray) -> FloatArray:
+        """(N,) standard deviation at the boxes' levels."""
+        keep = self._settings
+        spread = np.where(np.isfinite(surface.residual), np.abs(surface.residual), 0.0).sum(axis=1)
+        n_windows = np.maximum(np.isfinite(surface.residual).sum(axis=1), 1)
+        scatter = 1.25 * spread / n_windows  # mean absolute deviation -> standard deviation
+        mean_slope = np.where(np.isfinite(surface.residual), slope, 0.0).sum(axis=1) / n_windows
+        noise = keep.noise_bits / (np.maximum(mean_slope, 0.1) * np.sqrt(n_pixels))
+        tilt = np.abs(surface.tilt).sum(axis=1)
+        parts = (noise, keep.scatter_share * scatter, keep.tilt_share * tilt)
+        return np.sqrt(keep.floor_px**2 + sum((part**2 for part in parts), np.zeros(len(tilt))))

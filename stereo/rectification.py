@@ -3,19 +3,23 @@
 Both cameras are turned, about their own centres, until their x axes run along the baseline and their image planes
 coincide (Bouguet's method, OpenCV's stereoRectify); the lens terms go in the same step. Distances of the rectified pair
 are measured along the turned left camera's z axis.
+
+The left image is rectified whole, for the detector; the right one only where it is looked at: remapping the strips that
+15 boxes are matched in takes a tenth of the time of the frame.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo.camera import PinholeCamera
-from stereo.frames import Image
+from stereo.frames import Image, ImageView
 from stereo.rig import RigError, StereoRig
 from stereo.rig_checks import check_rig
 
@@ -36,38 +40,69 @@ class Rectifier:
         rig: the rectified rig that the images which come out seem to be taken with.
     """
 
-    def __init__(self, rig: StereoRig) -> None:
+    def __init__(self, rig: StereoRig, *, row_offset_px: float = 0.0) -> None:
         """Work out the maps.
+
+        Args:
+            rig: the pair as calibrated.
+            row_offset_px: y_right - y_left that its rectification is known to leave; taken out of the right image.
 
         Raises:
             RigError: the rig is implausible, its eyes stand one above the other, or one of them is upside down.
         """
         check_rig(rig, "the rig")
-        self.rig = rig
         self._size_px = (rig.left.width_px, rig.left.height_px)
         self._right_size_px = (rig.right.width_px, rig.right.height_px)
-        self._maps: tuple[Maps, Maps] | None = None
-        self._left_view: _View | None = None
+        views = _Views(rig, None, _View(rig.right, np.eye(3), rig.right.matrix))
         if not rig.is_rectified:
-            self.rig, self._maps, self._left_view = _rectified(rig)
+            views = _rectified(rig)
+        self.rig, self._left_view = views.rig, views.left
+        self._left_maps = None if views.left is None else _maps(views.left, self._size_px)
+        is_moved = not rig.is_rectified or row_offset_px != 0.0
+        self._right_maps = _maps(views.right.raised(row_offset_px), self._size_px) if is_moved else None
 
-    def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
-        """Both images, (H, W) or (H, W, 3), rectified; the same arrays where the rig is rectified already.
+    def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
+        """Both images, (H, W) or (H, W, 3), rectified; the same arrays where there is nothing to do.
 
-        Pixels that no camera saw are black.
+        The right one is then grey, and worked out only where it is looked at. Pixels that no camera saw are black.
 
         Raises:
             ValueError: an image has another size than its camera.
         """
         _check_size(left, self._size_px, "left")
         _check_size(right, self._right_size_px, "right")
-        if self._maps is None:
-            return left, right
-        return _remapped(left, self._maps[0]), _remapped(right, self._maps[1])
+        return (
+            left if self._left_maps is None else _remapped(left, self._left_maps),
+            right if self._right_maps is None else RemappedView(right, self._right_maps),
+        )
 
     def left_boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) of the left video's own pixels -> of its rectified images."""
         return xyxy_px if self._left_view is None else self._left_view.boxes(xyxy_px)
+
+
+class RemappedView:
+    """A grey image that is remapped where it is looked at, and kept whole once somebody wanted all of it."""
+
+    def __init__(self, image: Image, maps: Maps) -> None:
+        """Look at `image`, (H, W) or (H, W, 3) BGR, through `maps`."""
+        self._image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+        self._maps = maps
+        self._whole: Image | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W)."""
+        return self._maps[0].shape[:2]
+
+    def __getitem__(self, window: tuple[slice, slice], /) -> Image:
+        """The pixels of `[top:bottom, start:end]`, as an array's."""
+        if self._whole is not None:
+            return self._whole[window]
+        seen = _remapped(self._image, (self._maps[0][window], self._maps[1][window]))
+        if seen.shape == self.shape:
+            self._whole = seen
+        return seen
 
 
 class Undistorter:
@@ -105,6 +140,12 @@ class _View:
     turn: cv2.typing.MatLike
     matrix: cv2.typing.MatLike
 
+    def raised(self, by_px: float) -> _View:
+        """This view with everything `by_px` rows further up."""
+        matrix = np.array(self.matrix, np.float64)
+        matrix[1] -= by_px * matrix[2]
+        return _View(self.camera, self.turn, matrix)
+
     def boxes(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes (N, 4) as this view shows them: each edge goes where its middle goes."""
         if not len(xyxy_px):
@@ -117,8 +158,16 @@ class _View:
         return np.stack([moved[:, 0, 0], moved[:, 1, 1], moved[:, 2, 0], moved[:, 3, 1]], axis=1).astype(np.float64)
 
 
-def _rectified(rig: StereoRig) -> tuple[StereoRig, tuple[Maps, Maps], _View]:
-    """The rectified rig, the maps of its left and right image, and how the left one looks."""
+class _Views(NamedTuple):
+    """A rectified rig and how its images look; left None = as they are."""
+
+    rig: StereoRig
+    left: _View | None
+    right: _View
+
+
+def _rectified(rig: StereoRig) -> _Views:
+    """The rig once its cameras are turned until their rows agree."""
     _check_rotation(rig.right_from_left[:3, :3])
     size_px = (rig.left.width_px, rig.left.height_px)
     left_turn, right_turn, left_projection, right_projection, *_ = cv2.stereoRectify(
@@ -139,7 +188,7 @@ def _rectified(rig: StereoRig) -> tuple[StereoRig, tuple[Maps, Maps], _View]:
     camera = PinholeCamera(focal_px, focal_px, float(left_projection[0, 2]), float(left_projection[1, 2]), *size_px)
     left = _View(rig.left, left_turn, left_projection)
     right = _View(rig.right, right_turn, right_projection)
-    return StereoRig.rectified(camera, baseline_m), (_maps(left, size_px), _maps(right, size_px)), left
+    return _Views(StereoRig.rectified(camera, baseline_m), left, right)
 
 
 def _check_rotation(right_from_left: FloatArray) -> None:

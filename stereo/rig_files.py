@@ -1,4 +1,4 @@
-"""Rig files: our own rig.yaml, KITTI's calib.txt and the files of OpenCV's calibration samples -> cameras.
+"""Rig files: our own rig.yaml, KITTI's calib.txt, OpenCV's calibration samples' files, Kalibr's camchain -> cameras.
 
 Ours, with the unit in every key (a mono file has `left` only; distortion is OpenCV's k1, k2, p1, p2, k3, ...):
 
@@ -10,7 +10,6 @@ Ours, with the unit in every key (a mono file has `left` only; distortion is Ope
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,19 +19,21 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from stereo.camera import PinholeCamera
+from stereo.kalibr_calibration import looks_like_kalibr, parse_kalibr
 from stereo.kitti_calibration import looks_like_kitti, missing_eye, parse_kitti
 from stereo.opencv_calibration import looks_like_opencv, parse_opencv
 from stereo.rig import RigError, StereoRig
 from stereo.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
+from stereo.rig_writing import VERSION, save_rig
+
+__all__ = ["find_rig", "left_from_reference_m", "load_calibration", "load_camera", "load_rig", "save_rig"]
 
 FloatArray = npt.NDArray[np.float64]
-
-_VERSION = 1
 
 _MAX_BYTES = 1_000_000
 """No calibration is as large; a video given by mistake is, and is not read."""
 
-_FORMATS = "our rig.yaml, KITTI's calib.txt or the files of OpenCV's stereo_calib"
+_FORMATS = "our rig.yaml, KITTI's calib.txt, the files of OpenCV's stereo_calib or Kalibr's camchain.yaml"
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 _Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
@@ -78,7 +79,7 @@ def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> 
     """The rig of a file, for images of `size_px` = (width, height), and notes to tell the user.
 
     Args:
-        path: a file in any of the three formats.
+        path: a file in any of the four formats.
         size_px: (width, height) of the images.
         is_grey: take the grey pair of a KITTI file that also has the colour one.
 
@@ -117,6 +118,29 @@ def load_camera(
     return camera, (*found.notes, *notes)
 
 
+def load_calibration(
+    path: Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False
+) -> tuple[PinholeCamera | StereoRig, tuple[str, ...]]:
+    """The camera of a file, or its rig if it holds one, and notes to tell the user; for no images in particular.
+
+    Args:
+        path: a file in any of the four formats.
+        size_px: (width, height) of images to fit it to; None = the file's own, which may be 0 where it gives none.
+        is_grey: take the grey pair of a KITTI file that also has the colour one.
+
+    Raises:
+        RigError: the file cannot be read, is no calibration, is implausible or for other images.
+    """
+    found = _parsed(_text_of(path), path, is_grey=is_grey)
+    if found.right is None or found.right_from_left is None:
+        return load_camera(path, size_px=size_px, is_grey=is_grey)
+    if size_px is not None:
+        return load_rig(path, size_px=size_px, is_grey=is_grey)
+    rig = StereoRig(found.left, found.right, found.right_from_left)
+    check_rig(rig, path)
+    return rig, found.notes
+
+
 def left_from_reference_m(path: Path, *, is_grey: bool) -> FloatArray:
     """(3,) shift that takes points of KITTI's reference camera (its labels' frame) into the left camera's frame.
 
@@ -133,45 +157,6 @@ def find_rig(left_video: Path) -> Path | None:
     folders = (left_video, left_video.parent) if left_video.is_dir() else (left_video.parent,)
     candidates = (folder / name for folder in folders for name in ("rig.yaml", "calib.txt"))
     return next((candidate for candidate in candidates if candidate.is_file()), None)
-
-
-def save_rig(rig: StereoRig, path: Path) -> None:
-    """Write a rig in our format; the file appears whole or not at all.
-
-    Raises:
-        RigError: the rig is implausible, or the file cannot be written.
-    """
-    check_rig(rig, path)
-    motion = {
-        "rotation": rig.right_from_left[:3, :3].tolist(),
-        "translation_m": rig.right_from_left[:3, 3].tolist(),
-    }
-    content = {
-        "track_range_rig": _VERSION,
-        "left": _camera_content(rig.left),
-        "right": _camera_content(rig.right),
-        "right_from_left": motion,
-    }
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
-    except OSError as error:
-        unfinished.unlink(missing_ok=True)
-        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
-
-
-def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:
-    return {
-        "fx_px": camera.fx_px,
-        "fy_px": camera.fy_px,
-        "cx_px": camera.cx_px,
-        "cy_px": camera.cy_px,
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "distortion": list(camera.distortion),
-    }
 
 
 def _text_of(path: Path) -> str:
@@ -191,6 +176,8 @@ def _parsed(text: str, path: Path, *, is_grey: bool) -> Calibration:
     """What the file says, by the format that its content shows."""
     if looks_like_opencv(text):
         return parse_opencv(text, path)
+    if looks_like_kalibr(text):
+        return parse_kalibr(text, path)
     if looks_like_kitti(text):
         return parse_kitti(text, path, is_grey=is_grey)
     return _parse_ours(text, path)
@@ -204,8 +191,8 @@ def _parse_ours(text: str, path: Path) -> Calibration:
     if not isinstance(content, dict) or "track_range_rig" not in content:
         raise RigError(f"{path}: it is no rig (no key 'track_range_rig'); give {_FORMATS}.")
     version = content["track_range_rig"]
-    if type(version) is not int or version != _VERSION:
-        raise RigError(f"{path}: it is a rig of version {version!r}, this program reads version {_VERSION}.")
+    if type(version) is not int or version != VERSION:
+        raise RigError(f"{path}: it is a rig of version {version!r}, this program reads version {VERSION}.")
     try:
         rig = _RigFile.model_validate(content)
     except ValidationError as error:
@@ -234,6 +221,8 @@ def _where(error: yaml.YAMLError) -> str:
 
 def _missing_part(path: Path, text: str) -> str:
     """What a file of one camera lacks, for the message that refuses it."""
+    if looks_like_kalibr(text):
+        return "it lacks cam1"
     if looks_like_opencv(text):
         return f"M2, D2, R and T are not all in it, nor in intrinsics/extrinsics{path.suffix} beside it"
     return "it lacks 'right' or 'right_from_left'"

@@ -1,4 +1,4 @@
-"""Sgbm: the disparity of every pixel by semi-global matching (Hirschmueller 2008, as in OpenCV), and a box's median.
+"""Sgbm: the disparity of every pixel by semi-global matching (Hirschmueller 2008, as in OpenCV), and a box's out of it.
 
 OpenCV gives no disparity to the leftmost `n_disparities` columns, since not all candidates lie inside the right image
 there. Here both images are widened to the left first, and only those pixels stay unknown whose match lies outside.
@@ -7,16 +7,16 @@ there. Here both images are widened to the left first, and only those pixels sta
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment import UNCORRECTED_SIGMA_PX
 from stereo.frames import Image
-from stereo.patches import inner_halves
+from stereo.patches import Patch, inner_halves
 from stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
@@ -25,6 +25,9 @@ Mode = Literal["3way", "sgbm", "hh", "hh4"]
 
 _STEPS_PER_PX = 16
 """OpenCV's disparities are whole numbers of 1/16 px."""
+
+_STEP_SIGMA_PX = 0.15
+"""Error of a flat, textured patch's median: pixel locking, mostly (0.14 px on synthetic pairs)."""
 
 _OPENCV_MODE: dict[Mode, int] = {
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -51,7 +54,6 @@ class SgbmSettings:
         speckle_range_px: disparity step that separates two patches.
         pre_filter_cap: where the x-derivative that is compared is cut off.
         min_valid_share: share of a box's inner half that must be known for a median.
-        alignment_sigma_px: what the eyes' alignment leaves, added to every sigma.
         shape_share: share of the scatter inside the inner half that goes into sigma; as the patch matcher's.
     """
 
@@ -67,14 +69,66 @@ class SgbmSettings:
     speckle_range_px: int = 2
     pre_filter_cap: int = 63
     min_valid_share: float = 0.2
-    alignment_sigma_px: float = UNCORRECTED_SIGMA_PX
     shape_share: float = 0.3
 
+    def __post_init__(self) -> None:
+        for name, is_right, wanted in _checks(self):
+            if not is_right:
+                raise ValueError(f"sgbm's {name} is {getattr(self, name)!r}: {wanted} wanted")
+
     @classmethod
-    def for_rig(cls, rig: StereoRig, *, nearest_m: float = 3.0) -> SgbmSettings:
-        """Settings that reach as near as `nearest_m` with a rectified rig."""
+    def for_rig(
+        cls, rig: StereoRig, *, nearest_m: float = 3.0, chosen: Mapping[str, Any] | None = None
+    ) -> SgbmSettings:
+        """Settings that reach as near as `nearest_m` with a rectified rig, but for what the user has `chosen`.
+
+        Raises:
+            ValueError: an unknown name in `chosen`, or a value that cannot be.
+        """
         disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
-        return cls(n_disparities=max(16 * math.ceil(disparity_px / 16), 16))
+        return cls.of({"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})})
+
+    @classmethod
+    def of(cls, chosen: Mapping[str, Any]) -> SgbmSettings:
+        """The defaults, but for what is `chosen` by name.
+
+        Raises:
+            ValueError: an unknown name, or a value that cannot be.
+        """
+        known = [field.name for field in fields(cls)]
+        for name in chosen:
+            if name not in known:
+                raise ValueError(f"sgbm has no '{name}'; it has: {', '.join(known)}")
+        return cls(**chosen)
+
+
+def _checks(found: SgbmSettings) -> list[tuple[str, bool, str]]:
+    """Name, whether its value can be, and what is wanted, of each setting."""
+
+    def whole(name: str, low: float, high: float = math.inf) -> bool:
+        value = getattr(found, name)
+        return type(value) is int and low <= value <= high
+
+    def share(name: str, low: float, high: float) -> bool:
+        value = getattr(found, name)
+        return type(value) in (int, float) and low <= value <= high
+
+    n = found.n_disparities
+    return [
+        ("min_disparity", whole("min_disparity", -512, 1024), "a whole number -512 .. 1024"),
+        ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
+        ("block_size", whole("block_size", 1, 21) and found.block_size % 2 == 1, "an odd number up to 21"),
+        ("mode", found.mode in _OPENCV_MODE, "one of " + ", ".join(_OPENCV_MODE)),
+        ("small_step_penalty", whole("small_step_penalty", 1), "a whole number from 1"),
+        ("large_step_penalty", whole("large_step_penalty", found.small_step_penalty + 1), "more than the small one"),
+        ("uniqueness_pct", whole("uniqueness_pct", 0, 99), "a whole number 0 .. 99"),
+        ("max_left_right_px", whole("max_left_right_px", -1), "a whole number from -1"),
+        ("speckle_px2", whole("speckle_px2", 0), "a whole number from 0"),
+        ("speckle_range_px", whole("speckle_range_px", 0), "a whole number from 0"),
+        ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "a whole number 1 .. 127"),
+        ("min_valid_share", share("min_valid_share", 0.0, 1.0), "a share 0 .. 1"),
+        ("shape_share", share("shape_share", 0.0, math.inf), "a number from 0"),
+    ]
 
 
 class Sgbm:
@@ -101,12 +155,12 @@ class Sgbm:
 
         Args:
             left: (H, W) grey or (H, W, 3) BGR, rectified.
-            right: the same size.
+            right: the same size, grey or colour.
 
         Raises:
             ValueError: the images differ in size.
         """
-        if left.shape != right.shape:
+        if left.shape[:2] != right.shape[:2]:
             raise ValueError(f"left and right: equal shapes wanted, {left.shape} and {right.shape} got")
         n_added = max(self._settings.min_disparity + self._settings.n_disparities, 0)
         steps = self._matcher.compute(_widened(left, n_added), _widened(right, n_added))[:, n_added:]
@@ -126,12 +180,55 @@ def inner_half_median(
     """
     keep = settings or SgbmSettings()
     median_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-    image_hw = (disparity.shape[0], disparity.shape[1])
-    for i, patch in enumerate(inner_halves(xyxy_px, image_hw, margin_px=0, min_side_px=1)):
+    for i, patch in enumerate(_patches(disparity, xyxy_px)):
         if patch is not None:
-            inside = disparity[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
-            median_px[i], sigma_px[i] = _median_and_sigma(inside, keep)
+            median_px[i], sigma_px[i] = _median_and_sigma(_inside(disparity, patch), keep)
     return median_px, sigma_px
+
+
+def centre_disparity(
+    disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Disparity of the pixel in the middle of each box (N, 4), as Guo's binocular paper takes it, and sigma, (N,) each.
+
+    NaN where that pixel is unknown or outside. Sigma is the inner half's, whose scatter tells how much depends on the
+    pixel that is hit; a lone known pixel has no other sigma than a flat patch's.
+    """
+    keep = settings or SgbmSettings()
+    centre_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
+    with np.errstate(invalid="ignore", over="ignore"):  # boxes that are not finite end outside
+        middles_px = np.nan_to_num((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2, nan=-1.0)
+    middles = np.rint(np.clip(middles_px, -1.0, max(disparity.shape))).astype(np.int64).tolist()
+    for i, patch in enumerate(_patches(disparity, xyxy_px)):
+        x, y = middles[i]
+        is_inside = 0 <= y < disparity.shape[0] and 0 <= x < disparity.shape[1]
+        if patch is not None and is_inside and np.isfinite(disparity[y, x]):
+            sigma = _median_and_sigma(_inside(disparity, patch), keep)[1]
+            centre_px[i], sigma_px[i] = disparity[y, x], _STEP_SIGMA_PX if math.isnan(sigma) else sigma
+    return centre_px, sigma_px
+
+
+def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float | None = None) -> Image:
+    """(H, W, 3) uint8 BGR: near is red, far is blue, unknown black.
+
+    Args:
+        disparity: (H, W), NaN = unknown.
+        largest_px: shown as the nearest; None = the 99th percentile of what is known.
+    """
+    known = np.isfinite(disparity)
+    if largest_px is None:
+        largest_px = float(np.percentile(disparity[known], 99)) if known.any() else 1.0
+    level = np.clip(np.where(known, disparity, 0.0) / max(largest_px, 1e-6), 0.0, 1.0)
+    picture = np.asarray(cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO), np.uint8)
+    return np.where(known[:, :, None], picture, np.uint8(0))
+
+
+def _patches(disparity: DisparityMap | FloatArray, xyxy_px: FloatArray) -> Iterator[Patch | None]:
+    return inner_halves(xyxy_px, (disparity.shape[0], disparity.shape[1]), margin_px=0, min_side_px=1)
+
+
+def _inside(disparity: DisparityMap | FloatArray, patch: Patch) -> DisparityMap | FloatArray:
+    return disparity[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
 
 
 def _median_and_sigma(inside: DisparityMap | FloatArray, keep: SgbmSettings) -> tuple[float, float]:
@@ -140,7 +237,7 @@ def _median_and_sigma(inside: DisparityMap | FloatArray, keep: SgbmSettings) -> 
         return math.nan, math.nan
     median = float(np.median(known))
     scatter = 1.4826 * float(np.median(np.abs(known - median)))
-    return median, math.hypot(keep.alignment_sigma_px, keep.shape_share * scatter)
+    return median, math.hypot(_STEP_SIGMA_PX, keep.shape_share * scatter)
 
 
 def _widened(image: Image, n_added: int) -> Image:

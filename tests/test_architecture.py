@@ -34,12 +34,16 @@ DOORS = {
     "jinja2": {"track_range/report.py"},
     "typer": {
         "track_range/cli.py",
+        "track_range/cli_calibration.py",
+        "track_range/cli_alignment.py",
         "track_range/cli_models.py",
         "track_range/cli_tracking.py",
         "track_range/cli_training.py",
     },
     "rich": {
         "track_range/cli.py",
+        "track_range/cli_calibration.py",
+        "track_range/cli_alignment.py",
         "track_range/cli_models.py",
         "track_range/cli_tracking.py",
         "track_range/cli_training.py",

@@ -22,7 +22,10 @@ from detection.labelled_images import ImageFileError
 from detection.onnx_session import ModelError
 from detection.training.errors import TrainingError
 from ranging.size_curve import CurveError
+from stereo.kitti_2015 import PairFileError
 from stereo.rig import RigError
+from track_range.cli_alignment import align
+from track_range.cli_calibration import calibrate, rig
 from track_range.cli_models import evaluation, models
 from track_range.cli_tracking import track
 from track_range.cli_training import anchors, simulate, train
@@ -45,6 +48,7 @@ USER_ERRORS = (
     ModelError,
     MotFormatError,
     OutputError,
+    PairFileError,
     RigError,
     RunStoppedError,
     TrainingError,
@@ -64,6 +68,9 @@ app = typer.Typer(
 
 app.add_typer(models, name="models")
 app.add_typer(evaluation, name="evaluate")
+app.add_typer(rig, name="rig")
+app.command("calibrate")(calibrate)
+app.command("align")(align)
 app.command("track")(track)
 app.command("train")(train)
 app.command("anchors")(anchors)
@@ -93,13 +100,13 @@ def _run(
         Path | None,
         typer.Option(
             help="rig.yaml, KITTI's calib.txt, or OpenCV's stereo calibration. Without it, rig.yaml or calib.txt "
-            "beside the left video is used.",
+            "beside the left video is used; two cameras without any give uncalibrated distances.",
             rich_help_panel=_INPUT,
         ),
     ] = None,
     focal_px: Annotated[
         float | None,
-        typer.Option(help="Focal length in pixels, for --mono without a rig file.", rich_help_panel=_INPUT),
+        typer.Option(help="Focal length in pixels, where there is no rig file.", rich_help_panel=_INPUT),
     ] = None,
     detector: Annotated[
         str | None,
@@ -179,6 +186,18 @@ def _run(
     sgbm: Annotated[
         bool | None,
         typer.Option("--sgbm/--no-sgbm", help="Dense stereo beside the patch matcher (slow).", rich_help_panel=_HOW),
+    ] = None,
+    align: Annotated[
+        str | None,
+        typer.Option(
+            metavar="auto|off|FILE",
+            help="Correction of the disparities: estimated from the drive (default), none, or what `align` wrote.",
+            rich_help_panel=_HOW,
+        ),
+    ] = None,
+    disparity: Annotated[
+        bool | None,
+        typer.Option("--disparity/--no-disparity", help="Write disparity.mp4, dense stereo's.", rich_help_panel=_HOW),
     ] = None,
     size: Annotated[
         int | None,

@@ -11,7 +11,9 @@ from rich.console import Console
 from detection.input_format import LETTERBOXES
 from detection.labelled_images import LabelFormat
 from detection.onnx_session import Device
+from stereo.box_matchers import MATCHER_NAMES
 from track_range.commands.evaluate import evaluate_source, keep_figures, open_candidates, tell_figures
+from track_range.commands.evaluate_stereo import DEFAULT_MATCHERS, StereoTest, evaluate_stereo
 from track_range.commands.evaluate_tracks import TruthFormat, evaluate_track_files, keep_track_figures
 from track_range.commands.model_files import import_model, list_models, pull_model
 from track_range.commands.models import tell_model
@@ -148,6 +150,34 @@ def _tracks(
 ) -> None:
     figures = evaluate_track_files(truth, results, truth_format=truth_format, road_class=road_class, console=_console)
     keep_track_figures(figures, json_file)
+
+
+@evaluation.command("stereo", help="Distance error of stereo matchers on pairs with true disparities, side by side.")
+def _stereo(
+    pairs: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="KITTI 2015's image_2, image_3, disp_occ_0, obj_map and calib.txt, or a drive's left.mp4, right.mp4, "
+            "rig.yaml and truth.txt.",
+        ),
+    ],
+    rig: Annotated[Path | None, typer.Option(help="Rig file (default: the folder's own).")] = None,
+    matcher: Annotated[
+        str, typer.Option(metavar="A,B,...", help=f"Of: {', '.join(MATCHER_NAMES)}.")
+    ] = DEFAULT_MATCHERS,
+    align: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|off|leave-two-out",
+            help="What puts disparities right: align.yaml, nothing, or a fit on all pairs but two at a time.",
+        ),
+    ] = "off",
+    seed: Annotated[int, typer.Option(min=0, help="Of the intervals.")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    test = StereoTest(pairs=pairs, rig=rig, matchers=tuple(matcher.split(",")), align=align, seed=seed)
+    keep_track_figures(evaluate_stereo(test, console=_console), json_file)
 
 
 @evaluation.command("detections", help="Average precision and speed of detectors on labelled images, side by side.")

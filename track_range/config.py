@@ -9,13 +9,18 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from detection.model_lookup import DEFAULT_MODEL
+from stereo.sgbm import SgbmSettings
 from track_range.written import write_text
 
 TrackerName = Literal["deepsort", "sort"]
 """With looks, or without."""
+
+
+_NO_OPTION = ("sgbm_options",)
+"""Fields that are set in settings.yaml alone."""
 
 
 class ConfigError(Exception):
@@ -38,7 +43,7 @@ class RunSettings(BaseModel):
     rig: Path | None = None
     """rig.yaml, KITTI calib.txt or OpenCV's stereo calibration; None = looked for beside the left video."""
     focal_px: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    """Focal length of a camera without a rig file; the principal point is taken as the image's centre."""
+    """Focal length of cameras without a rig file; the principal point is taken as the image's centre."""
     detector: str | None = None
     """An ONNX file, or a name of `track-range models list`; None only where `detections` is given."""
     detections: Path | None = None
@@ -75,6 +80,12 @@ class RunSettings(BaseModel):
     overlay: bool = True
     sgbm: bool = True
     """Dense matching beside the patch matcher, in stereo runs."""
+    sgbm_options: dict[str, Any] = {}
+    """Its parameters that are not to be chosen by the rig: fields of `stereo.sgbm.SgbmSettings`."""
+    disparity: bool = False
+    """Its picture of each frame, as disparity.mp4."""
+    align: str = "auto"
+    """Correction of the disparities: auto = estimated from the drive, off, or an alignment file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -82,6 +93,12 @@ class RunSettings(BaseModel):
         """Where neither a detector nor boxes are given, the packaged detector."""
         if isinstance(given, dict) and given.get("detector") is None and given.get("detections") is None:
             return {**given, "detector": DEFAULT_MODEL}
+        return given
+
+    @field_validator("sgbm_options")
+    @classmethod
+    def _known_parameters(cls, given: dict[str, Any]) -> dict[str, Any]:
+        SgbmSettings.of(given)
         return given
 
     @model_validator(mode="after")
@@ -92,8 +109,10 @@ class RunSettings(BaseModel):
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
             raise ValueError("give --rig or --focal-px, not both")
-        if self.focal_px is not None and self.stereo is not None:
-            raise ValueError("--focal-px is for --mono; two cameras need --rig")
+        if self.disparity and (self.stereo is None or not self.sgbm):
+            raise ValueError(
+                "--disparity shows what dense stereo finds; it needs --stereo, and goes not with --no-sgbm"
+            )
         if self.reid is not None and self.tracker == "sort":
             raise ValueError("--reid describes looks, which --tracker sort does not compare; take one of them")
         return self
@@ -139,7 +158,7 @@ def _option(place: tuple[int | str, ...]) -> str:
     if not place:
         return ""
     name = str(place[0])
-    if name not in RunSettings.model_fields:
+    if name not in RunSettings.model_fields or name in _NO_OPTION:
         return f"{name}: "
     return f"--{name.removesuffix('_s').replace('_', '-').replace('size-px', 'size')}: "
 
@@ -150,7 +169,7 @@ def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -
     for key in ("rig", "detections", "curves", "truth", "out", "mono", "reid"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
-    for key in ("detector", "names"):  # a file, or a word
+    for key in ("detector", "names", "align"):  # a file, or a word
         if key in run and Path(run[key]).is_file():
             run[key] = str(Path(run[key]).resolve())
     if settings.stereo:

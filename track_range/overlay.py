@@ -134,10 +134,12 @@ def closing_span(closing_mps: float, ttc_s: float, size_px: int) -> Span | None:
     return Span(text, size_px, REGULAR if back is None else BOLD, front, back)
 
 
-def corner_lines(result: FrameResult, size_px: int) -> tuple[Lines, Lines]:
-    """What the two upper corners say: frame number and time; the legend of the letters and strokes."""
+def corner_lines(result: FrameResult, size_px: int, *, warning: str = "") -> tuple[Lines, Lines]:
+    """What the two upper corners say: frame number and time, with a warning; the legend of the letters and strokes."""
     clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
     clock.append(Span(f"{result.frame.time_s:.2f} s", size_px, REGULAR, WHITE))
+    if warning:
+        clock.append(Span(warning, size_px, BOLD, AMBER))
     letters = [
         f"{letter} {METHOD_WORDS.get(name, name)}" for name, letter in METHOD_LETTERS.items() if name in result.ranges
     ]
@@ -207,10 +209,11 @@ def draw_leader(canvas: Image, place: FloatArray, box: FloatArray, *, bgr: Bgr) 
 
 
 class Overlay:
-    """Draws results; one instance serves one thread. `class_names` has the name of each class id."""
+    """Draws results, and `warning` in the corner of every frame; one instance serves one thread."""
 
-    def __init__(self, class_names: Sequence[str] = ROAD_CLASSES) -> None:
+    def __init__(self, class_names: Sequence[str] = ROAD_CLASSES, *, warning: str = "") -> None:
         self.class_names = tuple(class_names)
+        self._warning = warning
         self._font = cv2.FontFace("sans")
 
     def draw(self, result: FrameResult) -> Image:
@@ -234,7 +237,7 @@ class Overlay:
         """The corners, then each track's label in the order of `rows`, each beside those before it."""
         image_px, sizes_px = (canvas.shape[1], canvas.shape[0]), text_sizes_px(len(canvas))[:2]
         full = [label_lines(result, row, class_names=self.class_names, sizes_px=sizes_px) for row in rows]
-        taken = self._draw_corners(canvas, corner_lines(result, sizes_px[1]))
+        taken = self._draw_corners(canvas, corner_lines(result, sizes_px[1], warning=self._warning))
         places = label_places(boxes[rows], self._label_sizes_px(full), image_px)
         costs = place_costs(places, boxes[rows])
         labels = []

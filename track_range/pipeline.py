@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from threading import Lock
 
 import numpy as np
@@ -77,6 +77,7 @@ class Pipeline:
         tracker: gives them identities.
         rangers: methods by name ("mono", "stereo"), measured side by side.
         dense: dense matching in its own thread ("sgbm"); None = not wanted.
+        shared_sigma: relative error that all methods share, from a focal length that nobody has calibrated.
         clock: where the time goes.
     """
 
@@ -85,6 +86,7 @@ class Pipeline:
     tracker: Tracker
     rangers: Mapping[str, Ranger]
     dense: DenseRanger | None = None
+    shared_sigma: float = 0.0
     clock: StageClock = field(default_factory=StageClock)
     _filters: dict[str, DistanceFilter] = field(default_factory=dict)
 
@@ -133,11 +135,21 @@ class Pipeline:
         return FrameResult(
             frame=frame,
             tracks=tracks,
-            ranges=ranges,
+            ranges=self._with_shared_error(ranges),
             closing_mps=closing_mps,
             ttc_s=ranges["fused_kf"].distance_m / closes,
             xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
+            disparity=None if self.dense is None else self.dense.disparity,
         )
+
+    def _with_shared_error(self, ranges: Mapping[str, Ranges]) -> Mapping[str, Ranges]:
+        """With wider sigmas: neither fusing nor filtering makes an error smaller that all methods share."""
+        if not self.shared_sigma:
+            return ranges
+        return {
+            name: replace(found, sigma_m=np.hypot(found.sigma_m, self.shared_sigma * found.distance_m))
+            for name, found in ranges.items()
+        }
 
     def _filter(self, name: str) -> DistanceFilter:
         if name not in self._filters:

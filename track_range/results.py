@@ -55,6 +55,7 @@ class FrameResult:
         closing_mps: (N,) speed at which the gap shrinks, from the filtered fused distance; NaN = unknown.
         ttc_s: (N,) time to collision, distance / closing speed where it closes; NaN elsewhere.
         xyz_m: (N, 3) ranged point in the left camera's frame, from the fused distance; NaN = unknown.
+        disparity: (H, W) px, NaN = unknown, where dense stereo ran.
     """
 
     frame: Frame
@@ -63,6 +64,7 @@ class FrameResult:
     closing_mps: FloatArray
     ttc_s: FloatArray
     xyz_m: FloatArray
+    disparity: npt.NDArray[np.float32] | None = None
 
 
 class ResultRows:

@@ -51,7 +51,9 @@ def make_folder(folder: Path) -> None:
         raise OutputError(f"{folder}: no results can be written there ({error.strerror or error}).") from error
 
 
-RESULT_NAMES = ("tracks.csv", "mot.txt", "summary.json", "settings.yaml", "overlay.mp4", "report.html")
+RESULT_NAMES = (
+    *("tracks.csv", "mot.txt", "summary.json", "settings.yaml", "overlay.mp4", "disparity.mp4", "report.html"),
+)
 """The files of a run."""
 
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from ranging.triangulation import DenseRanger, PatchRanger, ranges_of_disparity
+from ranging.triangulation import DenseRanger, PatchRanger, Triangulation
+from stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
 from stereo.rig import StereoRig
-from stereo.sgbm import SgbmSettings
 from tracking.tracks import Tracks
 
 RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 0.5)
@@ -17,12 +17,25 @@ def tracks_of(*ids, box=(100, 60, 200, 140)):
 
 
 def test_depth_and_sigma_by_hand():
-    ranges = ranges_of_disparity(
-        RIG, np.array([1, 2, 3]), disparity_px=np.array([10.0, -1.0, np.nan]), sigma_px=np.array([0.1, 0.1, np.nan])
-    )
+    triangulate = Triangulation(RIG, Alignment(residual_px=0.0))
+    ranges = triangulate.ranges(tracks_of(1, 2, 3), np.array([10.0, -1.0, np.nan]), np.array([0.1, 0.1, np.nan]))
     assert ranges.distance_m[0] == pytest.approx(50.0)  # 1000 px * 0.5 m / 10 px
     assert ranges.sigma_m[0] == pytest.approx(0.5)  # 50^2 / 500 * 0.1
     assert np.isnan(ranges.distance_m[1:]).all()
+
+
+def test_disparities_are_put_right_before_they_become_metres():
+    """The box's middle is column 150, 9.5 px from the axis: the bow is (9.5 / 160)^2 of that at the edge."""
+    alignment = Alignment(offset_px=0.5, bow_px=-1.6, residual_px=0.4)
+    ranges = Triangulation(RIG, alignment).ranges(tracks_of(1), np.array([9.5]), np.array([0.3]))
+    disparity_px = 9.5 + 0.5 - 1.6 * (9.5 / 160) ** 2
+    assert ranges.distance_m == pytest.approx([500 / disparity_px])
+    assert ranges.sigma_m == pytest.approx([500 / disparity_px**2 * 0.5])  # hypot(0.3, 0.4)
+
+
+def test_an_alignment_that_nobody_measured_is_in_sigma():
+    ranges = PatchRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0))
+    assert ranges.sigma_m == pytest.approx([50.0**2 / 500 * np.hypot(0.1, UNCORRECTED_SIGMA_PX)])
 
 
 class Recorder:
@@ -88,12 +101,13 @@ def test_dense_ranging_of_a_textured_wall():
     assert dense.busy_s > 0
 
 
-def test_dense_sigma_follows_its_settings():
+def test_dense_sigma_carries_what_the_alignment_leaves():
     left = np.random.default_rng(0).integers(0, 255, (200, 320, 3), np.uint8)
     same = Frame(0, 0.0, left, np.roll(left, -20, axis=1))
     ranges = []
-    for sigma_px in (0.5, 0.05):
-        dense = DenseRanger(RIG, SgbmSettings(alignment_sigma_px=sigma_px))
+    for residual_px in (1.5, 0.0):
+        dense = DenseRanger(RIG, alignment=Alignment(residual_px=residual_px))
         ranges.append(dense.measure(tracks_of(1), same))
         dense.close()
+    assert ranges[0].distance_m == pytest.approx(ranges[1].distance_m)
     assert ranges[0].sigma_m[0] > 3 * ranges[1].sigma_m[0]

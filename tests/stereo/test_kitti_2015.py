@@ -1,81 +1,163 @@
-"""Patch matcher and dense median on the labelled cars of KITTI's stereo pairs, against their true disparities.
-
-The share of the objects' own depth in sigma was chosen on these pairs, so what is asserted of sigma only guards against
-change; the drives of `test_end_to_end.py` are what it was not chosen on.
-"""
+"""The reader of KITTI 2015's layout: its protocol by hand, the real set, and everything that can be wrong with one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
+import pytest
 
-from stereo.patch_matcher import PatchMatcher
-from stereo.sgbm import Sgbm, inner_half_median
-
-Image = npt.NDArray[np.uint8]
-FloatArray = npt.NDArray[np.float64]
+from stereo.kitti_2015 import PairFileError, is_kitti_2015, labelled_instances, pair_names, read_pairs
+from stereo.rig import RigError
+from tests.stereo.kitti_folder import BASELINE_M, CALIBRATION, CARS, FOCAL_PX, write_pair, write_set
 
 
-def kitti_cars(folder: Path) -> Iterator[tuple[Image, Image, FloatArray, FloatArray]]:
-    """Left, right, boxes (N, 4) and true disparities (N,) of each KITTI 2015 pair's labelled cars."""
-    for path in sorted((folder / "image_2").glob("*.png")):
-        left, right = (cv2.imread(str(folder / side / path.name)) for side in ("image_2", "image_3"))
-        assert left is not None
-        assert right is not None
-        truth_px = cv2.imread(str(folder / "disp_occ_0" / path.name), cv2.IMREAD_UNCHANGED) / 256.0
-        instance = cv2.imread(str(folder / "obj_map" / path.name), cv2.IMREAD_GRAYSCALE)
-        cars = [car_truth(instance == number, truth_px) for number in np.unique(instance) if number > 0]
-        found = [car for car in cars if car is not None]
-        boxes = np.array([box for box, _ in found]).reshape(-1, 4)
-        yield left, right, boxes, np.array([disparity for _, disparity in found])
+def test_pairs_come_by_name_with_boxes_truth_and_rig(tmp_path: Path) -> None:
+    write_set(tmp_path, ("000007_10", "000002_10"))
+    write_pair(tmp_path, "000002_11", seed=9)  # the next frame, of which the set has no truth
+    for part in ("disp_occ_0", "obj_map"):
+        (tmp_path / part / "000002_11.png").unlink()
+    assert is_kitti_2015(tmp_path)
+    first, second = read_pairs(tmp_path)
+    assert (first.name, second.name) == ("000002_10", "000007_10")
+    assert first.left.shape == first.right.shape == (120, 360, 3)
+    assert not np.array_equal(first.left, second.left)
+    assert first.xyxy_px.tolist() == [[x1 - 0.5, y1 - 0.5, x2 + 0.5, y2 + 0.5] for x1, y1, x2, y2, _ in CARS]
+    assert first.true_px.tolist() == [20.0, 30.0]
+    assert first.x_px.tolist() == [129.5, 259.5]
+    assert (first.rig.left.fx_px, first.rig.baseline_m) == (FOCAL_PX, pytest.approx(BASELINE_M))
+    assert (first.rig.left.width_px, first.rig.left.height_px) == (360, 120)
 
 
-def car_truth(mask: npt.NDArray[np.bool_], truth_px: FloatArray) -> tuple[FloatArray, float] | None:
-    """Box and median true disparity of the inner half; None where too little of it is known."""
-    rows, columns = np.nonzero(mask)
-    box = np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
-    known = mask & (truth_px > 0)
-    quarter = (box[2:] - box[:2]) / 4
-    (x1, y1), (x2, y2) = np.ceil(box[:2] + quarter).astype(int), np.floor(box[2:] - quarter).astype(int)
-    inner = known[y1 : y2 + 1, x1 : x2 + 1]
-    if known.sum() < 100 or inner.sum() < 20:
-        return None
-    return box, float(np.median(truth_px[y1 : y2 + 1, x1 : x2 + 1][inner]))
+def test_the_folder_above_and_a_calibration_per_pair(tmp_path: Path) -> None:
+    root = write_set(tmp_path / "training")
+    (root / "calib_cam_to_cam").mkdir()
+    other = CALIBRATION.replace("P2", "P_rect_02").replace("P3", "P_rect_03").replace("300.0", "310.0")
+    (root / "calib_cam_to_cam/000001.txt").write_text(other)
+    assert is_kitti_2015(tmp_path)
+    assert [pair.rig.left.fx_px for pair in read_pairs(tmp_path)] == [300.0, 310.0]
 
 
-def test_cars_of_kitti_2015(shared_data: Path) -> None:
-    patch, patch_sigma, dense, prior_error = [], [], [], []
-    for left, right, boxes, truth_px in kitti_cars(shared_data / "kitti2015"):
-        found, sigma = PatchMatcher().match(left, right, boxes, np.full(len(boxes), np.nan))
-        again, _ = PatchMatcher().match(left, right, boxes, truth_px + 3.0)
-        map_median, _ = inner_half_median(Sgbm().dense_disparity(left, right), boxes)
-        patch.append(found - truth_px)
-        patch_sigma.append(sigma)
-        dense.append(map_median - truth_px)
-        prior_error.append(again - found)
-    patch_px, sigma_px, dense_px = (np.concatenate(each) for each in (patch, patch_sigma, dense))
-    known = np.isfinite(patch_px)
-    common = known & np.isfinite(dense_px)
-    figures = {
-        "cars": len(patch_px),
-        "patch coverage": float(known.mean()),
-        "sgbm coverage": float(np.isfinite(dense_px).mean()),
-        "patch median abs error px": float(np.median(np.abs(patch_px[common]))),
-        "sgbm median abs error px": float(np.median(np.abs(dense_px[common]))),
-        "patch bias px": float(np.median(patch_px[common])),
-        "patch share beyond 3 px": float((np.abs(patch_px[known]) > 3).mean()),
-        "sgbm share beyond 3 px": float((np.abs(dense_px[np.isfinite(dense_px)]) > 3).mean()),
-        "patch within 1 sigma": float((np.abs(patch_px) < sigma_px)[known].mean()),
-    }
-    assert figures["cars"] == 36, figures
-    assert figures["patch coverage"] >= 0.9, figures
-    assert figures["patch median abs error px"] <= figures["sgbm median abs error px"], figures
-    assert 0.3 < figures["patch median abs error px"] < 0.6, figures  # KITTI's pairs read about 0.5 px low
-    assert -0.6 < figures["patch bias px"] < -0.35, figures
-    assert figures["patch share beyond 3 px"] == 0.0, figures
-    assert 0.6 <= figures["patch within 1 sigma"] <= 0.76, figures
-    assert np.abs(np.concatenate(prior_error)[known]).max() < 0.01
+def test_a_rig_of_the_users_own(tmp_path: Path) -> None:
+    write_set(tmp_path / "set")
+    (tmp_path / "set/calib.txt").unlink()
+    (tmp_path / "mine.txt").write_text(CALIBRATION.replace("300.0", "320.0"))
+    assert next(read_pairs(tmp_path / "set", rig=tmp_path / "mine.txt")).rig.left.fx_px == 320.0
+
+
+def test_grey_images_become_grey_colours_and_rows_are_put_level(tmp_path: Path) -> None:
+    write_set(tmp_path, ("a",))
+    plain = next(read_pairs(tmp_path))
+    assert np.array_equal(plain.left[:, :, 0], plain.left[:, :, 2])
+    raised = next(read_pairs(tmp_path, row_offset_px=2.0))
+    assert np.array_equal(np.asarray(raised.right[10:50, 20:80]), np.asarray(plain.right)[12:52, 20:80, 0])
+    assert np.array_equal(raised.left, plain.left)
+
+
+def test_instances_by_hand() -> None:
+    instance = np.zeros((60, 80), np.uint8)
+    truth = np.zeros((60, 80))
+    instance[10:30, 10:30] = 1  # known outside its inner half only, but for 19 pixels
+    truth[10:30, 10:15] = 7.0
+    truth[16, 15:25], truth[17, 15:24] = 7.0, 7.0
+    instance[10:30, 40:60] = 3  # 99 known pixels
+    truth[15:24, 45:56] = 9.0
+    instance[40:50, 10:30] = 5  # all known: half of the inner half at 5, more of it at 6, the rest at 40
+    truth[40:50, 10:30] = 40.0
+    truth[42:48, 14:26] = 6.0
+    truth[43:45, 15:25] = 5.0
+    boxes, true_px = labelled_instances(truth, instance)
+    assert boxes.tolist() == [[9.5, 39.5, 29.5, 49.5]]
+    assert true_px.tolist() == [6.0]  # rows 42 .. 47, columns 15 .. 24 (2.5 and 5 px cut off): 40 of 6, 20 of 5
+    truth[18, 15] = 7.0  # the twentieth pixel of the first
+    truth[15, 40] = 9.0  # the hundredth of the second
+    boxes, true_px = labelled_instances(truth, instance)
+    assert true_px.tolist() == [7.0, 9.0, 6.0]
+    assert labelled_instances(truth, np.zeros_like(instance))[0].shape == (0, 4)
+
+
+def drop(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).unlink()
+
+
+def drop_folder(name: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).rename(folder / f"not-{name}")
+
+
+def rewrite(name: str, image: np.ndarray) -> Callable[[Path], None]:
+    return lambda folder: cv2.imwrite(str(folder / name), image) and None
+
+
+def damage(name: str, content: bytes) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_bytes(content) and None
+
+
+FIRST = "000000_10.png"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (drop_folder("image_3"), "the folder image_3 is missing"),
+        (drop_folder("obj_map"), "the folder obj_map is missing"),
+        (drop(f"image_3/{FIRST}"), f"image_3/{FIRST}: it is missing; each pair wants all four images"),
+        (drop(f"obj_map/{FIRST}"), f"obj_map/{FIRST}: it is missing"),
+        (damage(f"image_2/{FIRST}", b"damaged"), f"image_2/{FIRST}: not an image, or a damaged one"),
+        (damage(f"image_2/{FIRST}", b""), f"image_2/{FIRST}: not an image, or a damaged one"),
+        (rewrite(f"image_3/{FIRST}", np.zeros((120, 358), np.uint8)), "it is 358x120 px and its left image 360x120 px"),
+        (rewrite(f"disp_occ_0/{FIRST}", np.zeros((120, 360), np.uint8)), "16 bit grey"),
+        (rewrite(f"obj_map/{FIRST}", np.zeros((120, 360, 3), np.uint8)), "grey (the number of the car) wanted"),
+    ],
+)
+def test_a_wrong_set_is_one_sentence(tmp_path: Path, spoil: Callable[[Path], None], said: str) -> None:
+    spoil(write_set(tmp_path))
+    with pytest.raises(PairFileError) as error:
+        list(read_pairs(tmp_path))
+    assert said in str(error.value)
+
+
+def test_an_image_that_cannot_be_opened(tmp_path: Path) -> None:
+    write_set(tmp_path)
+    (tmp_path / "image_2" / FIRST).unlink()
+    (tmp_path / "image_2" / FIRST).mkdir()
+    with pytest.raises(PairFileError, match="cannot be read"):
+        list(read_pairs(tmp_path))
+
+
+def test_no_folder_and_no_truth(tmp_path: Path) -> None:
+    with pytest.raises(PairFileError, match="there is no such folder"):
+        pair_names(tmp_path / "nowhere")
+    with pytest.raises(PairFileError, match="image_2 and image_3 and disp_occ_0 and obj_map is missing"):
+        pair_names(tmp_path)
+    write_set(tmp_path)
+    for truth in (tmp_path / "disp_occ_0").iterdir():
+        truth.unlink()
+    with pytest.raises(PairFileError, match="no true disparities"):
+        pair_names(tmp_path)
+
+
+def test_no_calibration_or_one_of_unrectified_cameras(tmp_path: Path) -> None:
+    write_set(tmp_path)
+    (tmp_path / "calib.txt").unlink()
+    with pytest.raises(RigError, match=r"no calib.txt in it, nor calib_cam_to_cam/000000.txt"):
+        list(read_pairs(tmp_path))
+    camera = (
+        "{fx_px: 300, fy_px: 300, cx_px: 180, cy_px: 60, width_px: 360, height_px: 120, distortion: [0.1, 0, 0, 0]}"
+    )
+    motion = "{rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.5, 0, 0]}"
+    text = f"track_range_rig: 1\nleft: {camera}\nright: {camera}\nright_from_left: {motion}\n"
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(RigError, match="images are rectified"):
+        list(read_pairs(tmp_path, rig=tmp_path / "rig.yaml"))
+
+
+def test_the_real_set(shared_data: Path) -> None:
+    pairs = list(read_pairs(shared_data / "kitti2015"))
+    assert len(pairs) == 16
+    assert sum(len(pair.true_px) for pair in pairs) == 36
+    distance_m = np.concatenate([pair.rig.distance_m(pair.true_px) for pair in pairs])
+    assert 4.5 < distance_m.min() < 6
+    assert 45 < distance_m.max() < 60
+    assert all((pair.xyxy_px[:, 2:] > pair.xyxy_px[:, :2]).all() for pair in pairs)

@@ -1,8 +1,7 @@
-"""The patch matcher against brute force, known shifts and hostile boxes."""
+"""The patch matcher on pairs whose disparity is known, and on all that it must refuse."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -11,240 +10,372 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from stereo.camera import PinholeCamera
-from stereo.census import census, cost_curves
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from stereo.patches import Patch
+from stereo.patch_matches import REASONS, Outcome, PatchMatches
 from stereo.rig import StereoRig
+from tests.stereo.shifted_pairs import Image, pair, pair_of_two, shifted, texture, tilted_pair, to_u8
 
-Image = npt.NDArray[np.uint8]
 FloatArray = npt.NDArray[np.float64]
 
-BOX = np.array([[200.0, 40.0, 280.0, 100.0]])
-NO_PRIOR = np.array([np.nan])
-EXACT = PatchMatcherSettings(alignment_sigma_px=0.02)
+BOX = (200.0, 40.0, 280.0, 100.0)
+SMALL = (210.0, 50.0, 240.0, 74.0)
+NONE = float("nan")
+ROWS, COLUMNS = np.mgrid[:140, :400]
 
 
-def texture(seed: int, *, height: int = 140, width: int = 400, blur_px: float = 1.2) -> FloatArray:
-    """Smooth random grey values, 0..255."""
-    noise = np.random.default_rng(seed).normal(size=(height, width))
-    smooth = cv2.GaussianBlur(noise, (0, 0), blur_px)
-    return np.clip(128 + 50 * smooth / smooth.std(), 0, 255)
+def of_box(
+    eyes: tuple[Image, Image],
+    box: tuple[float, ...] = BOX,
+    prior_px: float = NONE,
+    matcher: PatchMatcher | None = None,
+) -> tuple[float, float, Outcome]:
+    """Disparity, sigma and outcome of one box."""
+    found = (matcher or PatchMatcher()).matches(*eyes, np.array([box]), np.array([prior_px]))
+    return float(found.disparity_px[0]), float(found.sigma_px[0]), Outcome(int(found.outcome[0]))
 
 
-def shifted(image: FloatArray, shift_px: float) -> FloatArray:
-    """The image moved to the left by a fraction of a pixel, exactly: a phase ramp in Fourier space."""
-    frequency = np.fft.rfftfreq(image.shape[1])
-    return np.fft.irfft(np.fft.rfft(image, axis=1) * np.exp(2j * np.pi * frequency * shift_px), image.shape[1], axis=1)
-
-
-def pair(disparity_px: float, *, seed: int = 0, noise: float = 0.0) -> tuple[Image, Image]:
-    left = texture(seed)
-    right = shifted(left, disparity_px)
-    sensor = np.random.default_rng(seed + 1000).normal(scale=noise, size=(2, *left.shape)) if noise else np.zeros(2)
-    return to_u8(left + sensor[0]), to_u8(right + sensor[1])
-
-
-def to_u8(image: FloatArray) -> Image:
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
-def slow_cost_bits(left: Image, right: Image, patch: Patch, disparity_px: int) -> float:
-    """Mean differing bits of a patch, neighbour by neighbour, as the definition says."""
-    bits = []
-    for y in range(patch.top, patch.bottom + 1):
-        for x in range(patch.left, patch.right + 1):
-            if 2 <= x - disparity_px <= right.shape[1] - 3:
-                bits.append(slow_differing_bits(left, right, (x, y), disparity_px))
-    return float(np.mean(bits))
-
-
-def slow_differing_bits(left: Image, right: Image, xy: tuple[int, int], disparity_px: int) -> int:
-    x, y = xy
-    count = 0
-    for dy in range(-2, 3):
-        for dx in range(-2, 3):
-            ours = left[y + dy, x + dx] > left[y, x]
-            theirs = right[y + dy, x + dx - disparity_px] > right[y, x - disparity_px]
-            count += int(ours != theirs)
-    return count
-
-
-def test_census_bits_of_one_window_are_its_comparisons() -> None:
-    window = np.arange(25, dtype=np.uint8).reshape(5, 5)  # the 12 pixels after the centre are brighter
-    assert census(window).shape == (1, 1)
-    assert int(census(window)[0, 0]).bit_count() == 12
-    assert int(census(np.full((5, 5), 7, np.uint8))[0, 0]) == 0
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("first_px", "last_px"), [(0, 24), (18, 40)])
-def test_costs_equal_brute_force(seed: int, first_px: int, last_px: int) -> None:
-    left, right = pair(11.3 if first_px == 0 else 27.6, seed=seed, noise=4.0)
-    patch = Patch(40, 20, 54, 31)
-    fast = cost_curves(left, right, patch, first_px=first_px, last_px=last_px, row_step=1)
-    slow = [slow_cost_bits(left, right, patch, d) for d in range(first_px, last_px + 1)]
-    assert np.allclose(fast.whole, slow)
-    assert fast.first_px + int(fast.whole.argmin()) == first_px + int(np.argmin(slow))
-
-
-def test_matcher_gives_the_brute_force_minimum_to_within_half_a_pixel() -> None:
-    matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=40))
-    for seed, true_px in enumerate((3.2, 8.9, 17.5, 26.1)):
-        left, right = pair(true_px, seed=seed, noise=6.0)
-        patch = Patch(95, 50, 110, 61)
-        slow = int(np.argmin([slow_cost_bits(left, right, patch, d) for d in range(41)]))
-        box = np.array([[87.5, 44.5, 118.0, 67.5]])
-        found, _ = matcher.match(left, right, box, NO_PRIOR)
-        assert abs(found[0] - slow) <= 0.5
-        assert abs(found[0] - true_px) < 0.6
-
-
-def test_row_step_takes_every_nth_row() -> None:
-    left, right = pair(9.0)
-    patch = Patch(100, 30, 140, 71)
-    rows = [
-        cost_curves(left, right, Patch(100, y, 140, y), first_px=0, last_px=20, row_step=1).whole
-        for y in range(30, 72, 7)
+def errors_px(
+    disparities_px: FloatArray, *, box: tuple[float, ...] = BOX, noise: float = 0.0, with_prior: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Errors and sigmas over textures, one per disparity."""
+    found = [
+        of_box(pair(float(d), seed=seed, noise=noise), box, float(d) + 3.0 if with_prior else NONE)
+        for seed, d in enumerate(disparities_px)
     ]
-    assert np.allclose(cost_curves(left, right, patch, first_px=0, last_px=20, row_step=7).whole, np.mean(rows, axis=0))
+    return np.array([f[0] for f in found]) - disparities_px, np.array([f[1] for f in found])
 
 
-def test_subpixel_error_on_known_shifts() -> None:
-    shifts_px = np.round(np.linspace(2.05, 60.0, 60), 3)
-    errors = []
-    for seed, shift_px in enumerate(shifts_px):
-        left, right = pair(float(shift_px), seed=seed, noise=1.5)
-        for prior in (NO_PRIOR, np.array([shift_px + 3.0])):
-            found, _ = PatchMatcher().match(left, right, BOX, prior)
-            errors.append(found[0] - shift_px)
-    absolute = np.abs(errors)
-    assert np.isfinite(absolute).all()
-    assert 0.001 < np.median(absolute) < 0.05
-    assert np.percentile(absolute, 95) < 0.12
-    assert abs(np.mean(errors)) < 0.02
+# Known shifts
 
 
-def test_sigma_is_honest_where_the_eyes_are_exact() -> None:
-    ratio = []
-    for seed in range(60):
-        shift_px = 5.0 + 0.37 * seed
-        left, right = pair(shift_px, seed=seed, noise=8.0)
-        found, sigma = PatchMatcher(EXACT).match(left, right, np.array([[200.0, 40.0, 240.0, 76.0]]), NO_PRIOR)
-        ratio.append(abs(found[0] - shift_px) / sigma[0])
-    within = float(np.mean(np.array(ratio) < 1))
-    assert 0.5 <= within <= 0.85
-    assert np.mean(np.array(ratio) < 2) >= 0.9
+@pytest.mark.parametrize("with_prior", [True, False])
+def test_error_on_known_shifts(with_prior: bool) -> None:
+    error, _ = errors_px(np.linspace(2.05, 60.0, 50), noise=1.5, with_prior=with_prior)
+    assert 0.001 < np.median(np.abs(error)) < 0.02
+    assert np.percentile(np.abs(error), 95) < 0.05
+    assert np.abs(error).max() < 0.12
+    assert abs(error.mean()) < 0.01
 
 
-def test_a_stereo_distance_by_hand() -> None:
+@pytest.mark.parametrize("noise", [0.0, 6.0])
+@pytest.mark.parametrize("box", [BOX, SMALL])
+def test_fractions_of_a_pixel_are_not_pulled_to_whole_ones(box: tuple[float, ...], noise: float) -> None:
+    locking = [np.median(errors_px(np.full(8, 20 + tenth / 10), box=box, noise=noise)[0]) for tenth in range(10)]
+    assert np.abs(locking).max() < 0.06
+    assert np.ptp(locking) > 1e-4
+
+
+def test_large_boxes_are_measured_in_smaller_images_nearly_as_well() -> None:
+    for edges, level in (((20.0, 20.0, 390.0, 130.0), 1), ((60.0, 40.0, 620.0, 330.0), 2)):
+        eyes = pair(25.3, seed=level, noise=2.0, height=360, width=640, blur_px=1.2 * 2**level)
+        for prior_px in (27.0, NONE):
+            assert of_box(eyes, edges, prior_px)[0] == pytest.approx(25.3, abs=0.04 * 2**level)
+
+
+def test_a_distance_by_hand() -> None:
     # f = 1000 px, B = 0.5 m, d = 10 px -> 50 m
-    left, right = pair(10.0)
-    found, _ = PatchMatcher().match(left, right, BOX, NO_PRIOR)
+    found, _ = PatchMatcher().match(*pair(10.0), np.array([BOX]), np.array([NONE]))
     rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 200.0, 70.0, 400, 140), 0.5)
-    assert rig.distance_m(found)[0] == pytest.approx(50.0, abs=0.3)
+    assert rig.distance_m(found)[0] == pytest.approx(50.0, abs=0.2)
 
 
-def test_colour_and_grey_agree_and_exposure_does_not_matter() -> None:
+def test_exposure_gain_and_colour_do_not_matter() -> None:
     left, right = pair(12.4)
-    grey, _ = PatchMatcher().match(left, right, BOX, NO_PRIOR)
-    colour, _ = PatchMatcher().match(np.dstack([left] * 3), np.dstack([right] * 3), BOX, NO_PRIOR)
-    darker, _ = PatchMatcher().match(left, to_u8(right * 0.7 + 20), BOX, NO_PRIOR)
-    assert grey[0] == pytest.approx(colour[0])
-    assert grey[0] == pytest.approx(darker[0], abs=0.05)
+    grey = of_box((left, right))[0]
+    for darker in (to_u8(right * 0.7 + 20), to_u8(right * 0.5), to_u8(255 * (right / 255) ** 0.8)):
+        assert of_box((left, darker))[0] == pytest.approx(grey, abs=0.05)
+    assert of_box((np.dstack([left] * 3), np.dstack([right] * 3)))[0] == pytest.approx(grey, abs=1e-9)
+    assert of_box((np.dstack([left] * 3), right))[0] == pytest.approx(grey, abs=1e-9)
 
 
-def test_a_wrong_prior_falls_back_to_the_full_range() -> None:
-    left, right = pair(30.0)
-    for prior_px in (30.0, 24.0, 33.9, 10.0, 100.0, -5.0, 1e9, np.inf):
-        found, _ = PatchMatcher().match(left, right, BOX, np.array([prior_px]))
-        assert found[0] == pytest.approx(30.0, abs=0.05)
+@pytest.mark.parametrize("slope", [-0.05, 0.02, 0.1])
+def test_a_slanted_surface_gives_its_disparity_at_the_middle(slope: float) -> None:
+    for seed in range(4):
+        eyes = tilted_pair(20.3, slope, at_px=240.0, seed=seed)
+        assert of_box(eyes, prior_px=20.0)[0] == pytest.approx(20.3, abs=0.04)
+        assert of_box(eyes)[0] == pytest.approx(20.3, abs=0.04)
 
 
-def test_a_ramp_without_texture_is_refused() -> None:
+def test_small_disparities_of_large_boxes_are_found_without_a_prior() -> None:
+    for true_px in (1.0, 1.6, 2.0, 3.3):  # less than one pixel of the level that finds them
+        assert of_box(pair(true_px))[0] == pytest.approx(true_px, abs=0.05)
+
+
+# Priors and ranges
+
+
+def test_a_prior_off_by_5_px_changes_nothing() -> None:
+    for seed in range(5):
+        eyes = pair(30.3, seed=seed, noise=3.0)
+        found = [of_box(eyes, prior_px=30.3 + off)[0] for off in (0.0, -5.0, 5.0)]
+        assert np.ptp(found) < 0.01
+        assert found[0] == pytest.approx(30.3, abs=0.05)
+
+
+def test_a_prior_far_off_falls_back_to_the_full_range() -> None:
+    for seed in range(5):
+        eyes = pair(30.0, seed=seed, noise=3.0)
+        for prior_px in (10.0, 12.0, 50.0, 100.0, 190.0, 0.0, -5.0, 1e9, np.inf, -np.inf):
+            assert of_box(eyes, prior_px=prior_px)[0] == pytest.approx(30.0, abs=0.05)
+
+
+def test_the_range_ends_at_the_largest_disparity() -> None:
+    matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=50))
+    for prior_px in (NONE, 47.0):
+        assert of_box(pair(49.6), prior_px=prior_px, matcher=matcher)[0] == pytest.approx(49.6, abs=0.05)
+        for beyond_px in (53.0, 60.0, 90.0):
+            found = of_box(pair(beyond_px), prior_px=prior_px, matcher=matcher)
+            assert np.isnan(found[0])
+            assert found[2] in (Outcome.OUT_OF_RANGE, Outcome.NO_TEXTURE, Outcome.NO_FIT)
+
+
+def test_the_largest_disparity_of_each_box_follows_its_side() -> None:
+    matcher = PatchMatcher(PatchMatcherSettings(max_disparity_per_side=0.5))
+    boxes = np.array([BOX, SMALL])  # 40 and 15 px at most
+    found = matcher.matches(*pair(30.0), boxes, np.full(2, NONE))
+    assert found.disparity_px[0] == pytest.approx(30.0, abs=0.05)
+    assert np.isnan(found.disparity_px[1])
+
+
+def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
+    rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720), 0.5)
+    made = PatchMatcherSettings.for_rig(rig, nearest_m=2.0, smallest_m=0.25)
+    assert (made.max_disparity_px, made.max_disparity_per_side) == (250, 2.0)
+    assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640  # half the image
+
+
+# Several surfaces
+
+
+@pytest.mark.parametrize(
+    ("front", "front_px", "behind_px", "object_px"),
+    [
+        ((np.abs(COLUMNS - 240) <= 12) & (ROWS >= 40), 25, 10, 25),  # a person before a wall
+        ((ROWS >= 58) & (COLUMNS >= 200) & (COLUMNS <= 280), 25, 10, 25),  # a car under the sky
+        (COLUMNS <= 228, 40, 20, 20),  # a car behind what stands at its left
+        (np.abs(COLUMNS - 225) <= 5, 40, 20, 20),  # behind a pole
+    ],
+)
+def test_of_two_surfaces_the_object_is_measured(
+    front: npt.NDArray[np.bool_], front_px: int, behind_px: int, object_px: int
+) -> None:
+    for seed in range(4):
+        eyes = pair_of_two(front, front_px=front_px, behind_px=behind_px, seed=seed)
+        for prior_px in (NONE, object_px + 2.0):
+            assert of_box(eyes, prior_px=prior_px)[0] == pytest.approx(object_px, abs=0.15)
+
+
+def test_the_prior_decides_between_halves() -> None:
+    for seed in range(4):
+        eyes = pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed)
+        for prior_px in (20.0, 40.0):
+            assert of_box(eyes, prior_px=prior_px)[0] == pytest.approx(prior_px, abs=0.6)
+
+
+# Many boxes; only what is needed is looked at
+
+MANY = np.array(
+    [BOX, SMALL, (30.0, 10.0, 380.0, 130.0), (100.0, 20.0, 116.0, 34.0), (150.0, 90.0, 230.0, 139.5), (0, 0, 40, 40.0)]
+)
+MANY_PRIORS = np.array([NONE, 20.0, 22.0, NONE, 90.0, 19.0])
+
+
+def as_rows(found: PatchMatches) -> FloatArray:
+    return np.stack([found.disparity_px, found.sigma_px, found.outcome.astype(np.float64)], axis=1)
+
+
+def test_several_boxes_at_once_are_as_one_by_one() -> None:
+    left, right = pair(20.7, noise=3.0)
+    matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=64))
+    together = as_rows(matcher.matches(left, right, MANY, MANY_PRIORS))
+    alone = [
+        as_rows(matcher.matches(left, right, MANY[i : i + 1], MANY_PRIORS[i : i + 1]))[0] for i in range(len(MANY))
+    ]
+    assert np.allclose(together, alone, atol=1e-6, equal_nan=True)
+    assert np.isfinite(together[:5, 0]).all()
+
+
+class LookedAt:
+    """An image that remembers which of its pixels were looked at."""
+
+    def __init__(self, image: Image) -> None:
+        self._image = image
+        self.seen = np.zeros(image.shape[:2], np.bool_)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._image.shape
+
+    def __getitem__(self, window: tuple[slice, slice], /) -> Image:
+        self.seen[window] = True
+        return self._image[window]
+
+
+@pytest.mark.parametrize("priors_px", [MANY_PRIORS, np.full(6, NONE), np.full(6, 21.0)])
+def test_an_image_that_exists_only_where_it_is_looked_at_gives_the_same(priors_px: FloatArray) -> None:
+    left, right = pair(20.7, noise=3.0)
+    for eyes in ((left, right), (np.dstack([left] * 3), np.dstack([right] * 3))):
+        view = LookedAt(eyes[1])
+        assert np.array_equal(
+            as_rows(PatchMatcher().matches(eyes[0], view, MANY, priors_px)),
+            as_rows(PatchMatcher().matches(*eyes, MANY, priors_px)),
+            equal_nan=True,
+        )
+
+
+def test_near_a_prior_only_the_search_range_is_looked_at() -> None:
+    left, right = pair(20.7)
+    view = LookedAt(right)
+    assert np.isfinite(PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0]))[0][0])
+    rows, columns = np.nonzero(view.seen)
+    # inner half 217.5 .. 232.5 and 56 .. 68 px; 21 +- 9 px to the left; margins of 2 px; steps of 4 px
+    assert 184 <= columns.min() <= 217 - 21 - 9
+    assert 233 <= columns.max() <= 240
+    assert 50 <= rows.min() <= 56
+    assert 68 <= rows.max() <= 74
+    untouched = LookedAt(right)
+    PatchMatcher().match(left, untouched, np.array([[-90.0, 0.0, -50.0, 40.0]]), np.array([20.0]))
+    assert not untouched.seen.any()
+
+
+# Refused, with the reason
+
+
+def test_textureless_and_saturated_boxes_are_refused() -> None:
     flat = np.full((140, 400), 90, np.uint8)
-    ramp = np.tile(np.linspace(0, 255, 140).astype(np.uint8)[:, None], (1, 400))
-    for image in (flat, ramp):
-        found, sigma = PatchMatcher().match(image, image, BOX, NO_PRIOR)
-        assert np.isnan(found).all()
-        assert np.isnan(sigma).all()
+    downwards = np.tile(np.linspace(0, 255, 140).astype(np.uint8)[:, None], (1, 400))
+    across = np.tile(np.linspace(0, 255, 400).astype(np.uint8), (140, 1))
+    saturated = to_u8(texture(0) * 0.1 + 250)
+    for image in (flat, downwards, across, saturated, np.zeros_like(flat)):
+        for prior_px in (NONE, 20.0):
+            disparity, sigma, outcome = of_box((image, image), prior_px=prior_px)
+            assert np.isnan(disparity)
+            assert np.isnan(sigma)
+            assert outcome is Outcome.NO_TEXTURE
 
 
-def test_noise_that_does_not_correspond_is_refused() -> None:
-    rng = np.random.default_rng(5)
+def test_a_partly_saturated_box_is_measured() -> None:
+    left = texture(0)
+    brighter = to_u8(2.0 * left), to_u8(2.0 * shifted(left, 12.0))
+    assert 0.3 < np.mean(brighter[0] == 255) < 0.7
+    assert of_box(brighter)[0] == pytest.approx(12.0, abs=0.05)
+
+
+@pytest.mark.parametrize("make", ["noise", "texture"])
+@pytest.mark.parametrize(("with_prior", "most_pct"), [(False, 0), (True, 8)])
+def test_what_does_not_correspond_is_refused(make: str, with_prior: bool, most_pct: int) -> None:
     boxes = np.array([[210.0 + 10 * i, 30.0, 230.0 + 12 * i, 60.0 + 3 * i] for i in range(10)])
-    priors = np.where(np.arange(10) % 2 == 0, np.nan, 20.0)
     n_found = 0
-    for _ in range(10):
-        left, right = rng.integers(0, 256, (2, 140, 400), dtype=np.uint8)
-        found, _ = PatchMatcher().match(left, right, boxes, priors)
-        n_found += int(np.isfinite(found).sum())
-    assert n_found <= 1  # of 100
+    for seed in range(10):
+        if make == "noise":
+            left, right = np.random.default_rng(seed).integers(0, 256, (2, 140, 400), dtype=np.uint8)
+        else:
+            left, right = to_u8(texture(seed)), to_u8(texture(seed + 500))
+        found = PatchMatcher().matches(left, right, boxes, np.full(10, 20.0 if with_prior else NONE))
+        assert set(found.outcome.tolist()) <= {Outcome.MATCHED, Outcome.NO_TEXTURE, Outcome.NO_FIT, Outcome.AMBIGUOUS}
+        n_found += int(np.isfinite(found.disparity_px).sum())
+    assert n_found <= most_pct  # of 100
 
 
 def test_repeated_texture_is_refused_without_a_prior_and_matched_with_one() -> None:
-    fence = np.tile(texture(3, width=32), (1, 13))[:, :400]
-    left, right = to_u8(fence), to_u8(np.roll(fence, -20, axis=1))
-    found, _ = PatchMatcher().match(left, right, BOX, NO_PRIOR)
-    assert np.isnan(found[0])
-    found, _ = PatchMatcher().match(left, right, BOX, np.array([21.0]))
-    assert found[0] == pytest.approx(20.0, abs=0.05)
+    for period_px in (20, 32, 50):
+        fence = np.tile(texture(3, width=period_px), (1, 400 // period_px + 1))[:, :400]
+        eyes = to_u8(fence), to_u8(np.roll(fence, -20, axis=1))
+        assert of_box(eyes)[2] is Outcome.AMBIGUOUS
+        assert of_box(eyes, prior_px=21.0)[0] == pytest.approx(20.0, abs=0.05)
+    fence = np.tile(texture(3, width=8), (1, 50))
+    assert of_box((to_u8(fence), to_u8(np.roll(fence, -20, axis=1))), prior_px=21.0)[2] is not Outcome.MATCHED
 
 
-def test_zero_disparity_and_disparities_beyond_the_range_are_refused() -> None:
+def test_no_disparity_is_no_distance() -> None:
     left, _ = pair(5.0)
-    assert np.isnan(PatchMatcher().match(left, left, BOX, NO_PRIOR)[0][0])
-    left, right = pair(60.0)
-    narrow = PatchMatcher(PatchMatcherSettings(max_disparity_px=50))
-    assert np.isnan(narrow.match(left, right, BOX, NO_PRIOR)[0][0])
+    assert np.isnan(of_box((left, left))[0])
+    assert np.isnan(of_box((left, left), prior_px=3.0)[0])
 
 
 def test_what_the_right_eye_does_not_see_is_no_match() -> None:
-    left, right = to_u8(texture(0)), to_u8(texture(0))
+    left, right = to_u8(texture(0)), to_u8(texture(9))
     right[:, :-60] = left[:, 60:]  # disparity 60; the left image's first 60 columns are outside the right one
-    right[:, -60:] = to_u8(texture(9))[:, -60:]
-    unseen, partly = np.array([[0.0, 40.0, 60.0, 100.0]]), np.array([[30.0, 40.0, 110.0, 100.0]])
-    assert np.isnan(PatchMatcher().match(left, right, unseen, NO_PRIOR)[0][0])
-    assert PatchMatcher().match(left, right, partly, NO_PRIOR)[0][0] == pytest.approx(60.0, abs=0.1)
+    for box in ((0.0, 40.0, 60.0, 100.0), (5.0, 40.0, 35.0, 60.0)):
+        for prior_px in (NONE, 58.0):
+            assert np.isnan(of_box((left, right), box, prior_px)[0])
+    assert of_box((left, right), (0.0, 40.0, 60.0, 100.0), 58.0)[2] is not Outcome.MATCHED
+    partly = (30.0, 40.0, 110.0, 100.0)  # inner half 50 .. 90, seen from 62 on
+    assert of_box((left, right), partly, 58.0)[0] == pytest.approx(60.0, abs=0.1)
 
 
-def test_boxes_that_cannot_be_measured_are_nan_and_leave_the_others_alone() -> None:
-    left, right = pair(12.0)
-    nan, inf = np.nan, np.inf
-    boxes = np.array(
-        [
-            BOX[0],
-            [100.0, 50.0, 104.0, 54.0],  # 4 px
-            [-500.0, 10.0, -400.0, 60.0],  # outside
-            [500.0, 10.0, 600.0, 60.0],
-            [nan, 10.0, 60.0, 60.0],
-            [10.0, 10.0, inf, 60.0],
-            [-inf, -inf, inf, inf],
-            [90.0, 90.0, 40.0, 40.0],  # inside out
-            [1e300, 1e300, 1e301, 1e301],
-        ]
-    )
-    found, sigma = PatchMatcher().match(left, right, boxes, np.full(len(boxes), np.nan))
-    assert found[0] == pytest.approx(12.0, abs=0.05)
-    assert np.isnan(found[1:]).all()
-    assert np.array_equal(np.isnan(found), np.isnan(sigma))
+def test_a_box_at_the_left_border_that_no_disparity_shows_is_not_seen() -> None:
+    matcher = PatchMatcher(PatchMatcherSettings(min_disparity_px=40))
+    found = of_box(pair(60.0), (0.0, 40.0, 50.0, 80.0), matcher=matcher)
+    assert found[2] is Outcome.NOT_SEEN
 
 
-def test_a_box_as_large_as_the_image_is_measured_where_all_of_it_is_one_plane() -> None:
-    left, right = pair(12.0)
-    found, _ = PatchMatcher().match(left, right, np.array([[-0.5, -0.5, 399.5, 139.5]]), NO_PRIOR)
-    assert found[0] == pytest.approx(12.0, abs=0.05)
+def test_boxes_that_cannot_be_measured_say_why_and_leave_the_others_alone() -> None:
+    inf = np.inf
+    cases = [
+        (BOX, Outcome.MATCHED),
+        ((100.0, 50.0, 104.0, 54.0), Outcome.TOO_SMALL),
+        ((100.0, 50.0, 180.0, 54.0), Outcome.TOO_SMALL),
+        ((-500.0, 10.0, -400.0, 60.0), Outcome.OUTSIDE),
+        ((500.0, 10.0, 600.0, 60.0), Outcome.OUTSIDE),
+        ((NONE, 10.0, 60.0, 60.0), Outcome.OUTSIDE),
+        ((NONE, NONE, NONE, NONE), Outcome.OUTSIDE),
+        ((10.0, 10.0, inf, 60.0), Outcome.OUTSIDE),
+        ((-inf, -inf, inf, inf), Outcome.OUTSIDE),
+        ((90.0, 90.0, 40.0, 40.0), Outcome.OUTSIDE),
+        ((40.0, 40.0, 40.0, 90.0), Outcome.OUTSIDE),
+        ((1e300, 1e300, 1e301, 1e301), Outcome.OUTSIDE),
+        ((-0.5, -0.5, 399.5, 139.5), Outcome.MATCHED),  # the whole image
+        ((-1e6, -1e6, 1e6, 1e6), Outcome.MATCHED),
+        ((380.0, 100.0, 500.0, 500.0), Outcome.MATCHED),  # what of it is inside
+    ]
+    boxes = np.array([box for box, _ in cases])
+    found = PatchMatcher().matches(*pair(12.0), boxes, np.full(len(boxes), NONE))
+    assert [Outcome(code) for code in found.outcome.tolist()] == [outcome for _, outcome in cases]
+    matched = found.outcome == Outcome.MATCHED
+    assert np.allclose(found.disparity_px[matched], 12.0, atol=0.15)
+    assert np.array_equal(np.isfinite(found.disparity_px), matched)
+    assert np.array_equal(np.isfinite(found.sigma_px), matched)
+
+
+@pytest.mark.parametrize("image_hw", [(10, 400), (140, 12), (1, 1), (7, 9)])
+def test_an_image_smaller_than_a_window_is_too_small(image_hw: tuple[int, int]) -> None:
+    image = np.random.default_rng(0).integers(0, 256, image_hw, dtype=np.uint8)
+    box = (-0.5, -0.5, image_hw[1] - 0.5, image_hw[0] - 0.5)
+    assert of_box((image, image), box, 3.0)[2] is Outcome.TOO_SMALL
+
+
+@pytest.mark.parametrize(("height", "width"), [(11, 400), (13, 200), (24, 300), (43, 600)])
+def test_flat_images_are_measured(height: int, width: int) -> None:
+    eyes = pair(3.0, height=height, width=width)
+    for prior_px in (NONE, 4.0):
+        whole = of_box(eyes, (-0.5, -0.5, width - 0.5, height - 0.5), prior_px)
+        assert whole[0] == pytest.approx(3.0, abs=0.15)
+
+
+def test_an_image_without_pixels_holds_no_box() -> None:
+    empty = np.zeros((0, 0), np.uint8)
+    assert of_box((empty, empty), BOX)[2] is Outcome.OUTSIDE
 
 
 def test_no_boxes_give_no_disparities() -> None:
-    left, right = pair(12.0)
-    found, sigma = PatchMatcher().match(left, right, np.zeros((0, 4)), np.zeros(0))
+    found, sigma = PatchMatcher().match(*pair(12.0), np.zeros((0, 4)), np.zeros(0))
     assert found.shape == sigma.shape == (0,)
 
 
 def test_images_of_different_size_are_an_error() -> None:
     left, right = pair(12.0)
-    with pytest.raises(ValueError, match="equal shapes"):
-        PatchMatcher().match(left, right[:-1], BOX, NO_PRIOR)
+    for other in (right[:-1], right[:, 1:]):
+        with pytest.raises(ValueError, match="equal sizes wanted"):
+            PatchMatcher().match(left, other, np.array([BOX]), np.array([NONE]))
+
+
+def test_each_outcome_has_a_reason_of_its_own() -> None:
+    assert set(REASONS) == set(Outcome)
+    assert len(set(REASONS.values())) == len(Outcome)
+
+
+HOSTILE = pair(12.0)
 
 
 @settings(deadline=None, max_examples=60)
@@ -253,14 +384,41 @@ def test_images_of_different_size_are_an_error() -> None:
     hnp.arrays(np.float64, 3, elements=st.floats(allow_nan=True, allow_infinity=True)),
 )
 def test_any_box_and_prior_is_taken_without_a_word(boxes: FloatArray, priors: FloatArray) -> None:
-    left, right = pair(12.0)
-    found, sigma = PatchMatcher().match(left, right, boxes, priors)
+    found, sigma = PatchMatcher().match(*HOSTILE, boxes, priors)
     known = np.isfinite(found)
     assert np.array_equal(known, np.isfinite(sigma))
     assert (sigma[known] > 0).all()
     assert np.allclose(found[known], 12.0, atol=1.5)
 
 
-def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
-    rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720), 0.5)
-    assert PatchMatcherSettings.for_rig(rig, nearest_m=2.0).max_disparity_px == 250
+# Sigma
+
+
+def test_sigma_is_honest_on_noisy_textures() -> None:
+    ratios = []
+    for noise, box in ((10.0, SMALL), (12.0, SMALL), (14.0, (200.0, 40.0, 240.0, 76.0)), (8.0, (200, 50, 216, 64))):
+        error, sigma = errors_px(5.0 + 0.37 * np.arange(40), box=box, noise=noise)
+        ratios.append(np.abs(error) / sigma)
+    assert 0.55 < np.mean(np.array(ratios) < 1) < 0.85
+    assert 0.9 < np.mean(np.array(ratios) < 2) < 0.999
+
+
+def test_sigma_is_not_below_its_floor_without_noise() -> None:
+    error, sigma = errors_px(5.0 + 0.37 * np.arange(20))
+    assert 0.03 <= sigma.min() <= np.median(sigma) < 0.05
+    assert (np.abs(error) < 2 * sigma).all()
+
+
+def test_sigma_grows_with_noise_and_with_tilt() -> None:
+    of_noise = [np.median(errors_px(np.full(10, 12.3), noise=noise)[1]) for noise in (0.0, 6.0, 12.0, 18.0)]
+    assert (np.diff(of_noise) > 0).all()
+    assert of_noise[3] > 2 * of_noise[0]
+    of_tilt = [of_box(tilted_pair(20.3, slope, at_px=240.0), prior_px=20.0)[1] for slope in (0.0, 0.02, 0.05, 0.1)]
+    assert (np.diff(of_tilt) > 0).all()
+    assert of_tilt[3] == pytest.approx(0.12 * 0.1 * 40, rel=0.5)  # a share of what it changes by over the inner half
+
+
+def test_sigma_of_a_large_box_is_in_pixels_of_the_image() -> None:
+    eyes = pair(25.3, noise=8.0, height=360, width=640)
+    _, whole, _ = of_box(eyes, (60.0, 40.0, 620.0, 330.0), 25.0)
+    assert whole > 4 * 0.03  # looked at in the image shrunk by 4

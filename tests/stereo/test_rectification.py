@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from stereo.camera import PinholeCamera
+from stereo.frames import whole_image
 from stereo.rectification import Rectifier, Undistorter
 from stereo.rig import RigError, StereoRig
 
@@ -61,7 +62,7 @@ def test_points_of_a_synthetic_world_come_out_in_equal_rows_with_the_right_dispa
     left, right = dots(seen(points_m, LEFT, np.eye(4)), LEFT), dots(seen(points_m, RIGHT, RIG.right_from_left), RIGHT)
     assert np.abs(centroids(left) - centroids(right))[:, 1].max() > 5  # not rectified yet
     rectifier = Rectifier(RIG)
-    left_px, right_px = (centroids(image) for image in rectifier.rectify(left, right))
+    left_px, right_px = (centroids(whole_image(image)) for image in rectifier.rectify(left, right))
     assert len(left_px) == len(right_px) == 4
     assert np.abs(left_px[:, 1] - right_px[:, 1]).max() < 0.15
     turned_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
@@ -100,6 +101,38 @@ def test_a_rectified_pair_passes_uncopied() -> None:
     out_left, out_right = rectifier.rectify(left, right)
     assert out_left is left
     assert out_right is right
+
+
+def test_what_is_cut_out_of_the_right_image_is_what_the_whole_of_it_holds() -> None:
+    image = np.random.default_rng(1).integers(0, 256, (480, 640, 3), dtype=np.uint8)
+    rectifier = Rectifier(RIG)
+    whole = whole_image(rectifier.rectify(image, image)[1])
+    assert whole.shape == (480, 640)
+    assert whole.std() > 10
+    for window in ((slice(0, 30), slice(0, 50)), (slice(470, 480), slice(600, 640)), (slice(101, 333), slice(57, 90))):
+        cut = rectifier.rectify(image, image)[1][window]
+        assert np.array_equal(cut, whole[window])
+    assert np.array_equal(whole_image(whole), whole)
+
+
+def test_the_whole_is_worked_out_once() -> None:
+    image = np.zeros((480, 640), np.uint8)
+    view = Rectifier(RIG).rectify(image, image)[1]
+    assert view.shape == (480, 640)
+    assert np.shares_memory(whole_image(view), whole_image(view))
+    assert np.shares_memory(view[10:20, 5:6], whole_image(view))
+
+
+@pytest.mark.parametrize("rig", [RIG, StereoRig.rectified(LEFT.without_distortion(), 0.5)])
+def test_rows_known_to_be_apart_are_brought_together(rig: StereoRig) -> None:
+    """What the rectified pair shows 1.4 px too low comes up by 1.4 px, and nothing moves sideways."""
+    image = dots(np.array([[150.0, 120.0], [320.0, 240.0], [480.0, 330.0]]), LEFT)
+    before = centroids(whole_image(Rectifier(rig).rectify(image, image)[1]))
+    rectifier = Rectifier(rig, row_offset_px=1.4)
+    left, right = rectifier.rectify(image, image)
+    assert np.abs(centroids(whole_image(right)) - before - (0, -1.4)).max() < 0.05
+    assert rectifier.rig.left == Rectifier(rig).rig.left
+    assert (left is image) == rig.is_rectified
 
 
 def test_colour_is_rectified_as_grey_is() -> None:

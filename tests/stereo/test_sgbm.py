@@ -9,7 +9,7 @@ import pytest
 
 from stereo.camera import PinholeCamera
 from stereo.rig import StereoRig
-from stereo.sgbm import Mode, Sgbm, SgbmSettings, inner_half_median
+from stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, disparity_picture, inner_half_median
 
 Image = npt.NDArray[np.uint8]
 
@@ -60,19 +60,25 @@ def test_images_of_different_size_are_an_error() -> None:
         Sgbm().dense_disparity(left, right[:, :-2])
 
 
+def test_a_grey_right_image_serves_a_coloured_left_one() -> None:
+    left, right = pair(24)
+    both_grey = Sgbm().dense_disparity(left, right)
+    assert np.array_equal(both_grey, Sgbm().dense_disparity(np.dstack([left] * 3), right), equal_nan=True)
+
+
 def test_the_median_of_the_inner_half_by_hand() -> None:
     disparity = np.full((40, 40), np.nan, np.float32)
     disparity[10:30, 10:30] = 50.0  # the box's inner half
     disparity[10:30, 10:18] = 48.0
     disparity[:10] = disparity[30:] = 5.0  # its outer part does not count
-    settings = SgbmSettings(alignment_sigma_px=0.3, shape_share=0.5)
+    settings = SgbmSettings(shape_share=0.5)
     median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
     assert median[0] == 50.0
-    assert sigma[0] == pytest.approx(0.3)  # most pixels agree, so the median deviation is 0
+    assert sigma[0] == pytest.approx(0.15)  # most pixels agree, so the median deviation is 0
     disparity[10:30, 10:30] = np.tile(np.arange(40.0, 60.0), (20, 1))
     median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
     assert median[0] == 49.5
-    assert sigma[0] == pytest.approx(np.hypot(0.3, 0.5 * 1.4826 * 5.0))
+    assert sigma[0] == pytest.approx(np.hypot(0.15, 0.5 * 1.4826 * 5.0))
 
 
 def test_a_box_with_too_little_known_or_out_of_sight_is_nan() -> None:
@@ -101,3 +107,78 @@ def test_settings_for_a_rig_are_whole_sixteens() -> None:
     rig = StereoRig.rectified(PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375), 0.5327)
     assert SgbmSettings.for_rig(rig).n_disparities == 144  # 721.5 * 0.5327 / 3 = 128.1
     assert SgbmSettings.for_rig(rig, nearest_m=1000.0).n_disparities == 16
+
+
+def test_the_centre_is_one_pixel() -> None:
+    disparity = np.full((40, 40), np.nan, np.float32)
+    disparity[10:30, 10:30] = 50.0
+    disparity[20, 20] = 47.0  # middle of the first box, 19.5, rounds to the even 20
+    disparity[5, 33] = 9.0  # known alone in its box
+    nan = np.nan
+    boxes = np.array(
+        [
+            [-0.5, -0.5, 39.5, 39.5],
+            [30.0, 2.0, 36.0, 8.0],
+            [30.0, 20.0, 38.0, 28.0],
+            [30.0, 30.0, 60.0, 60.0],
+            [-80.0, 0.0, -40.0, 40.0],
+            [nan, 0.0, 40.0, 40.0],
+            [0.0, 0.0, np.inf, 40.0],
+            [-1e308, 0.0, -1e308, 40.0],
+            [1e12, 0.0, 1e13, 40.0],
+        ]
+    )
+    centre, sigma = centre_disparity(disparity, boxes, settings=SgbmSettings(shape_share=0.5))
+    assert centre[:2].tolist() == [47.0, 9.0]
+    assert sigma[:2] == pytest.approx([0.15, 0.15])
+    assert np.isnan(centre[2:]).all()
+    assert np.isnan(sigma[2:]).all()
+    assert centre_disparity(disparity, np.zeros((0, 4)))[0].shape == (0,)
+
+
+def test_a_picture_is_black_where_nothing_is_known_and_red_where_near() -> None:
+    disparity = np.full((4, 6), np.nan, np.float32)
+    disparity[:, 2:4], disparity[:, 4:] = 5.0, 60.0
+    picture = disparity_picture(disparity, largest_px=64.0)
+    assert (picture.shape, picture.dtype) == ((4, 6, 3), np.uint8)
+    assert (picture[:, :2] == 0).all()
+    far, near = picture[0, 2].astype(int), picture[0, 4].astype(int)
+    assert far[0] > far[2]  # bluer than red
+    assert near[2] > near[0]
+    assert np.array_equal(disparity_picture(disparity, largest_px=30.0)[0, 4], disparity_picture(disparity)[0, 4])
+    assert (disparity_picture(np.full((4, 6), np.nan)) == 0).all()
+
+
+def test_settings_of_the_users_own() -> None:
+    rig = StereoRig.rectified(PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375), 0.5327)
+    settings = SgbmSettings.for_rig(rig, chosen={"mode": "hh", "block_size": 7})
+    assert (settings.mode, settings.block_size, settings.n_disparities) == ("hh", 7, 144)
+    assert SgbmSettings.for_rig(rig, chosen={"n_disparities": 64}).n_disparities == 64
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("modes", "hh", "sgbm has no 'modes'; it has: min_disparity, n_disparities"),
+        ("mode", "best", "mode is 'best': one of 3way, sgbm, hh, hh4 wanted"),
+        ("n_disparities", 100, "n_disparities is 100: a multiple of 16"),
+        ("n_disparities", 128.0, "n_disparities is 128.0: a multiple of 16"),
+        ("n_disparities", 0, "n_disparities is 0: a multiple of 16"),
+        ("min_disparity", -1000, "min_disparity is -1000: a whole number"),
+        ("block_size", 4, "block_size is 4: an odd number"),
+        ("small_step_penalty", 0, "small_step_penalty is 0: a whole number from 1"),
+        ("large_step_penalty", 8, "large_step_penalty is 8: more than the small one"),
+        ("uniqueness_pct", 100, "uniqueness_pct is 100: a whole number 0 .. 99"),
+        ("max_left_right_px", -2, "max_left_right_px is -2"),
+        ("speckle_px2", "many", "speckle_px2 is 'many'"),
+        ("speckle_range_px", -1, "speckle_range_px is -1"),
+        ("pre_filter_cap", 0, "pre_filter_cap is 0"),
+        ("min_valid_share", 1.5, "min_valid_share is 1.5: a share 0 .. 1"),
+        ("min_valid_share", float("nan"), "min_valid_share is nan"),
+        ("shape_share", -0.1, "shape_share is -0.1: a number from 0"),
+    ],
+)
+def test_settings_that_cannot_be(name: str, value: object, said: str) -> None:
+    with pytest.raises(ValueError, match="sgbm") as error:
+        SgbmSettings.of({name: value})
+    assert said in str(error.value)

@@ -93,11 +93,10 @@ def test_a_video_cut_short_is_used_as_far_as_it_goes(drive, tmp_path):
     assert 9 <= max(frames) < 14
 
 
-def test_an_empty_folder_and_no_rig(fails, options, drive, tmp_path):
+def test_an_empty_folder_and_no_focal_length(fails, options, drive, tmp_path):
     (tmp_path / "images").mkdir()
     assert "images" in fails(*options(left=tmp_path / "images"))
     lonely = shutil.copy(drive.left, tmp_path / "lonely.mp4")
-    assert "give --rig" in fails("--stereo", lonely, drive.right, "--detections", drive.detections)
     assert "--focal-px" in fails("--mono", lonely, "--detections", drive.detections)
 
 

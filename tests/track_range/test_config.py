@@ -19,7 +19,8 @@ def test_the_results_are_named_after_the_left_video():
         ({}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
         ({**PAIR, "mono": Path("m.mp4")}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
         ({**PAIR, "detections": Path("d.txt")}, "give --detector or --detections, not both"),
-        ({**PAIR, "focal_px": 700.0}, "--focal-px is for --mono"),
+        ({**PAIR, "disparity": True, "sgbm": False}, "--disparity shows what dense stereo finds"),
+        ({"mono": Path("m.mp4"), "detector": "m", "disparity": True}, "--disparity shows what dense stereo finds"),
         ({**PAIR, "threads": -1}, "--threads: Input should be greater than or equal to 0"),
         ({**PAIR, "start_s": float("nan")}, "--start: "),
         ({**PAIR, "device": "abacus"}, "--device: Input should be 'auto', 'cpu', 'cuda' or 'tensorrt'"),
@@ -68,6 +69,14 @@ def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
             yaml.safe_dump({"track_range_settings": 1, "run": {"colour": "red", "detector": "m"}}),
             "colour: Extra inputs",
         ),
+        (
+            yaml.safe_dump({"track_range_settings": 1, "run": {"sgbm_options": {"block_size": 4}}}),
+            "^sgbm_options: sgbm's block_size is 4: an odd number",
+        ),
+        (
+            yaml.safe_dump({"track_range_settings": 1, "run": {"sgbm_options": {"blocks": 5}}}),
+            "^sgbm_options: sgbm has no 'blocks'",
+        ),
     ],
 )
 def test_settings_files_that_cannot_be_used(tmp_path, content, message):
@@ -104,3 +113,15 @@ def test_a_reid_network_wants_a_tracker_that_compares_looks() -> None:
     with pytest.raises(UsageError, match="--tracker: "):
         settings_from({"mono": Path("a.mp4"), "tracker": "kalman"})
     assert settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx")}).tracker == "deepsort"
+
+
+def test_dense_parameters_and_the_alignment_survive_the_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    chosen = {"mode": "hh", "block_size": 7}
+    save_settings(settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}), tmp_path / "s.yaml", found={})
+    again = settings_from({}, tmp_path / "s.yaml")
+    assert (again.sgbm_options, again.align) == (chosen, "off")
+    (tmp_path / "align.yaml").touch()
+    save_settings(settings_from({**PAIR, "align": "align.yaml"}), tmp_path / "s.yaml", found={})
+    assert settings_from({}, tmp_path / "s.yaml").align == str(tmp_path / "align.yaml")
+    assert settings_from(PAIR).align == "auto"

@@ -249,11 +249,15 @@ def test_real_cars_are_tracked(kitti_run):
         assert np.mean(found) >= 0.8, f"car {car}: {sum(found)} of {len(found)}"
 
 
-def test_real_stereo_is_within_ten_per_cent_and_no_worse_than_dense(kitti_run):
+def test_real_stereo_is_aligned_by_its_own_drive_and_within_three_per_cent(kitti_run):
+    """Six matchers read these drives about half a pixel low: uncorrected, the medians are 3 to 4 %."""
     _, _, summary = kitti_run
-    methods, common = summary["methods"], summary["common"]
-    assert 0.2 < methods["stereo"]["median_relative_error_pct"] <= 10.0
-    assert common["stereo"]["median_relative_error_pct"] <= common["sgbm"]["median_relative_error_pct"]
+    methods, alignment = summary["methods"], summary["alignment"]
+    assert alignment["is_applied"]
+    assert 0.2 < alignment["offset_px"] < 0.7
+    assert summary["calibration"] == "rig"
+    for name in ("stereo", "sgbm"):
+        assert 0.2 < methods[name]["median_relative_error_pct"] <= 3.0
     assert methods["stereo"]["bias_pct"] is not None
     assert methods["fused"]["median_relative_error_pct"] <= 10.0
 

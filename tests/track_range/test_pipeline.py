@@ -52,6 +52,16 @@ def test_every_frame_comes_out_in_order_with_all_methods():
     assert loop.clock.busy_s["track"] > 0
 
 
+def test_an_error_that_all_methods_share_widens_every_sigma_and_moves_nothing():
+    plain, doubtful = pipeline(), pipeline()
+    doubtful.shared_sigma = 0.25
+    for one, other in zip(plain.run(frames(3)), doubtful.run(frames(3)), strict=True):
+        assert set(one.ranges) == set(other.ranges)
+        for name, ranges in one.ranges.items():
+            assert other.ranges[name].distance_m == pytest.approx(ranges.distance_m)
+            assert other.ranges[name].sigma_m == pytest.approx(np.hypot(ranges.sigma_m, 0.25 * ranges.distance_m))
+
+
 def test_a_frame_without_boxes_is_a_result_without_rows():
     empty = list(pipeline(lambda frame: Detections.empty()).run(frames(3)))
     assert [len(r.tracks) for r in empty] == [0, 0, 0]

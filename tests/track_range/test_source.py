@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from stereo.camera import PinholeCamera
+from stereo.frames import whole_image
 from stereo.rig import RigError, StereoRig
 from stereo.rig_files import save_rig
 from track_range.config import RunSettings
@@ -63,7 +64,13 @@ def test_swapped_eyes_are_refused_before_anything_runs(pair):
 def test_rows_that_are_apart_are_told(pair, tmp_path):
     right = write_eye(tmp_path / "low", SHIFT_PX, row_px=-4)
     source = open_source(settings((pair[0], right)))
-    assert any("Rows of left and right are +4.0 px apart" in note for note in source.notes)
+    assert any("Rows of left and right are +4.0 px apart: corrected" in note for note in source.notes)
+    assert source.alignment.measured.row_offset_px == pytest.approx(4.0, abs=0.1)
+    frame = next(source.frames)
+    grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
+    assert np.median(np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])) <= 4
+    off = open_source(settings((pair[0], right), align="off"))
+    assert any("Rows of left and right are +4.0 px apart: the rig does not fit" in note for note in off.notes)
 
 
 def test_eyes_of_different_size_are_refused(pair, tmp_path):
@@ -72,12 +79,51 @@ def test_eyes_of_different_size_are_refused(pair, tmp_path):
         open_source(settings((pair[0], right)))
 
 
-def test_no_rig_and_no_focal_length(pair, tmp_path):
+def test_a_pair_without_a_rig_goes_on_uncalibrated(pair, tmp_path):
     (tmp_path / "rig.yaml").unlink()
-    with pytest.raises(RigError, match="no rig, so no metres: give --rig FILE"):
-        open_source(settings(pair))
+    source = open_source(settings(pair))
+    assert (source.rig, source.calibration, source.alignment) == (None, "estimated", None)
+    assert source.camera.fx_px == pytest.approx(WIDTH_PX / 2 / np.tan(np.radians(75 / 2)))
+    assert source.uncalibrated.has_equal_rows
+    assert source.uncalibrated.focal_sigma == 0.25
+    frame = next(source.frames)
+    assert (frame.left[:, SHIFT_PX:] == frame.right[:, :-SHIFT_PX]).all()
+    assert any("75 degrees is assumed" in note and "track-range calibrate" in note for note in source.notes)
+    given = open_source(settings(pair, focal_px=280.0))
+    assert (given.camera.fx_px, given.uncalibrated.focal_sigma) == (280.0, 0.02)
+    assert any("the focal length is 280 px as given" in note for note in given.notes)
+
+
+def test_rows_of_an_uncalibrated_pair_are_brought_together_or_stereo_is_left_out(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    source = open_source(settings((pair[0], write_eye(tmp_path / "low", SHIFT_PX, row_px=-4))))
+    assert source.uncalibrated.row_offset_px == pytest.approx(4.0, abs=0.1)
+    frame = next(source.frames)
+    grey = cv2.cvtColor(frame.left, cv2.COLOR_BGR2GRAY).astype(int)
+    apart = np.abs(grey[8:-8, SHIFT_PX:] - whole_image(frame.right)[8:-8, :-SHIFT_PX])
+    assert np.median(apart) <= 4
+    assert any("+4.0 px apart; corrected" in note for note in source.notes)
+    turned = tmp_path / "turned"
+    turned.mkdir()
+    middle = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2)
+    for image in sorted(pair[1].iterdir()):
+        turn = cv2.getRotationMatrix2D(middle, 12.0, 1.0)
+        cv2.imwrite(str(turned / image.name), cv2.warpAffine(cv2.imread(str(image)), turn, (WIDTH_PX, HEIGHT_PX)))
+    source = open_source(settings((pair[0], turned)))
+    assert not source.uncalibrated.has_equal_rows
+    assert any("without a rig stereo cannot be used" in note for note in source.notes)
+
+
+def test_without_rig_and_focal_length_one_camera_tells_no_metres(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
     with pytest.raises(RigError, match="no focal length, so no metres: give --focal-px F"):
         open_source(RunSettings(mono=pair[0], detections=Path("unused")))
+
+
+def test_swapped_eyes_are_refused_without_a_rig_too(pair, tmp_path):
+    (tmp_path / "rig.yaml").unlink()
+    with pytest.raises(RigError, match="left and right are swapped"):
+        open_source(settings(pair[::-1]))
 
 
 def test_one_camera_by_focal_length_or_by_rig(pair):

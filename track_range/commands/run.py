@@ -6,7 +6,8 @@ import platform
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,22 +16,18 @@ import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 
-from detection.onnx_session import Runtime
-from ranging.ranger import Ranger
-from ranging.size_curve import SizeCurves, load_curves
-from ranging.size_regression import SizeRegressionRanger
-from ranging.triangulation import DenseRanger, PatchRanger
+from ranging.size_curve import load_curves
 from ranging.truth import Truth, read_truth
-from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.box_source import BoxSource, open_box_source
-from track_range.commands.progress import frame_progress
+from track_range.commands.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
 from track_range.config import RunSettings, save_settings
 from track_range.interrupts import deaf_to_interrupts, termination_as_interrupt
 from track_range.overlap import short_switch_interval
-from track_range.overlay_video import OverlayVideo
 from track_range.pipeline import Pipeline
+from track_range.result_video import ResultVideo, VideoFormat
 from track_range.results import ResultRows, read_tracks_csv
+from track_range.run_pipeline import learnt_scale, open_pipeline, pictures
 from track_range.source import Source, open_source
 from track_range.summary import (
     TRUTH_PROTOCOL,
@@ -41,7 +38,6 @@ from track_range.summary import (
     write_summary,
 )
 from track_range.tables import summary_tables
-from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.written import clear_results, make_folder
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
@@ -57,7 +53,8 @@ class _Run:
 
     Attributes:
         frame_index: the frames finished.
-        wall_s: time for them, from opening the videos to the last byte of the last one; not for loading the network.
+        wall_s: time for them, from opening the videos to the last byte of the last one; not for loading the network,
+            nor for the look through the first frames that tells the alignment (`alignment.look_s`).
         stopped_by: what ended the run early, told again once the finished part is safe.
     """
 
@@ -75,7 +72,17 @@ class _Run:
     def notes(self) -> list[str]:
         """Sentences for the user on all inputs."""
         stopped = [f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []
-        return [*self.boxes.notes(), *self.source.notes, *stopped, *self._strangers()]
+        return [*self.boxes.notes(), *self.source.notes, *stopped, *self._strangers(), *self._scale()]
+
+    def _scale(self) -> list[str]:
+        """What a pair without a rig has taught of itself."""
+        scale = learnt_scale(self.pipeline, self.source.uncalibrated) if self.frame_index else None
+        if scale is None:
+            return []
+        return [
+            f"Uncalibrated: with a focal length of {scale.focal_px:.0f} px the sizes of {scale.n_tracks} tracks say a "
+            f"baseline of {scale.baseline_m:.2f} m; all distances are good to about {100 * scale.relative_sigma:.0f} %."
+        ]
 
     def _strangers(self) -> list[str]:
         """A file of boxes or labels none of whose frames came up: usually another video's, or numbered otherwise."""
@@ -111,12 +118,13 @@ def run(settings: RunSettings, console: Console) -> Path:
 def _run(settings: RunSettings, console: Console) -> Path:
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
-    source = open_source(settings)
+    source = open_source(settings, partial(step_progress, console))
     opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
+    opened_s -= source.alignment.look_s if source.alignment else 0.0
     with closing(source.frames):
         boxes = open_box_source(settings, source.rectified_boxes, lambda word: ready_model(word, console))
         truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
-        pipeline = _pipeline(settings, source, boxes, curves)
+        pipeline = open_pipeline(settings, source, boxes, curves)
         this = _Run(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)
         folder = settings.out_dir
         make_folder(folder)
@@ -147,8 +155,8 @@ def _tell_tables(console: Console, summary: dict[str, Any]) -> None:
 
 
 def _tell_files(console: Console, settings: RunSettings, folder: Path) -> None:
-    overlay = "overlay.mp4, " if settings.overlay else ""
-    names = f"{overlay}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
+    videos = "".join(f"{name}.mp4, " for name in ("overlay", "disparity") if getattr(settings, name))
+    names = f"{videos}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
     with _nobody_may_listen():
         console.print(f"Results in {folder}: {names}", highlight=False, markup=False, soft_wrap=True)
 
@@ -171,19 +179,8 @@ def _input_files(settings: RunSettings) -> list[Path]:
         settings.curves,
         settings.reid,
     )
-    words = (settings.detector, settings.names)
+    words = (settings.detector, settings.names, settings.align)
     return [*(path for path in named if path is not None), *(Path(word) for word in words if word is not None)]
-
-
-def _pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeCurves) -> Pipeline:
-    rangers: dict[str, Ranger] = {"mono": SizeRegressionRanger(source.camera, curves)}
-    dense = None
-    if source.rig is not None:
-        rangers["stereo"] = PatchRanger(source.rig, PatchMatcher(PatchMatcherSettings.for_rig(source.rig)))
-        dense = DenseRanger(source.rig) if settings.sgbm else None
-    runtime = Runtime(n_threads=settings.threads, device=settings.device)
-    tracker = new_tracker(settings.tracker, open_descriptor(settings.tracker, settings.reid, runtime))
-    return Pipeline(camera=source.camera, detect=boxes.detect, tracker=tracker, rangers=rangers, dense=dense)
 
 
 def _work(this: _Run, folder: Path, console: Console) -> None:
@@ -194,18 +191,18 @@ def _work(this: _Run, folder: Path, console: Console) -> None:
         with ExitStack() as stack:
             stack.enter_context(short_switch_interval())
             rows = stack.enter_context(ResultRows(folder))
-            video = None
-            if this.settings.overlay:
-                video = stack.enter_context(
-                    OverlayVideo(folder / "overlay.mp4", size_px=this.source.size_px, fps=this.source.fps, clock=clock)
-                )
+            form = VideoFormat(this.source.size_px, this.source.fps)
+            videos = [
+                stack.enter_context(ResultVideo(folder / f"{name}.mp4", draw, form=form, clock=clock))
+                for name, draw in pictures(this.settings, this.source).items()
+            ]
             results = this.pipeline.run(this.source.frames)
             stack.callback(results.close)
             advance = stack.enter_context(frame_progress(console, this.source.n_frames))
             for result in results:
                 with clock.stage("write"):
                     rows.write(result)
-                if video is not None:
+                for video in videos:
                     video.write(result)
                 this.frame_index.append(result.frame.index)
                 this.methods.update(result.ranges)
@@ -228,11 +225,23 @@ def _summary(this: _Run, columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]
         "stages_ms": stage_times_ms(this.pipeline.clock.busy_s, n_frames),
         **range_scores(columns, this.truth, tuple(this.methods)),
         "tracks": track_scores(columns, this.truth, np.array(this.frame_index, np.int64)),
+        **_geometry(this),
         "truth": TRUTH_PROTOCOL if this.truth is not None else None,
         "notes": this.notes,
         "inputs": _inputs(this.settings),
-        "files": {"overlay": "overlay.mp4"} if this.settings.overlay else {},
+        "files": {name: f"{name}.mp4" for name in pictures(this.settings, this.source)},
         "versions": _versions(),
+    }
+
+
+def _geometry(this: _Run) -> dict[str, Any]:
+    """Where metres come from."""
+    source = this.source
+    scale = learnt_scale(this.pipeline, source.uncalibrated)
+    return {
+        "calibration": source.calibration,
+        **({"learnt_scale": asdict(scale)} if scale else {}),
+        **({"alignment": source.alignment.summary()} if source.alignment else {}),
     }
 
 

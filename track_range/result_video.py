@@ -1,15 +1,17 @@
-"""overlay.mp4 of a run in progress: frames are drawn and encoded in a thread of their own."""
+"""Videos of a run in progress, overlay.mp4 and disparity.mp4: drawn and encoded in a thread of their own."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from detection.detections import Image
 from track_range.overlap import give_way
-from track_range.overlay import Overlay
 from track_range.pipeline import StageClock
 from track_range.results import FrameResult
 from track_range.video import VideoWriter
@@ -17,19 +19,31 @@ from track_range.video import VideoWriter
 _WRITE_BEHIND = 4  # frames that may wait to be drawn before the run waits for them
 
 
-class OverlayVideo:
-    """Draws each result onto its frame and writes it; an error while writing reaches the caller at a later frame."""
+Draw = Callable[[FrameResult], Image]
+"""A picture of a result, (H, W, 3) uint8 BGR; called from one thread."""
 
-    def __init__(self, path: Path, *, size_px: tuple[int, int], fps: float, clock: StageClock) -> None:
+
+@dataclass(frozen=True, slots=True)
+class VideoFormat:
+    """Width and height, and nominal frame rate."""
+
+    size_px: tuple[int, int]
+    fps: float
+
+
+class ResultVideo:
+    """Draws each result and writes it; an error while writing reaches the caller at a later frame."""
+
+    def __init__(self, path: Path, draw: Draw, *, form: VideoFormat, clock: StageClock) -> None:
         """Begin the video; `clock` is told the time under "write".
 
         Raises:
             VideoError: it cannot be written there.
         """
-        self._writer = VideoWriter(path, width_px=size_px[0], height_px=size_px[1], fps=fps)
-        self._overlay = Overlay()
+        self._writer = VideoWriter(path, width_px=form.size_px[0], height_px=form.size_px[1], fps=form.fps)
+        self._picture = draw
         self._clock = clock
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="overlay", initializer=give_way)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=give_way)
         self._waiting: deque[Future[None]] = deque()
 
     def __enter__(self) -> Self:
@@ -51,4 +65,4 @@ class OverlayVideo:
 
     def _draw(self, result: FrameResult) -> None:
         with self._clock.stage("write"):
-            self._writer.write(self._overlay.draw(result), result.frame.time_s)
+            self._writer.write(self._picture(result), result.frame.time_s)

@@ -1,0 +1,126 @@
+"""SizeScaledRanger: stereo without a calibration; what one px of disparity is worth is learnt from the sizes of things.
+
+    Z = K / d,   K = f B, the product of focal length and baseline that a calibration would tell
+    every track with a class whose size is known says   K = Z_mono d,   and the median over the tracks is taken
+
+One object's size says little (people differ, cars too), many together say the mean: after that stereo is as even
+between near and far, and from frame to frame, as ever; only the common scale stays in doubt. What the focal length adds
+to the doubt is common to mono as well, and not in these sigmas.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from detection.detections import FloatArray
+from ranging.ranger import Ranger
+from ranging.ranges import Ranges
+from ranging.triangulation import Matcher, TrackMatcher
+from stereo.frames import Frame
+from tracking.tracks import Tracks
+
+_UNALIGNED_SIGMA_PX = 1.0
+"""Disparity error of eyes that nobody has calibrated, as far as a scale does not take it up."""
+
+_SIZES_SIGMA = 0.08
+"""Relative error of the mean of a class: other countries, other makes, other detectors."""
+
+_TRACK_SIGMA = 0.15
+"""Relative scatter of single tracks about the truth, beyond what their size's own sigma says."""
+
+_MIN_TRACKS_TOLD = 6
+"""So many tracks tell their own scatter."""
+
+_MIN_DISPARITY_PX = 3.0
+"""Smaller ones tell more of the eyes' alignment than of the scale."""
+
+_ENOUGH_SAMPLES = 10
+"""A track seen more often than this counts no more for it: its size stays the same."""
+
+_MAX_SAMPLES, _MAX_TRACKS = 30, 500
+"""More of a track, and more tracks, are not listened to: they would change nothing."""
+
+
+class _Told:
+    """What one track has told: log K, again and again, and how much that weighs."""
+
+    def __init__(self) -> None:
+        self._samples: list[float] = []
+        self.median = float("nan")
+        self.weight = 0.0
+
+    def hear(self, log_k: float, variance: float) -> None:
+        if len(self._samples) == _MAX_SAMPLES:
+            return
+        self._samples.append(log_k)
+        self.median = float(np.median(self._samples))
+        if len(self._samples) <= _ENOUGH_SAMPLES:
+            self.weight += 1.0 / variance
+
+
+class FocalBaseline:
+    """K = f B in px m, learnt track by track."""
+
+    def __init__(self) -> None:
+        self._told: dict[int, _Told] = {}
+
+    def learn(self, disparity_px: FloatArray, by_size: Ranges) -> None:
+        """Take in a frame: (N,) disparities, NaN = not matched, and what size says of the same tracks."""
+        with np.errstate(invalid="ignore"):
+            clear_px = np.where(disparity_px >= _MIN_DISPARITY_PX, disparity_px, np.nan)
+            log_k = np.log(clear_px * by_size.distance_m)
+            of_size = by_size.sigma_m / by_size.distance_m
+        variance = _TRACK_SIGMA**2 + of_size**2 + (_UNALIGNED_SIGMA_PX / clear_px) ** 2
+        for i in np.flatnonzero(np.isfinite(log_k)).tolist():
+            track_id = int(by_size.track_id[i])
+            if track_id in self._told or len(self._told) < _MAX_TRACKS:
+                self._told.setdefault(track_id, _Told()).hear(float(log_k[i]), float(variance[i]))
+
+    @property
+    def n_tracks(self) -> int:
+        """Tracks that have told something."""
+        return len(self._told)
+
+    def estimate(self) -> tuple[float, float]:
+        """K in px m and its relative standard deviation; NaN both before any track has told anything."""
+        if not self._told:
+            return float("nan"), float("nan")
+        log_k = np.array([told.median for told in self._told.values()])
+        weight = np.array([told.weight for told in self._told.values()])
+        middle = _weighted_median(log_k, weight)
+        scatter = 1.4826 * _weighted_median(np.abs(log_k - middle), weight)
+        n_effective = float(weight.sum() ** 2 / (weight @ weight))
+        scatter = scatter if n_effective >= _MIN_TRACKS_TOLD else max(scatter, _TRACK_SIGMA)
+        # 1.25: a median scatters a quarter more than a mean.
+        return float(np.exp(middle)), float(np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective)))
+
+
+def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
+    order = np.argsort(values)
+    below = np.cumsum(weight[order]) - weight[order] / 2
+    return float(np.interp(weight.sum() / 2, below, values[order]))
+
+
+class SizeScaledRanger:
+    """Ranges boxes of an uncalibrated pair; the first ones of a video by few sizes, later ones by more.
+
+    Attributes:
+        scale: what has been learnt so far.
+    """
+
+    def __init__(self, matcher: Matcher, by_size: Ranger) -> None:
+        """Scale what `matcher` finds by the distances of `by_size`, a ranger for the same camera."""
+        self._matcher = TrackMatcher(matcher)
+        self._by_size = by_size
+        self.scale = FocalBaseline()
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the boxes that match; NaN for the rest, and for all while no size has told the scale."""
+        disparity_px, sigma_px = self._matcher.match(tracks, frame)
+        self.scale.learn(disparity_px, self._by_size.measure(tracks, frame))
+        focal_baseline, relative_sigma = self.scale.estimate()
+        with np.errstate(invalid="ignore"):
+            disparity_px = np.where(disparity_px > 0, disparity_px, np.nan)
+        distance_m = focal_baseline / disparity_px
+        relative = np.hypot(relative_sigma, np.hypot(sigma_px, _UNALIGNED_SIGMA_PX) / disparity_px)
+        return Ranges(tracks.track_id, distance_m, distance_m * relative)

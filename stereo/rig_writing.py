@@ -1,0 +1,126 @@
+"""Rig files as they are written: our own rig.yaml, and the file of OpenCV's stereo_calib sample.
+
+    ours     track_range_rig left [right right_from_left]         read back by `rig_files`, to the last digit
+    OpenCV   M1 D1 M2 D2 R T, with R1 R2 P1 P2 Q                  one camera: camera_matrix distortion_coefficients
+
+Files appear whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from stereo.camera import PinholeCamera
+from stereo.rig import RigError, StereoRig
+from stereo.rig_checks import check_camera, check_rig
+
+FloatArray = npt.NDArray[np.float64]
+
+VERSION = 1
+"""Of our format."""
+
+
+def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
+    """Write a rig in our format, with lines of comment above it.
+
+    Raises:
+        RigError: the rig is implausible, or the file cannot be written.
+    """
+    check_rig(rig, path)
+    motion = {
+        "rotation": rig.right_from_left[:3, :3].tolist(),
+        "translation_m": rig.right_from_left[:3, 3].tolist(),
+    }
+    content = {
+        "track_range_rig": VERSION,
+        "left": _camera_content(rig.left),
+        "right": _camera_content(rig.right),
+        "right_from_left": motion,
+    }
+    _write(path, _commented(comments) + _yaml(content))
+
+
+def save_camera(camera: PinholeCamera, path: Path, *, comments: Sequence[str] = ()) -> None:
+    """Write one camera in our format, with lines of comment above it; it serves --mono.
+
+    Raises:
+        RigError: the camera is implausible, or the file cannot be written.
+    """
+    check_camera(camera, path)
+    _write(path, _commented(comments) + _yaml({"track_range_rig": VERSION, "left": _camera_content(camera)}))
+
+
+def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
+    """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does; lengths in metres.
+
+    Raises:
+        RigError: implausible, or the file cannot be written.
+    """
+    if isinstance(cameras, StereoRig):
+        check_rig(cameras, path)
+        matrices = _rig_matrices(cameras)
+        left = cameras.left
+    else:
+        check_camera(cameras, path)
+        matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _lens_row(cameras)}
+        left = cameras
+    storage = cv2.FileStorage(path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", left.width_px)
+    storage.write("image_height", left.height_px)
+    for key, matrix in matrices.items():
+        storage.write(key, np.asarray(matrix, np.float64))
+    _write(path, storage.releaseAndGetString())
+
+
+def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
+    rotation, shift_m = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
+    left, right = _lens_row(rig.left), _lens_row(rig.right)
+    r1, r2, p1, p2, q, *_ = cv2.stereoRectify(
+        rig.left.matrix, left, rig.right.matrix, right, (rig.left.width_px, rig.left.height_px), rotation, shift_m,
+        flags=cv2.STEREO_ZERO_DISPARITY, alpha=0,
+    )  # fmt: skip
+    return {
+        "M1": rig.left.matrix, "D1": left, "M2": rig.right.matrix, "D2": right, "R": rotation, "T": shift_m,
+        "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,
+    }  # fmt: skip
+
+
+def _lens_row(camera: PinholeCamera) -> FloatArray:
+    return np.array([camera.distortion or (0.0,) * 5])
+
+
+def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:
+    return {
+        "fx_px": camera.fx_px,
+        "fy_px": camera.fy_px,
+        "cx_px": camera.cx_px,
+        "cy_px": camera.cy_px,
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "distortion": list(camera.distortion),
+    }
+
+
+def _yaml(content: Mapping[str, object]) -> str:
+    return yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=120)
+
+
+def _commented(lines: Sequence[str]) -> str:
+    return "".join(f"# {part}\n" for line in lines for part in line.splitlines())
+
+
+def _write(path: Path, text: str) -> None:
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        unfinished.write_text(text, encoding="utf-8")
+        unfinished.replace(path)
+    except OSError as error:
+        unfinished.unlink(missing_ok=True)
+        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error

@@ -1,0 +1,95 @@
+"""The scale of a pair without a rig, by hand and over many made-up tracks."""
+
+import numpy as np
+import pytest
+
+from ranging.ranges import Ranges
+from ranging.size_scaled_stereo import FocalBaseline, SizeScaledRanger
+from stereo.frames import Frame
+from tracking.tracks import Tracks
+
+IMAGE = np.zeros((200, 320, 3), np.uint8)
+
+
+def by_size(ids, distance_m, sigma=0.05):
+    distance_m = np.array(distance_m, float)
+    return Ranges(np.array(ids), distance_m, sigma * distance_m)
+
+
+def tracks_of(*ids):
+    n = len(ids)
+    return Tracks(np.array(ids), np.tile([100.0, 60, 200, 140], (n, 1)), np.full(n, 2), np.ones(n), np.ones(n, bool))
+
+
+def test_nothing_is_known_before_a_track_has_told():
+    scale = FocalBaseline()
+    scale.learn(np.array([np.nan, 10.0, 2.0]), by_size([1, 2, 3], [10.0, np.nan, 100.0]))
+    assert scale.n_tracks == 0
+    assert np.isnan(scale.estimate()).all()
+
+
+def test_one_track_by_hand():
+    """30 px at 12 m: K = 360 px m; sigma: 0.08 for the class, and 1.25 times 0.15 for the one track."""
+    scale = FocalBaseline()
+    scale.learn(np.array([30.0]), by_size([7], [12.0]))
+    focal_baseline, sigma = scale.estimate()
+    assert focal_baseline == pytest.approx(360.0)
+    assert sigma == pytest.approx(np.hypot(0.08, 1.25 * 0.15))
+
+
+def test_many_tracks_say_the_mean_and_wrong_ones_little():
+    """Sizes scatter by 10 %, every sixth match is on the background: K stays within its own sigma."""
+    rng = np.random.default_rng(5)
+    scale = FocalBaseline()
+    for _ in range(12):
+        ids = np.arange(1, 31)
+        depth_m = 10.0 + ids
+        disparity_px = 400.0 / depth_m * np.where(ids % 6 == 0, 0.4, 1.0)
+        own = np.exp(0.1 * np.sin(12.9898 * ids) * np.sqrt(2))
+        scale.learn(disparity_px, by_size(ids, depth_m * own * np.exp(rng.normal(0, 0.03, 30))))
+    focal_baseline, sigma = scale.estimate()
+    assert focal_baseline == pytest.approx(400.0, rel=0.08)
+    assert focal_baseline != pytest.approx(400.0, rel=1e-6)
+    assert 0.08 < sigma < 0.13
+
+
+def test_a_long_track_counts_no_more_than_ten_frames_of_it():
+    long, short = FocalBaseline(), FocalBaseline()
+    for scale, n in ((long, 200), (short, 10)):
+        for _ in range(n):
+            scale.learn(np.array([20.0]), by_size([1], [20.0]))
+        for track_id in (2, 3):
+            for _ in range(10):
+                scale.learn(np.array([20.0]), by_size([track_id], [16.0]))
+    assert long.estimate() == pytest.approx(short.estimate())
+    assert long.estimate()[0] == pytest.approx(320.0, rel=0.02)
+
+
+class Matched:
+    """A matcher that finds the disparities it is told."""
+
+    def __init__(self, *disparity_px):
+        self.disparity_px = np.array(disparity_px)
+
+    def match(self, left, right, xyxy_px, prior_px):
+        return self.disparity_px, np.full(len(xyxy_px), 0.1)
+
+
+class Sized:
+    """A ranger by size that knows 15 m for the first track, and nothing of the others."""
+
+    def measure(self, tracks, frame):
+        return by_size(tracks.track_id, np.where(tracks.track_id == 1, 15.0, np.nan))
+
+
+def test_a_track_without_a_size_is_ranged_by_what_the_others_told():
+    ranger = SizeScaledRanger(Matched(24.0, 12.0, -3.0), Sized())
+    ranges = ranger.measure(tracks_of(1, 2, 3), Frame(0, 0.0, IMAGE, IMAGE))
+    np.testing.assert_allclose(ranges.distance_m, [15.0, 30.0, np.nan])
+    scale_sigma = ranger.scale.estimate()[1]
+    assert ranges.sigma_m[1] == pytest.approx(30.0 * np.hypot(scale_sigma, np.hypot(0.1, 1.0) / 12))
+
+
+def test_without_a_right_eye_nothing_is_measured():
+    ranges = SizeScaledRanger(Matched(24.0), Sized()).measure(tracks_of(1), Frame(0, 0.0, IMAGE, None))
+    assert np.isnan(ranges.distance_m).all()

@@ -1,0 +1,172 @@
+"""Bundles of synthetic points: derivatives, the true error within its own uncertainty, and drives that tell nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from stereo.alignment_bundle import Bundle, Sightings, fit_bundle, linearised
+from stereo.alignment_start import start_bundle
+from stereo.alignment_stretch import Stretch, stretch_of, together
+from stereo.camera import PinholeCamera
+from stereo.rig import StereoRig
+
+FloatArray = npt.NDArray[np.float64]
+
+CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
+RIG = StereoRig.rectified(CAMERA, 0.54)
+NOISE_PX = 0.15
+
+
+def drive(
+    seed: int,
+    *,
+    offset_px: float = 0.0,
+    bow_px: float = 0.0,
+    step_m: float = 1.0,
+    yaw_step_rad: float = 0.003,
+    n_points: int = 700,
+    n_frames: int = 14,
+    share_moving: float = 0.0,
+    noise_px: float = NOISE_PX,
+) -> Sightings:
+    """A street of random points, driven through; the share of moving ones keeps its distance to the vehicle."""
+    rng = np.random.default_rng(seed)
+    z_m = rng.uniform(5.0, 90.0, n_points)
+    side_m = rng.uniform(3.0, 20.0, n_points) * rng.choice([-1.0, 1.0], n_points)
+    world_m = np.column_stack([side_m, rng.uniform(-5.0, 1.6, n_points), z_m])
+    moves = rng.random(n_points) < share_moving
+    frames, points, pixels = [], [], []
+    for frame in range(n_frames):
+        turn = cv2.Rodrigues(np.array([0.0, -yaw_step_rad * frame, 0.0]))[0]
+        here_m = (world_m - [0.0, 0.0, step_m * frame] + moves[:, None] * [0.0, 0.0, step_m * frame]) @ turn.T
+        left_px = CAMERA.project(here_m)
+        u = (left_px[:, 0] - CAMERA.cx_px) / 600.0
+        disparity_px = CAMERA.fx_px * RIG.baseline_m / here_m[:, 2]
+        right_px = left_px[:, 0] - disparity_px + offset_px + bow_px * u**2
+        with np.errstate(invalid="ignore"):
+            inside = (left_px > 0).all(axis=1) & (left_px < [1200, 360]).all(axis=1) & (right_px > 0)
+        seen = np.flatnonzero(inside & (here_m[:, 2] > 4.0))
+        frames.append(np.full(len(seen), frame))
+        points.append(seen)
+        pixels.append(np.column_stack([left_px[seen], right_px[seen]]))
+    xyx_px = np.concatenate(pixels)
+    return Sightings(np.concatenate(frames), np.concatenate(points), xyx_px + rng.normal(0.0, noise_px, xyx_px.shape))
+
+
+def told(seen: Sightings) -> Stretch:
+    found = stretch_of(seen, RIG)
+    assert isinstance(found, Stretch), found
+    return found
+
+
+def test_derivatives_are_those_of_the_residuals() -> None:
+    rng = np.random.default_rng(1)
+    turn = cv2.Rodrigues(np.array([0.02, -0.05, 0.01]))[0]
+    bundle = Bundle(
+        np.stack([np.eye(3), turn]),
+        np.array([[0.0, 0.0, 0.0], [0.1, -0.05, -1.2]]),
+        np.column_stack([rng.uniform(-0.5, 0.5, (6, 2)), rng.uniform(0.01, 0.1, 6)]),
+        np.array([0.3, -0.8]),
+    )
+    seen = Sightings(np.ones(6, np.int64), np.arange(6), np.zeros((6, 3)))
+    linear = linearised(seen, bundle, RIG)
+    small = 1e-6
+
+    def changed(moved: Bundle) -> FloatArray:
+        return (linear.residual - linearised(seen, moved, RIG).residual) / small
+
+    for axis in range(3):
+        vector = small * np.eye(3)[axis]
+        turned = np.stack([np.eye(3), cv2.Rodrigues(vector)[0] @ turn])
+        assert changed(replace(bundle, rotation=turned)) == pytest.approx(linear.by_pose[:, :, axis], abs=2e-3)
+        shifted = bundle.translation_m + np.stack([np.zeros(3), vector])
+        assert changed(replace(bundle, translation_m=shifted)) == pytest.approx(
+            linear.by_pose[:, :, 3 + axis], abs=2e-3
+        )
+        assert changed(replace(bundle, points=bundle.points + vector)) == pytest.approx(
+            linear.by_point[:, :, axis], rel=1e-3, abs=2e-2
+        )
+    for axis in range(2):
+        error_px = bundle.error_px + small * np.eye(2)[axis]
+        assert changed(replace(bundle, error_px=error_px)) == pytest.approx(linear.by_error[:, :, axis], abs=1e-6)
+
+
+def test_without_noise_all_is_found_exactly() -> None:
+    begun = start_bundle(drive(2, offset_px=0.5, bow_px=1.0, noise_px=0.0), RIG)
+    assert begun is not None
+    fit = fit_bundle(*begun, RIG)
+    assert fit.bundle.error_px == pytest.approx([0.5, 1.0], abs=0.01)
+    assert fit.bundle.path_m == pytest.approx(13.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("offset_px", "bow_px"), [(0.0, 0.0), (0.5, 0.0), (-0.3, 1.5)])
+def test_the_error_is_found_within_two_sigma(offset_px: float, bow_px: float) -> None:
+    found = together([told(drive(3, offset_px=offset_px, bow_px=bow_px))], has_bow=True)
+    assert np.abs(found.error_px - [offset_px, bow_px]) == pytest.approx([0.0, 0.0], abs=2 * found.sigma_px.max())
+    assert (found.sigma_px < [0.06, 0.2]).all()
+    assert found.spread_px < 0.05
+
+
+def test_sigma_is_honest() -> None:
+    """Over ten drives the errors are as large as they are said to be, and no bias stands out."""
+    normal = []
+    for seed in range(10):
+        found = together([told(drive(10 + seed, offset_px=0.5, n_points=400))], has_bow=False)
+        normal.append((found.error_px[0] - 0.5) / found.sigma_px[0])
+    assert 0.3 < float(np.std(normal)) < 1.5
+    assert abs(float(np.mean(normal))) < 1.0
+
+
+def test_two_stretches_are_put_together() -> None:
+    one, other = told(drive(30, offset_px=0.4, n_points=400)), told(drive(31, offset_px=0.4, n_points=400))
+    alone = [together([stretch], has_bow=False) for stretch in (one, other)]
+    both = together([one, other], has_bow=False)
+    low, high = sorted(found.error_px[0] for found in alone)
+    assert low < both.error_px[0] < high
+    assert both.sigma_px[0] < max(found.sigma_px[0] for found in alone)
+    assert both.error_px[0] == pytest.approx(0.4, abs=3 * both.sigma_px[0])
+    assert (both.error_px[1], both.sigma_px[1]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("share_moving", [0.1, 0.25])
+def test_what_moves_by_itself_has_no_say(share_moving: float) -> None:
+    found = together([told(drive(4, offset_px=0.5, share_moving=share_moving))], has_bow=False)
+    assert found.error_px[0] == pytest.approx(0.5, abs=0.03)
+
+
+def test_where_most_moves_nothing_is_told() -> None:
+    assert isinstance(stretch_of(drive(4, share_moving=0.6), RIG), str)
+
+
+def test_what_the_model_does_not_know_shows_as_spread() -> None:
+    seen = drive(5, offset_px=0.5)
+    u = (seen.xyx_px[:, 0] - CAMERA.cx_px) / 600.0
+    tilted = seen._replace(xyx_px=seen.xyx_px + np.column_stack([0 * u, 0 * u, 0.6 * np.sin(3 * u)]))
+    straight, bent = together([told(seen)], has_bow=True), together([told(tilted)], has_bow=True)
+    assert bent.spread_px > 0.15 > 3 * straight.spread_px
+    assert bent.sigma_px[0] > 2 * straight.sigma_px[0]
+
+
+@pytest.mark.parametrize(
+    ("seen", "reason"),
+    [
+        (drive(6, step_m=0.0, yaw_step_rad=0.0), "the vehicle hardly moves, or only turns"),
+        (drive(6, step_m=0.0, yaw_step_rad=0.02), "the vehicle hardly moves, or only turns"),
+        (drive(6, n_points=60), "too few points that stay in view"),
+        (drive(6, n_frames=3), "too few points that stay in view"),
+    ],
+)
+def test_drives_that_tell_nothing(seen: Sightings, reason: str) -> None:
+    assert stretch_of(seen, RIG) == reason
+
+
+def test_points_that_obey_no_motion_are_refused() -> None:
+    rng = np.random.default_rng(8)
+    seen = drive(8)
+    lost = seen._replace(xyx_px=rng.uniform(0.0, 360.0, seen.xyx_px.shape))
+    assert isinstance(stretch_of(lost, RIG), str)

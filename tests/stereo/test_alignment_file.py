@@ -1,0 +1,77 @@
+"""align.yaml: what is written is read again, and every way to be wrong has its sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stereo.alignment import Alignment
+from stereo.alignment_file import load_alignment, save_alignment
+from stereo.rig import RigError
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    alignment = Alignment(
+        offset_px=0.45,
+        bow_px=1.5,
+        row_offset_px=-0.2,
+        residual_px=0.21,
+        offset_sigma_px=0.05,
+        bow_sigma_px=0.1,
+        source="drive: ä, 16 frames",
+    )
+    save_alignment(alignment, tmp_path / "align.yaml")
+    assert load_alignment(tmp_path / "align.yaml") == alignment
+    assert [path.name for path in tmp_path.iterdir()] == ["align.yaml"]
+
+
+def test_a_file_by_hand_may_be_short(tmp_path: Path) -> None:
+    file = tmp_path / "align.yaml"
+    file.write_text("track_range_align: 1\noffset_px: 1\n")
+    assert load_alignment(file) == Alignment(offset_px=1.0, source=str(file))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("a: [", "it is not readable as YAML"),
+        ("- 1", "it is no alignment (no key 'track_range_align')"),
+        ("track_range_rig: 1", "it is no alignment (no key 'track_range_align')"),
+        ("track_range_align: 2\noffset_px: 0", "it is an alignment of version 2, this program reads version 1"),
+        ("track_range_align: true\noffset_px: 0", "version True"),
+        ("track_range_align: 1", "the key 'offset_px' is missing"),
+        ("track_range_align: 1\noffset_px: 0\nofset: 1", "the key 'ofset' is unknown"),
+        ("track_range_align: 1\noffset_px: half", "'offset_px' is 'half'; a number of pixels is wanted"),
+        ("track_range_align: 1\noffset_px: true", "'offset_px' is True; a number of pixels is wanted"),
+        ("track_range_align: 1\noffset_px: .nan", "'offset_px' is nan; a number of pixels is wanted"),
+        ("track_range_align: 1\noffset_px: 540", "'offset_px' is 540; -100 .. 100 px is plausible"),
+        ("track_range_align: 1\noffset_px: 0\nresidual_px: -1", "'residual_px' is -1; 0 .. 100 px is plausible"),
+        ("track_range_align: 1\noffset_px: 0\nsource: 3", "'source' is 3; text is wanted"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path: Path, text: str, complaint: str) -> None:
+    file = tmp_path / "align.yaml"
+    file.write_text(text)
+    with pytest.raises(RigError) as refused:
+        load_alignment(file)
+    assert complaint in str(refused.value)
+    assert str(refused.value).startswith(str(file))
+
+
+def test_what_is_no_file_of_text(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match="there is no such file; write one with `track-range align`"):
+        load_alignment(tmp_path / "missing.yaml")
+    with pytest.raises(RigError, match="cannot be read"):
+        load_alignment(tmp_path)
+    (tmp_path / "video.mp4").write_bytes(b"\xff\xfe\x00" * 10)
+    with pytest.raises(RigError, match="not readable as YAML"):
+        load_alignment(tmp_path / "video.mp4")
+    (tmp_path / "large.yaml").write_bytes(b"#" * 200_000)
+    with pytest.raises(RigError, match="far too large"):
+        load_alignment(tmp_path / "large.yaml")
+
+
+def test_nowhere_to_write(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match="cannot be written"):
+        save_alignment(Alignment(), tmp_path / "no folder" / "align.yaml")

@@ -1,0 +1,73 @@
+"""Matchers by name, side by side on exact pairs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo.box_matchers import MATCHER_NAMES, measure_pairs, one_thread, open_matcher
+from stereo.kitti_2015 import read_pairs
+from tests.stereo.kitti_folder import write_set
+
+
+def test_every_matcher_reads_exact_pairs(tmp_path: Path) -> None:
+    steps = []
+    measured = measure_pairs(read_pairs(write_set(tmp_path)), MATCHER_NAMES, progress=lambda: steps.append(len(steps)))
+    assert steps == [0, 1]
+    assert tuple(measured.columns) == MATCHER_NAMES
+    world = measured.objects
+    assert world.true_px.tolist() == [20.0, 30.0, 20.0, 30.0]
+    assert world.distance_m == pytest.approx([7.5, 5.0, 7.5, 5.0])
+    assert world.pair.tolist() == world.group.tolist() == [0, 0, 1, 1]
+    assert len(world.cameras) == 2
+    for name, column in measured.columns.items():
+        assert np.abs(column.disparity_px - world.true_px).max() < 0.15, name
+        assert ((column.sigma_px > 0) & (column.sigma_px < 1)).all(), name
+        assert measured.ms_per_frame[name] > 0
+    assert measured.notes == ()
+
+
+def test_the_tracks_of_a_drive_are_what_errs_together(tmp_path: Path) -> None:
+    frames = [
+        replace(pair, track_id=np.array([7, 3]), notes=("the rig is a little odd",))
+        for pair in read_pairs(write_set(tmp_path))
+    ]
+    measured = measure_pairs(frames, ["patch"])
+    assert measured.objects.group.tolist() == [7, 3, 7, 3]
+    assert measured.objects.pair.tolist() == [0, 0, 1, 1]
+    assert np.abs(measured.columns["patch"].disparity_px - measured.objects.true_px).max() < 0.15
+    assert measured.notes == ("the rig is a little odd",)
+
+
+def test_no_pairs_are_no_objects() -> None:
+    measured = measure_pairs([], ["patch"])
+    assert (len(measured.objects), measured.columns["patch"].disparity_px.shape) == (0, (0,))
+    assert measured.ms_per_frame == {}
+
+
+def test_unknown_matcher(tmp_path: Path) -> None:
+    pair = next(read_pairs(write_set(tmp_path)))
+    with pytest.raises(ValueError, match="'pach' is no matcher; there are: patch, sgbm, sgbm-centre"):
+        open_matcher("pach", pair.rig)
+
+
+def test_opencv_has_its_threads_back_whatever_happens() -> None:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    seen = []
+
+    def fail() -> None:
+        with one_thread():
+            seen.append(cv2.getNumThreads())
+            raise KeyError
+
+    try:
+        with pytest.raises(KeyError):
+            fail()
+        assert (seen, cv2.getNumThreads()) == ([1], 3)
+    finally:
+        cv2.setNumThreads(before)

@@ -1,0 +1,184 @@
+"""The figures of matchers by hand, as properties, and on the real pairs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stereo.alignment import Alignment
+from stereo.alignment_reference import fit_reference
+from stereo.box_matchers import measure_pairs
+from stereo.camera import PinholeCamera
+from stereo.evaluation import (
+    Column,
+    Objects,
+    common_figures,
+    corrected,
+    figures,
+    folds,
+    left_out_alignments,
+    matcher_figures,
+)
+from stereo.kitti_2015 import read_pairs
+
+CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
+NAN = np.nan
+
+
+def column(disparity_px: list[float], sigma_px: list[float] | None = None) -> Column:
+    measured = np.array(disparity_px, np.float64)
+    return Column(measured, np.where(np.isfinite(measured), sigma_px or 1.0, NAN))
+
+
+def objects(true_px: list[float], *, group: list[int] | None = None, pair: list[int] | None = None) -> Objects:
+    n = len(true_px)
+    number = np.array(pair if pair is not None else range(n))
+    return Objects(
+        true_px=np.array(true_px),
+        focal_baseline_m=np.full(n, 400.0),
+        x_px=np.full(n, 600.0),
+        pair=number,
+        group=number if group is None else np.array(group),
+        cameras=(CAMERA,) * (int(number.max()) + 1),
+    )
+
+
+def test_figures_by_hand() -> None:
+    # distances 40, 20, 10, 8 m; errors -4.76 %, 0, +33.3 % (a failure), no value (another)
+    found = figures(column([10.5, 20.0, 30.0, NAN], [0.6, 0.1, 6.0, 1.0]), np.array([10.0, 20.0, 40.0, 50.0]))
+    assert (found["n"], found["n_measured"]) == (4, 3)
+    assert (found["coverage"], found["failures_pct"]) == (0.75, 50.0)
+    assert found["median_relative_error_pct"] == pytest.approx(100 / 21, abs=1e-4)
+    assert found["mean_relative_error_pct"] == pytest.approx((100 / 21 + 0 + 100 / 3) / 3, abs=1e-4)
+    # between the second and third of three, 90 % of the way
+    assert found["p95_relative_error_pct"] == pytest.approx(100 / 21 + 0.9 * (100 / 3 - 100 / 21), abs=1e-4)
+    assert found["bias_pct"] == 0.0
+    assert found["median_abs_error_px"] == 0.5
+    assert (found["within_1_sigma"], found["within_2_sigma"]) == (pytest.approx(2 / 3, abs=1e-4), 1.0)
+
+
+def test_nothing_measured_and_nothing_there() -> None:
+    found = figures(column([NAN, NAN]), np.array([10.0, 20.0]))
+    assert (found["coverage"], found["failures_pct"], found["n_measured"]) == (0.0, 100.0, 0)
+    assert found["median_relative_error_pct"] is found["within_1_sigma"] is None
+    empty = figures(column([]), np.zeros(0))
+    assert (empty["n"], empty["coverage"], empty["failures_pct"]) == (0, None, None)
+
+
+def test_a_failure_is_beyond_15_per_cent() -> None:
+    true_px = np.array([10.0, 10.0, 10.0, 10.0])
+    found = figures(column([10 / 1.149, 10 / 1.151, 10 / 0.851, 10 / 0.849]), true_px)
+    assert found["failures_pct"] == 50.0
+
+
+def test_bands_go_by_true_distance() -> None:
+    # 400 px m: 5, 14.99, 15, 30, 59.9 m, and 4 and 80 m in no band
+    true_px = [80.0, 400 / 14.99, 400 / 15, 400 / 30, 400 / 59.9, 100.0, 5.0]
+    found = matcher_figures({"a": column(true_px)}, objects(true_px))["a"]
+    assert [(band["from_m"], band["to_m"], band["n"]) for band in found["bands"]] == [
+        (5.0, 15.0, 2),
+        (15.0, 30.0, 1),
+        (30.0, 60.0, 2),
+    ]
+    assert found["n"] == 7
+
+
+def test_common_rows_are_of_what_all_measured() -> None:
+    world = objects([10.0, 20.0, 40.0])
+    found = common_figures({"a": column([10.0, NAN, 40.0]), "b": column([11.0, 20.0, 50.0])}, world)
+    assert [row["n"] for row in found.values()] == [2, 2]
+    assert [row["coverage"] for row in found.values()] == [1.0, 1.0]
+    assert found["b"]["failures_pct"] == 50.0
+    nobody = common_figures({"a": column([10.0, NAN, NAN]), "b": column([NAN, 20.0, 50.0])}, world)
+    assert nobody["a"]["n"] == 0
+
+
+def test_intervals_draw_groups() -> None:
+    # Two tracks, each of one error: whatever is drawn, the median error is 0, 5 or between.
+    true_px = [10.0] * 8
+    measured = column([10.0] * 4 + [10 / 1.05] * 4)
+    world = objects(true_px, group=[0] * 4 + [1] * 4)
+    ends = matcher_figures({"a": measured}, world)["a"]["intervals"]["median_relative_error_pct"]
+    assert ends == pytest.approx([0.0, 5.0])  # each track is drawn twice in a quarter of the draws
+    alone = matcher_figures({"a": measured}, objects(true_px, group=[0] * 8))["a"]
+    assert alone["intervals"] == {}
+    by_object = matcher_figures({"a": column([10 / (1 + 0.01 * k) for k in range(8)])}, objects(true_px))["a"]
+    low, high = by_object["intervals"]["mean_relative_error_pct"]
+    assert 0.5 < low < by_object["mean_relative_error_pct"] == 3.5 < high < 6.5
+    assert "n" not in by_object["intervals"]
+
+
+def test_intervals_are_seeded() -> None:
+    world, measured = objects([10.0] * 8), {"a": column([10 / (1 + 0.01 * k) for k in range(8)])}
+    assert matcher_figures(measured, world, seed=1) == matcher_figures(measured, world, seed=1)
+    assert matcher_figures(measured, world, seed=1) != matcher_figures(measured, world, seed=2)
+
+
+def test_each_pair_is_put_right_by_its_own_alignment() -> None:
+    world = replace(objects([10.0, 10.0, 10.0], pair=[0, 1, 1]), x_px=np.array([600.0, 1200.0, 600.0]))
+    alignments = {
+        0: Alignment(offset_px=0.5, residual_px=3.0),
+        1: Alignment(offset_px=-1.0, bow_px=2.0, residual_px=0.0),
+    }
+    found = corrected(column([9.0, 9.0, 0.5], [4.0, 0.25, 0.25]), world, alignments)
+    assert found.disparity_px[:2].tolist() == [9.5, 10.0]  # the second at the image's edge: -1 + 2
+    assert np.isnan(found.disparity_px[2])  # -0.5 is no disparity
+    assert found.sigma_px[:2].tolist() == [5.0, 0.25]
+    assert np.isnan(found.sigma_px[2])
+
+
+def test_folds_take_pairs_in_order() -> None:
+    assert [list(fold) for fold in folds(5)] == [[0, 1], [2, 3], [4]]
+    assert len(folds(16)) == 8
+
+
+def mean_offset(measured_px: np.ndarray, true_px: np.ndarray, **where: object) -> Alignment:
+    return Alignment(offset_px=float((true_px - measured_px).mean()), source=f"{where['groups']}")
+
+
+def test_no_pair_is_corrected_by_itself() -> None:
+    world = objects([20.0, 21.0, 22.0, 23.0, 24.0])  # true - measured: 0, 1, 2, 3, 4
+    found = left_out_alignments(column([20.0] * 5), world, mean_offset)
+    assert [found[pair].offset_px for pair in range(5)] == pytest.approx([3.0, 3.0, 5 / 3, 5 / 3, 1.5])
+    assert found[0] is found[1]
+    assert found[4].source == "[0 1 2 3]"
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.tuples(st.floats(5.0, 60.0), st.floats(-0.4, 0.4)), min_size=1, max_size=12), st.randoms())
+def test_order_does_not_matter_and_the_truth_is_without_error(rows: list[tuple[float, float]], random: object) -> None:
+    true_px, off_px = np.array(rows).T
+    order = np.arange(len(rows))
+    random.shuffle(order)  # type: ignore[attr-defined]
+    measured = column((true_px + off_px).tolist())
+    shuffled = Column(measured.disparity_px[order], measured.sigma_px[order])
+    assert figures(measured, true_px) == figures(shuffled, true_px[order])
+    perfect = figures(column(true_px.tolist()), true_px)
+    assert perfect["p95_relative_error_pct"] == perfect["bias_pct"] == perfect["failures_pct"] == 0.0
+    assert perfect["within_1_sigma"] == perfect["coverage"] == 1.0
+
+
+def test_the_real_pairs(shared_data: Path) -> None:
+    """The patch matcher and the dense median on the labelled cars, as they are and with two pairs left out."""
+    measured = measure_pairs(read_pairs(shared_data / "kitti2015"), ("patch", "sgbm"))
+    world = measured.objects
+    raw = matcher_figures(measured.columns, world)
+    assert [row["n"] for row in raw.values()] == [36, 36]
+    assert raw["patch"]["coverage"] >= 0.9, raw["patch"]
+    assert raw["sgbm"]["coverage"] >= 0.97, raw["sgbm"]
+    for row in raw.values():  # KITTI's pairs read about half a pixel low
+        assert 0.3 < row["median_abs_error_px"] < 0.65, row
+        assert 2.0 < row["bias_pct"] < 4.5, row
+    for name, each in measured.columns.items():
+        put_right = corrected(each, world, left_out_alignments(each, world, fit_reference))
+        row = matcher_figures({name: put_right}, world)[name]
+        assert 0.7 < row["median_relative_error_pct"] < 1.8, row
+        assert 3.0 < row["p95_relative_error_pct"] < 7.0, row
+        assert abs(row["bias_pct"]) < 1.0, row
+        assert row["failures_pct"] < 7.0, row
+        assert 0.55 < row["within_1_sigma"] < 0.85, row

@@ -1,0 +1,56 @@
+"""A vehicle that drives towards a wall: near points move outwards from frame to frame, and so tell frames apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from stereo.step_check import check_step
+
+Image = npt.NDArray[np.uint8]
+
+
+def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[list[Image], list[Image]]:
+    """Left and right images of a textured wall that grows by a factor from frame to frame."""
+    noise = np.random.default_rng(7).normal(size=(320, 700))
+    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    eyes: list[list[Image]] = [[], []]
+    for number in range(n):
+        zoom = zoom_per_frame**number
+        for eye, shift in zip(eyes, (0, shift_px), strict=True):
+            towards = np.array([[zoom, 0, 350 - zoom * 350 - 100 - shift], [0, zoom, 160 - zoom * 160 - 30]])
+            eye.append(np.asarray(cv2.warpAffine(wall, towards, (480, 260)), np.uint8))
+    return eyes[0], eyes[1]
+
+
+def test_eyes_in_step_and_a_frame_apart() -> None:
+    left, right = views(zoom_per_frame=1.05)
+    assert check_step(left[1], right[:3]) == "same"
+    assert check_step(left[1], right[1:4]) == "right early"
+    assert check_step(left[2], right[:3]) == "right late"
+
+
+def test_what_stands_still_tells_nothing() -> None:
+    left, right = views(zoom_per_frame=1.0)
+    assert check_step(left[1], right[:3]) == "unknown"
+
+
+def test_what_has_no_texture_tells_nothing() -> None:
+    flat = np.full((260, 480, 3), 90, np.uint8)
+    assert check_step(flat, [flat] * 3) == "unknown"
+
+
+@pytest.mark.parametrize("drive", ["0003", "0005"])
+def test_real_drives(shared_data: Path, drive: str) -> None:
+    eyes = []
+    for eye in ("left", "right"):
+        film = cv2.VideoCapture(str(shared_data / "kitti_stereo" / drive / f"{eye}.mp4"))
+        eyes.append([np.asarray(film.read()[1], np.uint8) for _ in range(5)])
+    left, right = eyes
+    assert check_step(left[2], right[1:4]) == "same"
+    assert check_step(left[2], right[0:3]) == "right late"
+    assert check_step(left[2], right[2:5]) == "right early"

@@ -1,0 +1,110 @@
+"""Runs of two cameras from end to end: without a rig, with an alignment, with pictures of the disparity."""
+
+import json
+import shutil
+
+import av
+import numpy as np
+import pytest
+import yaml
+
+from stereo.alignment import Alignment
+from stereo.alignment_file import save_alignment
+from track_range.results import read_tracks_csv
+from track_range.simulation.drive import write_drive
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return write_drive(tmp_path_factory.mktemp("drive"), seed=3, seconds=1.2)
+
+
+@pytest.fixture
+def run(cli, tmp_path):
+    """Run on a pair: columns of tracks.csv, summary.json, and what was printed."""
+
+    def started(*arguments, name="out"):
+        status, printed, complained = cli("run", *arguments, "--out", tmp_path / name)
+        assert status == 0, complained
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        return read_tracks_csv(tmp_path / name / "tracks.csv"), summary, " ".join(printed.split())
+
+    return started
+
+
+def pair(drive):
+    return ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--truth", drive.truth)
+
+
+def test_a_pair_without_a_rig_is_ranged_by_sizes_and_says_how_well(drive, run, tmp_path):
+    for video in (drive.left, drive.right):
+        shutil.copy(video, tmp_path / video.name)
+    bare = ("--stereo", tmp_path / "left.mp4", tmp_path / "right.mp4", "--detections", drive.detections)
+    columns, summary, printed = run(*bare, "--truth", drive.truth)
+    assert summary["calibration"] == "estimated"
+    assert "alignment" not in summary
+    scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]
+    assert scale["n_tracks"] >= 5
+    assert 0.25 < scale["relative_sigma"] < 0.35
+    assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(721.5 * 0.54, rel=2 * scale["relative_sigma"])
+    assert 1 < stereo["median_relative_error_pct"] < 40
+    assert stereo["within_2_sigma"] > 0.9
+    share = columns["stereo_sigma_m"] / columns["stereo_m"]
+    assert np.nanmin(share) > 0.25
+    assert "sgbm" not in summary["methods"]
+    assert "run `track-range calibrate --stereo LEFT RIGHT" in printed
+    assert "all distances are good to about" in printed
+    found = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]
+    assert (found["rig"], found["baseline_m"]) == (None, None)
+
+
+def test_real_drives_without_their_rig(shared_data, run, tmp_path):
+    """The product of focal length and baseline, 384.4 px m, from the sizes of the cars alone."""
+    for drive in ("0003", "0005"):
+        folder = shared_data / "kitti_stereo" / drive
+        (tmp_path / drive).mkdir()
+        for eye in ("left.mp4", "right.mp4"):
+            shutil.copy(folder / eye, tmp_path / drive / eye)
+        videos = ("--stereo", tmp_path / drive / "left.mp4", tmp_path / drive / "right.mp4")
+        boxes = ("--detections", folder / "regionlets.txt", "--focal-px", 721.54, "--no-overlay")
+        _, summary, _ = run(*videos, *boxes, name=f"{drive}_out")
+        scale = summary["learnt_scale"]
+        error = scale["focal_px"] * scale["baseline_m"] / 384.4 - 1
+        assert 1e-4 < abs(error) < 0.25, drive
+        assert abs(error) < 2 * scale["relative_sigma"], drive
+
+
+def test_an_alignment_file_moves_every_distance(drive, run, tmp_path):
+    save_alignment(Alignment(offset_px=2.0, residual_px=0.1, source="a test"), tmp_path / "align.yaml")
+    plain, without, _ = run(*pair(drive), "--no-overlay", "--align", "off", name="off")
+    moved, with_file, printed = run(*pair(drive), "--no-overlay", "--align", tmp_path / "align.yaml", name="file")
+    assert (without["alignment"]["is_applied"], with_file["alignment"]["is_applied"]) == (False, True)
+    assert with_file["alignment"]["offset_px"] == 2.0
+    assert "(from a test); corrected" in printed
+    assert with_file["calibration"] == "rig"
+    focal_baseline = 721.5 * 0.54
+    for method in ("stereo_m", "sgbm_m"):
+        both = np.isfinite(plain[method]) & np.isfinite(moved[method])
+        assert both.sum() > 20
+        shift_px = focal_baseline / moved[method][both] - focal_baseline / plain[method][both]
+        assert np.median(shift_px) == pytest.approx(2.0, abs=0.01)
+    kept = yaml.safe_load((tmp_path / "file/settings.yaml").read_text())["run"]
+    assert kept["align"] == str(tmp_path / "align.yaml")
+
+
+def test_the_disparity_is_filmed_on_demand_with_parameters_from_the_settings(drive, run, tmp_path):
+    plain = {"track_range_settings": 1, "run": {"sgbm_options": {"mode": "sgbm", "block_size": 7}, "align": "off"}}
+    (tmp_path / "dense.yaml").write_text(yaml.safe_dump(plain))
+    _, summary, printed = run(*pair(drive), "--settings", tmp_path / "dense.yaml", "--disparity", "--no-overlay")
+    assert summary["files"] == {"disparity": "disparity.mp4"}
+    assert "disparity.mp4, report.html" in printed
+    with av.open(str(tmp_path / "out/disparity.mp4")) as film:
+        pictures = [frame.to_ndarray(format="bgr24") for frame in film.decode(video=0)]
+    assert len(pictures) == 12
+    assert pictures[0].shape == (376, 1240, 3)
+    spread = pictures[0].astype(int).max(axis=2) - pictures[0].astype(int).min(axis=2)
+    assert (spread > 60).mean() > 0.3  # coloured where it is known,
+    assert (pictures[0].max(axis=2) < 30).mean() > 0.05  # and black where not
+    kept = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["run"]
+    assert kept["sgbm_options"] == {"mode": "sgbm", "block_size": 7}
+    assert kept["disparity"] is True

@@ -1,0 +1,152 @@
+"""`track-range align`: the disparity error of a rig, from a drive with it or from objects of known distance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from stereo.alignment import MAX_ROW_OFFSET_PX, Alignment
+from stereo.alignment_drive import DriveAlignment
+from stereo.alignment_file import save_alignment
+from stereo.alignment_reference import fit_reference
+from stereo.alignment_tracks import row_offset_px
+from stereo.box_matchers import measure_pairs
+from stereo.frames import whole_image
+from stereo.kitti_2015 import StereoPair
+from stereo.rig import RigError
+from track_range.commands.progress import say, step_progress
+from track_range.config import UsageError
+from track_range.pair_watch import checked_pair
+from track_range.reference_pairs import OpenedPair, open_pair, reference_pairs
+
+_MATCHER = "patch"
+_N_ROW_PAIRS = 12
+"""Pairs that the row offset is measured on; it hardly differs between them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignOptions:
+    """Where the alignment comes from, and where it goes.
+
+    Attributes:
+        out: alignment file to write.
+        stereo: left and right video.
+        drives: folders with left.mp4 and right.mp4 of one rig, whose estimates are put together.
+        reference: objects of known distance: see `track_range.reference_pairs`.
+        rig: the rig file; None = the one beside the images.
+        seed: of the resampling.
+    """
+
+    out: Path
+    stereo: tuple[Path, Path] | None = None
+    drives: tuple[Path, ...] = ()
+    reference: Path | None = None
+    rig: Path | None = None
+    seed: int = 0
+
+
+def align(options: AlignOptions, console: Console) -> dict[str, Any]:
+    """Estimate, write the file, and say what was found; the figures as `--json` keeps them.
+
+    Raises:
+        UsageError: nothing to estimate from, or too much.
+        RigError: the rig, or the estimate: where the drive tells nothing, nothing is written.
+        PairFileError, LabelFileError, VideoError: what is read cannot be used.
+    """
+    if options.reference is not None:
+        if options.drives:
+            raise UsageError("give --reference or --drive, not both.")
+        measured, notes = _from_reference(options.reference, options, console)
+    else:
+        measured, notes = _from_drives(options, console)
+    kept = measured.if_clear()
+    save_alignment(kept, options.out)
+    notes = (*notes, *_row_notes(measured))
+    for line in (kept.sentence(), *notes, f"Written to {options.out}"):
+        say(console, line)
+    return {
+        "alignment": asdict(kept),
+        "measured": asdict(measured),
+        "is_clear": measured.is_clear,
+        "sentence": kept.sentence(),
+        "notes": list(notes),
+    }
+
+
+def _row_notes(measured: Alignment) -> tuple[str, ...]:
+    if abs(measured.row_offset_px) <= MAX_ROW_OFFSET_PX:
+        return ()
+    return (
+        f"Rows of left and right are {measured.row_offset_px:+.2f} px apart: a run corrects it, but the rig does not "
+        "fit these images well; calibrate anew.",
+    )
+
+
+def _from_drives(options: AlignOptions, console: Console) -> tuple[Alignment, tuple[str, ...]]:
+    sources = [(folder / "left.mp4", folder / "right.mp4") for folder in options.drives]
+    sources += [options.stereo] if options.stereo else []
+    if not sources:
+        raise UsageError("nothing to align by: give --stereo LEFT RIGHT, --drive DIR or --reference DIR|FILE.")
+    opened = [open_pair(source, options.rig) for source in sources]
+    rigs = [each.rectifier.rig for each in opened]
+    if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
+        raise RigError("the drives are of different rigs; align each rig by its own drives.")
+    estimator = DriveAlignment(rigs[0])
+    with step_progress(console, "frames") as advance:
+        for each in opened:
+            estimator.start_drive()
+            _feed(estimator, each, advance)
+    measured = estimator.estimate()
+    if not measured.is_measured:
+        raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past things that stand still.")
+    return measured, tuple(dict.fromkeys(note for each in opened for note in each.notes))
+
+
+def _feed(estimator: DriveAlignment, pair: OpenedPair, advance: Callable[[int, int], None]) -> None:
+    is_order_known = False
+    with closing(pair.frames.rectified(pair.rectifier)) as frames:
+        for number, frame in enumerate(frames):
+            if estimator.is_full:
+                return
+            if not is_order_known:  # swapped eyes would look like an alignment beyond belief
+                check = checked_pair(frame)
+                is_order_known = check is not None and check.is_conclusive
+            estimator.add(frame)
+            advance(number + 1, max(pair.frames.left.n_frames or 0, number + 1))
+
+
+def _from_reference(reference: Path, options: AlignOptions, console: Console) -> tuple[Alignment, tuple[str, ...]]:
+    rows_px: list[float] = []
+    pairs = reference_pairs(reference, stereo=options.stereo, rig=options.rig)
+    with step_progress(console, "pairs") as advance:
+        found = measure_pairs(_rows_measured(pairs, rows_px, advance), (_MATCHER,))
+    objects, column = found.objects, found.columns[_MATCHER]
+    if not found.objects.cameras:
+        raise RigError(f"{reference}: none of its objects is in a frame of the videos; check the frames' numbers.")
+    fitted = fit_reference(
+        column.disparity_px,
+        objects.true_px,
+        x_px=objects.x_px,
+        camera=objects.cameras[0],
+        groups=objects.group,
+        sigma_px=column.sigma_px,
+        seed=options.seed,
+    )
+    return replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0), found.notes
+
+
+def _rows_measured(
+    pairs: Iterator[StereoPair], rows_px: list[float], advance: Callable[[int, int], None]
+) -> Iterator[StereoPair]:
+    for number, pair in enumerate(pairs):
+        if number < _N_ROW_PAIRS:
+            row_px = row_offset_px(pair.left, whole_image(pair.right))
+            rows_px += [] if row_px is None else [row_px]
+        advance(number + 1, number + 1)
+        yield pair

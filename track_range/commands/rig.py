@@ -1,0 +1,133 @@
+"""`track-range rig`: calibrations from one format into another, and what one means in degrees and metres."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from rich.console import Console
+
+from stereo.camera import PinholeCamera
+from stereo.rectification import Rectifier
+from stereo.rig import RigError, StereoRig
+from stereo.rig_files import load_calibration
+from stereo.rig_writing import save_camera, save_opencv, save_rig
+from track_range.commands.progress import say
+from track_range.config import UsageError
+from track_range.tables import Column, grid_of, rich_table
+
+RigFormat = Literal["ours", "opencv"]
+
+_SHOWN_M = np.array([10.0, 30.0, 60.0])
+
+
+def convert_rig(source: Path, out: Path, *, to: RigFormat, size: str | None, console: Console) -> None:
+    """Read a calibration of any format and write it in one of two.
+
+    Raises:
+        RigError: it cannot be read or written, or gives no image size and `size` is None.
+        UsageError: `size` is not WIDTHxHEIGHT, or both files are the same.
+    """
+    if source.resolve() == out.resolve():
+        raise UsageError(f"{out}: it is the file to convert; name another one to write.")
+    found, notes = load_calibration(source, size_px=_size_of(size))
+    _check_sized(found, source)
+    if to == "opencv":
+        save_opencv(found, out)
+    elif isinstance(found, StereoRig):
+        save_rig(found, out, comments=[f"from {source.name}"])
+    else:
+        save_camera(found, out, comments=[f"from {source.name}"])
+    for note in notes:
+        say(console, note)
+    cameras = "two cameras" if isinstance(found, StereoRig) else "one camera"
+    say(console, f"Written: {out}, {cameras}.")
+
+
+def show_rig(source: Path, *, size: str | None, console: Console) -> None:
+    """Print what a calibration means.
+
+    Raises:
+        RigError: it cannot be read, or its cameras cannot be rectified.
+        UsageError: `size` is not WIDTHxHEIGHT.
+    """
+    found, notes = load_calibration(source, size_px=_size_of(size))
+    cameras = {"left": found.left, "right": found.right} if isinstance(found, StereoRig) else {"camera": found}
+    console.print(rich_table(grid_of(str(source), "camera", list(cameras), _camera_columns(list(cameras.values())))))
+    for name, camera in cameras.items():
+        say(console, f"{name}: lens terms {', '.join(f'{term:.5g}' for term in camera.distortion) or 'none'}.")
+    if isinstance(found, StereoRig):
+        _show_pair(found, console)
+    for note in notes:
+        say(console, note)
+
+
+def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
+    columns = [
+        Column("fx px", [camera.fx_px for camera in cameras], "{:.2f}"),
+        Column("fy px", [camera.fy_px for camera in cameras], "{:.2f}"),
+        Column("cx px", [camera.cx_px for camera in cameras], "{:.2f}"),
+        Column("cy px", [camera.cy_px for camera in cameras], "{:.2f}"),
+    ]
+    if not all(camera.width_px for camera in cameras):
+        return columns
+    return [
+        Column("width px", [camera.width_px for camera in cameras], "{:.0f}"),
+        Column("height px", [camera.height_px for camera in cameras], "{:.0f}"),
+        *columns,
+        Column("across deg", [_view_deg(camera.width_px, camera.cx_px, camera.fx_px) for camera in cameras]),
+        Column("down deg", [_view_deg(camera.height_px, camera.cy_px, camera.fy_px) for camera in cameras]),
+    ]
+
+
+def _view_deg(side_px: int, centre_px: float, focal_px: float) -> float:
+    """Angle between the rays through the first and the last pixel's outer edge, lens terms aside."""
+    first, last = (centre_px + 0.5) / focal_px, (side_px - 0.5 - centre_px) / focal_px
+    return math.degrees(math.atan(first) + math.atan(last))
+
+
+def _show_pair(rig: StereoRig, console: Console) -> None:
+    x_m, y_m, z_m = rig.right_from_left[:3, 3].tolist()
+    say(console, f"baseline {rig.baseline_m:.4f} m (shift {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m).")
+    pitch, yaw, roll = _angles_deg(rig)
+    state = "rectified already" if rig.is_rectified else "to be rectified"
+    say(console, f"right against left: pitch {pitch:.3f}, yaw {yaw:.3f}, roll {roll:.3f} degrees; {state}.")
+    if not (rig.is_rectified or rig.left.width_px):
+        say(console, "No image size in it: give --size WIDTHxHEIGHT to see what distances it measures.")
+        return
+    rectified = Rectifier(rig).rig
+    disparity_px = rectified.left.fx_px * rectified.baseline_m / _SHOWN_M
+    columns = [
+        Column("disparity px", disparity_px.tolist(), "{:.2f}"),
+        Column("m per_px", (_SHOWN_M / disparity_px).tolist(), "{:.2f}"),
+        Column("% per_0.1_px", (10 / disparity_px).tolist(), "{:.2f}"),
+    ]
+    names = [f"{distance:.0f} m" for distance in _SHOWN_M]
+    say(console, f"rectified: focal length {rectified.left.fx_px:.2f} px, baseline {rectified.baseline_m:.4f} m.")
+    console.print(rich_table(grid_of("What a disparity means", "distance", names, columns)))
+
+
+def _angles_deg(rig: StereoRig) -> tuple[float, float, float]:
+    """Turn of the right camera's frame about the x, y and z axis, in that order (R = Rz Ry Rx)."""
+    turn = rig.right_from_left[:3, :3]
+    pitch = math.atan2(turn[2, 1], turn[2, 2])
+    yaw = math.asin(float(np.clip(-turn[2, 0], -1, 1)))
+    roll = math.atan2(turn[1, 0], turn[0, 0])
+    return math.degrees(pitch) + 0.0, math.degrees(yaw) + 0.0, math.degrees(roll) + 0.0  # + 0.0: no minus before 0
+
+
+def _size_of(words: str | None) -> tuple[int, int] | None:
+    if words is None:
+        return None
+    sides = words.lower().split("x")
+    if len(sides) != 2 or not all(side.isdecimal() and int(side) for side in sides):
+        raise UsageError(f"--size {words}: write it as WIDTHxHEIGHT, such as 1242x375.")
+    return int(sides[0]), int(sides[1])
+
+
+def _check_sized(found: PinholeCamera | StereoRig, source: Path) -> None:
+    camera = found.left if isinstance(found, StereoRig) else found
+    if not camera.width_px:
+        raise RigError(f"{source}: it does not say how large the images are; add --size WIDTHxHEIGHT.")

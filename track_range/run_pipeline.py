@@ -1,0 +1,106 @@
+"""Where the pipeline of a run is put together: which methods measure, with which settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from detection.detections import Image
+from detection.onnx_session import Runtime
+from ranging.ranger import Ranger
+from ranging.size_curve import SizeCurves
+from ranging.size_regression import SizeRegressionRanger
+from ranging.size_scaled_stereo import SizeScaledRanger
+from ranging.triangulation import DenseRanger, PatchRanger
+from stereo.alignment import Alignment
+from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from stereo.rig import StereoRig
+from stereo.sgbm import SgbmSettings, disparity_picture
+from track_range.box_source import BoxSource
+from track_range.config import RunSettings
+from track_range.overlay import Overlay
+from track_range.pipeline import Pipeline
+from track_range.result_video import Draw
+from track_range.results import FrameResult
+from track_range.source import Source
+from track_range.tracker_options import new_tracker, open_descriptor
+from track_range.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair
+
+_REDDEST_M = 5.0
+"""What is as near or nearer is all red in the disparity's picture."""
+
+
+def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeCurves) -> Pipeline:
+    """The pipeline that the settings ask for and the source allows.
+
+    Raises:
+        ModelError: the network for looks cannot be used.
+    """
+    by_size = SizeRegressionRanger(source.camera, curves)
+    rangers: dict[str, Ranger] = {"mono": by_size}
+    dense, taken = None, source.uncalibrated
+    if source.rig is not None:
+        alignment = source.alignment.applied if source.alignment else Alignment()
+        rangers["stereo"] = PatchRanger(source.rig, _patch_matcher(source.rig), alignment=alignment)
+        if settings.sgbm:
+            dense_settings = SgbmSettings.for_rig(source.rig, chosen=settings.sgbm_options)
+            dense = DenseRanger(source.rig, dense_settings, alignment=alignment)
+    elif taken is not None and taken.has_equal_rows:
+        guessed = StereoRig.rectified(taken.camera, ASSUMED_BASELINE_M)
+        rangers["stereo"] = SizeScaledRanger(_patch_matcher(guessed), by_size)
+    runtime = Runtime(n_threads=settings.threads, device=settings.device)
+    return Pipeline(
+        camera=source.camera,
+        detect=boxes.detect,
+        tracker=new_tracker(settings.tracker, open_descriptor(settings.tracker, settings.reid, runtime)),
+        rangers=rangers,
+        dense=dense,
+        shared_sigma=taken.focal_sigma if taken is not None else 0.0,
+    )
+
+
+def _patch_matcher(rig: StereoRig) -> PatchMatcher:
+    return PatchMatcher(PatchMatcherSettings.for_rig(rig))
+
+
+def pictures(settings: RunSettings, source: Source) -> dict[str, Draw]:
+    """What is filmed, by the name of its file without the ending."""
+    wanted: dict[str, Draw] = {}
+    if settings.overlay:
+        wanted["overlay"] = Overlay(warning="uncalibrated" if source.calibration == "estimated" else "").draw
+    if settings.disparity and source.rig is not None:
+        largest_px = source.rig.left.fx_px * source.rig.baseline_m / _REDDEST_M
+        wanted["disparity"] = partial(_picture_of_disparity, largest_px=largest_px)
+    return wanted
+
+
+def _picture_of_disparity(result: FrameResult, *, largest_px: float) -> Image:
+    if result.disparity is None:
+        return np.zeros_like(result.frame.left)
+    return disparity_picture(result.disparity, largest_px=largest_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearntScale:
+    """What a run without a rig has learnt of its pair by now."""
+
+    focal_px: float
+    baseline_m: float
+    relative_sigma: float
+    n_tracks: int
+
+
+def learnt_scale(pipeline: Pipeline, taken: UncalibratedPair | None) -> LearntScale | None:
+    """None with a rig, with one camera, and as long as no track has told anything."""
+    ranger = pipeline.rangers.get("stereo")
+    if taken is None or not isinstance(ranger, SizeScaledRanger) or not ranger.scale.n_tracks:
+        return None
+    focal_baseline, sigma = ranger.scale.estimate()
+    return LearntScale(
+        focal_px=taken.camera.fx_px,
+        baseline_m=focal_baseline / taken.camera.fx_px,
+        relative_sigma=float(np.hypot(sigma, taken.focal_sigma)),
+        n_tracks=ranger.scale.n_tracks,
+    )
