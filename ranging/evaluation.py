@@ -66,7 +66,8 @@ def score_methods(
     mine = {name: _score_with_bands(c, true_m, in_span=in_span & is_road_class) for name, c in methods.items()}
     for name, column in methods.items():
         mine[name]["by_class"] = {
-            str(word): _score(column, true_m, in_span & (kitti_type == word)) for word in np.unique(kitti_type[in_span])
+            str(word): score_rows(column, true_m, in_span & (kitti_type == word))
+            for word in np.unique(kitti_type[in_span])
         }
     ran = [column for column in methods.values() if np.isfinite(column.distance_m).any()]
     everyone = in_span & is_road_class & np.all([np.isfinite(c.distance_m) for c in ran] or [in_span], axis=0)
@@ -86,6 +87,7 @@ def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
             **_figures(nothing[:0], nothing[:0]),
             "coverage": _share(np.isfinite(column.distance_m)),
             "n": int(np.isfinite(column.distance_m).sum()),
+            "median_sigma_pct": _sigma_pct(column, np.isfinite(column.distance_m)),
             "bands": [],
         }
         for name, column in methods.items()
@@ -97,19 +99,31 @@ def _score_with_bands(column: MethodColumn, true_m: FloatArray, *, in_span: Bool
         {"from_m": low, "to_m": high, **_band(column, true_m, in_span & (true_m >= low) & (true_m < high))}
         for low, high in pairwise(BANDS_M)
     ]
-    return {**_score(column, true_m, in_span), "bands": bands}
+    return {**score_rows(column, true_m, in_span), "bands": bands}
 
 
 def _band(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
-    score = _score(column, true_m, rows)
+    score = score_rows(column, true_m, rows)
     return {key: score[key] for key in ("n", "mean_relative_error_pct", "median_relative_error_pct", "bias_pct")}
 
 
-def _score(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
+def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
+    """Figures of one method over the `rows` (N,) that it measured; None where there is nothing to say."""
     measured = np.isfinite(column.distance_m) & rows
     error = column.distance_m[measured] / true_m[measured] - 1
     in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
-    return {"coverage": _share(measured[rows]), "n": int(measured.sum()), **_figures(error, in_sigmas)}
+    return {
+        "coverage": _share(measured[rows]),
+        "n": int(measured.sum()),
+        **_figures(error, in_sigmas),
+        "median_sigma_pct": _sigma_pct(column, measured),
+    }
+
+
+def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
+    """Median of what a method claims its relative error to be; None where it claims nothing."""
+    claimed = (column.sigma_m / column.distance_m)[measured & np.isfinite(column.sigma_m)]
+    return _rounded(100 * np.median(claimed)) if len(claimed) else None
 
 
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:

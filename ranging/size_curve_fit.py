@@ -19,7 +19,8 @@ from detection.classes import KITTI_IGNORED, ROAD_CLASS_OF
 from detection.detections import BoolArray, FloatArray, IntArray
 from detection.kitti_format import KittiLabels
 from ranging.box_surface import surface_distance_m
-from ranging.size_curve import CurveError, SizeCurve, SizeCurves
+from ranging.curve_file import CurveError
+from ranging.log_linear_sizes import SizeCurve, SizeCurves
 from stereo.camera import PinholeCamera
 
 NEAREST_M, FARTHEST_M = 5.0, 100.0

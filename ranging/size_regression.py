@@ -1,12 +1,13 @@
-"""SizeRegressionRanger: monocular distance from the size of a track's box, by class."""
+"""SizeRegressionRanger: monocular distance from the size of a track's box, by class, and from where it stands."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray
+from detection.detections import FloatArray, IntArray
+from ranging.measured_boxes import BoxNoise, SizedDistances, SizeModel, measured_boxes
 from ranging.ranges import Ranges
-from ranging.size_curve import SizeCurves, load_curves
+from ranging.size_curve import load_curves
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
 from tracking.tracks import Tracks
@@ -18,32 +19,55 @@ _MIN_HEIGHT_PX = 4.0
 class SizeRegressionRanger:
     """Ranges observed boxes that the image does not cut at top or bottom; a cut side is left out of the measure."""
 
-    def __init__(self, camera: PinholeCamera, curves: SizeCurves | None = None, *, box_sigma_px: float = 1.5) -> None:
-        """Range for `camera` (undistorted); `box_sigma_px`: standard deviation of one edge of a detector's box."""
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        curves: SizeModel | None = None,
+        *,
+        box_sigma_px: float | None = None,
+        noise: BoxNoise | None = None,
+    ) -> None:
+        """Range for `camera` (undistorted).
+
+        Args:
+            camera: that sees the boxes.
+            curves: what is known of sizes; None = the packaged priors.
+            box_sigma_px: standard deviation of one edge where it is the same for all boxes.
+            noise: how unsure edges are otherwise; None = a detector's boxes.
+        """
         self._camera = camera
         self._curves = curves or load_curves()
-        self._box_sigma_px = box_sigma_px
+        uniform = None if box_sigma_px is None else BoxNoise(box_sigma_px, 0.0, 0.0)
+        self._noise = noise or uniform or BoxNoise()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances by size; NaN for predicted boxes, for boxes cut at top or bottom, for classes without a curve."""
+        sized = self.sized(tracks, frame)
+        return Ranges(tracks.track_id, sized.distance_m, sized.sigma_m)
+
+    def sized(self, tracks: Tracks, frame: Frame) -> SizedDistances:
+        """The same, with the part of sigma that a track keeps."""
         height_px, width_px = frame.left.shape[:2]
         xyxy_px = tracks.xyxy_px
         size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
         last = np.array([width_px, height_px]) - 0.5 - _BORDER_PX
         cut = (xyxy_px[:, :2] < _BORDER_PX - 0.5) | (xyxy_px[:, 2:] > last)
         usable = tracks.observed & ~cut[:, 1] & (size_px[:, 1] >= _MIN_HEIGHT_PX) & (size_px[:, 0] > 0)
-        distance_m, sigma_m = self._curves.distance(
-            np.where(usable[:, None], size_px, 1.0) / self._focal_px,
-            self._bearing(xyxy_px),
-            class_id=tracks.class_id,
-            use_width=~cut[:, 0],
-            noise_over_f=self._box_sigma_px / self._camera.fy_px,
+        rows = np.flatnonzero(usable)
+        boxes = measured_boxes(
+            xyxy_px[rows],
+            tracks.class_id[rows],
+            camera=self._camera,
+            noise=self._noise,
+            uses_width_bottom=(~cut[rows, 0], np.ones(len(rows), np.bool_)),
         )
-        return Ranges(tracks.track_id, np.where(usable, distance_m, np.nan), np.where(usable, sigma_m, np.nan))
+        found = self._curves.measure(boxes)
+        columns = (found.distance_m, found.sigma_m, found.sigma_kept_m)
+        return SizedDistances(*(_spread(column, rows, len(tracks)) for column in columns))
 
-    @property
-    def _focal_px(self) -> FloatArray:
-        return np.array([self._camera.fx_px, self._camera.fy_px])
 
-    def _bearing(self, xyxy_px: FloatArray) -> FloatArray:
-        return self._camera.rays((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2)[:, 0]
+def _spread(values: FloatArray, rows: IntArray, n: int) -> FloatArray:
+    """(n,) with values in their rows, NaN elsewhere."""
+    whole = np.full(n, np.nan)
+    whole[rows] = values
+    return whole

@@ -61,7 +61,7 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
         raise LabelFileError(f"{path}: no label has a 3-D box, so it tells no distances; KITTI tracking labels wanted.")
     _check_identities(labels, path)
     scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
-    distance_m = np.where(scored, _surface_m(labels, camera, left_from_reference_m), np.nan)
+    distance_m = np.where(scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan)
     road = road_class_of_each([str(name) for name in labels.kitti_type])
     return Truth(
         frame=labels.frame,
@@ -86,7 +86,8 @@ def _check_identities(labels: KittiLabels, path: Path) -> None:
         )
 
 
-def _surface_m(labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray) -> FloatArray:
+def surface_of_labels_m(labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray) -> FloatArray:
+    """(N,) z at which the ray through each label's box centre meets its 3-D box; NaN where it misses."""
     return surface_distance_m(
         camera.rays((labels.xyxy_px[:, :2] + labels.xyxy_px[:, 2:]) / 2),
         labels.location_m + left_from_reference_m,

@@ -87,9 +87,11 @@ class Alignment:
         return self.row_offset_px if abs(self.row_offset_px) > MAX_ROW_OFFSET_PX else 0.0
 
     def if_clear(self) -> Alignment:
-        """Itself where it is clear; else without its correction, which is then part of what is left."""
-        if self.is_clear:
-            return self
+        """Itself where it is clear, else `withheld`."""
+        return self if self.is_clear else self.withheld()
+
+    def withheld(self) -> Alignment:
+        """Without its correction, which is then part of what is left."""
         residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), UNCORRECTED_SIGMA_PX)
         return replace(self, offset_px=0.0, bow_px=0.0, residual_px=residual_px)
 

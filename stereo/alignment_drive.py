@@ -130,9 +130,10 @@ class DriveAlignment:
     def _close(self) -> None:
         """Make a stretch of what has been seen since the last one."""
         seen, self._seen = self._seen, []
+        n_still, self._n_still = self._n_still, 0
         if len(seen) < MIN_FRAMES:
             if seen:
-                still = self._n_still > len(seen)
+                still = n_still > len(seen)
                 self._reasons.append("the vehicle stands still" if still else "fewer than 10 frames in motion")
             return
         found = stretch_of(_sightings(seen), self._rig)

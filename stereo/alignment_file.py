@@ -15,7 +15,6 @@ Keys that are left out keep what an alignment that nobody measured has.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ import yaml
 
 from stereo.alignment import Alignment
 from stereo.rig import RigError
+from stereo.rig_writing import write_whole
 
 _VERSION = 1
 _VERSION_KEY = "track_range_align"
@@ -43,14 +43,7 @@ def save_alignment(alignment: Alignment, path: Path) -> None:
         RigError: the file cannot be written.
     """
     content = {_VERSION_KEY: _VERSION, **asdict(alignment)}
-    text = yaml.safe_dump(content, sort_keys=False, width=120, allow_unicode=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
-    except OSError as error:
-        unfinished.unlink(missing_ok=True)
-        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
+    write_whole(path, yaml.safe_dump(content, sort_keys=False, width=120, allow_unicode=True))
 
 
 def load_alignment(path: Path) -> Alignment:

@@ -113,7 +113,7 @@ def fit_reference(
         residual_px=float(np.hypot(_beyond(left_px, known), own_px)),
         offset_sigma_px=max(float(drawn[:, 0].std()), least_px),
         bow_sigma_px=float(drawn[:, 1].std()),
-        source=f"{int(keep.sum())} known distances in {known.n_groups} scenes or of as many objects",
+        source=f"{int(keep.sum())} known distances of {known.n_groups} scenes or objects",
     )
 
 

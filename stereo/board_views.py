@@ -8,6 +8,7 @@ for the two eyes of a pair.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.boards import Board, CharucoBoard, ChessBoard, charuco_detectors, dictionaries
+from stereo.boards import Board, CharucoBoard, ChessBoard, charuco_detectors, dictionaries, dictionary_of
 from stereo.frames import Image
 
 FloatArray = npt.NDArray[np.float64]
@@ -135,13 +136,20 @@ def sizes_seen(images: Sequence[Image]) -> Counter[tuple[int, int]]:
 
 
 def markers_seen(images: Sequence[Image]) -> Counter[str]:
-    """How many ArUco markers of each dictionary the images show."""
+    """How many ArUco markers of each dictionary the images show.
+
+    Of a family such as 4X4_50 .. 4X4_1000, whose smaller sets are the start of the larger, the largest is looked for.
+    """
     seen: Counter[str] = Counter()
-    for name in dictionaries():
-        detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}")))
-        for image in images:
-            ids = detector.detectMarkers(_grey(image))[1]
-            seen[name] += 0 if ids is None else len(ids)
+    greys = [_grey(image) for image in images]
+    n_markers = {name: len(dictionary_of(name).bytesList) for name in dictionaries()}
+    families = {name: re.sub(r"_\d+$", "", name) for name in n_markers}
+    for family in set(families.values()):
+        members = [name for name, other in families.items() if other == family]
+        detector = cv2.aruco.ArucoDetector(dictionary_of(max(members, key=n_markers.__getitem__)))
+        found = [ids.ravel() for ids in (detector.detectMarkers(grey)[1] for grey in greys) if ids is not None]
+        numbers = np.concatenate([np.zeros(0, np.int32), *found])
+        seen.update({name: int((numbers < n_markers[name]).sum()) for name in members})
     return seen
 
 

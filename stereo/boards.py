@@ -136,9 +136,14 @@ def dictionaries() -> tuple[str, ...]:
     return tuple(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name == name.upper())
 
 
+def dictionary_of(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's markers of one of `dictionaries`."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+
+
 def _opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
-    return cv2.aruco.CharucoBoard((board.n_columns, board.n_rows), board.square_m, board.marker_m, dictionary)
+    squares = (board.n_columns, board.n_rows)
+    return cv2.aruco.CharucoBoard(squares, board.square_m, board.marker_m, dictionary_of(board.dictionary))
 
 
 def _grid_m(grid: tuple[int, int], square_m: float) -> FloatArray:
@@ -170,6 +175,12 @@ def _charuco_of(text: str, square_mm: float | None) -> CharucoBoard:
         raise ValueError(f"'{text}': there is no dictionary {dictionary}; choose of {', '.join(dictionaries())}.")
     if min(n_columns, n_rows) < 3:
         raise ValueError(f"'{text}': at least 3 squares along each side are wanted.")
+    n_markers, n_known = n_columns * n_rows // 2, len(dictionary_of(dictionary).bytesList)
+    if n_markers > n_known:
+        raise ValueError(
+            f"'{text}': there are {n_markers} markers on it, of which the dictionary {dictionary} has but {n_known}; "
+            "name the one that it was printed with, such as 4X4_1000."
+        )
     if not 0 < marker_mm < side_mm:
         raise ValueError(f"'{text}': markers ({marker_mm:g} mm) lie inside squares ({side_mm:g} mm).")
     if square_mm is not None and square_mm != side_mm:

@@ -9,7 +9,7 @@ NAME-centre                                 any dense one read at the box's midd
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -90,9 +90,7 @@ class Measured:
     notes: tuple[str, ...] = ()
 
 
-def measure_pairs(
-    pairs: Iterable[StereoPair], names: Sequence[str], *, progress: Callable[[], None] | None = None
-) -> Measured:
+def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> Measured:
     """Run matchers side by side over pairs.
 
     A drive's track (`StereoPair.track_id`) that was matched in the pair before is searched about where it was, as in a
@@ -101,7 +99,6 @@ def measure_pairs(
     Args:
         pairs: read one by one.
         names: of the matchers, see `MATCHER_NAMES`.
-        progress: called after each pair.
 
     Raises:
         ValueError: an unknown name.
@@ -111,8 +108,6 @@ def measure_pairs(
         notes |= dict.fromkeys(pair.notes)
         with one_thread():
             parts.add(pair)
-        if progress is not None:
-            progress()
     return parts.measured(tuple(notes))
 
 

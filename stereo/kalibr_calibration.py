@@ -51,11 +51,23 @@ def parse_kalibr(text: str, source: object) -> Calibration:
         return Calibration(first, None, None)
     notes = [f"{source}: cam0 and cam1 used, of {len(content)} cameras."] if "cam2" in content else []
     second_from_first = _numbers(second, "T_cn_cnm1", (4, 4), f"{source}: cam1")
+    if not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
+        raise RigError(
+            f"{source}: cam1: the last row of 'T_cn_cnm1' must be 0, 0, 0, 1; give camchain.yaml as written."
+        )
     other = _camera(second, f"{source}: cam1")
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 stands left of cam0, so cam1 is taken as the left eye.")
-        return Calibration(other, first, np.asarray(np.linalg.inv(second_from_first), np.float64), notes=tuple(notes))
+        return Calibration(other, first, _inverse(second_from_first), notes=tuple(notes))
     return Calibration(first, other, second_from_first, notes=tuple(notes))
+
+
+def _inverse(motion: FloatArray) -> FloatArray:
+    """(4, 4) of a rigid motion; whether it is one is for `rig_checks` to say."""
+    back = np.eye(4)
+    back[:3, :3] = motion[:3, :3].T
+    back[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
+    return back
 
 
 def _camera(block: Mapping[str, Any], name: str) -> PinholeCamera:

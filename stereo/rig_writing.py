@@ -44,7 +44,7 @@ def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> Non
         "right": _camera_content(rig.right),
         "right_from_left": motion,
     }
-    _write(path, _commented(comments) + _yaml(content))
+    write_whole(path, _commented(comments) + _yaml(content))
 
 
 def save_camera(camera: PinholeCamera, path: Path, *, comments: Sequence[str] = ()) -> None:
@@ -54,19 +54,24 @@ def save_camera(camera: PinholeCamera, path: Path, *, comments: Sequence[str] = 
         RigError: the camera is implausible, or the file cannot be written.
     """
     check_camera(camera, path)
-    _write(path, _commented(comments) + _yaml({"track_range_rig": VERSION, "left": _camera_content(camera)}))
+    write_whole(path, _commented(comments) + _yaml({"track_range_rig": VERSION, "left": _camera_content(camera)}))
 
 
 def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does; lengths in metres.
 
     Raises:
-        RigError: implausible, or the file cannot be written.
+        RigError: implausible, of images of two sizes, or the file cannot be written.
     """
     if isinstance(cameras, StereoRig):
         check_rig(cameras, path)
+        left, right = cameras.left, cameras.right
+        if (left.width_px, left.height_px) != (right.width_px, right.height_px):
+            raise RigError(
+                f"{path}: OpenCV's file holds one size of images, and these cameras have {left.width_px}x"
+                f"{left.height_px} and {right.width_px}x{right.height_px} px; write ours."
+            )
         matrices = _rig_matrices(cameras)
-        left = cameras.left
     else:
         check_camera(cameras, path)
         matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _lens_row(cameras)}
@@ -76,7 +81,7 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     storage.write("image_height", left.height_px)
     for key, matrix in matrices.items():
         storage.write(key, np.asarray(matrix, np.float64))
-    _write(path, storage.releaseAndGetString())
+    write_whole(path, storage.releaseAndGetString())
 
 
 def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
@@ -116,7 +121,14 @@ def _commented(lines: Sequence[str]) -> str:
     return "".join(f"# {part}\n" for line in lines for part in line.splitlines())
 
 
-def _write(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file under a temporary name and rename it into place.
+
+    Raises:
+        RigError: it is a folder, or cannot be written.
+    """
+    if path.is_dir():
+        raise RigError(f"{path}: it is a folder; name a file to write.")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         unfinished.write_text(text, encoding="utf-8")

@@ -29,6 +29,9 @@ _STEPS_PER_PX = 16
 _STEP_SIGMA_PX = 0.15
 """Error of a flat, textured patch's median: pixel locking, mostly (0.14 px on synthetic pairs)."""
 
+_MAX_COST = 32767
+"""OpenCV sums costs in 16 bits."""
+
 _OPENCV_MODE: dict[Mode, int] = {
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
@@ -114,17 +117,24 @@ def _checks(found: SgbmSettings) -> list[tuple[str, bool, str]]:
         return type(value) in (int, float) and low <= value <= high
 
     n = found.n_disparities
+    small = found.small_step_penalty if type(found.small_step_penalty) is int else 0
+    window_px = found.block_size**2 if type(found.block_size) is int else 1
+    large = (small + 1, _MAX_COST // max(window_px, 1))
     return [
         ("min_disparity", whole("min_disparity", -512, 1024), "a whole number -512 .. 1024"),
         ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
         ("block_size", whole("block_size", 1, 21) and found.block_size % 2 == 1, "an odd number up to 21"),
-        ("mode", found.mode in _OPENCV_MODE, "one of " + ", ".join(_OPENCV_MODE)),
+        ("mode", found.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
         ("small_step_penalty", whole("small_step_penalty", 1), "a whole number from 1"),
-        ("large_step_penalty", whole("large_step_penalty", found.small_step_penalty + 1), "more than the small one"),
+        (
+            "large_step_penalty",
+            whole("large_step_penalty", *large),
+            f"more than the small one, and at most {_MAX_COST} / block_size^2,",
+        ),
         ("uniqueness_pct", whole("uniqueness_pct", 0, 99), "a whole number 0 .. 99"),
-        ("max_left_right_px", whole("max_left_right_px", -1), "a whole number from -1"),
-        ("speckle_px2", whole("speckle_px2", 0), "a whole number from 0"),
-        ("speckle_range_px", whole("speckle_range_px", 0), "a whole number from 0"),
+        ("max_left_right_px", whole("max_left_right_px", -1, 1024), "a whole number -1 .. 1024"),
+        ("speckle_px2", whole("speckle_px2", 0, 10**9), "a whole number 0 .. 1e9"),
+        ("speckle_range_px", whole("speckle_range_px", 0, 1024), "a whole number 0 .. 1024"),
         ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "a whole number 1 .. 127"),
         ("min_valid_share", share("min_valid_share", 0.0, 1.0), "a share 0 .. 1"),
         ("shape_share", share("shape_share", 0.0, math.inf), "a number from 0"),

@@ -11,6 +11,7 @@ import glob
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 from detection.detections import Image
@@ -55,20 +56,35 @@ class Photographs:
         """How many there are."""
         return len(self.paths)
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is read."""
+        return tuple(chain.from_iterable(self.paths))
+
     def __iter__(self) -> Iterator[Shot]:
         """Each shot as it is read; images that cannot be are None."""
         for paths in self.paths:
-            yield Shot(tuple(path.name for path in paths), tuple(_readable(path) for path in paths))
+            alike = len({path.name for path in paths}) < len(paths)
+            yield Shot(
+                tuple(_name(path, with_folder=alike) for path in paths), tuple(_readable(path) for path in paths)
+            )
 
 
 class Film:
     """Every so many frames of a video, or of two in step.
+
+    Attributes:
+        files: what is read.
+        n_shots: how many frames will be looked at; None = unknown.
+        is_film: that they are frames, most of which may show no board.
+        left_out: none, before they are looked at.
 
     Raises:
         VideoError: a video cannot be read.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
+        self.files = tuple(paths)
         self._readers = [VideoReader(path) for path in paths]
         first = self._readers[0]
         length_s = (first.n_frames or 0) / first.fps
@@ -140,7 +156,7 @@ def _files(source: str) -> list[Path]:
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Sorts img2 before img10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", str(path))]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
 
 
 def _partners(sources: Sequence[str], found: Sequence[list[Path]]) -> Photographs:
@@ -151,7 +167,9 @@ def _partners(sources: Sequence[str], found: Sequence[list[Path]]) -> Photograph
         is_unique = all(len(each) == len(paths) for each, paths in zip(named, found, strict=True))
         if is_unique and common:
             alone = [path for eye in (0, 1) for key, path in named[eye].items() if key not in named[1 - eye]]
-            left_out = tuple(RejectedView(path.name, "the other eye's image is missing") for path in alone)
+            alike = any(named[0][key].name == named[1][key].name for key in common)
+            reason = "the other eye's image is missing"
+            left_out = tuple(RejectedView(_name(path, with_folder=alike), reason) for path in alone)
             return Photographs(tuple((named[0][key], named[1][key]) for key in common), left_out)
     if len(found[0]) != len(found[1]):
         raise ImageFileError(
@@ -188,6 +206,11 @@ def _stem(path: Path) -> str:
 def _last_number(path: Path) -> str:
     digits = re.findall(r"\d+", path.stem)
     return str(int(digits[-1])) if digits else path.stem
+
+
+def _name(path: Path, *, with_folder: bool) -> str:
+    """For the user; with its folder where left and right are called alike."""
+    return f"{path.parent.name}/{path.name}" if with_folder else path.name
 
 
 def _readable(path: Path) -> Image | None:

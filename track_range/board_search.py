@@ -116,15 +116,16 @@ def _of_one_size(shots: list[Views], rejected: list[RejectedView], notes: list[s
     usual = [Counter(shot[eye].size_px for shot in shots).most_common(1)[0][0] for eye in range(n_eyes)]
     kept, cut = [], []
     for shot in shots:
-        odd = next((view for view, size in zip(shot, usual, strict=True) if not _is_near(view.size_px, size)), None)
-        if odd is not None:
-            size = usual[shot.index(odd)]
-            rejected.append(RejectedView(odd.name, f"{_words(odd.size_px)} px, where most have {_words(size)} px"))
+        odd = [eye for eye in range(n_eyes) if not _is_near(shot[eye].size_px, usual[eye])]
+        if odd:
+            view, size = shot[odd[0]], usual[odd[0]]
+            rejected.append(RejectedView(view.name, f"{_words(view.size_px)} px, where most have {_words(size)} px"))
             continue
         cut += [view.name for view, size in zip(shot, usual, strict=True) if view.size_px != size]
         kept.append(tuple(replace(view, size_px=size) for view, size in zip(shot, usual, strict=True)))
     if cut:
-        notes.append(f"Cut to the others' {_words(usual[0])} px at their right and lower edges: {', '.join(cut)}.")
+        sizes = " and ".join(dict.fromkeys(_words(size) for size in usual))
+        notes.append(f"Cut to the others' {sizes} px at their right and lower edges: {', '.join(cut)}.")
     return kept
 
 

@@ -10,7 +10,6 @@ from rich.console import Console
 
 from track_range.commands.align import AlignOptions
 from track_range.commands.align import align as run_align
-from track_range.commands.evaluate_tracks import keep_track_figures
 
 _console = Console()
 
@@ -40,5 +39,13 @@ def align(
     ] = None,
 ) -> None:
     """Measure what disparities of a calibrated pair are off by, from a drive or from known distances."""
-    options = AlignOptions(out=out, stereo=stereo, drives=tuple(drive or ()), reference=reference, rig=rig, seed=seed)
-    keep_track_figures(run_align(options, _console), json_file)
+    options = AlignOptions(
+        out=out,
+        stereo=stereo,
+        drives=tuple(drive or ()),
+        reference=reference,
+        rig=rig,
+        seed=seed,
+        json_file=json_file,
+    )
+    run_align(options, _console)

@@ -1,4 +1,4 @@
-"""The commands `train`, `anchors` and `simulate` as the command line shows them; PyTorch only loads when wanted."""
+"""The commands `train` and `anchors` as the command line shows them; PyTorch only loads when wanted."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import typer
 from rich.console import Console
 
 from detection.training.errors import TrainingError
+from track_range.cli_simulation import simulate
+
+__all__ = ["anchors", "simulate", "train"]
 
 _console = Console()
 _WHAT, _HOW, _PAPER = "What to learn", "How to train", "The paper's improvements"
@@ -45,20 +48,6 @@ def anchors(
     from track_range.commands.training_data import print_anchors
 
     print_anchors(data, size_px=size, n_anchors=clusters, seed=seed, console=_console)
-
-
-def simulate(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Gets images, labels and data.yaml.")],
-    scenes: Annotated[int, typer.Option(min=1, max=100_000, help="Streets, each another.")] = 60,
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="Images of each.")] = 6,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**31, help="Of the first scene; `demo` drives through scene 0.")
-    ] = 1000,
-) -> None:
-    """Draw simulated road images, 640 px wide, with exact labels; `train: [images, DIR/data.yaml]` mixes them in."""
-    from track_range.commands.simulate import simulate as run
-
-    run(out, _console, n_scenes=scenes, n_frames=frames, seed=seed)
 
 
 def train(

@@ -31,6 +31,16 @@ class UsageError(ConfigError):
     """Options that contradict each other or are out of range: wrong usage, not a wrong input."""
 
 
+def check_looks(name: TrackerName, reid: Path | None) -> None:
+    """A network that describes looks wants a tracker that compares them.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if reid is not None and name == "sort":
+        raise UsageError("--reid describes looks, which --tracker sort does not compare; take one of them.")
+
+
 class RunSettings(BaseModel):
     """Everything that decides what a run computes; units are in the names."""
 
@@ -60,6 +70,8 @@ class RunSettings(BaseModel):
     """Size curves for the monocular distance, as `track-range fit` writes them; None = the packaged ones."""
     truth: Path | None = None
     """KITTI tracking labels to measure against."""
+    table: Path | None = None
+    """A Markdown file for the tables."""
     out: Path | None = None
     """Folder of the results; None = named after the left video."""
     classes: tuple[str, ...] = ()
@@ -78,6 +90,14 @@ class RunSettings(BaseModel):
     reid: Path | None = None
     """A re-identification network for looks; None = the built-in descriptor."""
     overlay: bool = True
+    lanes: str = "classical"
+    """The own lane's lines: classical, off, or a lane network's file."""
+    lane_width_m: float = Field(default=3.5, ge=1.5, le=6.0)
+    """Width of a lane, until stereo teaches it."""
+    camera_height_m: float | None = Field(default=None, ge=0.2, le=5.0)
+    """Of the camera above the road; None = estimated with the horizon."""
+    ego_speed: str | None = None
+    """How fast the camera moves: km/h, a CSV file, or a folder of KITTI's oxts; None = unknown."""
     sgbm: bool = True
     """Dense matching beside the patch matcher, in stereo runs."""
     sgbm_options: dict[str, Any] = {}
@@ -94,6 +114,12 @@ class RunSettings(BaseModel):
         if isinstance(given, dict) and given.get("detector") is None and given.get("detections") is None:
             return {**given, "detector": DEFAULT_MODEL}
         return given
+
+    @field_validator("align", "lanes", mode="before")
+    @classmethod
+    def _off_is_a_word(cls, given: Any) -> Any:
+        """YAML takes a bare `off` for false."""
+        return "off" if given is False else given
 
     @field_validator("sgbm_options")
     @classmethod
@@ -113,8 +139,7 @@ class RunSettings(BaseModel):
             raise ValueError(
                 "--disparity shows what dense stereo finds; it needs --stereo, and goes not with --no-sgbm"
             )
-        if self.reid is not None and self.tracker == "sort":
-            raise ValueError("--reid describes looks, which --tracker sort does not compare; take one of them")
+        check_looks(self.tracker, self.reid)
         return self
 
     @property
@@ -166,11 +191,11 @@ def _option(place: tuple[int | str, ...]) -> str:
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
     run = settings.model_dump(mode="json", exclude_none=True)
-    for key in ("rig", "detections", "curves", "truth", "out", "mono", "reid"):
+    for key in ("rig", "detections", "curves", "truth", "table", "out", "mono", "reid"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
-    for key in ("detector", "names", "align"):  # a file, or a word
-        if key in run and Path(run[key]).is_file():
+    for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file, or a word
+        if key in run and Path(run[key]).exists():
             run[key] = str(Path(run[key]).resolve())
     if settings.stereo:
         run["stereo"] = [str(video.resolve()) for video in settings.stereo]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Generator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
 
 from stereo.frames import Frame, Image, whole_image
@@ -44,6 +44,20 @@ def checked_pair(frame: Frame) -> PairCheck | None:
             "lie further right in the right image; hand the videos over the other way round."
         )
     return check
+
+
+def order_checked(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The same frames; the first ones are looked at until one tells left from right.
+
+    Raises:
+        RigError: left and right are swapped.
+    """
+    n_looks_left = MAX_CHECKED_PAIRS
+    for frame in frames:
+        if n_looks_left > 0:
+            check = checked_pair(frame)
+            n_looks_left = 0 if check is not None and check.is_conclusive else n_looks_left - 1
+        yield frame
 
 
 class PairWatch:

@@ -7,6 +7,7 @@ frame ------------> detect ------------------> track, measure, fuse, filter ----
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,10 +17,13 @@ from threading import Lock
 import numpy as np
 
 from detection.detections import Detections, FloatArray
-from ranging.fusion import contributors, fuse
+from detection.lanes import LaneFinder, LaneLines
+from ranging.ego_speed import EgoSpeed
+from ranging.fusion import Fusion
+from ranging.lane_width import LaneWidthRanger
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilter, FilterSettings
+from ranging.smoothing import DistanceFilter, FilteredRanges, FilterSettings
 from ranging.triangulation import DenseRanger
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -28,16 +32,14 @@ from track_range.results import FrameResult
 from tracking.tracker import Tracker
 from tracking.tracks import Tracks
 
-STAGES = ("read", "detect", "track", "mono", "lane", "stereo", "sgbm", "fuse", "write")
+STAGES = ("read", "lanes", "detect", "track", "mono", "ground", "lane", "stereo", "sgbm", "fuse", "write")
 
-NOISE_SHARES: Mapping[str, float] = {"mono": 0.4, "stereo": 0.3, "fused": 0.35}
+NOISE_SHARES: Mapping[str, float] = {"mono": 0.6, "stereo": 0.3, "fused": 0.35}
 """Methods with a distance filter, and the part of their sigma that is independent from frame to frame.
 
-From repeatability, without any truth, on a drive that no error is quoted for (KITTI odometry, 51 grey pairs): scatter
-about a parabola over five frames, divided by sigma, median 0.31, 0.17 and 0.28; a little more for outliers.
+Where the filter starts; it learns the share from its innovations.
 """
 
-_MIN_CLOSING_MPS = 0.3  # slower than this is "not closing": the time to collision would be minutes of noise
 _READ_AHEAD = 4
 _DETECT_AHEAD = 2
 _BY_THE_WALL = ("detect",)  # stages whose time is the wall's, since they have threads of their own
@@ -75,8 +77,11 @@ class Pipeline:
         camera: the left camera that the frames seem to come from.
         detect: boxes of a frame.
         tracker: gives them identities.
-        rangers: methods by name ("mono", "stereo"), measured side by side.
+        rangers: methods by name ("mono", "ground", "stereo"), measured side by side.
+        lane_finder: finds the own lane's lines, for `lane`; None = not wanted.
+        lane: the method that lives on them; where there is a calibrated pair, stereo teaches it the lane's width.
         dense: dense matching in its own thread ("sgbm"); None = not wanted.
+        ego_speed: how fast the camera moves; None = unknown.
         shared_sigma: relative error that all methods share, from a focal length that nobody has calibrated.
         clock: where the time goes.
     """
@@ -85,32 +90,46 @@ class Pipeline:
     detect: Callable[[Frame], Detections]
     tracker: Tracker
     rangers: Mapping[str, Ranger]
+    lane_finder: LaneFinder | None = None
+    lane: LaneWidthRanger | None = None
     dense: DenseRanger | None = None
+    ego_speed: EgoSpeed | None = None
     shared_sigma: float = 0.0
     clock: StageClock = field(default_factory=StageClock)
+    _fusion: Fusion = field(default_factory=Fusion)
     _filters: dict[str, DistanceFilter] = field(default_factory=dict)
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """The results of each frame in order; closing the generator ends the threads."""
-        detected = prefetch(self._detected(prefetch(frames, depth=_READ_AHEAD, gives_way=True)), depth=_DETECT_AHEAD)
+        read = prefetch(frames, depth=_READ_AHEAD, gives_way=True)
+        with_lanes = prefetch(self._with_lanes(read), depth=_DETECT_AHEAD)
+        detected = prefetch(self._detected(with_lanes), depth=_DETECT_AHEAD)
         try:
-            for frame, detections in detected:
-                yield self._result(frame, detections)
+            for frame, lanes, detections in detected:
+                yield self._result(frame, lanes, detections)
         finally:
             detected.close()
             if self.dense is not None:
                 self.dense.close()
                 self.clock.busy_s["sgbm"] = self.dense.busy_s
 
-    def _detected(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, Detections]]:
+    def _with_lanes(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, LaneLines | None]]:
         for frame in frames:
+            with self.clock.stage("lanes"):
+                lanes = None if self.lane_finder is None else self.lane_finder.find(frame.left, frame.time_s)
+            yield frame, lanes
+
+    def _detected(
+        self, frames: Iterable[tuple[Frame, LaneLines | None]]
+    ) -> Iterator[tuple[Frame, LaneLines | None, Detections]]:
+        for frame, lanes in frames:
             if self.dense is not None:
                 self.dense.start(frame)
             with self.clock.stage("detect"):
                 detections = self.detect(frame)
-            yield frame, detections
+            yield frame, lanes, detections
 
-    def _result(self, frame: Frame, detections: Detections) -> FrameResult:
+    def _result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
         with self.clock.stage("track"):
             tracks = self.tracker.update(detections, frame.time_s, frame.left)
         ranges: dict[str, Ranges] = {}
@@ -119,28 +138,51 @@ class Pipeline:
                 ranges[name] = ranger.measure(tracks, frame)
         if self.dense is not None:
             ranges["sgbm"] = self.dense.measure(tracks, frame)
+        if self.lane is not None and lanes is not None:
+            with self.clock.stage("lane"):
+                ranges["lane"] = self._by_lane(self.lane, lanes, tracks, frame, ranges.get("stereo"))
         with self.clock.stage("fuse"):
-            return self._fused(frame, tracks, ranges)
+            return self._fused(frame, tracks, ranges, lanes)
 
-    def _fused(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges]) -> FrameResult:
-        way = contributors(ranges, tracks.track_id)
-        ranges["fused"] = fuse(ranges, tracks.track_id)
-        rate_mps = np.full(len(tracks), np.nan)
-        for name in NOISE_SHARES.keys() & ranges.keys():
-            filtered = self._filter(name).update(ranges[name], frame.time_s, way=way if name == "fused" else None)
-            ranges[f"{name}_kf"] = filtered.ranges
-            rate_mps = filtered.rate_mps if name == "fused" else rate_mps
-        closing_mps = -rate_mps
-        closes = np.where(closing_mps > _MIN_CLOSING_MPS, closing_mps, np.nan)
+    def _by_lane(
+        self, lane: LaneWidthRanger, lanes: LaneLines, tracks: Tracks, frame: Frame, stereo: Ranges | None
+    ) -> Ranges:
+        lane.see(lanes, frame.index)
+        found = lane.measure(tracks, frame)
+        if stereo is not None and not self.shared_sigma:
+            lane.learn(tracks, frame, stereo)
+        return found
+
+    def _fused(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], lanes: LaneLines | None) -> FrameResult:
+        fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
+        ranges["fused"] = fused.ranges
+        ego_mps = math.nan if self.ego_speed is None else self.ego_speed.at(frame.time_s)
+        filtered = {
+            name: self._filter(name).update(
+                ranges[name], frame.time_s, way=fused.way if name == "fused" else None, ego_speed_mps=ego_mps
+            )
+            for name in NOISE_SHARES
+            if name in ranges
+        }
+        ranges |= {f"{name}_kf": each.ranges for name, each in filtered.items()}
+        motion = self._with_shared_rate_error(filtered["fused"])
         return FrameResult(
             frame=frame,
             tracks=tracks,
             ranges=self._with_shared_error(ranges),
-            closing_mps=closing_mps,
-            ttc_s=ranges["fused_kf"].distance_m / closes,
+            closing_mps=-motion.rate_mps,
+            closing_sigma_mps=motion.rate_sigma_mps,
+            ttc_s=motion.ttc_s,
+            ttc_sigma_s=motion.ttc_sigma_s,
             xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
             disparity=None if self.dense is None else self.dense.disparity,
+            lanes=lanes,
         )
+
+    def _with_shared_rate_error(self, motion: FilteredRanges) -> FilteredRanges:
+        """A scale that is wrong makes speeds wrong by as much; times to collision do not mind."""
+        wider = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
+        return replace(motion, rate_sigma_mps=wider) if self.shared_sigma else motion
 
     def _with_shared_error(self, ranges: Mapping[str, Ranges]) -> Mapping[str, Ranges]:
         """With wider sigmas: neither fusing nor filtering makes an error smaller that all methods share."""

@@ -2,7 +2,8 @@
 
     DIR          KITTI 2015's layout, or a drive's left.mp4, right.mp4, rig.yaml and truth.txt (KITTI: label.txt)
     LABELS.txt   KITTI tracking labels of two videos
-    FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id), of two videos, frames counted from 0
+    FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown), of two videos, frames
+                 counted from 0
 
 A distance is that of the visible surface in the middle of the box, along the left camera's axis.
 """
@@ -30,6 +31,9 @@ from track_range.stereo_frames import StereoFrames
 
 _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
+_PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
+_LARGEST_NUMBER = 2**53
+"""Of frames and objects: larger ones are not told apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,13 +150,22 @@ def _of_csv(path: Path, rig: StereoRig) -> _Known:
             f"{path}: a heading and rows of frame,x1,y1,x2,y2 and distance_m or disparity_px wanted (and id, if known)."
         )
     frame, box, value = _numbers(rows, ["frame"], path)[:, 0], _numbers(rows, _BOX, path), _numbers(rows, given, path)
-    if not (value > 0).all():
-        raise LabelFileError(f"{path}: {given[0]} must be positive in each row.")
-    if (frame < 0).any() or (np.rint(frame) != frame).any():
-        raise LabelFileError(f"{path}: frames must be whole numbers from 0.")
-    ids = _numbers(rows, ["id"], path)[:, 0].astype(np.int64) if "id" in rows[0] else np.full(len(rows), -1)
+    low, high = _PLAUSIBLE[given[0]]
+    if not ((value >= low) & (value <= high)).all():
+        raise LabelFileError(f"{path}: {given[0]} must be {low:g} .. {high:g} in each row.")
+    _check_whole(frame, "frames", path, least=0)
+    ids = np.full(len(rows), -1)
+    if "id" in rows[0]:
+        given_ids = _numbers(rows, ["id"], path)[:, 0]
+        _check_whole(given_ids, "ids", path, least=-1)
+        ids = given_ids.astype(np.int64)
     true_px = value[:, 0] if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value[:, 0]
     return _Known(frame.astype(np.int64), ids, box, true_px)
+
+
+def _check_whole(numbers: FloatArray, name: str, path: Path, *, least: int) -> None:
+    if not ((numbers >= least) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)).all():
+        raise LabelFileError(f"{path}: {name} must be whole numbers from {least}.")
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

@@ -1,29 +1,35 @@
-"""The report: one self-contained page of a run, from its summary and its tracks; it needs no network and no script.
+"""The report: one self-contained page of a run, or of several side by side; it needs no network.
 
 The overlay video stays a file beside the page. Everything that a user or a model could have named (files, classes,
-notes) is escaped; only the charts, which hold numbers and our own words, go in as they are.
+notes) is escaped, in the text and in the data; the page's own script and style go in as they are, and a content policy
+with the script's checksum lets no other run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import jinja2
 import numpy as np
-import numpy.typing as npt
 
-from track_range import charts, tables
-from track_range.charts import Columns
+from track_range import tables
+from track_range.method_colours import colour_of_each
+from track_range.report_comparison import ComparedRun, comparison_grids, comparison_notes, error_lines, settings_grid
+from track_range.report_errors import calibration_curves, error_curves
+from track_range.report_grids import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.report_series import Columns, methods_measured, track_records
+from track_range.report_words import cards, geometry_words, run_name, settings_groups, sigma_words
 from track_range.written import write_text
 
-CHARTED_TRACKS = 12
-"""Tracks with a chart of their own, the longest ones; a page of thousands would open slowly and be read by nobody."""
-
-SETTINGS_GROUPS = {"inputs": "Inputs", "settings": "Settings", "versions": "Versions"}
-"""Parts of a summary that are shown as they are, with their headings."""
+_NEVER_SHOWN_FIRST = "_kf"
+"""Filtered methods lie on top of the measured ones: their lines are there, but wait to be switched on, but for one."""
 
 
 def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> None:
@@ -32,17 +38,106 @@ def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> No
     Args:
         path: the file to write, usually report.html beside overlay.mp4.
         summary: what summary.json holds.
-        columns: tracks.csv by column, NaN = empty; zero rows when nothing was tracked.
+        columns: tracks.csv by column, NaN = empty, with the truth (`report_truth`) where there is one; zero rows when
+            nothing was tracked.
 
     Raises:
         OutputError: the file cannot be written.
     """
+    _write_page(path, report_page(summary, columns))
+
+
+def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
+    """Write the page of several runs side by side; the file appears whole or not at all.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write_page(path, comparison_page(runs))
+
+
+def _write_page(path: Path, page: str) -> None:
     # A file name need not be text: what UTF-8 cannot hold becomes a question mark.
-    write_text(path, report_page(summary, columns).encode("utf-8", "replace").decode("utf-8"))
+    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
 
 
 def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
     """The page's HTML."""
+    return _rendered(
+        "report.html.j2",
+        title=run_name(summary),
+        cards=list(cards(summary)),
+        notes=summary.get("notes") or [],
+        video=video_link(summary),
+        truth=summary.get("truth"),
+        accuracy=accuracy_grids(summary),
+        speed=speed_grids(summary),
+        stages=stage_bars(summary),
+        mot=mot_grid(summary.get("tracks") or {}),
+        mot_classes=(summary.get("tracks") or {}).get("classes") or [],
+        sigma_words=sigma_words(summary),
+        geometry=geometry_words(summary),
+        n_tracks=len(np.unique(columns["track_id"])),
+        settings=list(settings_groups(summary)),
+        content=embedded(run_content(summary, columns)),
+    )
+
+
+def comparison_page(runs: Sequence[ComparedRun]) -> str:
+    """The HTML of several runs side by side."""
+    return _rendered(
+        "comparison.html.j2",
+        title=f"{len(runs)} runs side by side",
+        runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
+        notes=comparison_notes(runs),
+        grids=comparison_grids(runs),
+        settings=settings_grid(runs),
+        content=embedded({"lines": error_lines(runs)}),
+    )
+
+
+def run_content(summary: Mapping[str, Any], columns: Columns) -> dict[str, Any]:
+    """What the page's script draws from."""
+    errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
+    names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
+    colours = colour_of_each(names)
+    return {
+        "methods": [{"name": name, "colour": colours[name], "shown": _is_shown_first(name, names)} for name in names],
+        "tracks": list(track_records(columns)),
+        "errors": errors,
+        "signed": any(curve["points"][0] for curve in errors.values()),
+        "calibration": calibration,
+        "starts_s": video_starts_s(summary),
+    }
+
+
+def _is_shown_first(name: str, names: Sequence[str]) -> bool:
+    return not name.endswith(_NEVER_SHOWN_FIRST) or name.removesuffix(_NEVER_SHOWN_FIRST) not in names
+
+
+def video_starts_s(summary: Mapping[str, Any]) -> float:
+    """Time of the overlay's first frame: as the summary says, else the whole drive is taken to be in it."""
+    return round(tables.figure(summary, "starts_s") or 0.0, 6)
+
+
+def video_link(summary: Mapping[str, Any]) -> str | None:
+    """Address of the overlay video relative to the page, None when the run wrote none."""
+    name = (summary.get("files") or {}).get("overlay")
+    return address(str(name)) if name else None
+
+
+def address(path: str) -> str:
+    """A relative path as an address in a page; bytes of a file's name that are no text are kept."""
+    return quote(path, errors="surrogateescape")
+
+
+def embedded(content: Mapping[str, Any]) -> str:
+    """JSON that may stand inside an element of a page: no markup, not even a comment, can begin in it."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _rendered(template: str, **values: Any) -> str:
     # Autoescape is on by name: the usual choice by file ending does not know `.j2`.
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("track_range", ""),
@@ -51,110 +146,10 @@ def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("report.html.j2").render(
-        title=run_name(summary),
-        cards=list(cards(summary)),
-        notes=summary.get("notes") or [],
-        video=video_link(summary),
-        truth=summary.get("truth"),
-        grids=tables.grids(summary),
-        charts=list(run_charts(summary, columns)),
-        tracks=list(track_charts(columns)),
-        n_tracks=len(np.unique(columns["track_id"])),
-        settings=list(settings_groups(summary)),
-    )
+    script, style = _packaged("report.js"), _packaged("report.css")
+    checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return environment.get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
 
 
-def run_name(summary: Mapping[str, Any]) -> str:
-    """The inputs' names: what a reader calls the run."""
-    inputs = summary.get("inputs") or {}
-    named = [str(inputs[key]) for key in ("left", "right", "video", "mono") if inputs.get(key)]
-    return " + ".join(named) or "A run"
-
-
-def cards(summary: Mapping[str, Any]) -> Iterator[dict[str, str]]:
-    """The figures to see first: frames, speed, tracks, the best method."""
-    wall_s, fps = tables.figure(summary, "wall_s"), tables.frames_per_s(summary)
-    yield card("frames", summary.get("frames"), f"in {wall_s:.1f} s" if wall_s else "")
-    yield card("frames per second", None if fps is None else f"{fps:.1f}", "all stages, wall clock")
-    yield card("tracks", (summary.get("tracks") or {}).get("n"), "confirmed road users")
-    best = best_method(summary)
-    if best:
-        name, error_pct, where = best
-        yield card("median distance error", f"{error_pct:.1f} %", f"{name}, the best {where}")
-
-
-def card(name: str, value: object, detail: str) -> dict[str, str]:
-    """One card; a value that is None was not measured."""
-    return {"name": name, "value": tables.NOTHING if value is None else str(value), "detail": detail}
-
-
-def best_method(summary: Mapping[str, Any]) -> tuple[str, float, str] | None:
-    """Name and median relative error of the best method and where it is best, None without truth.
-
-    Common coverage decides where there is one: elsewhere a method may win by refusing the hard ones.
-    """
-    for part, where in (("common", "on common coverage"), ("methods", "where it measured")):
-        found = {
-            name: error
-            for name, row in (summary.get(part) or {}).items()
-            if (error := tables.figure(row, "median_relative_error_pct")) is not None
-        }
-        if found:
-            name = min(found, key=lambda each: found[each])
-            return name, found[name], where
-    return None
-
-
-def video_link(summary: Mapping[str, Any]) -> str | None:
-    """Address of the overlay video relative to the page, None when the run wrote none."""
-    name = (summary.get("files") or {}).get("overlay")
-    return quote(Path(name).name) if name else None
-
-
-def run_charts(summary: Mapping[str, Any], columns: Columns) -> Iterator[dict[str, str]]:
-    """The charts of the whole run that its columns and summary allow."""
-    error = charts.error_chart(columns)
-    if error:
-        yield {"name": "Error against distance", "svg": error}
-    stages = charts.stage_chart(summary.get("stages_ms") or {})
-    if stages:
-        yield {"name": "Time per stage", "svg": stages}
-
-
-def track_charts(columns: Columns) -> Iterator[dict[str, str]]:
-    """Distance over time of the longest tracks, the longest first."""
-    ids, n_rows = np.unique(columns["track_id"], return_counts=True)
-    for track_id in ids[np.argsort(-n_rows, kind="stable")][:CHARTED_TRACKS].tolist():
-        rows = columns["track_id"] == track_id
-        svg = charts.distance_chart(columns, track_id)
-        name = f"{columns['class'][rows][0]} {track_id:.0f}"
-        yield {"name": name, "detail": track_detail(columns, rows), "svg": svg}
-
-
-def track_detail(columns: Columns, rows: npt.NDArray[np.bool_]) -> str:
-    """When a track was there, how near it came and how urgent it was, in one line."""
-    time_s = charts.column(columns, "time_s", rows)
-    n = int(np.sum(rows))
-    words = [f"{n} frame{'s' if n > 1 else ''}, {time_s.min():.1f} to {time_s.max():.1f} s"]
-    for name, pattern in (("fused_m", "nearest {:.1f} m"), ("ttc_s", "shortest time to collision {:.1f} s")):
-        values = charts.column(columns, name, rows)
-        words += [pattern.format(np.nanmin(values))] if np.isfinite(values).any() else []
-    return " · ".join(words)
-
-
-def settings_groups(summary: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """What is needed to repeat the run, as rows of dotted names and values."""
-    for key, name in SETTINGS_GROUPS.items():
-        rows = list(flattened(summary.get(key) or {}))
-        if rows:
-            yield {"name": name, "rows": rows}
-
-
-def flattened(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Leaves of nested mappings as (dotted name, text)."""
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from flattened(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", tables.NOTHING if value is None else str(value)
+def _packaged(name: str) -> str:
+    return (files("track_range") / name).read_text(encoding="utf-8")

@@ -21,25 +21,30 @@ import numpy.typing as npt
 
 from detection.classes import ROAD_CLASSES
 from detection.detections import FloatArray
+from detection.lanes import LaneLines
 from ranging.ranges import Ranges
 from stereo.frames import Frame
 from track_range.written import OutputError
 from tracking.mot_format import mot_lines
 from tracking.tracks import Tracks
 
-MEASURED_METHODS = ("mono", "lane", "stereo", "sgbm", "fused")
-"""Methods with a distance and a sigma in tracks.csv, in the columns' order."""
+MEASURED_METHODS = ("mono", "lane", "stereo", "sgbm", "fused", "ground")
+"""Methods with a distance and a sigma in tracks.csv."""
+
+_COLUMN_PAIRS = ("mono", "lane", "stereo", "sgbm", "fused")
+"""Those that stand first, side by side."""
 
 FILTERED_METHODS = ("mono_kf", "stereo_kf", "fused_kf")
 """The same after the per-track distance filter."""
 
 COLUMNS = (
     *("frame", "time_s", "track_id", "class", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px"),
-    *(f"{method}_{what}" for method in MEASURED_METHODS for what in ("m", "sigma_m")),
+    *(f"{method}_{what}" for method in _COLUMN_PAIRS for what in ("m", "sigma_m")),
     *("closing_mps", "ttc_s"),
     *(f"{method}_m" for method in FILTERED_METHODS),
     *("ground_m", "x_m", "y_m"),
     *(f"{method}_sigma_m" for method in FILTERED_METHODS),
+    *("ground_sigma_m", "closing_sigma_mps", "ttc_sigma_s"),
 )
 """The columns of tracks.csv; an empty cell = not measured."""
 
@@ -53,18 +58,24 @@ class FrameResult:
         tracks: boxes with identities.
         ranges: distance by method name (`MEASURED_METHODS`, `FILTERED_METHODS`); a method that did not run is absent.
         closing_mps: (N,) speed at which the gap shrinks, from the filtered fused distance; NaN = unknown.
+        closing_sigma_mps: (N,) its standard deviation.
         ttc_s: (N,) time to collision, distance / closing speed where it closes; NaN elsewhere.
+        ttc_sigma_s: (N,) its standard deviation.
         xyz_m: (N, 3) ranged point in the left camera's frame, from the fused distance; NaN = unknown.
         disparity: (H, W) px, NaN = unknown, where dense stereo ran.
+        lanes: the own lane's lines, where they were looked for.
     """
 
     frame: Frame
     tracks: Tracks
     ranges: Mapping[str, Ranges]
     closing_mps: FloatArray
+    closing_sigma_mps: FloatArray
     ttc_s: FloatArray
+    ttc_sigma_s: FloatArray
     xyz_m: FloatArray
     disparity: npt.NDArray[np.float32] | None = None
+    lanes: LaneLines | None = None
 
 
 class ResultRows:
@@ -128,7 +139,7 @@ def _cells(result: FrameResult) -> list[list[str]]:
         _text(tracks.score, decimals=4),
         ["1" if o else "0" for o in tracks.observed],
         *(_text(tracks.xyxy_px[:, edge]) for edge in range(4)),
-        *(_text(of(method, what)) for method in MEASURED_METHODS for what in ("distance_m", "sigma_m")),
+        *(_text(of(method, what)) for method in _COLUMN_PAIRS for what in ("distance_m", "sigma_m")),
         _text(result.closing_mps),
         _text(result.ttc_s),
         *(_text(of(method, "distance_m")) for method in FILTERED_METHODS),
@@ -136,6 +147,9 @@ def _cells(result: FrameResult) -> list[list[str]]:
         _text(result.xyz_m[:, 0]),
         _text(result.xyz_m[:, 1]),
         *(_text(of(method, "sigma_m")) for method in FILTERED_METHODS),
+        _text(of("ground", "sigma_m")),
+        _text(result.closing_sigma_mps),
+        _text(result.ttc_sigma_s),
     ]
     return [list(row) for row in zip(*columns, strict=True)]
 

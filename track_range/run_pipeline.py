@@ -8,9 +8,13 @@ from functools import partial
 import numpy as np
 
 from detection.detections import Image
+from detection.lane_lookup import open_lane_finder
 from detection.onnx_session import Runtime
+from ranging.ego_speed import open_ego_speed
+from ranging.ground_plane import GroundPlaneRanger, GroundSettings
+from ranging.lane_width import LaneWidthRanger
+from ranging.measured_boxes import SizeModel
 from ranging.ranger import Ranger
-from ranging.size_curve import SizeCurves
 from ranging.size_regression import SizeRegressionRanger
 from ranging.size_scaled_stereo import SizeScaledRanger
 from ranging.triangulation import DenseRanger, PatchRanger
@@ -32,14 +36,15 @@ _REDDEST_M = 5.0
 """What is as near or nearer is all red in the disparity's picture."""
 
 
-def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeCurves) -> Pipeline:
+def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeModel) -> Pipeline:
     """The pipeline that the settings ask for and the source allows.
 
     Raises:
-        ModelError: the network for looks cannot be used.
+        ModelError: the network for looks or for lanes cannot be used.
+        EgoSpeedError: the ego speed cannot be used.
     """
     by_size = SizeRegressionRanger(source.camera, curves)
-    rangers: dict[str, Ranger] = {"mono": by_size}
+    rangers: dict[str, Ranger] = {"mono": by_size, "ground": _ground(settings, source, by_size)}
     dense, taken = None, source.uncalibrated
     if source.rig is not None:
         alignment = source.alignment.applied if source.alignment else Alignment()
@@ -56,9 +61,18 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         detect=boxes.detect,
         tracker=new_tracker(settings.tracker, open_descriptor(settings.tracker, settings.reid, runtime)),
         rangers=rangers,
+        lane_finder=None if settings.lanes == "off" else open_lane_finder(settings.lanes, runtime),
+        lane=LaneWidthRanger(source.camera, width_m=settings.lane_width_m),
         dense=dense,
+        ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),
         shared_sigma=taken.focal_sigma if taken is not None else 0.0,
     )
+
+
+def _ground(settings: RunSettings, source: Source, by_size: Ranger) -> GroundPlaneRanger:
+    height_m = settings.camera_height_m
+    known = None if height_m is None else GroundSettings.of_known_height(height_m)
+    return GroundPlaneRanger(source.camera, by_size, known)
 
 
 def _patch_matcher(rig: StereoRig) -> PatchMatcher:

@@ -29,6 +29,9 @@ CalibrationKind = Literal["rig", "focal length", "estimated"]
 """Where metres come from: a file, --focal-px, or the sizes of road users."""
 
 
+_NO_DISPARITY = ("No disparity.mp4: dense stereo needs a rig.",)
+
+
 @dataclass(slots=True)
 class Source:
     """An opened input.
@@ -154,8 +157,8 @@ def _open_pair(
         lambda: StereoFrames.open(settings, stereo).rectified(rectifier),
         progress,
     )
-    if alignment.rows_moved_px:
-        rectifier = Rectifier(rig, row_offset_px=alignment.rows_moved_px)
+    if alignment.measured.rows_to_move_px:
+        rectifier = Rectifier(rig, row_offset_px=alignment.measured.rows_to_move_px)
     frames, watch = _watched(pair.rectified(rectifier))
     return Source(
         frames=frames,
@@ -196,7 +199,7 @@ def _open_uncalibrated(settings: RunSettings, stereo: tuple[Path, Path]) -> Sour
         fps=pair.left.fps,
         size_px=pair.size_px,
         calibration="estimated",
-        opening_notes=taken.notes,
+        opening_notes=(*taken.notes, *(_NO_DISPARITY if settings.disparity else ())),
         readers=(pair.left, pair.video.right),
         watchers=(pair.video, watch) if taken.has_equal_rows else (pair.video,),
         uncalibrated=taken,

@@ -6,18 +6,16 @@ import math
 import time
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from stereo.alignment import MAX_ROW_OFFSET_PX, UNCORRECTED_SIGMA_PX, Alignment
+from stereo.alignment import Alignment
 from stereo.alignment_drive import DriveAlignment
 from stereo.alignment_file import load_alignment
 from stereo.frames import Frame
 from stereo.rig import StereoRig
-from track_range.pair_watch import MAX_CHECKED_PAIRS, checked_pair
+from track_range.pair_watch import order_checked
 
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Opens a progress bar with a text; what it yields is told steps done, and of how many."""
@@ -43,28 +41,17 @@ class FoundAlignment:
     @property
     def applied(self) -> Alignment:
         """The correction that disparities get."""
-        if self.is_applied:
-            return self.measured
-        doubt_px = float(np.hypot(self.measured.offset_px, self.measured.residual_px))
-        return replace(self.measured, offset_px=0.0, bow_px=0.0, residual_px=min(doubt_px, UNCORRECTED_SIGMA_PX))
-
-    @property
-    def rows_moved_px(self) -> float:
-        """How far the right image is moved up; not at all for less, since moving by parts of a pixel softens it."""
-        row_px = self.measured.row_offset_px
-        return row_px if abs(row_px) > MAX_ROW_OFFSET_PX else 0.0
+        return self.measured if self.is_applied else self.measured.withheld()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should know, in plain words."""
+        rows_px = self.measured.rows_to_move_px
         rows = (
-            f"Rows of left and right are {self.rows_moved_px:+.1f} px apart: corrected, but the rig does not fit these "
-            "videos well; calibrate anew.",
+            f"Rows of left and right are {rows_px:+.1f} px apart: corrected, but the rig does not fit these videos "
+            "well; calibrate anew.",
         )
-        return (self._sentence(), *(rows if self.rows_moved_px else ()))
-
-    def _sentence(self) -> str:
-        return self.measured.sentence() if self.is_applied else self.applied.sentence()
+        return (self.applied.sentence(), *(rows if rows_px else ()))
 
     def summary(self) -> dict[str, Any]:
         """The section `alignment` of summary.json."""
@@ -105,13 +92,10 @@ def find_alignment(
 
 
 def _estimated(rig: StereoRig, frames: Generator[Frame, None, None], tell: Callable[[int, int], None]) -> Alignment:
-    drive, is_told_apart, first_s = DriveAlignment(rig), False, math.nan
-    for number, frame in enumerate(frames):
+    drive, first_s = DriveAlignment(rig), math.nan
+    for number, frame in enumerate(order_checked(frames)):
         first_s = frame.time_s if number == 0 else first_s
         tell(round(10 * (frame.time_s - first_s)), round(10 * _MAX_LOOK_S))
-        if not is_told_apart and number < MAX_CHECKED_PAIRS:
-            check = checked_pair(frame)
-            is_told_apart = check is not None and check.is_conclusive
         drive.add(frame)
         if drive.is_full or frame.time_s - first_s > _MAX_LOOK_S:
             break

@@ -86,6 +86,10 @@ METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
 """Heading, key in the summary, format, factor and cost of each column of a method's row."""
 
 
+STAGE_OF = {"fused": "fuse"}
+"""Stages of methods that are called otherwise; filtered methods are timed with the fusion."""
+
+
 def grids(summary: Mapping[str, Any]) -> list[Grid]:
     """The tables that a summary has something for: methods, the same on common coverage, speed, tracks."""
     methods, common = summary.get("methods") or {}, summary.get("common") or {}
@@ -93,6 +97,7 @@ def grids(summary: Mapping[str, Any]) -> list[Grid]:
     found = [
         method_grid("Distance error, each method where it measured" if common else "Coverage of each method", methods),
         method_grid(f"Distance error, on the {n_common:.0f} track-frames that all methods measured", common),
+        claim_grid(summary),
         speed_grid(summary),
         track_grid(summary.get("tracks") or {}),
     ]
@@ -110,6 +115,16 @@ def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
     for band in sorted(bands):
         columns.append(Column(f"{band[0]:g}-{band[1]:g} m", [band_error_pct(row, band) for row in rows], cost=abs))
     return grid_of(title, "method", list(methods), columns)
+
+
+def claim_grid(summary: Mapping[str, Any]) -> Grid:
+    """One row per method: how sure it says it is (known without any truth, too), and what it costs."""
+    methods, stages_ms = summary.get("methods") or {}, summary.get("stages_ms") or {}
+    columns = [
+        Column(f"{SIGMA} %", [figure(row, "median_sigma_pct") for row in methods.values()]),
+        Column("ms/frame", [figure(stages_ms, STAGE_OF.get(name, name)) or None for name in methods], "{:.2f}"),
+    ]
+    return grid_of("What each method claims (median relative sigma) and costs", "method", list(methods), columns)
 
 
 def band_error_pct(row: Mapping[str, Any], band: tuple[float, float]) -> float | None:

@@ -5,21 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from detection.onnx_session import Runtime
-from track_range.config import TrackerName, UsageError
+from track_range.config import TrackerName
 from tracking.appearance import ColourLayout, Descriptor
 from tracking.deepsort import DeepSortTracker
 from tracking.reid import ReidModel
 from tracking.tracker_settings import AppearanceGates, TrackerSettings
-
-
-def check_looks(name: TrackerName, reid: Path | None) -> None:
-    """A network that describes looks wants a tracker that compares them.
-
-    Raises:
-        UsageError: it does not.
-    """
-    if reid is not None and name == "sort":
-        raise UsageError("--reid describes looks, which --tracker sort does not compare; take one of them.")
 
 
 def open_descriptor(name: TrackerName, reid: Path | None, runtime: Runtime | None = None) -> Descriptor | None:

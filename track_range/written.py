@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -49,6 +49,23 @@ def make_folder(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(f"{folder}: no results can be written there ({error.strerror or error}).") from error
+
+
+def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
+    """Refuse files that cannot be written before the work that they are to hold, not after it; folders are made.
+
+    Raises:
+        OutputError: one is a folder, cannot be written, is named twice, or is among the inputs.
+    """
+    read = {path.resolve() for path in inputs}
+    for number, file in enumerate(outputs):
+        if file.is_dir():
+            raise OutputError(f"{file}: it is a folder; name a file in it.")
+        if file.resolve() in read:
+            raise OutputError(f"{file} is an input and would be overwritten: choose another file.")
+        if file.resolve() in {other.resolve() for other in outputs[:number]}:
+            raise OutputError(f"{file} is to be written twice: choose another file for one of them.")
+        make_folder(file.parent)
 
 
 RESULT_NAMES = (

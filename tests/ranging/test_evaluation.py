@@ -72,6 +72,13 @@ def test_without_truth_only_coverage_is_told():
     assert (told["coverage"], told["n"], told["mean_relative_error_pct"], told["bands"]) == (0.5, 1, None, [])
 
 
+def test_what_a_method_claims_is_the_median_of_its_relative_sigmas():
+    column = MethodColumn(np.array([10.0, 20.0, NAN, 40.0]), np.array([1.0, 1.0, NAN, 8.0]))
+    assert coverage_only({"a": column})["a"]["median_sigma_pct"] == pytest.approx(10.0)
+    untold = MethodColumn(column.distance_m, np.full(4, NAN))
+    assert coverage_only({"a": untold})["a"]["median_sigma_pct"] is None
+
+
 def test_truth_from_labels(tmp_path):
     rows = (
         "0 1 Car 0 0 0 295.5 240 345.5 265 1.5 1.6 4.0 0 0.75 20.0 -1.5707963",

@@ -1,11 +1,11 @@
-import json
+"""The size ranger as a run has it: cut boxes, noise, classes, and what it tells of its error."""
 
 import numpy as np
 import pytest
 
 from detection.classes import ROAD_CLASSES
-from ranging.size_curve import CurveError, SizeCurve, SizeCurves, load_curves
-from ranging.size_curve_fit import SizeSamples, fit_curves, leave_one_out_error
+from ranging.log_linear_sizes import SizeCurve, SizeCurves
+from ranging.measured_boxes import SIZE_CLASSES, BoxNoise, measured_boxes
 from ranging.size_regression import SizeRegressionRanger
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -40,14 +40,27 @@ def test_an_object_of_known_height_by_hand():
     assert ranges.sigma_m == pytest.approx([3.0])
 
 
-def test_box_noise_widens_sigma_by_the_rule_of_errors():
+def test_box_noise_widens_sigma_by_the_rule_of_errors_and_is_not_kept():
     ranger = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
-    sigma = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME).sigma_m
-    assert sigma == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
+    sized = ranger.sized(tracks_of([300, 200, 360, 250]), FRAME)
+    assert sized.sigma_m == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
+    assert sized.sigma_kept_m == pytest.approx([3.0])
 
 
-def test_what_cannot_be_measured_is_nan():
-    ranger = SizeRegressionRanger(CAMERA)
+def test_a_detectors_noise_grows_with_the_box_and_with_limbs():
+    noise = BoxNoise(px=0.6, relative=0.01, relative_soft=0.04)
+    size_px = np.array([[80.0, 60.0], [80.0, 60.0]])
+    sigma_px = noise.sigma_px(size_px, np.array([SIZE_CLASSES.index("van"), SIZE_CLASSES.index("person")]))
+    assert sigma_px == pytest.approx(np.array([[1.0, np.hypot(0.6, 0.6)], [np.hypot(0.6, 3.2), np.hypot(0.6, 2.4)]]))
+    far, near = (
+        measured_boxes(np.array([[0, 0, s, s]], float), np.array([CAR]), camera=CAMERA, noise=noise) for s in (10, 200)
+    )
+    assert far.log_variance[0, 0] > 10 * near.log_variance[0, 0]
+
+
+@pytest.mark.parametrize("curves", [None, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)})])
+def test_what_cannot_be_measured_is_nan(curves):
+    ranger = SizeRegressionRanger(CAMERA, curves)
     cut = tracks_of([300, -0.5, 360, 250], [300, 200, 360, 479.5], [300, 200, 360, 203])
     assert np.isnan(ranger.measure(cut, FRAME).distance_m).all()
     assert np.isnan(ranger.measure(tracks_of([300, 200, 360, 250], observed=False), FRAME).distance_m).all()
@@ -67,82 +80,25 @@ def test_a_cut_side_leaves_the_width_out():
     assert cut == pytest.approx(30.0)
 
 
-def test_packaged_curves_serve_every_class_and_fall_with_size():
+def test_the_packaged_priors_mind_a_cut_side_too():
+    """A car cut to a sliver is as far as its height says: its width would be that of nothing on wheels."""
     ranger = SizeRegressionRanger(CAMERA)
-    for class_id in range(len(ROAD_CLASSES)):
-        boxes = [[100, 100, 100 + s, 100 + s] for s in (5, 10, 20, 50, 100, 300)]
-        ranges = ranger.measure(tracks_of(*boxes, class_id=class_id), FRAME)
-        assert (np.diff(ranges.distance_m) < 0).all()
-        assert (ranges.distance_m > 0).all()
-        assert (ranges.sigma_m > 0).all()
+    (sliver,) = ranger.measure(tracks_of([-0.5, 200, 9.5, 250]), FRAME).distance_m
+    assert sliver == pytest.approx(1.53 / 50 * 1000, rel=0.08)
 
 
-def world(n=400, n_sequences=4, seed=0):
-    """Cars of 1.5 m whose height differs from sequence to sequence by 5 %."""
-    rng = np.random.default_rng(seed)
-    sequence = np.arange(n) % n_sequences
-    distance_m = rng.uniform(8, 80, n)
-    height_m = 1.5 * (1 + 0.05 * np.array([1, -1, 1, -1])[sequence])
-    sizes = np.stack([1.7 / distance_m, height_m / distance_m], axis=1) * np.exp(rng.normal(0, 0.01, (n, 2)))
-    return SizeSamples(np.full(n, "car"), sequence, sizes, rng.uniform(-0.5, 0.5, n), distance_m)
+def test_a_van_is_a_car_where_only_cars_have_a_curve():
+    ranger = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
+    van = tracks_of([300, 200, 360, 250], class_id=SIZE_CLASSES.index("van"))
+    assert ranger.measure(van, FRAME).distance_m == pytest.approx([30.0])
 
 
-def test_fit_finds_the_height_and_an_honest_sigma():
-    samples = world()
-    curve = fit_curves(samples, source="made up").height_only["car"]
-    assert np.exp(curve.intercept) == pytest.approx(1.5, rel=0.03)
-    assert curve.per_log_height == pytest.approx(-1.0, abs=0.02)
-    assert 0.04 < curve.sigma_relative < 0.09  # between the sequences, not the 1 % within them
-    error = leave_one_out_error(samples, use_width=False)
-    assert np.sqrt((error**2).mean()) == pytest.approx(curve.sigma_relative, rel=0.01)
-
-
-def test_what_is_fitted_can_be_loaded_even_where_the_labels_say_little(tmp_path):
-    """One truck seen from one side: its width explains everything, and its height nothing."""
-    distance_m = np.linspace(20, 21, 150)
-    sizes = np.stack([2.5 / distance_m, 3.0 / 20 * np.ones(150)], axis=1)
-    samples = SizeSamples(np.full(150, "truck"), np.zeros(150, np.int64), sizes, np.zeros(150), distance_m)
-    fit_curves(samples, source="").save(tmp_path / "c.json")
-    assert load_curves(tmp_path / "c.json").whole["truck"].per_log_height <= -0.1
-
-
-def test_one_sequence_is_enough_to_fit_but_its_sigma_has_a_floor():
-    samples = world()
-    one = samples.select(samples.sequence == 0)
-    assert fit_curves(one, source="").whole["car"].sigma_relative == 0.03
-
-
-def test_too_few_samples_are_refused():
-    with pytest.raises(CurveError, match=r"at least 100 labelled boxes .* found: car 12"):
-        fit_curves(world(12), source="")
-
-
-def test_curves_survive_the_file(tmp_path):
-    curves = fit_curves(world(), source="made up")
-    curves.save(tmp_path / "c.json")
-    assert load_curves(tmp_path / "c.json").whole == curves.whole
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"track_range_size_curves": 99}, "version 99"),
-        ({"whole": {"ufo": {}}}, "not a curve file"),
-        ({"whole": None}, "not a curve file"),
-    ],
-)
-def test_curve_files_that_cannot_be_used(tmp_path, change, message):
-    file = tmp_path / "c.json"
-    fit_curves(world(), source="").save(file)
-    file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
-    with pytest.raises(CurveError, match=message):
-        load_curves(file)
-
-
-def test_a_curve_that_rises_with_size_or_is_missing_is_refused(tmp_path):
-    file = tmp_path / "c.json"
-    SizeCurves({"car": flat(1.5, per_log_height=0.5)}, {}).save(file)
-    with pytest.raises(CurveError, match="distance must fall with size"):
-        load_curves(file)
-    with pytest.raises(CurveError, match="cannot be read"):
-        load_curves(tmp_path / "none.json")
+def test_packaged_priors_serve_every_class_and_fall_with_size():
+    ranger = SizeRegressionRanger(CAMERA)
+    for class_id in range(len(SIZE_CLASSES)):
+        boxes = [[320 - s / 2, 240 - s / 2, 320 + s / 2, 240 + s / 2] for s in (5, 10, 20, 50, 100, 300)]
+        found = [ranger.measure(tracks_of(box, class_id=class_id), FRAME) for box in boxes]
+        distance_m = np.concatenate([ranges.distance_m for ranges in found])
+        assert (np.diff(distance_m) < 0).all(), SIZE_CLASSES[class_id]
+        assert (distance_m > 0).all()
+        assert (np.concatenate([ranges.sigma_m for ranges in found]) > 0).all()

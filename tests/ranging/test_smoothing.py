@@ -1,11 +1,13 @@
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
+from filterpy.kalman import ExtendedKalmanFilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilter, FilterSettings
+from ranging.smoothing import DistanceFilter, FilterSettings, time_to_collision
 
-SETTINGS = FilterSettings(noise_share=1.0, outlier_sigma=np.inf)
+SETTINGS = FilterSettings(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
 
 
 def measured(ids, distance_m, sigma_m=1.0):
@@ -16,40 +18,116 @@ def measured(ids, distance_m, sigma_m=1.0):
 def test_equals_filterpy_with_uneven_steps():
     rng = np.random.default_rng(1)
     ours = DistanceFilter(SETTINGS)
-    oracle = KalmanFilter(dim_x=2, dim_z=1)
-    oracle.H = np.array([[1.0, 0.0]])
+    oracle = ExtendedKalmanFilter(dim_x=2, dim_z=1)
     time_s = np.cumsum(rng.uniform(0.03, 0.3, 40))
     for i, t in enumerate(time_s):
         z = 90 - 8 * t + rng.normal()
         result = ours.update(measured([7], [z]), t)
+        oracle.R = np.array([[1 / z**2]])
         if i == 0:
-            oracle.x, oracle.P, oracle.R = np.array([[z], [0.0]]), np.diag([1.0, 225.0]), np.eye(1)
+            oracle.x, oracle.P = np.array([[z], [0.0]]), np.diag([1.0, 144.0])
         else:
             dt = t - time_s[i - 1]
             oracle.F = np.array([[1, dt], [0, 1]])
-            oracle.Q = 4.0 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+            oracle.Q = 1.5**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
             oracle.predict()
-            oracle.update(z)
+            oracle.update(np.array([[np.log(z)]]), lambda x: np.array([[1 / x[0, 0], 0]]), lambda x: np.log(x[:1]))
         assert result.ranges.distance_m[0] == pytest.approx(oracle.x[0, 0])
         assert result.ranges.sigma_m[0] == pytest.approx(np.sqrt(oracle.P[0, 0]))
     assert result.rate_mps[0] == pytest.approx(oracle.x[1, 0])
+    assert result.rate_sigma_mps[0] == pytest.approx(np.sqrt(oracle.P[1, 1]))
     assert result.rate_mps[0] == pytest.approx(-8, abs=1.5)
+
+
+def simulated(rng, *, n, steps, dt=0.1):
+    """Distances (steps, n) of targets whose speeds wander as the filter believes, and their rates."""
+    distance, rate = rng.uniform(80, 120, n), rng.normal(0, 8, n)
+    for _ in range(steps):
+        kick = rng.normal(0, 1.5 * np.sqrt(dt), n)
+        distance, rate = distance + rate * dt + kick * dt / 2, rate + kick
+        yield distance, rate
 
 
 def test_innovations_of_simulated_motion_are_as_large_as_the_filter_says():
     rng = np.random.default_rng(2)
-    n, dt = 300, 0.1
-    ids = np.arange(n)
-    distance, rate = rng.uniform(80, 120, n), rng.normal(0, 8, n)
-    tracker = DistanceFilter(SETTINGS)
-    squared = []
-    for step in range(40):
-        kick = rng.normal(0, 2.0 * np.sqrt(dt), n)
-        distance, rate = distance + rate * dt + kick * dt / 2, rate + kick
-        result = tracker.update(measured(ids, distance + rng.normal(0, 0.5, n), 0.5), step * dt)
+    tracker = DistanceFilter(FilterSettings(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0))
+    of_distance, of_rate = [], []
+    for step, (distance, rate) in enumerate(simulated(rng, n=300, steps=40)):
+        result = tracker.update(measured(np.arange(300), distance + rng.normal(0, 0.5, 300), 0.5), step * 0.1)
         if step > 20:
-            squared.append(((result.ranges.distance_m - distance) / result.ranges.sigma_m) ** 2)
-    assert 0.85 < np.mean(squared) < 1.15  # normalised squared error of a one-dimensional estimate
+            of_distance.append(((result.ranges.distance_m - distance) / result.ranges.sigma_m) ** 2)
+            of_rate.append(((result.rate_mps - rate) / result.rate_sigma_mps) ** 2)
+    assert 0.85 < np.mean(of_distance) < 1.15  # normalised squared error of a one-dimensional estimate
+    assert 0.85 < np.mean(of_rate) < 1.15
+
+
+@pytest.mark.parametrize("true_sigma_m", [0.2, 0.5, 1.5])
+def test_the_noise_is_learnt_whatever_the_method_says_of_it(true_sigma_m):
+    rng = np.random.default_rng(3)
+    tracker = DistanceFilter()
+    for step, (distance, _) in enumerate(simulated(rng, n=40, steps=60)):
+        tracker.update(measured(np.arange(40), distance + rng.normal(0, true_sigma_m, 40), 1.0), step * 0.1)
+    assert tracker.noise_share == pytest.approx(true_sigma_m, rel=0.25)
+
+
+def test_boxes_that_jump_hardly_move_the_mean():
+    """A height of 20 px that jumps by 3: small boxes are far and say so, which in metres would cost 7 % of distance."""
+    rng = np.random.default_rng(4)
+    tracker, ids, last = DistanceFilter(), np.arange(200), []
+    for step in range(60):
+        height_px = 20 + rng.normal(0, 3, 200)
+        distance_m = 1000 / height_px
+        result = tracker.update(measured(ids, distance_m, distance_m * 3 / height_px), step * 0.1)
+        last.append(result.ranges.distance_m)
+    assert np.mean(last[30:]) == pytest.approx(50.0, rel=0.04)
+
+
+def test_with_ego_speed_braking_is_not_taken_for_the_targets():
+    """A parked car, 40 m ahead; the ego car brakes from 15 m/s at 8 m/s^2."""
+    errors = {}
+    for name in ("told", "not told"):
+        tracker, distance_m = DistanceFilter(FilterSettings(max_rate_sigma_mps=9.0)), 40.0
+        for step in range(18):
+            speed_mps = 15.0 - 0.8 * max(step - 6, 0)
+            result = tracker.update(
+                measured([1], [distance_m], 0.4), step * 0.1, ego_speed_mps=speed_mps if name == "told" else np.nan
+            )
+            distance_m -= (speed_mps + max(15.0 - 0.8 * max(step - 5, 0), 0)) / 2 * 0.1
+        errors[name] = abs(result.rate_mps[0] + speed_mps)
+    assert errors["told"] < 0.1 < 1.0 < errors["not told"]
+
+
+def test_a_new_track_may_stand_still_beside_a_moving_camera():
+    tracker = DistanceFilter(FilterSettings(min_steady_s=0.0, max_rate_sigma_mps=99.0))
+    assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0).rate_mps == [-12.0]
+    assert tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1).rate_mps == pytest.approx([-12.0, 0.0])  # unknown now
+    again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # and a jump while unknown is no braking
+    assert (again.rate_mps[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
+
+
+def test_time_to_collision_by_hand():
+    ttc_s, sigma_s = time_to_collision(
+        np.array([30.0, 30.0, 30.0, 30.0]),
+        np.array([-10.0, -0.2, 5.0, np.nan]),
+        variances=np.array([[9.0], [0.0], [1.0]]) * np.ones(4),
+    )
+    assert ttc_s == pytest.approx([3.0, np.nan, np.nan, np.nan], nan_ok=True)
+    assert sigma_s == pytest.approx([3 * np.sqrt(0.1**2 + 0.1**2), np.nan, np.nan, np.nan], nan_ok=True)
+
+
+def test_time_to_collision_is_as_uncertain_as_it_says_and_knows_no_size():
+    """Every track looks 20 % too small, for good: distance and speed are wrong alike, and the time is right."""
+    rng = np.random.default_rng(5)
+    tracker, ids, off = DistanceFilter(FilterSettings(noise_share=0.1, max_rate_sigma_mps=9.0)), np.arange(300), 1.2
+    for step in range(20):
+        true_m = 60 - 12 * step * 0.1
+        noise = rng.normal(0, 0.02, 300)
+        result = tracker.update(measured(ids, off * true_m * np.exp(noise), 0.2 * true_m), step * 0.1)
+    in_sigmas = (result.ttc_s - true_m / 12) / result.ttc_sigma_s
+    assert abs(np.mean(in_sigmas)) < 0.3
+    assert 0.5 < np.std(in_sigmas) < 1.2
+    assert np.median(result.rate_mps) == pytest.approx(-14.4, rel=0.03)
+    assert np.mean(np.abs(result.rate_mps + 12) < 2 * result.rate_sigma_mps) > 0.9  # whose sigma tells of the size
 
 
 def test_tracks_come_go_and_are_remembered_through_a_gap():
@@ -58,7 +136,7 @@ def test_tracks_come_go_and_are_remembered_through_a_gap():
         tracker.update(measured([1, 2], [30 - step, 50.0]), step * 0.1)
     assert len(tracker.update(measured([], []), 1.0).rate_mps) == 0
     back = tracker.update(measured([3, 1], [10.0, np.nan]), 1.3)
-    assert back.ranges.distance_m[0] == 10.0
+    assert back.ranges.distance_m[0] == pytest.approx(10.0)
     assert back.ranges.distance_m[1] == pytest.approx(17, abs=1.5)  # 10 m/s closing, 4 steps after 21 m
     gone = tracker.update(measured([1], [np.nan]), 2.5)
     assert np.isnan(gone.ranges.distance_m).all()
@@ -105,13 +183,34 @@ def test_a_step_between_ways_of_measuring_is_no_speed():
 
 
 def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
+    rng, ids = np.random.default_rng(10), np.arange(50)
     tracker = DistanceFilter(FilterSettings(noise_share=0.6))
     for step in range(50):
+        result = tracker.update(measured(ids, 30.0 + rng.normal(0, 1.2, 50), 2.0), step * 0.1)
+    assert 0.8 * 2.0 < np.mean(result.ranges.sigma_m) < 0.9 * 2.0
+
+
+def test_a_sigma_that_shows_no_noise_is_all_kept():
+    tracker = DistanceFilter(FilterSettings(noise_share=0.6))
+    for step in range(200):
         result = tracker.update(measured([1], [30.0], 2.0), step * 0.1)
-    assert result.ranges.sigma_m[0] > 0.8 * 2.0
+    assert result.ranges.sigma_m[0] == pytest.approx(2.0, rel=0.05)
 
 
 def test_two_filters_share_nothing():
     first, second = DistanceFilter(), DistanceFilter()
     first.update(measured([1], [30.0]), 0.0)
     assert np.isnan(second.update(measured([1], [np.nan]), 0.1).ranges.distance_m).all()
+
+
+@settings(deadline=None)
+@given(st.lists(st.one_of(st.just(np.nan), st.floats(0.1, 500)), min_size=1, max_size=12), st.floats(-40, 40))
+def test_whatever_is_measured_distances_are_positive_and_sigmas_too(distances_m, ego_mps):
+    tracker = DistanceFilter()
+    for step, distance_m in enumerate(distances_m):
+        result = tracker.update(measured([1], [distance_m]), step * 0.1, ego_speed_mps=ego_mps)
+        is_known = np.isfinite(result.ranges.distance_m)
+        assert (result.ranges.distance_m[is_known] > 0).all()
+        assert (result.ranges.sigma_m[is_known] > 0).all()
+        assert np.isfinite(result.rate_sigma_mps[np.isfinite(result.rate_mps)]).all()
+        assert is_known[0] or np.isnan(distance_m)

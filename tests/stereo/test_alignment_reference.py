@@ -50,7 +50,7 @@ def test_exact_objects_leave_nothing() -> None:
     assert found.offset_px == pytest.approx(0.5)
     assert found.residual_px == pytest.approx(0.0, abs=1e-6)
     assert found.offset_sigma_px == pytest.approx(0.0, abs=1e-6)
-    assert found.source == "20 known distances in 20 scenes or of as many objects"
+    assert found.source == "20 known distances of 20 scenes or objects"
 
 
 @settings(deadline=None, max_examples=20)

@@ -55,6 +55,7 @@ def test_the_default_dictionary_is_one_that_opencv_has():
         ("charuco:5x7:a:20", None, "wanted in millimetres"),
         ("charuco:5x7:40:20:9X9_1", None, "there is no dictionary 9X9_1; choose of 4X4_100"),
         ("charuco:2x7:40:20", None, "at least 3 squares"),
+        ("charuco:11x10:40:20", None, "there are 55 markers on it, of which the dictionary 4X4_50 has but 50"),
         ("charuco:5x7:40:40", None, "markers (40 mm) lie inside squares (40 mm)"),
         ("charuco:5x7:40:20", 30, "says squares of 40 mm, --square-mm 30"),
         ("charuco:5x7:0.04:0.02", None, "squares of 0.04 mm are not plausible"),

@@ -102,6 +102,11 @@ def test_no_distortion(tmp_path):
         (chain(resolution=[0, 480]), "the resolution is 0x480"),
         (chain(distortion_coeffs=[0.1]), "'distortion_coeffs' must be 4 finite numbers"),
         (chain(T_cn_cnm1=np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), "the rotation of right_from_left is none"),
+        (
+            chain(T_cn_cnm1=[[0, 0, 0, 0.1], *[[0, 0, 0, 0]] * 2, [0, 0, 0, 1]]),
+            "the rotation of right_from_left is none",
+        ),
+        (chain(T_cn_cnm1=[*np.eye(4).tolist()[:3], [0, 0, 0, 0]]), "the last row of 'T_cn_cnm1' must be 0, 0, 0, 1"),
         ("cam1: {}\n", "it has no block cam0"),
         ("cam0: [1\n", "not readable as YAML"),
     ],

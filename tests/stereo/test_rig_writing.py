@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -70,10 +71,18 @@ def test_what_cannot_be_written(tmp_path):
             write(bad, tmp_path / "a.yaml")
         with pytest.raises(RigError, match=r"cannot be written \(No such file or directory\); choose another place"):
             write(CAMERA, tmp_path / "absent" / "a.yaml")
+        with pytest.raises(RigError, match="it is a folder; name a file to write"):
+            write(CAMERA, Path())
     far = StereoRig.rectified(CAMERA, 500.0)
     for write in (save_rig, save_opencv):
         with pytest.raises(RigError, match="the baseline is 500 m"):
             write(far, tmp_path / "a.yaml")
+    uneven = StereoRig.rectified(CAMERA, 0.1)
+    uneven = dataclasses.replace(uneven, right=dataclasses.replace(CAMERA, width_px=642))
+    with pytest.raises(
+        RigError, match="OpenCV's file holds one size of images, and these cameras have 640x360 and 642"
+    ):
+        save_opencv(uneven, tmp_path / "a.yaml")
     assert os.listdir(tmp_path) == []
 
 

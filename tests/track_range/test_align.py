@@ -55,7 +55,7 @@ def test_two_drives_are_put_together(drive, tmp_path, cli):
     options = ("--drive", drive, "--drive", drive, "--out", tmp_path / "align.yaml", "--json", figures)
     status, told, _ = cli("align", *options)
     assert status == 0
-    assert "this drive, 26 frames" in told
+    assert f"(from {drive.name}, {drive.name}, 26 frames)" in told  # the file may be used for another one
 
 
 def test_labels_of_a_drive_and_of_its_folder_say_the_same(drive, videos, tmp_path, cli):
@@ -96,7 +96,10 @@ def test_a_table_of_disparities_half_a_pixel_off(drive, videos, tmp_path, cli):
         ("frame,x1,y1,x2,y2,distance_m,disparity_px\n0,1,2,3,4,5,6\n", "a heading and rows of"),
         ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,far\n", "a number in each of distance_m wanted, in every row"),
         ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,nan\n", "a number in each of distance_m wanted, in every row"),
-        ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,-5\n", "distance_m must be positive in each row"),
+        ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,-5\n", "distance_m must be 0.1 .. 10000 in each row"),
+        ("frame,x1,y1,x2,y2,disparity_px\n0,1,2,3,4,1e-320\n", "disparity_px must be 0.01 .. 10000 in each row"),
+        ("frame,x1,y1,x2,y2,distance_m\n1e300,1,2,3,4,5\n", "frames must be whole numbers from 0"),
+        ("frame,x1,y1,x2,y2,distance_m,id\n0,1,2,3,4,5,1e300\n", "ids must be whole numbers from -1"),
         ("frame,x1,y1,x2,y2,distance_m\n0.5,1,2,3,4,5\n", "frames must be whole numbers from 0"),
         ("frame,x1,y1,x2,y2,distance_m\n900,1,2,3,4,5\n", "none of its objects is in a frame of the videos"),
         ("frame,x1,y1,x2,y2,distance_m\n0,100,20,160,60,9\n", "at least 5 objects of known distance"),
@@ -162,9 +165,19 @@ def test_a_drive_too_short_writes_nothing(tmp_path, cli):
     assert not (tmp_path / "align.yaml").exists()
 
 
-def test_nowhere_to_write(videos, tmp_path, cli):
-    status, _, complained = cli("align", *videos, "--out", tmp_path / "none" / "align.yaml")
-    assert (status, "cannot be written" in complained) == (1, True)
+def test_nowhere_to_write(drive, videos, tmp_path, cli):
+    (tmp_path / "file").write_text("")
+    before = (drive / "rig.yaml").read_text()
+    for out, said in (
+        (tmp_path / "file" / "align.yaml", "no results can be written there"),
+        (tmp_path, "it is a folder; name a file in it"),
+        (drive / "rig.yaml", "rig.yaml is an input and would be overwritten"),
+    ):
+        status, _, complained = cli("align", *videos, "--out", out)
+        assert (status, said in complained) == (1, True), complained
+    assert (drive / "rig.yaml").read_text() == before
+    same = ("--out", tmp_path / "a.yaml", "--json", tmp_path / "a.yaml")
+    assert "a.yaml is to be written twice" in cli("align", *videos, *same)[2]
 
 
 def test_kitti_drives_put_its_pairs_right(shared_data, tmp_path, cli):
@@ -188,7 +201,7 @@ def test_kitti_pairs_as_reference(shared_data, tmp_path, cli):
     out = tmp_path / "align.yaml"
     status, told, _ = cli("align", "--reference", shared_data / "kitti2015", "--out", out)
     assert status == 0
-    assert "36 known distances in 16 scenes" in told
+    assert "36 known distances of 16 scenes or objects" in told
     found = load_alignment(out)
     assert 0.35 < found.offset_px < 0.6
     assert found.bow_px == 0.0

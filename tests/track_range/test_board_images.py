@@ -69,8 +69,8 @@ def test_partners_by_name_by_number_and_by_order(here):
     put(here / "left", "a1.png", "a2.png")
     put(here / "right", "a2.png", "a1.png", "a3.png")
     same = board_images(["left", "right"])
-    assert names_of(same) == [("a1.png", "a1.png"), ("a2.png", "a2.png")]
-    assert [view.name for view in same.left_out] == ["a3.png"]
+    assert names_of(same) == [(f"left/a{n}.png", f"right/a{n}.png") for n in (1, 2)]  # which is which
+    assert [view.name for view in same.left_out] == ["right/a3.png"]
     put(here / "r2", "b0002.png", "b0001.png")
     assert names_of(board_images(["left", "r2"])) == [("a1.png", "b0001.png"), ("a2.png", "b0002.png")]
     put(here / "r3", "x.png", "y.png")

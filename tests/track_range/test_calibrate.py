@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stereo.boards import CharucoBoard
-from stereo.rig_files import load_camera, load_rig
+from stereo.rig_files import load_calibration, load_camera, load_rig
 from tests.stereo.board_scenes import CAMERA, drawn, pose, rig, varied_poses
 
 TRUE = rig()
@@ -148,6 +148,27 @@ def test_pairs_without_a_partner_are_left_out(copied, tmp_path, cli):
     assert "Board found in 6 of 7 pairs." in told
 
 
+def test_the_odd_one_of_two_cameras_of_different_sizes(boards, tmp_path, cli):
+    """Files of both eyes are called alike, and the odd one has the other eye's size."""
+    for eye in ("left", "right"):
+        (tmp_path / eye).mkdir()
+        for i in range(6):
+            image = cv2.imread(str(boards / f"{eye}{i}.png"))
+            if eye == "right" and i != 3:
+                image = cv2.resize(image, (480, 270), interpolation=cv2.INTER_AREA)
+            cv2.imwrite(str(tmp_path / eye / f"{i}.png"), image)
+    status, told, complaint = cli(
+        "calibrate", "--stereo", tmp_path / "left", tmp_path / "right", "--board", "9x6", "--square-mm", 30,
+        "--out", tmp_path / "rig.yaml", "--lens-terms", 4,
+    )  # fmt: skip
+    assert status == 0, complaint
+    assert "Left out: right/3.png: 640x360 px, where most have 480x270 px." in told
+    found, _ = load_calibration(tmp_path / "rig.yaml")
+    assert (found.left.width_px, found.right.width_px) == (640, 480)
+    assert "Warning: images of the two eyes differ in size (480x270 px, 640x360 px)" in told
+    assert found.baseline_m == pytest.approx(TRUE.baseline_m, rel=0.02)
+
+
 def test_a_film(tmp_path, cli, film):
     images = []
     for i, at in enumerate(varied_poses(9, seed=4)):
@@ -239,12 +260,17 @@ def test_wrong_usage(boards, tmp_path, cli):
 
 def test_places_that_cannot_be_written(boards, tmp_path, cli):
     (tmp_path / "file").write_text("")
+    before = (boards / "left3.png").read_bytes()
     for out, said in (
         (tmp_path, "it is a folder; name a file in it"),
+        (".", "it is a folder; name a file in it"),
         (tmp_path / "file" / "rig.yaml", "no results can be"),
+        (tmp_path / "rig.png", "rig.png is to be written twice"),
+        (boards / "left3.yaml", "left3.png is an input and would be overwritten"),
     ):
         told = cli("calibrate", "--mono", boards / "left*.png", "--board", "9x6", "--square-mm", 30, "--out", out)
         assert said in one_sentence(told)
+    assert (boards / "left3.png").read_bytes() == before
 
 
 def test_images_that_are_not_there(tmp_path, cli):

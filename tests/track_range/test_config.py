@@ -121,6 +121,8 @@ def test_dense_parameters_and_the_alignment_survive_the_file(tmp_path, monkeypat
     save_settings(settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}), tmp_path / "s.yaml", found={})
     again = settings_from({}, tmp_path / "s.yaml")
     assert (again.sgbm_options, again.align) == (chosen, "off")
+    (tmp_path / "hand.yaml").write_text("track_range_settings: 1\nrun: {align: off}\n")
+    assert settings_from(PAIR, tmp_path / "hand.yaml").align == "off"
     (tmp_path / "align.yaml").touch()
     save_settings(settings_from({**PAIR, "align": "align.yaml"}), tmp_path / "s.yaml", found={})
     assert settings_from({}, tmp_path / "s.yaml").align == str(tmp_path / "align.yaml")

@@ -6,7 +6,7 @@ import pytest
 
 from stereo.frames import Frame
 from stereo.rig import RigError
-from track_range.pair_watch import PairWatch, checked_pair
+from track_range.pair_watch import MAX_CHECKED_PAIRS, PairWatch, checked_pair, order_checked
 
 SIZE_PX = (480, 260)
 
@@ -56,6 +56,18 @@ def test_rows_apart_are_told():
 def test_swapped_eyes_are_refused():
     with pytest.raises(RigError, match="left and right are swapped"):
         notes_of(frames(3, shift_px=-10))
+
+
+def test_the_order_of_the_eyes_is_looked_at_until_it_is_known():
+    assert [frame.index for frame in order_checked(frames(4))] == [0, 1, 2, 3]
+    with pytest.raises(RigError, match="left and right are swapped"):
+        list(order_checked(frames(3, shift_px=-10)))
+    first, swapped = next(frames(1)), next(frames(1, shift_px=-10))
+    assert list(order_checked([first, swapped])) == [first, swapped]
+    blank = Frame(0, 0.0, np.zeros((260, 480), np.uint8), np.zeros((260, 480), np.uint8))
+    assert len(list(order_checked([*[blank] * MAX_CHECKED_PAIRS, swapped]))) == MAX_CHECKED_PAIRS + 1
+    with pytest.raises(RigError):
+        list(order_checked([*[blank] * (MAX_CHECKED_PAIRS - 1), swapped]))
 
 
 def test_pairs_that_share_nothing_are_told_after_ten():

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -10,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.report import CHARTED_TRACKS, best_method, flattened, report_page, write_report
+from track_range.report import comparison_page, embedded, report_page, run_content, write_comparison, write_report
+from track_range.report_comparison import ComparedRun
 from track_range.results import COLUMNS
 from track_range.written import OutputError
 
@@ -27,9 +32,11 @@ class Page(HTMLParser):
         self.addresses: list[str] = []
         self.handlers: list[str] = []
         self.words: list[str] = []
+        self.scripts: list[str] = []
         self.feed(text)
         self.close()
         assert self.open == []
+        self.content = json.loads(self.scripts[0])
         self.text = " ".join(" ".join(self.words).split())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -48,8 +55,10 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        if self.open and self.open[-1] != "style":
+        if self.open and self.open[-1] not in ("style", "script"):
             self.words.append(data)
+        elif self.open[-1:] == ["script"]:
+            self.scripts.append(data)
 
 
 def columns(*lengths: int, class_name: str = "car", truth: bool = True) -> dict[str, npt.NDArray[Any]]:
@@ -100,8 +109,7 @@ def test_the_figures_of_the_summary_are_on_the_page() -> None:
         "drive/left.mp4 + drive/right.mp4",
         "8.2",
         "61.70",
-        "MOTA % IDF1 %",
-        "88.1 91.4",
+        "MOTA % 88.1 IDF1 % 91.4 id switches 0",
         "median distance error 3.4 %",
         "stereo, the best where it measured",
         "The rig was taken from calib.txt.",
@@ -109,7 +117,6 @@ def test_the_figures_of_the_summary_are_on_the_page() -> None:
         "rig.file calib.txt",
         "rig.note -",
         "numpy 2.4.6",
-        "9 frames, 0.0 to 0.8 s · nearest 39.2 m · shortest time to collision 9.5 s",
     ):
         assert words in page.text
 
@@ -117,18 +124,25 @@ def test_the_figures_of_the_summary_are_on_the_page() -> None:
 def test_the_page_needs_nothing_from_elsewhere() -> None:
     text = report_page(summary(), columns(700, 5, 7))
     page = Page(text)
-    assert "http" not in text.lower()
+    assert set(re.findall(r"https?://[^\"']+", text)) == {"http://www.w3.org/2000/svg"}  # the name of a language
     assert "@import" not in text
-    assert "script" not in page.counts
+    assert "url(" not in text
     assert "link" not in page.counts
     assert page.handlers == []
     assert {address for address in page.addresses if address[:1] != "#"} == {"overlay.mp4"}
 
 
+def test_only_the_pages_own_script_may_run() -> None:
+    text = report_page(summary(), columns(5))
+    page = Page(text)
+    assert page.counts["script"] == 2  # the data, and the script
+    checksum = base64.b64encode(hashlib.sha256(page.scripts[1].encode()).digest()).decode()
+    assert f"default-src 'none'; script-src 'sha256-{checksum}';" in text
+
+
 def test_the_longest_tracks_come_first() -> None:
-    page = Page(report_page(summary(), columns(5, 9, 7)))
-    order = [page.text.index(f"car {track_id}") for track_id in (2, 3, 1)]
-    assert order == sorted(order)
+    tracks = Page(report_page(summary(), columns(5, 9, 7))).content["tracks"]
+    assert [track["id"] for track in tracks] == [2, 3, 1]
 
 
 def test_classes_files_and_notes_cannot_become_markup() -> None:
@@ -141,16 +155,19 @@ def test_classes_files_and_notes_cannot_become_markup() -> None:
         stages_ms={evil: 3.0},
         files={"overlay": 'x/"><script>alert(1)</script>.mp4'},
     )
-    page = Page(report_page(found, columns(5, class_name=evil)))
+    text = report_page(found, columns(5, class_name=evil))
+    page = Page(text)
     assert "img" not in page.counts
-    assert "script" not in page.counts
+    assert page.counts["script"] == 2
+    assert page.content["tracks"][0]["name"] == evil
+    assert "<" not in text[text.index('id="run-content">') + 17 : text.index("</script>")]
     assert page.handlers == []
-    assert page.text.count(evil) >= 6
+    assert page.text.count(evil) >= 7
 
 
-def test_a_video_is_embedded_by_its_name_beside_the_page() -> None:
+def test_a_video_is_embedded_by_its_address_from_the_page() -> None:
     page = Page(report_page(summary(files={"overlay": "out dir/overlay 1.mp4"}), columns(5)))
-    assert "overlay%201.mp4" in page.addresses
+    assert "out%20dir/overlay%201.mp4" in page.addresses
     assert page.counts["video"] == 1
     for files in ({}, {"overlay": None}, None):
         assert "video" not in Page(report_page(summary(files=files), columns(5))).counts
@@ -161,20 +178,22 @@ def test_a_run_without_truth_says_so() -> None:
     page = Page(report_page(found, columns(9, truth=False)))
     assert "No truth was given" in page.text
     assert "median distance error" not in page.text
-    assert "Error against distance" not in page.text
+    assert page.content["errors"] == page.content["calibration"] == {}
+    assert page.text.count("Not known without truth.") == 2
 
 
 def test_a_run_without_tracks_or_figures_still_has_a_page() -> None:
     page = Page(report_page({"frames": 0}, columns()))
     assert "No track was confirmed in this run." in page.text
     assert "The summary holds no figures." in page.text
-    assert "svg" not in page.counts
+    assert page.content["tracks"] == page.content["methods"] == []
 
 
 def test_a_run_of_one_frame_has_a_chart() -> None:
-    page = Page(report_page(summary(), columns(1)))
-    assert "1 frame, 0.0 to 0.0 s · nearest 40.0 m" in page.text
-    assert page.counts["svg"] == 3
+    (track,) = Page(report_page(summary(), columns(1))).content["tracks"]
+    assert (track["n"], track["from_s"], track["to_s"], track["near_m"]) == (1, 0.0, 0.0, 40.0)
+    assert track["t"] == "0"
+    assert track["m"] == {"mono": "4400", "stereo": "3960", "fused": "4000"}
 
 
 def test_a_single_camera_without_any_distance_is_fine() -> None:
@@ -182,26 +201,49 @@ def test_a_single_camera_without_any_distance_is_fine() -> None:
     found |= {name: np.full(4, np.nan) for name in ("mono_m", "stereo_m", "fused_m", "fused_sigma_m")}
     page = Page(report_page(summary(truth=None, methods={}, inputs={"video": "dash.mp4"}), found))
     assert "dash.mp4" in page.text
-    assert "nearest" not in page.text
+    assert page.content["tracks"][0]["m"] == {}
+    assert page.content["tracks"][0]["near_m"] is None
 
 
 def test_two_thousand_tracks_stay_small() -> None:
     text = report_page(summary(), columns(*([30] * 2000)))
-    page = Page(text)
     assert len(text.encode()) < 10_000_000
-    assert f"The {CHARTED_TRACKS} longest of 2000 tracks." in page.text
-    assert page.text.count("30 frames") == CHARTED_TRACKS
+    assert len(Page(text).content["tracks"]) == 2000
 
 
-def test_common_coverage_decides_which_method_is_best() -> None:
-    common = {"mono": row(2.5), "stereo": row(2.6)}
-    assert best_method(summary(common=common)) == ("mono", 2.5, "on common coverage")
-    assert best_method(summary(common={"mono": row(None)})) == ("stereo", 3.4, "where it measured")
-    assert best_method({}) is None
+def test_methods_keep_their_colour_and_filtered_ones_wait_to_be_shown() -> None:
+    found = columns(9) | {"fused_kf_m": np.full(9, 30.0), "radar_m": np.full(9, 30.0), "only_kf_m": np.full(9, 30.0)}
+    methods = {method["name"]: method for method in run_content(summary(), found)["methods"]}
+    assert [name for name, method in methods.items() if not method["shown"]] == ["fused_kf"]
+    assert methods["fused"]["colour"] == methods["fused_kf"]["colour"] != methods["radar"]["colour"]
 
 
-def test_nested_settings_become_dotted_names() -> None:
-    assert list(flattened({"a": {"b": 1, "c": {"d": None}}, "e": "x"})) == [("a.b", "1"), ("a.c.d", "-"), ("e", "x")]
+def test_the_video_begins_where_the_summary_says() -> None:
+    assert run_content(summary(starts_s=4.2), columns(9))["starts_s"] == 4.2
+    assert run_content(summary(), columns(9))["starts_s"] == 0.0
+
+
+def test_data_cannot_end_its_element() -> None:
+    text = embedded({"name": "</script><!--&amp;\u2028"})
+    assert not set("<>&") & set(text)
+    assert json.loads(text) == {"name": "</script><!--&amp;\u2028"}
+
+
+def test_several_runs_stand_side_by_side() -> None:
+    runs = [
+        ComparedRun(name="a", summary=summary(), settings={"size_px": 640}, link="a b/report.html"),
+        ComparedRun(name="<b>", summary=summary(truth=None), settings={"size_px": 320}, notes=("gone",)),
+    ]
+    page = Page(comparison_page(runs))
+    for words in ("2 runs side by side", "a 16 8.2 3", "<b> gone", "size_px 640 320", "against the same kind of truth"):
+        assert words in page.text
+    assert page.addresses.count("a%20b/report.html") == 1
+    assert page.content == {"lines": []}
+
+
+def test_a_comparison_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"c\.html: cannot be written"):
+        write_comparison(tmp_path / "missing" / "c.html", [ComparedRun(name="a", summary={}, settings={})])
 
 
 def test_the_file_is_written_whole_and_replaces_the_one_before(tmp_path: Path) -> None:

@@ -33,7 +33,14 @@ def result(frame=4):
     image = np.zeros((50, 50, 3), np.uint8)
     xyz_m = np.array([[1.0, 2.0, 12.0], [nan, nan, nan]])
     return FrameResult(
-        Frame(frame, 0.4, image, None), tracks, ranges, np.array([2.0, nan]), np.array([6.0, nan]), xyz_m
+        frame=Frame(frame, 0.4, image, None),
+        tracks=tracks,
+        ranges=ranges,
+        closing_mps=np.array([2.0, nan]),
+        closing_sigma_mps=np.array([0.5, nan]),
+        ttc_s=np.array([6.0, nan]),
+        ttc_sigma_s=np.array([1.5, nan]),
+        xyz_m=xyz_m,
     )
 
 

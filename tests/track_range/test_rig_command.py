@@ -42,8 +42,18 @@ def test_kitti_lacks_a_size(tmp_path, cli):
     calib.write_text(KITTI)
     status, _, complaint = cli("rig", "convert", calib, tmp_path / "rig.yaml")
     assert (status, "add --size WIDTHxHEIGHT" in complaint) == (1, True)
-    assert cli("rig", "convert", calib, tmp_path / "rig.yaml", "--size", "1242x375")[0] == 0
+    status, told, _ = cli("rig", "convert", calib, tmp_path / "rig.yaml", "--size", "1242x375")
+    assert (status, "labels" in told) == (0, False)
     assert load_rig(tmp_path / "rig.yaml", size_px=(1242, 375))[0].baseline_m == pytest.approx(0.5)
+
+
+def test_that_kitti_labels_are_beside_its_colour_pair_is_told(tmp_path, cli):
+    calib = tmp_path / "calib.txt"
+    colour = KITTI.replace("P0", "P2").replace("600 0 0", "600 42 0").replace("P1", "P3")
+    calib.write_text(KITTI + colour)
+    status, told, complaint = cli("rig", "convert", calib, tmp_path / "rig.yaml", "--size", "1242x375")
+    assert status == 0, complaint
+    assert "KITTI's labels are given 0.060 m beside the left camera" in told  # 42 / 700
 
 
 def test_what_a_rig_means(tmp_path, cli):
@@ -76,6 +86,8 @@ def test_wrong_usage(tmp_path, cli):
         (("convert", tmp_path / "b.yaml", tmp_path / "b.yaml"), 2, "it is the file to convert"),
         (("convert", tmp_path / "b.yaml", tmp_path / "c.yaml", "--size", "12"), 2, "write it as WIDTHxHEIGHT"),
         (("show", tmp_path / "b.yaml", "--size", "0x3"), 2, "write it as WIDTHxHEIGHT"),
+        (("show", tmp_path / "b.yaml", "--size", "64000x36000"), 2, "20000 px a side at most"),
+        (("convert", tmp_path / "b.yaml", "."), 1, "it is a folder; name a file to write"),
         (("show", tmp_path / "a.yaml"), 1, "it is no rig"),
         (("show", tmp_path / "none.yaml"), 1, "there is no such file"),
         (("convert", tmp_path / "b.yaml", tmp_path / "none" / "c.yaml"), 1, "cannot be written"),

@@ -40,7 +40,7 @@ def test_a_pair_without_a_rig_is_ranged_by_sizes_and_says_how_well(drive, run, t
     for video in (drive.left, drive.right):
         shutil.copy(video, tmp_path / video.name)
     bare = ("--stereo", tmp_path / "left.mp4", tmp_path / "right.mp4", "--detections", drive.detections)
-    columns, summary, printed = run(*bare, "--truth", drive.truth)
+    columns, summary, printed = run(*bare, "--truth", drive.truth, "--disparity", "--no-overlay")
     assert summary["calibration"] == "estimated"
     assert "alignment" not in summary
     scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]
@@ -54,6 +54,9 @@ def test_a_pair_without_a_rig_is_ranged_by_sizes_and_says_how_well(drive, run, t
     assert "sgbm" not in summary["methods"]
     assert "run `track-range calibrate --stereo LEFT RIGHT" in printed
     assert "all distances are good to about" in printed
+    assert "No disparity.mp4: dense stereo needs a rig." in printed
+    assert "out: report.html" in printed
+    assert summary["files"] == {}
     found = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]
     assert (found["rig"], found["baseline_m"]) == (None, None)
 

@@ -95,6 +95,16 @@ def test_what_was_not_measured_is_a_dash_and_a_column_of_dashes_is_left_out() ->
     assert texts(without_truth.rows) == [["mono", "50"]]
 
 
+def test_what_a_method_claims_and_costs_is_told_without_any_truth() -> None:
+    summary = {
+        "methods": {"mono": {"median_sigma_pct": 7.31}, "fused": {"median_sigma_pct": 4.0}, "lane": {"coverage": 0.0}},
+        "stages_ms": {"mono": 0.104, "fuse": 1.0, "lane": 0.0},
+    }
+    claims = grids(summary)[1]
+    assert claims.columns == ("method", "\u03c3 %", "ms/frame")
+    assert texts(claims.rows) == [["mono", "7.3", "0.10"], ["fused", "4.0", "1.00"], ["lane", "-", "-"]]
+
+
 def test_stages_that_did_not_run_have_no_row_and_the_whole_run_has_one() -> None:
     speed = grids(SUMMARY)[2]
     assert texts(speed.rows) == [["read", "2.00", "500.0"], ["detect", "62.50", "16.0"], ["whole run", "125.00", "8.0"]]

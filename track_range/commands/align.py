@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from stereo.alignment import MAX_ROW_OFFSET_PX, Alignment
+from stereo.alignment import Alignment
 from stereo.alignment_drive import DriveAlignment
 from stereo.alignment_file import save_alignment
 from stereo.alignment_reference import fit_reference
@@ -20,10 +21,13 @@ from stereo.box_matchers import measure_pairs
 from stereo.frames import whole_image
 from stereo.kitti_2015 import StereoPair
 from stereo.rig import RigError
+from stereo.rig_files import find_rig
 from track_range.commands.progress import say, step_progress
 from track_range.config import UsageError
-from track_range.pair_watch import checked_pair
+from track_range.drive_pairs import LEFT, RIGHT
+from track_range.pair_watch import order_checked
 from track_range.reference_pairs import OpenedPair, open_pair, reference_pairs
+from track_range.written import check_outputs, write_text
 
 _MATCHER = "patch"
 _N_ROW_PAIRS = 12
@@ -41,6 +45,7 @@ class AlignOptions:
         reference: objects of known distance: see `track_range.reference_pairs`.
         rig: the rig file; None = the one beside the images.
         seed: of the resampling.
+        json_file: the figures are written there, where asked.
     """
 
     out: Path
@@ -49,6 +54,7 @@ class AlignOptions:
     reference: Path | None = None
     rig: Path | None = None
     seed: int = 0
+    json_file: Path | None = None
 
 
 def align(options: AlignOptions, console: Console) -> dict[str, Any]:
@@ -58,7 +64,9 @@ def align(options: AlignOptions, console: Console) -> dict[str, Any]:
         UsageError: nothing to estimate from, or too much.
         RigError: the rig, or the estimate: where the drive tells nothing, nothing is written.
         PairFileError, LabelFileError, VideoError: what is read cannot be used.
+        OutputError: the file cannot be written, or is an input.
     """
+    check_outputs([file for file in (options.out, options.json_file) if file is not None], _inputs(options))
     if options.reference is not None:
         if options.drives:
             raise UsageError("give --reference or --drive, not both.")
@@ -66,21 +74,33 @@ def align(options: AlignOptions, console: Console) -> dict[str, Any]:
     else:
         measured, notes = _from_drives(options, console)
     kept = measured.if_clear()
-    save_alignment(kept, options.out)
     notes = (*notes, *_row_notes(measured))
-    for line in (kept.sentence(), *notes, f"Written to {options.out}"):
+    for line in (kept.sentence(), *notes):
         say(console, line)
-    return {
+    save_alignment(kept, options.out)
+    say(console, f"Written to {options.out}")
+    figures = {
         "alignment": asdict(kept),
         "measured": asdict(measured),
         "is_clear": measured.is_clear,
         "sentence": kept.sentence(),
         "notes": list(notes),
     }
+    if options.json_file is not None:
+        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    return figures
+
+
+def _inputs(options: AlignOptions) -> list[Path]:
+    """Files that are read, with the rig files beside the images."""
+    folders = [folder for folder in (*options.drives, options.reference) if folder is not None]
+    videos = [*(options.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]
+    named = (options.rig, options.reference, *map(find_rig, videos))
+    return [*videos, *(path for path in named if path is not None)]
 
 
 def _row_notes(measured: Alignment) -> tuple[str, ...]:
-    if abs(measured.row_offset_px) <= MAX_ROW_OFFSET_PX:
+    if not measured.rows_to_move_px:
         return ()
     return (
         f"Rows of left and right are {measured.row_offset_px:+.2f} px apart: a run corrects it, but the rig does not "
@@ -89,7 +109,7 @@ def _row_notes(measured: Alignment) -> tuple[str, ...]:
 
 
 def _from_drives(options: AlignOptions, console: Console) -> tuple[Alignment, tuple[str, ...]]:
-    sources = [(folder / "left.mp4", folder / "right.mp4") for folder in options.drives]
+    sources = [(folder / LEFT, folder / RIGHT) for folder in options.drives]
     sources += [options.stereo] if options.stereo else []
     if not sources:
         raise UsageError("nothing to align by: give --stereo LEFT RIGHT, --drive DIR or --reference DIR|FILE.")
@@ -105,18 +125,21 @@ def _from_drives(options: AlignOptions, console: Console) -> tuple[Alignment, tu
     measured = estimator.estimate()
     if not measured.is_measured:
         raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past things that stand still.")
-    return measured, tuple(dict.fromkeys(note for each in opened for note in each.notes))
+    named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
+    return named, tuple(dict.fromkeys(note for each in opened for note in each.notes))
+
+
+def _names(sources: list[tuple[Path, Path]]) -> str:
+    """Of the drives: the file outlives the moment at which "this drive" says which."""
+    return ", ".join(left.parent.resolve().name if left.name == LEFT else left.name for left, _ in sources)
 
 
 def _feed(estimator: DriveAlignment, pair: OpenedPair, advance: Callable[[int, int], None]) -> None:
-    is_order_known = False
     with closing(pair.frames.rectified(pair.rectifier)) as frames:
-        for number, frame in enumerate(frames):
+        # Swapped eyes would look like an alignment beyond belief.
+        for number, frame in enumerate(order_checked(frames)):
             if estimator.is_full:
                 return
-            if not is_order_known:  # swapped eyes would look like an alignment beyond belief
-                check = checked_pair(frame)
-                is_order_known = check is not None and check.is_conclusive
             estimator.add(frame)
             advance(number + 1, max(pair.frames.left.n_frames or 0, number + 1))
 

@@ -25,7 +25,7 @@ from track_range.calibration_picture import calibration_picture
 from track_range.commands.progress import say, step_progress
 from track_range.config import UsageError
 from track_range.tables import Column, grid_of, rich_table
-from track_range.written import OutputError, make_folder, write_bytes, write_text
+from track_range.written import check_outputs, write_bytes, write_text
 
 _BOARD_M = (0.1, 20.0)
 """Usual distance of a board; others make a wrong --square-mm likely."""
@@ -55,17 +55,18 @@ def calibrate(options: CalibrateOptions, console: Console) -> dict[str, Any]:
         UsageError: no source or two, or words that name no board.
         ImageFileError, VideoError: images cannot be read.
         CalibrationError: no calibration can be made of them.
-        OutputError, RigError: a file cannot be written.
+        OutputError, RigError: a file cannot be written, or is an input.
     """
     sources = _sources(options)
     try:
         board = board_of(options.board, options.square_mm)
     except ValueError as error:
         raise UsageError(f"--board, --square-mm: {error}") from error
-    picture = options.picture or options.out.with_suffix(".png")
-    _check_writable(options.out, picture, options.json_file)
+    picture = options.picture or options.out.parent / f"{options.out.stem}.png"
+    images = board_images(sources)
+    check_outputs([file for file in (options.out, picture, options.json_file) if file is not None], images.files)
     with step_progress(console, "looking for boards") as advance:
-        found = find_views(board_images(sources), board, advance)
+        found = find_views(images, board, advance)
     _tell_search(found, console)
     figures, eyes = _calibrated(found, options, console)
     figures = {"board": board.name, "square_mm": board.square_m * 1000, "sources": list(sources), **figures}
@@ -84,15 +85,6 @@ def _sources(options: CalibrateOptions) -> tuple[str, ...]:
     if (options.mono is None) == (options.stereo is None):
         raise UsageError("give --mono IMAGES, or --stereo LEFT RIGHT.")
     return (options.mono,) if options.mono is not None else options.stereo or ()
-
-
-def _check_writable(*files: Path | None) -> None:
-    """Refuse before the work, not after it."""
-    for file in files:
-        if file is not None:
-            if file.is_dir():
-                raise OutputError(f"{file}: it is a folder; name a file in it, such as {file / 'rig.yaml'}.")
-            make_folder(file.parent)
 
 
 def _tell_search(found: FoundViews, console: Console) -> None:
@@ -203,4 +195,9 @@ def _doubts(found: FoundViews, eyes: Mapping[str, CameraCalibration]) -> list[st
         said.append(f"the boards stand {distance_m:.3g} m away: is --square-mm right?")
     if float(np.median([view.edge_px for shot in found.shots for view in shot])) > _SOFT_PX:
         said.append("most images are out of focus; the lens should be focused and fixed before it is calibrated.")
+    sizes = {f"{eye.camera.width_px}x{eye.camera.height_px} px" for eye in eyes.values()}
+    if len(sizes) > 1:
+        said.append(
+            f"images of the two eyes differ in size ({', '.join(sorted(sizes))}); a run wants videos of one size."
+        )
     return said

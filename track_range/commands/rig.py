@@ -12,13 +12,16 @@ from rich.console import Console
 from stereo.camera import PinholeCamera
 from stereo.rectification import Rectifier
 from stereo.rig import RigError, StereoRig
-from stereo.rig_files import load_calibration
+from stereo.rig_files import left_from_reference_m, load_calibration
 from stereo.rig_writing import save_camera, save_opencv, save_rig
 from track_range.commands.progress import say
 from track_range.config import UsageError
 from track_range.tables import Column, grid_of, rich_table
 
 RigFormat = Literal["ours", "opencv"]
+
+_MAX_SIDE_PX = 20_000
+"""No image is wider, and maps for a larger one fill the memory."""
 
 _SHOWN_M = np.array([10.0, 30.0, 60.0])
 
@@ -40,10 +43,21 @@ def convert_rig(source: Path, out: Path, *, to: RigFormat, size: str | None, con
         save_rig(found, out, comments=[f"from {source.name}"])
     else:
         save_camera(found, out, comments=[f"from {source.name}"])
-    for note in notes:
+    for note in (*notes, *_labels_note(source)):
         say(console, note)
     cameras = "two cameras" if isinstance(found, StereoRig) else "one camera"
     say(console, f"Written: {out}, {cameras}.")
+
+
+def _labels_note(source: Path) -> tuple[str, ...]:
+    """What the formats that are written cannot keep: the frame that KITTI's labels are given in."""
+    shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False)))
+    if shift_m == 0:
+        return ()
+    return (
+        f"KITTI's labels are given {shift_m:.3f} m beside the left camera, which only {source.name} tells: with "
+        "--truth give that one.",
+    )
 
 
 def show_rig(source: Path, *, size: str | None, console: Console) -> None:
@@ -124,7 +138,10 @@ def _size_of(words: str | None) -> tuple[int, int] | None:
     sides = words.lower().split("x")
     if len(sides) != 2 or not all(side.isdecimal() and int(side) for side in sides):
         raise UsageError(f"--size {words}: write it as WIDTHxHEIGHT, such as 1242x375.")
-    return int(sides[0]), int(sides[1])
+    width_px, height_px = (int(side) for side in sides)
+    if max(width_px, height_px) > _MAX_SIDE_PX:
+        raise UsageError(f"--size {words}: no image is as large; {_MAX_SIDE_PX} px a side at most.")
+    return width_px, height_px
 
 
 def _check_sized(found: PinholeCamera | StereoRig, source: Path) -> None:

@@ -14,7 +14,7 @@ from detection.detection_files import DetectionForm, RecordedDetections, read_de
 from detection.detections import Detections
 from detection.kitti_format import LabelFileError
 from track_range.commands.progress import frame_progress, say
-from track_range.config import TrackerName, UsageError
+from track_range.config import TrackerName, UsageError, check_looks
 from track_range.sequence_tracking import images_of, track_sequence
 from track_range.sequences import (
     KITTI_FOLDER,
@@ -27,7 +27,7 @@ from track_range.sequences import (
 )
 from track_range.tables import Column, Grid, grid_of, rich_table
 from track_range.track_files import write_kitti, write_mot
-from track_range.tracker_options import check_looks, new_tracker, open_descriptor
+from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.video import VideoError
 from track_range.written import OutputError, make_folder
 from tracking.appearance import Descriptor

@@ -1,4 +1,4 @@
-"""A road user's body: which builder makes which KITTI type."""
+"""A road user's body: which builder makes which type."""
 
 from __future__ import annotations
 
@@ -6,17 +6,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+from track_range.simulation.cars import car
 from track_range.simulation.faces import Face
-from track_range.simulation.people import cyclist, pedestrian
+from track_range.simulation.people import cyclist, motorcyclist, pedestrian
 from track_range.simulation.scene import RoadUser
-from track_range.simulation.vehicles import car, truck, van
+from track_range.simulation.signs import traffic_light, traffic_sign
+from track_range.simulation.vehicles import bus, truck, van
 
 BUILDERS: dict[str, Callable[[np.random.Generator, tuple[float, float, float]], list[Face]]] = {
     "Car": car,
     "Van": van,
     "Truck": truck,
+    "Bus": bus,
     "Pedestrian": pedestrian,
     "Cyclist": cyclist,
+    "Motorcycle": motorcyclist,
+    "TrafficSign": traffic_sign,
+    "TrafficLight": traffic_light,
 }
 
 

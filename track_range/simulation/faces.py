@@ -39,6 +39,7 @@ class Face:
         down: (3,) its left edge.
         texture: (h, w, 4) uint8 BGRA.
         two_sided: seen from behind too.
+        is_shadow: it darkens, by its alpha, what it lies on, and hides nothing.
     """
 
     corner: FloatArray
@@ -46,6 +47,16 @@ class Face:
     down: FloatArray
     texture: Image
     two_sided: bool = False
+    is_shadow: bool = False
+
+    def turned(self, turn: FloatArray) -> Face:
+        """The same in axes that a (3, 3) turn leads to."""
+        corner, along, down = turn @ self.corner, turn @ self.along, turn @ self.down
+        return Face(corner, along, down, self.texture, self.two_sided, self.is_shadow)
+
+    def moved(self, by_m: FloatArray) -> Face:
+        """The same somewhere else."""
+        return Face(self.corner + by_m, self.along, self.down, self.texture, self.two_sided, self.is_shadow)
 
 
 def coloured_face(

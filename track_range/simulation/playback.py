@@ -14,7 +14,15 @@ import numpy as np
 from detection.detections import BoolArray, FloatArray, IntArray
 from detection.kitti_format import KittiLabels
 
-PLAYED_TYPES = {"Car": "Car", "Van": "Car", "Truck": "Truck", "Pedestrian": "Pedestrian", "Cyclist": "Cyclist"}
+PLAYED_TYPES = {
+    "Car": "Car",
+    "Van": "Car",
+    "Truck": "Truck",
+    "Bus": "Bus",
+    "Pedestrian": "Pedestrian",
+    "Cyclist": "Cyclist",
+    "Motorcycle": "Motorcycle",
+}
 """What the detector calls each KITTI type; other types are not found."""
 
 HIDDEN = 2

@@ -1,40 +1,38 @@
-r"""One eye's image of a scene: textured faces under exact perspective, hidden surfaces removed by a depth buffer.
+"""One eye's image of a scene, at any time; the canvas draws it with 2 x 2 samples per pixel (`canvas.py`).
 
-A face is C + s U + t V in the camera's frame. With the texture's texel (i, j) at s = (i + 1/2) / n, its pixel is
-    (u w, v w, w)^T = K [U V C] (s, t, 1)^T                   a homography: cv2.warpPerspective draws it exactly
-and on its plane n . P = d, n = U x V, the inverse depth is affine in the pixel, 1/z = n . (x, y, 1)^T / d: that is what
-the depth buffer holds. Against aliasing, which would move a texture against its surface: everything is drawn with
-2 x 2 samples per pixel, textures are first averaged down (area) to the samples they will cover, and faces that reach
-far along the view are cut into pieces of nearly equal depth, each averaged for its own.
+faces of street and road users -> canvas -> lens -> headlights, at night -> faults -> sensor noise
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal
 
 import cv2
 import numpy as np
+import numpy.typing as npt
+from scipy.stats import norm
 
 from detection.detections import FloatArray, Image
 from stereo.camera import PinholeCamera
 from stereo.rig import StereoRig
 from track_range.simulation.bodies import body_of
+from track_range.simulation.canvas import NEAR_M, Canvas
 from track_range.simulation.faces import Face
+from track_range.simulation.faults import NO_FAULTS, Faults, rained
+from track_range.simulation.night import lamps_of, lit
+from track_range.simulation.road_shape import CameraPose
 from track_range.simulation.scene import Scene
+from track_range.simulation.scenery import sky_picture
 from track_range.simulation.street import FAR_M, Street
-from track_range.simulation.textures import TEXELS_PER_M, sky_picture
+from track_range.simulation.textures import TEXELS_PER_M
+from track_range.simulation.truth import corners_m
 
 Eye = Literal["left", "right"]
 
 SAMPLES = 2
 """Per pixel and axis."""
 
-NEAR_M = 0.3
-DEPTH_RATIO = 1.4
-"""A face reaching farther than this between nearest and farthest corner is cut in two, up to `CUTS` times."""
-
-CUTS = 6
 N_HALVINGS = 3
 LONGEST_HALF_M = 8.0
 """No body reaches farther than this towards the camera from its centre."""
@@ -45,8 +43,8 @@ LENS_BLUR_SAMPLES = 0.8
 NOISE_GREY = 2.0
 """Standard deviation of the sensor's noise, grey levels."""
 
-HALF_SEEN = 112
-"""Alpha from which a sample counts as hit; a little below half, so that no gap opens between pieces of one face."""
+SKY_SIZE = (1.7, 1.5)
+"""Width and height of the sky's picture, in images: for a camera that turns."""
 
 
 def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: float = 0.54) -> StereoRig:
@@ -63,117 +61,129 @@ class Renderer:
         scene: what there is to see.
         rig: a rectified pair; the left eye is the scene's camera.
         noise_grey: standard deviation of the sensor noise in grey levels, 0 = none.
+        faults: of the cameras.
+
+    Attributes:
+        bodies: each road user's faces in its own axes.
     """
 
-    def __init__(self, scene: Scene, rig: StereoRig, *, noise_grey: float = NOISE_GREY) -> None:
+    def __init__(
+        self, scene: Scene, rig: StereoRig, *, noise_grey: float = NOISE_GREY, faults: Faults = NO_FAULTS
+    ) -> None:
         if not rig.is_rectified:
             raise ValueError("the simulation draws rectified pairs: equal, parallel, undistorted cameras wanted")
         self.scene = scene
         self.rig = rig
         self.noise_grey = noise_grey
+        self.faults = faults
         rng = np.random.default_rng([scene.seed, 3])
-        self._bodies = [_by_distance(body_of(user, scene.seed)) for user in scene.road_users]
-        self._street = Street(rng)
-        self._camera = _finer(rig.left)
-        self._sky = sky_picture(
-            rng, width_px=self._camera.width_px, height_px=self._camera.height_px, horizon_px=self._camera.cy_px
-        )
+        self.bodies = [body_of(user, scene.seed) for user in scene.road_users]
+        self._bodies = [_by_distance(body) for body in self.bodies]
+        self._street = Street(rng, scene.surroundings, scene.road)
+        self._cameras = {"left": _finer(rig.left), "right": _finer(faults.right_camera(rig.left))}
+        self._turns = not scene.road.is_straight or scene.wobble.pitch_rad > 0 or scene.wobble.roll_rad > 0
+        self._sky = self._sky_picture(rng)
 
     def render(self, time_s: float, *, eye: Eye = "left") -> Image:
         """(H, W, 3) uint8 BGR; the same scene, time and eye give the same pixels."""
-        lens = cv2.GaussianBlur(self._drawn(time_s, eye).bgra, (3, 3), LENS_BLUR_SAMPLES)
-        image = cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)[:, :, :3]
-        return self._with_noise(np.asarray(image, np.uint8), time_s, eye)
+        return self._exposed(self._drawn(time_s, eye), time_s, eye)
+
+    def render_with_depth(self, time_s: float) -> tuple[Image, FloatArray]:
+        """The left eye's image, and (2 H, 2 W) the exact 1/z of its samples, 0 = sky, from one drawing."""
+        canvas = self._drawn(time_s, "left")
+        return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth)
 
     def depth_m(self, time_s: float, *, eye: Eye = "left") -> FloatArray:
         """(H, W) exact z of what each pixel shows, the mean in 1/z over its samples; NaN = sky."""
-        inverse = cv2.resize(self._drawn(time_s, eye).inverse_depth, self._size_px, interpolation=cv2.INTER_AREA)
+        inverse = self._in_pixels(self._drawn(time_s, eye))
         return np.asarray(1.0 / np.where(inverse > 0, inverse, np.nan), np.float64)
 
     @property
     def _size_px(self) -> tuple[int, int]:
         return self.rig.left.width_px, self.rig.left.height_px
 
+    def _in_pixels(self, canvas: Canvas) -> FloatArray:
+        """(H, W) mean 1/z of each pixel's samples."""
+        return np.asarray(cv2.resize(canvas.inverse_depth, self._size_px, interpolation=cv2.INTER_AREA))
+
+    def _exposed(self, canvas: Canvas, time_s: float, eye: Eye) -> Image:
+        """What lens, sensor and their faults make of a drawing."""
+        lens = cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES)
+        image = np.asarray(cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)[:, :, :3], np.uint8)
+        if self.scene.is_night:
+            camera = self.rig.left if eye == "left" else self.faults.right_camera(self.rig.left)
+            lamps = lamps_of(self.scene, time_s, lamp_heads_m=self._street.lamp_heads_m(self.scene.ego_z_m(time_s)))
+            shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
+            image = lit(image, self._in_pixels(canvas), camera, lamps.moved(shift_m))
+        if self.faults.rain > 0:
+            image = rained(image, self.rig, [self.scene.seed, 7, round(time_s * 1e6)], (self.faults.rain, eye))
+        return self._with_noise(self.faults.seen(image, is_right=eye == "right"), time_s, eye)
+
     def _drawn(self, time_s: float, eye: Eye) -> Canvas:
-        canvas = Canvas(self._camera, self._sky)
+        pose = self.scene.pose(time_s)
+        canvas = Canvas(self._cameras[eye], self._background(pose, self._cameras[eye]))
         shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
-        down_m = np.array([0.0, self.scene.camera_height_m, 0.0])
+        turn = pose.camera_from_world
+        street_m = shift_m - turn @ pose.place_m
         for face in self._street.faces(self.scene.ego_z_m(time_s)):
-            canvas.draw(face, down_m + shift_m)
-        rotation = self.scene.rotation_y_rad()
-        for bodies, location_m, yaw_rad in zip(self._bodies, self.scene.location_m(time_s), rotation, strict=True):
-            if -LONGEST_HALF_M < location_m[2] < FAR_M:
-                for face in bodies[self._coarseness(float(location_m[2]))]:
-                    canvas.draw(_turned(face, float(yaw_rad)), location_m + shift_m)
+            canvas.draw(face.turned(turn) if self._turns else face, street_m)
+        places_m, turns = self.scene.location_m(time_s) + shift_m, self.scene.turns(time_s)
+        boxes_m = corners_m(places_m, self.scene.size_hwl_m(), turns)
+        in_reach = np.flatnonzero((places_m[:, 2] > -LONGEST_HALF_M) & (places_m[:, 2] < FAR_M))
+        nearest_first = in_reach[np.argsort(places_m[in_reach, 2], kind="stable")].tolist()
+        for is_shadow in (True, False):  # shadows lie on the road alone
+            for row in nearest_first:
+                body = self._bodies[row][self._coarseness(float(places_m[row, 2]))]
+                if is_shadow or self.scene.road_users[row].raised_m > 0 or canvas.could_show(boxes_m[row]):
+                    for face in body:
+                        if face.is_shadow == is_shadow:
+                            canvas.draw(face.turned(turns[row]), places_m[row])
         return canvas
+
+    def _sky_picture(self, rng: np.random.Generator) -> Image:
+        """As large as the image, larger where the camera turns."""
+        wide, high = SKY_SIZE if self._turns else (1.0, 1.0)
+        camera = self._cameras["left"]
+        size_px = (round(wide * camera.width_px), round(high * camera.height_px))
+        horizon_px = camera.cy_px + (size_px[1] - camera.height_px) / 2
+        return sky_picture(rng, size_px=size_px, horizon_px=horizon_px, is_night=self.scene.is_night)
+
+    def _background(self, pose: CameraPose, camera: PinholeCamera) -> Image:
+        """The sky as a camera at infinity's centre sees it, turned as this one is but for the road's own slope."""
+        if not self._turns:
+            return self._sky
+        at_px = camera.matrix
+        of_sky_px = at_px.copy()
+        of_sky_px[:2, 2] += (np.array(self._sky.shape[1::-1]) - (camera.width_px, camera.height_px)) / 2
+        to_sky = of_sky_px @ pose.camera_from_world.T @ np.linalg.inv(at_px)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        size_px = (camera.width_px, camera.height_px)
+        turned = cv2.warpPerspective(self._sky, to_sky, size_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(turned, np.uint8)
 
     def _coarseness(self, z_m: float) -> int:
         """How often the textures of a body at that depth may be halved and still have a texel per sample."""
-        texels_per_sample = TEXELS_PER_M * max(z_m - LONGEST_HALF_M, NEAR_M) / self._camera.fx_px
+        texels_per_sample = TEXELS_PER_M * max(z_m - LONGEST_HALF_M, NEAR_M) / self._cameras["left"].fx_px
         return int(np.clip(np.log2(texels_per_sample), 0, N_HALVINGS))
 
     def _with_noise(self, image: Image, time_s: float, eye: Eye) -> Image:
         if self.noise_grey <= 0:
             return image
         stream = [self.scene.seed, 4, round(time_s * 1e6), int(eye == "right")]
-        noise = np.random.default_rng(stream).standard_normal(image.shape, np.float32)
-        noisy = cv2.scaleAdd(noise, self.noise_grey, image.astype(np.float32))
-        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        drawn = np.frombuffer(np.random.default_rng(stream).bytes(image.size), np.uint8).reshape(image.shape)
+        noise = cv2.LUT(drawn, noise_steps(self.noise_grey))
+        return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8)
+
+
+def noise_steps(sigma_grey: float) -> npt.NDArray[np.int8]:
+    """(256,) whole grey levels, each as likely: a byte's worth of the normal distribution."""
+    steps = sigma_grey * norm.ppf((np.arange(256) + 0.5) / 256)
+    return np.asarray(np.clip(np.rint(steps), -128, 127), np.int8)
 
 
 def render(scene: Scene, time_s: float, *, rig: StereoRig, eye: Eye = "left") -> Image:
     """(H, W, 3) uint8 BGR image of one eye; for more than one, a `Renderer` makes the textures only once."""
     return Renderer(scene, rig).render(time_s, eye=eye)
-
-
-class Canvas:
-    """A picture being drawn, with a depth buffer: (H, W, 4) `bgra` and (H, W) `inverse_depth`, 1/m, 0 = sky."""
-
-    def __init__(self, camera: PinholeCamera, background: Image) -> None:
-        self.camera = camera
-        self.bgra = background.copy()
-        self.inverse_depth = np.zeros(background.shape[:2], np.float32)
-        self._ray_of_pixel = np.linalg.inv(camera.matrix)
-        self._colours = self.bgra.view(np.uint32)[:, :, 0]  # one number per sample: quicker to copy under a mask
-
-    def draw(self, face: Face, shift_m: FloatArray, *, cuts: int = CUTS) -> None:
-        """Draw a face, moved by `shift_m`, where nothing nearer stands; what lies before `NEAR_M` is left out."""
-        corner = face.corner + shift_m
-        normal = _cross(face.along, face.down)
-        if not face.two_sided and normal @ corner <= 0:
-            return
-        corners = corner + np.array([np.zeros(3), face.along, face.along + face.down, face.down])
-        near_m, far_m = corners[:, 2].min(), corners[:, 2].max()
-        if far_m < NEAR_M:
-            return
-        if cuts and far_m > DEPTH_RATIO * max(near_m, NEAR_M) and min(face.texture.shape[:2]) > 1:
-            for half in _halves(face):
-                self.draw(half, shift_m, cuts=cuts - 1)
-        elif near_m >= NEAR_M:
-            self._draw_piece(face, corner, corners, normal)
-
-    def _draw_piece(self, face: Face, corner: FloatArray, corners: FloatArray, normal: FloatArray) -> None:
-        """Warp one piece, all of it in front of the camera, into the box that it covers."""
-        at_px = self.camera.project(corners)
-        left, top = np.maximum(np.floor(at_px.min(axis=0)), 0).astype(int).tolist()
-        last_px = (self.camera.width_px - 1, self.camera.height_px - 1)
-        right, bottom = np.minimum(np.ceil(at_px.max(axis=0)), last_px).astype(int).tolist()
-        if left > right or top > bottom:
-            return
-        texture = _averaged(face.texture, at_px)
-        texel = np.diag([1 / (texture.shape[1] - 2), 1 / (texture.shape[0] - 2), 1.0])  # two texels are margin
-        texel[:2, 2] = -0.5 * texel[0, 0], -0.5 * texel[1, 1]
-        to_roi = np.array([[1.0, 0.0, -left], [0.0, 1.0, -top], [0.0, 0.0, 1.0]])
-        homography = to_roi @ self.camera.matrix @ np.stack([face.along, face.down, corner], axis=1) @ texel
-        size_px = (right - left + 1, bottom - top + 1)
-        warped = cv2.warpPerspective(texture, homography, size_px, flags=cv2.INTER_LINEAR)
-        inverse = normal @ self._ray_of_pixel / (normal @ corner)
-        rows = (np.arange(top, bottom + 1) * inverse[1] + inverse[2]).astype(np.float32)
-        inverse_depth = rows[:, None] + (np.arange(left, right + 1) * inverse[0]).astype(np.float32)
-        window = np.s_[top : bottom + 1, left : right + 1]
-        hit = (warped[:, :, 3] >= HALF_SEEN) & (inverse_depth > self.inverse_depth[window])
-        np.copyto(self.inverse_depth[window], inverse_depth, where=hit)
-        np.copyto(self._colours[window], warped.view(np.uint32)[:, :, 0], where=hit)
 
 
 def _finer(camera: PinholeCamera) -> PinholeCamera:
@@ -188,43 +198,6 @@ def _finer(camera: PinholeCamera) -> PinholeCamera:
     )
 
 
-def _averaged(texture: Image, at_px: FloatArray) -> Image:
-    """The texture brought down to the samples that its edges cover, with a transparent margin of one texel.
-
-    The margin repeats the colours of the edge, so that only alpha fades out.
-    """
-    sides_px = np.linalg.norm(at_px[[1, 2, 3, 0]] - at_px, axis=1)  # top, right, bottom, left
-    wanted = np.ceil([max(sides_px[0], sides_px[2]), max(sides_px[1], sides_px[3])]).astype(int)
-    width, height = np.clip(wanted, 1, (texture.shape[1], texture.shape[0])).tolist()
-    small = texture
-    if (height, width) != texture.shape[:2]:
-        small = np.asarray(cv2.resize(texture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    framed = cv2.copyMakeBorder(small, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    framed[[0, -1], :, 3] = 0
-    framed[:, [0, -1], 3] = 0
-    return np.asarray(framed, np.uint8)
-
-
-def _halves(face: Face) -> Iterator[Face]:
-    """A face cut in two across the edge that reaches farther in depth, at a whole texel."""
-    axis = 1 if abs(face.along[2]) >= abs(face.down[2]) else 0
-    n_texels = face.texture.shape[axis]
-    share = (n_texels // 2) / n_texels
-    along, down, two_sided = face.along, face.down, face.two_sided
-    first, second = np.split(face.texture, [n_texels // 2], axis=axis)
-    if axis == 1:
-        yield Face(face.corner, along * share, down, first, two_sided)
-        yield Face(face.corner + along * share, along * (1 - share), down, second, two_sided)
-    else:
-        yield Face(face.corner, along, down * share, first, two_sided)
-        yield Face(face.corner + down * share, along, down * (1 - share), second, two_sided)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The cross product of two vectors (np.cross takes ten times as long for one)."""
-    return a[[1, 2, 0]] * b[[2, 0, 1]] - a[[2, 0, 1]] * b[[1, 2, 0]]
-
-
 def _by_distance(body: list[Face]) -> list[list[Face]]:
     """The body, then the same with textures of half, a quarter ... of the texels per metre, for greater distances."""
     bodies = [body]
@@ -235,12 +208,4 @@ def _by_distance(body: list[Face]) -> list[list[Face]]:
 
 def _halved(face: Face) -> Face:
     size_px = (max(1, face.texture.shape[1] // 2), max(1, face.texture.shape[0] // 2))
-    texture = np.asarray(cv2.resize(face.texture, size_px, interpolation=cv2.INTER_AREA), np.uint8)
-    return Face(face.corner, face.along, face.down, texture, face.two_sided)
-
-
-def _turned(face: Face, yaw_rad: float) -> Face:
-    """From a road user's own axes to the camera's (KITTI's rotation_y)."""
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    turn = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-    return Face(turn @ face.corner, turn @ face.along, turn @ face.down, face.texture, face.two_sided)
+    return replace(face, texture=np.asarray(cv2.resize(face.texture, size_px, interpolation=cv2.INTER_AREA), np.uint8))

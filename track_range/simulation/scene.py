@@ -3,7 +3,8 @@
 World axes are the left camera's axes at time 0, put on the road: x right, y down, z forward, y = 0 on the asphalt.
 A road user at `start` with heading `rotation_y` (KITTI's: 0 looks along x, -pi/2 along z) moves straight on:
     x(t) = x0 + speed cos(rotation_y) t        z(t) = z0 - speed sin(rotation_y) t
-and the camera, `camera_height_m` above the road, moves along z with the ego speed. The road from above:
+unless its speed changes or it changes lanes; and the camera, `camera_height_m` above the road, moves along z with the
+ego speed. Where the road winds (`road_shape.py`), x counts from the middle of the ego lane. The town's road from above:
 
     wall | pavement | parked | oncoming | ego lane | right lane | parked | pavement | wall
        -11        -7.6     -5.25      -1.75       1.75        5.25     7.6        11      x in m
@@ -16,6 +17,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from detection.detections import FloatArray
+from track_range.simulation.motion import LaneChange, SpeedChanges, speed_at_mps, travelled_m
+from track_range.simulation.road_shape import (
+    STEADY,
+    STRAIGHT,
+    CameraPose,
+    RoadShape,
+    Wobble,
+    pose_on_road,
+    turned_about_y,
+    turned_on_slope,
+)
 
 AWAY_RAD = -np.pi / 2
 """Heading along z: seen from behind."""
@@ -31,8 +43,16 @@ SIZE_HWL_M = {
     "Truck": (3.30, 2.55, 9.00),
     "Pedestrian": (1.75, 0.55, 0.45),
     "Cyclist": (1.74, 0.60, 1.76),
+    "Bus": (3.10, 2.55, 11.50),
+    "Motorcycle": (1.60, 0.75, 2.10),
+    "TrafficSign": (0.75, 0.75, 0.06),
+    "TrafficLight": (0.90, 0.32, 0.30),
 }
-"""Mean sizes by KITTI type (means of KITTI's labels; a person without the swing of arms and legs)."""
+"""Mean sizes by type (means of KITTI's labels; a person without the swing of arms and legs; the last four, which KITTI
+lacks, as built: a city bus, a motorcycle with its rider, a sign's plate, a light's housing)."""
+
+STEP_S = 1e-3
+"""For rates of change."""
 
 SIZE_SPREAD = 0.08
 """How far height, width and length may be from the mean, as a share of it."""
@@ -44,11 +64,14 @@ class RoadUser:
 
     Attributes:
         track_id: its identity, from 0 as in KITTI, unique in its scene; its looks follow from it too.
-        kitti_type: Car, Van, Truck, Pedestrian or Cyclist.
+        kitti_type: one of `SIZE_HWL_M`.
         size_hwl_m: height, width, length of its 3-D box.
-        start_xz_m: centre of the box on the road at time 0, world axes.
-        rotation_y_rad: heading, KITTI's rotation_y.
+        start_xz_m: centre of the box on the road at time 0: right of the ego lane's middle, and along z.
+        rotation_y_rad: heading, KITTI's rotation_y, counted from the road's direction.
         speed_mps: along the heading.
+        speed_changes: (time, speed) pairs that take the place of `speed_mps`; none = it never changes.
+        lane_change: a move across the road.
+        raised_m: how high above the road the 3-D box begins.
     """
 
     track_id: int
@@ -57,23 +80,52 @@ class RoadUser:
     start_xz_m: tuple[float, float]
     rotation_y_rad: float
     speed_mps: float = 0.0
+    speed_changes: SpeedChanges = ()
+    lane_change: LaneChange | None = None
+    raised_m: float = 0.0
+
+    def on_road_m(self, time_s: float) -> tuple[float, float]:
+        """Where it is: right of the ego lane's middle, and along z."""
+        way_m = travelled_m(self.speed_changes or ((0.0, self.speed_mps),), time_s)
+        moved_m = self.lane_change.moved_m(time_s) if self.lane_change else 0.0
+        x_m, z_m = self.start_xz_m
+        cos, sin = float(np.cos(self.rotation_y_rad)), float(np.sin(self.rotation_y_rad))
+        return x_m + way_m * cos + moved_m, z_m - way_m * sin
+
+    def heading_rad(self, time_s: float) -> float:
+        """Its heading, turned into the lane that it changes to."""
+        if self.lane_change is None:
+            return self.rotation_y_rad
+        before, after = (self.on_road_m(time_s + step_s) for step_s in (-STEP_S, STEP_S))
+        across, ahead = after[0] - before[0], after[1] - before[1]
+        return self.rotation_y_rad if ahead == 0 else float(np.arctan2(-ahead, across))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Road users on a straight road, seen from a camera that moves along it.
+    """Road users on a road, seen from a camera that moves along it.
 
     Attributes:
         seed: all textures and noise follow from it.
         road_users: the objects; rows of every array below are in this order.
-        ego_speed_mps: speed of the camera along z.
+        ego_speed_mps: speed of the camera along the road.
+        ego_speed_changes: (time, speed) pairs that take its place; none = it never changes.
         camera_height_m: of the left camera above the road.
+        road: how it winds and climbs.
+        wobble: how the camera's car pitches and rolls.
+        surroundings: what lines the road, a key of `surroundings.SURROUNDINGS`.
+        is_night: headlights and lamps in place of the sun.
     """
 
     seed: int
     road_users: tuple[RoadUser, ...]
     ego_speed_mps: float = 10.0
+    ego_speed_changes: SpeedChanges = ()
     camera_height_m: float = 1.65
+    road: RoadShape = STRAIGHT
+    wobble: Wobble = STEADY
+    surroundings: str = "town"
+    is_night: bool = False
 
     def __post_init__(self) -> None:
         ids = [user.track_id for user in self.road_users]
@@ -81,25 +133,47 @@ class Scene:
             raise ValueError(f"track ids must be unique, {sorted(ids)} got")
 
     def ego_z_m(self, time_s: float) -> float:
-        """How far the camera has come since time 0."""
-        return self.ego_speed_mps * time_s
+        """How far along z the camera has come since time 0."""
+        return travelled_m(self.ego_speed_changes or ((0.0, self.ego_speed_mps),), time_s)
+
+    def speed_mps(self, time_s: float) -> float:
+        """The speed of the camera along its road."""
+        along_z_mps = speed_at_mps(self.ego_speed_changes or ((0.0, self.ego_speed_mps),), time_s)
+        return along_z_mps * self.road.stretch(self.ego_z_m(time_s))
+
+    def pose(self, time_s: float) -> CameraPose:
+        """Where the left camera is, and how it is turned."""
+        wobble = self.wobble.pitch_roll_rad(time_s)
+        return pose_on_road(self.road, self.ego_z_m(time_s), height_m=self.camera_height_m, pitch_roll_rad=wobble)
 
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at that time."""
-        start_m = np.array([user.start_xz_m for user in self.road_users], np.float64).reshape(-1, 2)
-        moved_m = np.array([user.speed_mps for user in self.road_users]) * time_s
-        heading_rad = self.rotation_y_rad()
-        x = start_m[:, 0] + moved_m * np.cos(heading_rad)
-        z = start_m[:, 1] - moved_m * np.sin(heading_rad) - self.ego_z_m(time_s)
-        return np.stack([x, np.full_like(x, self.camera_height_m), z], axis=1)
+        pose = self.pose(time_s)
+        across, z = np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
+        raised_m = np.array([user.raised_m for user in self.road_users])
+        world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
+        return np.asarray((world - pose.place_m) @ pose.camera_from_world.T)
 
     def size_hwl_m(self) -> FloatArray:
         """(N, 3) height, width, length."""
         return np.array([user.size_hwl_m for user in self.road_users], np.float64).reshape(-1, 3)
 
-    def rotation_y_rad(self) -> FloatArray:
-        """(N,) headings."""
-        return np.array([user.rotation_y_rad for user in self.road_users], np.float64)
+    def rotation_y_rad(self, time_s: float = 0.0) -> FloatArray:
+        """(N,) headings in the left camera's frame, as far as a turn about y tells them."""
+        z = np.array([user.on_road_m(time_s)[1] for user in self.road_users], np.float64)
+        own = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
+        ego_yaw_rad = self.road.yaw_rad(np.array(self.ego_z_m(time_s)))
+        return np.asarray(own + self.road.yaw_rad(z) - ego_yaw_rad)
+
+    def turns(self, time_s: float) -> FloatArray:
+        """(N, 3, 3) turns from the road users' own axes to the left camera's: heading, slope, and the camera's own."""
+        camera_from_world = self.pose(time_s).camera_from_world
+        turns = np.empty((len(self.road_users), 3, 3))
+        for row, user in enumerate(self.road_users):
+            z = np.array(user.on_road_m(time_s)[1])
+            upright = turned_about_y(user.heading_rad(time_s) + float(self.road.yaw_rad(z)))
+            turns[row] = camera_from_world @ turned_on_slope(float(self.road.climb_rad(z))) @ upright
+        return turns
 
 
 Placing = tuple[str, float, float, float, float]

@@ -6,7 +6,7 @@ each octave of the value noise (Perlin, "An image synthesizer", SIGGRAPH 1985) k
 
 from __future__ import annotations
 
-from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,8 +16,6 @@ from detection.detections import FloatArray, Image
 
 TEXELS_PER_M = 96
 """Of vehicles and people: the density of a camera with f = 721 px at 7.5 m."""
-
-GROUND_TEXELS_PER_M = 48
 
 GLASS_BGR = (58, 50, 44)
 RUBBER_BGR = (30, 30, 32)
@@ -40,7 +38,7 @@ def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tupl
     return total.astype(np.float64)
 
 
-def opaque(bgr: FloatArray) -> Image:
+def opaque(bgr: npt.NDArray[np.floating[Any]]) -> Image:
     """(H, W, 3) colours, rounded and clipped, as BGRA."""
     picture = np.full((*bgr.shape[:2], 4), 255, np.uint8)
     picture[:, :, :3] = np.clip(bgr + 0.5, 0, 255)  # cut to whole numbers: rounded by the half
@@ -83,70 +81,3 @@ def cut_outside(picture: Image, corners: list[tuple[float, float]]) -> None:
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, np.rint(np.array(corners) * (width, height)).astype(np.int32), 255)
     picture[:, :, 3] = np.minimum(picture[:, :, 3], inside)
-
-
-def road_texture(rng: np.random.Generator, *, half_width_m: float, period_m: float) -> Image:
-    """Asphalt, lane lines, kerbs and pavements from above: columns from x = -half_width_m, rows from far to near."""
-    density = GROUND_TEXELS_PER_M
-    shape = (round(period_m * density), round(2 * half_width_m * density))
-    x_m = (np.arange(shape[1]) + 0.5) / density - half_width_m
-    z_m = (np.arange(shape[0]) + 0.5) / density
-    bgr = np.full((*shape, 3), 92.0) + 11.0 * value_noise(rng, shape, cells=(2, 4, 8, 16, 32, 64, 128))[:, :, None]
-    pavement = np.abs(x_m) > 7.6
-    slab = ((z_m % 0.75 < 0.03)[:, None] | (x_m % 0.75 < 0.03)[None, :]) & pavement
-    bgr[:, pavement] += (38.0, 42.0, 46.0)
-    bgr[slab] -= 30.0
-    bgr[:, (np.abs(x_m) > 7.5) & (np.abs(x_m) <= 7.65)] += 60.0
-    worn = value_noise(rng, shape, cells=(4, 8, 32))[:, :, None] * 10.0
-    line = np.abs(np.abs(x_m + 1.75) - 0.12) < 0.06  # a double line towards the oncoming lane
-    dash = (np.abs(x_m - 1.75) < 0.075)[None, :] & (z_m % 12.0 < 4.0)[:, None]
-    edge = np.abs(np.abs(x_m) - 5.3) < 0.06
-    white = dash | line[None, :] | edge[None, :]
-    return opaque(np.where(white[:, :, None], 205.0 + worn, bgr))
-
-
-def wall_texture(rng: np.random.Generator, *, height_m: float, period_m: float) -> Image:
-    """A row of houses of different heights and colours, with windows and doors; what is above a roof is cut out."""
-    density = GROUND_TEXELS_PER_M
-    shape = (round(height_m * density), round(period_m * density))
-    noise = value_noise(rng, shape, cells=(2, 4, 8, 16, 32, 64, 128))
-    bgr = np.zeros((*shape, 3))
-    alpha = np.zeros(shape, np.uint8)
-    starts_m = [0.0, *np.sort(rng.choice(np.arange(1, 6), 3, replace=False) * period_m / 6).tolist(), period_m]
-    for from_m, to_m in pairwise(starts_m):
-        columns = slice(round(from_m * density), round(to_m * density))
-        top_m = float(rng.uniform(0, 0.5)) * height_m
-        base = np.array([118.0, 130.0, 145.0]) + rng.normal(0, 18) + rng.normal(0, 11, 3)
-        bgr[:, columns] = base
-        alpha[round(top_m * density) :, columns] = 255
-        _paint_windows(bgr[:, columns], rng, top_m=top_m, height_m=height_m)
-    picture = opaque(bgr + 13.0 * noise[:, :, None])
-    picture[:, :, 3] = alpha
-    return picture
-
-
-def _paint_windows(bgr: FloatArray, rng: np.random.Generator, *, top_m: float, height_m: float) -> None:
-    """Windows floor by floor, 3 m apart, in the colours of one house (painted in place)."""
-    density = GROUND_TEXELS_PER_M
-    width_m = bgr.shape[1] / density
-    bgr[round(top_m * density) : round((top_m + 0.3) * density)] -= 45.0
-    for sill_m in np.arange(height_m - 1.0, top_m + 2.2, -3.0):
-        for left_m in np.arange(0.8, width_m - 1.5, 2.4):
-            rows = slice(round((sill_m - 1.5) * density), round(sill_m * density))
-            columns = slice(round(left_m * density), round((left_m + 1.2) * density))
-            bgr[rows, columns] = np.array(GLASS_BGR) + rng.uniform(-15, 60)
-            bgr[rows.stop : rows.stop + 5, columns] += 50.0
-
-
-def sky_picture(rng: np.random.Generator, *, width_px: int, height_px: int, horizon_px: float) -> Image:
-    """(H, W, 4) what is behind everything, without parallax: clouds, a far line of trees, haze below the horizon."""
-    y = np.arange(height_px, dtype=np.float64)[:, None]
-    share = np.clip(y / max(horizon_px, 1.0), 0, 1)[:, :, None]
-    sky = np.array([225.0, 190.0, 160.0]) * (1 - share) + np.array([232.0, 226.0, 220.0]) * share
-    clouds = value_noise(rng, (height_px, width_px), cells=(24, 48, 96, 192))
-    sky = sky + 9.0 * np.clip(clouds, -1, 3)[:, :, None]
-    ridge_px = horizon_px - height_px * (0.035 + 0.012 * value_noise(rng, (2, width_px), cells=(8, 20, 60))[0])
-    trees = (
-        np.array([95.0, 112.0, 100.0]) + 10.0 * value_noise(rng, (height_px, width_px), cells=(3, 6, 12))[:, :, None]
-    )
-    return opaque(np.where((y >= ridge_px[None, :])[:, :, None], trees, sky))

@@ -1,144 +1,159 @@
-r"""What cars, vans and trucks are made of.
+r"""What vans, trucks and buses are made of: boxes of full width, glazed and on wheels.
 
-  ______          The hull's back, front and sides lie on the 3-D box itself, so that a ray through the middle of a
- /__|___\___      box on the image meets the paint just where it meets the 3-D box (to the right of the bonnet of a
-|__________ |     van or a truck seen from above that is not so, but no camera looks from there).
- (o)    (o)       x ->
+The back, front and sides lie on the 3-D box itself, so that a ray through the middle of a box on the image meets the
+paint just where it meets the 3-D box (to the right of the bonnet of a van or a truck seen from above that is not so,
+but no camera looks from there). Below the sill there are wheels, and the road is seen between them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from track_range.simulation.faces import SUN, Colour, Extent, Face, Vector, block, coloured_face, shaded
-from track_range.simulation.textures import GLASS_BGR, RUBBER_BGR, cut_outside, paint_box, paint_wheel
+from track_range.simulation.faces import Colour, Extent, Face, block
+from track_range.simulation.painting import SEAM, fill, keep, number_plate, pane, shade_rows, wheel
+from track_range.simulation.shadows import shadow
 
-PAINTS: tuple[Colour, ...] = (
-    (60, 40, 150),
-    (150, 95, 45),
-    (185, 185, 180),
-    (70, 70, 72),
-    (205, 205, 205),
-    (80, 110, 70),
-    (70, 130, 165),
-    (100, 60, 50),
-)
-LAMP_RED: Colour = (40, 30, 205)
-LAMP_WHITE: Colour = (240, 245, 245)
-CARGO_WHITE: Colour = (190, 190, 186)
-STEEL: Colour = (55, 55, 58)
+VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
+CARGO_PAINTS: tuple[Colour, ...] = ((204, 204, 200), (190, 192, 190), (150, 96, 52), (60, 110, 60))
+BUS_PAINTS: tuple[Colour, ...] = ((60, 190, 225), (44, 40, 170), (206, 206, 204), (150, 100, 50))
+LAMP_RED: Colour = (32, 26, 190)
+LAMP_WHITE: Colour = (232, 238, 238)
+STEEL: Colour = (52, 52, 55)
 
-PILLAR_M = 0.12
-"""How far a car's cabin stands in from its sides."""
+SILL_M = 0.34
+"""Height of the boxes' lower edge."""
 
-
-def car(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A hull of full width and length up to the shoulders, and a glazed cabin."""
-    height, width, length = size_hwl_m
-    paint = _paint(rng)
-    x, z, shoulder = length / 2, width / 2, 0.62 * height
-    hull = block(rng, (-x, x, 0, shoulder, -z, z), paint)
-    for side, lamp in (("back", LAMP_RED), ("front", LAMP_WHITE)):
-        picture = hull[side].texture
-        paint_box(picture, (0, 0.78, 1, 1), RUBBER_BGR)
-        _lamps(hull[side], (0.18, 0.38), lamp)
-        paint_box(picture, (0.36, 0.5, 0.64, 0.64), (215, 225, 225))
-        for left in (0.39, 0.44, 0.5, 0.55, 0.59):
-            paint_box(picture, (left, 0.53, left + 0.025, 0.61), (40, 40, 40))
-    paint_box(hull["front"].texture, (0.28, 0.2, 0.72, 0.36), (35, 35, 38))
-    for side in ("left", "right"):
-        paint_box(hull[side].texture, (0, 1 - 0.22 / shoulder, 1, 1), RUBBER_BGR)
-        for seam in (0.04, 0.36, 0.62):
-            paint_box(hull[side].texture, (seam, 0.05, seam + 0.008, 0.7), RUBBER_BGR)
-        _wheels(hull[side], (0.82 / length, 1 - 0.82 / length), 0.31)
-    cabin = _cabin(rng, (-0.98 * x, 0.4 * x, shoulder, height, -z, z), (-0.72 * x, 0.02 * x), bgr=paint)
-    return [_shadow(rng, length, width), *hull.values(), *cabin]
+SHADE = ((0.0, 1.08), (0.3, 1.0), (0.75, 0.9), (1.0, 0.62))
+ENDS, SIDES = ("back", "front"), ("left", "right")
 
 
 def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
     """A high box and a bonnet a little over half as high."""
     height, width, length = size_hwl_m
-    paint = _paint(rng)
-    x, z, bonnet_x = length / 2, width / 2, 0.24 * length
-    box = block(rng, (-x, bonnet_x, 0, height, -z, z), paint)
-    bonnet = block(rng, (bonnet_x, x, 0, 0.58 * height, -z, z), paint, sides=("front", "left", "right", "top"))
-    for side, (left, right) in (("back", (0.08, 0.92)), ("left", (0.02, 0.3)), ("right", (0.7, 0.98))):
-        paint_box(box[side].texture, (left, 0.1, right, 0.4), GLASS_BGR)
-    paint_box(box["back"].texture, (0.49, 0.08, 0.51, 0.88), RUBBER_BGR)
-    paint_box(box["front"].texture, (0.06, 0.06, 0.94, 0.4), GLASS_BGR)
-    _lamps(box["back"], (0.5, 0.7), LAMP_RED)
-    _lamps(bonnet["front"], (0.15, 0.4), LAMP_WHITE)
+    paint = _chosen(rng, VAN_PAINTS)
+    x, z, bonnet_x = length / 2, width / 2, 0.27 * length
+    box = _painted(rng, (-x, bonnet_x, 0, height, -z, z), paint)
+    bonnet = _painted(rng, (bonnet_x, x, 0, 0.56 * height, -z, z), paint, sides=("front", "left", "right", "top"))
+    _panes(box["back"], (0.09, 0.10, 0.47, 0.40), (0.53, 0.10, 0.91, 0.40))
+    fill(box["back"].texture, (0.495, 0.05, 0.505, 0.86), SEAM)
+    number_plate(box["back"].texture, (0.36, 0.62, 0.64, 0.68))
+    _panes(box["left"], (0.03, 0.1, 0.28, 0.4))
+    _panes(box["right"], (0.72, 0.1, 0.97, 0.4))
+    for face, seam in ((box["left"], 0.3), (box["right"], 0.7)):
+        fill(face.texture, (seam, 0.06, seam + 0.006, 0.84), SEAM)
+    _panes(box["front"], (0.06, 0.06, 0.94, 0.42))
+    _lamps(box["back"], (0.44, 0.66), LAMP_RED, 0.09)
+    _lamps(bonnet["front"], (0.16, 0.34), LAMP_WHITE, 0.2)
+    fill(bonnet["front"].texture, (0.25, 0.18, 0.75, 0.36), (30, 30, 32))
+    number_plate(bonnet["front"].texture, (0.36, 0.56, 0.64, 0.66))
+    _on_wheels(box["left"], 0.34, (0.8,))
+    _on_wheels(box["right"], 0.34, (0.2,))
+    _on_wheels(bonnet["left"], 0.34, (0.6,))
+    _on_wheels(bonnet["right"], 0.34, (0.4,))
     for face in (box["back"], bonnet["front"]):
-        paint_box(face.texture, (0, 0.87, 1, 1), RUBBER_BGR)
-    for face, at in ((box["left"], 0.8), (box["right"], 0.2), (bonnet["left"], 0.55), (bonnet["right"], 0.45)):
-        _wheels(face, (at,), 0.34)
-    return [_shadow(rng, length, width), *box.values(), *bonnet.values()]
+        _on_tyres(face)
+    return [shadow(size_hwl_m), *box.values(), *bonnet.values()]
 
 
 def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
     """A cargo box on a frame with three wheels a side, and a cab."""
     height, width, length = size_hwl_m
-    paint = _paint(rng)
-    x, z, bed, cab_x = length / 2, width / 2, 0.27 * height, 0.5 * length - 2.1
-    cargo = block(rng, (-x, cab_x - 0.3, bed, height, -z, z), CARGO_WHITE)
-    frame = block(rng, (-x, cab_x, 0, bed, -z, z), STEEL, sides=("back", "left", "right"))
-    cab = block(rng, (cab_x, x, 0, 0.85 * height, -z, z), paint)
-    for side, windows, wheels in (("left", (0.05, 0.6), (0.2, 0.72, 0.88)), ("right", (0.4, 0.95), (0.12, 0.28, 0.8))):
-        paint_box(cargo[side].texture, (0.08, 0.35, 0.92, 0.62), paint)
-        paint_box(cab[side].texture, (windows[0], 0.1, windows[1], 0.45), GLASS_BGR)
-        _wheels(frame[side], wheels, 0.45)
-        _wheels(cab[side], (0.5,), 0.45)
-    paint_box(cargo["back"].texture, (0.49, 0.03, 0.51, 0.97), STEEL)
-    paint_box(cargo["back"].texture, (0.1, 0.3, 0.44, 0.55), paint)
-    paint_box(cab["front"].texture, (0.06, 0.1, 0.94, 0.46), GLASS_BGR)
-    _lamps(frame["back"], (0.15, 0.45), LAMP_RED)
-    _lamps(cab["front"], (0.72, 0.8), LAMP_WHITE)
-    return [_shadow(rng, length, width), *cargo.values(), *frame.values(), *cab.values()]
+    paint, cargo_paint = _chosen(rng, VAN_PAINTS), _chosen(rng, CARGO_PAINTS)
+    x, z, bed, cab_x = length / 2, width / 2, 0.30 * height, 0.5 * length - 2.1
+    cargo = _painted(rng, (-x, cab_x - 0.3, bed, height, -z, z), cargo_paint)
+    frame = _painted(rng, (-x, cab_x, 0, bed, -z, z), STEEL, sides=("back", "left", "right"))
+    cab = _painted(rng, (cab_x, x, 0, 0.85 * height, -z, z), paint)
+    for side, window, wheels in (("left", (0.08, 0.55), (0.72, 0.87)), ("right", (0.45, 0.92), (0.13, 0.28))):
+        for share in np.linspace(0.08, 0.92, 8):
+            fill(cargo[side].texture, (share, 0.02, share + 0.004, 0.98), SEAM)
+        fill(cargo[side].texture, (0.2, 0.3, 0.8, 0.55), paint)
+        _panes(cab[side], (window[0], 0.12, window[1], 0.45))
+        _on_wheels(frame[side], 0.48, wheels, sill_m=0.55)
+        _on_wheels(cab[side], 0.48, (0.5,), sill_m=0.4)
+    back = cargo["back"].texture
+    for left in (0.0, 0.488, 0.97):
+        fill(back, (left, 0, left + 0.03, 1), (88, 88, 88))
+    for left in (0.25, 0.38, 0.60, 0.73):
+        fill(back, (left, 0.03, left + 0.012, 0.97), (70, 70, 72))
+    fill(back, (0.0, 0.96, 1.0, 1.0), (60, 60, 62))
+    _lamps(frame["back"], (0.15, 0.34), LAMP_RED, 0.16)
+    number_plate(frame["back"].texture, (0.4, 0.15, 0.6, 0.3))
+    _on_tyres(frame["back"], sill_m=0.55)
+    fill(cab["front"].texture, (0.06, 0.08, 0.94, 0.44), SEAM)
+    _panes(cab["front"], (0.08, 0.1, 0.92, 0.42))
+    fill(cab["front"].texture, (0.16, 0.52, 0.84, 0.70), (34, 34, 36))
+    _lamps(cab["front"], (0.72, 0.80), LAMP_WHITE, 0.16)
+    _on_tyres(cab["front"])
+    return [shadow(size_hwl_m), *cargo.values(), *frame.values(), *cab.values()]
 
 
-def _paint(rng: np.random.Generator) -> Colour:
-    return PAINTS[int(rng.integers(len(PAINTS)))]
+def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+    """A city bus: one long box with a band of windows, doors on the right, and a sign above the windscreen."""
+    height, width, length = size_hwl_m
+    paint = _chosen(rng, BUS_PAINTS)
+    x, z = length / 2, width / 2
+    hull = _painted(rng, (-x, x, 0, height, -z, z), paint)
+    for side in SIDES:
+        lefts = np.linspace(0.03, 0.86, 7).tolist()
+        _panes(hull[side], *((left, 0.14, left + 0.115, 0.5) for left in lefts))
+        fill(hull[side].texture, (0, 0.56, 1, 0.6), (230, 230, 230))
+    for left in (0.30, 0.86):
+        _panes(hull["right"], (left, 0.14, left + 0.1, 0.84))
+        fill(hull["right"].texture, (left + 0.048, 0.14, left + 0.052, 0.84), SEAM)
+    for face, low in ((hull["back"], 0.42), (hull["front"], 0.58)):
+        fill(face.texture, (0.2, 0.03, 0.8, 0.12), (24, 24, 24))
+        fill(face.texture, (0.42, 0.05, 0.58, 0.10), (70, 190, 250))
+        _panes(face, (0.06, 0.15, 0.94, low))
+        _on_tyres(face)
+    fill(hull["back"].texture, (0.2, 0.55, 0.8, 0.78), tuple(0.8 * channel for channel in paint))
+    number_plate(hull["back"].texture, (0.4, 0.80, 0.6, 0.85))
+    _lamps(hull["back"], (0.60, 0.72), LAMP_RED, 0.1)
+    _lamps(hull["front"], (0.74, 0.80), LAMP_WHITE, 0.16)
+    _on_wheels(hull["left"], 0.48, (0.24, 0.72))
+    _on_wheels(hull["right"], 0.48, (0.28, 0.76))
+    return [shadow(size_hwl_m), *hull.values()]
 
 
-def _lamps(face: Face, rows: tuple[float, float], bgr: Colour) -> None:
-    """Two lamps on a back or front, `rows` from the top as shares of it (painted in place)."""
-    for left in (0.03, 0.81):
-        paint_box(face.texture, (left, rows[0], left + 0.16, rows[1]), bgr)
+def _chosen(rng: np.random.Generator, paints: tuple[Colour, ...]) -> Colour:
+    return paints[int(rng.integers(len(paints)))]
 
 
-def _wheels(face: Face, at: tuple[float, ...], radius_m: float) -> None:
-    """Wheels on the lower edge of a side, `at` shares of its length (painted in place)."""
-    radius = radius_m / float(face.down[1])
+def _painted(
+    rng: np.random.Generator, extent: Extent, bgr: Colour, *, sides: tuple[str, ...] = (*ENDS, *SIDES, "top")
+) -> dict[str, Face]:
+    """The named sides of a box, lighter above than below."""
+    faces = block(rng, extent, bgr, contrast=5.0, sides=sides)
+    for side in (*ENDS, *SIDES):
+        if side in faces:
+            shade_rows(faces[side].texture, SHADE)
+    return faces
+
+
+def _panes(face: Face, *boxes: tuple[float, float, float, float]) -> None:
+    """Windows (painted in place)."""
+    for x1, y1, x2, y2 in boxes:
+        pane(face.texture, [(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
+
+
+def _lamps(face: Face, rows: tuple[float, float], bgr: Colour, width: float) -> None:
+    """Two lamps on a back or front, `rows` from the top and `width` as shares of it (painted in place)."""
+    for left in (0.02, 0.98 - width):
+        fill(face.texture, (left, rows[0], left + width, rows[1]), bgr)
+
+
+def _on_wheels(face: Face, radius_m: float, at: tuple[float, ...], *, sill_m: float = SILL_M) -> None:
+    """Wheels on the lower edge of a side, `at` shares of its length; between them the road is seen (in place)."""
+    down_m = float(face.down[1])
+    radius, sill = radius_m / down_m, 1 - sill_m / down_m
     for share in at:
-        paint_wheel(face.texture, (share, 1 - radius), radius)
+        wheel(face.texture, (share, 1 - radius), radius)
+    keep(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)]], [(share, 1 - radius, radius) for share in at])
 
 
-def _cabin(rng: np.random.Generator, base: Extent, roof_x: tuple[float, float], *, bgr: Colour) -> list[Face]:
-    """A cabin on `base` with sloping front and back windows; the roof runs over `roof_x` (from, to)."""
-    x0, x1, low, high, z0, z1 = base
-    first, last = z0 + PILLAR_M, z1 - PILLAR_M
-    places: dict[str, tuple[Vector, Vector, Vector]] = {
-        "back": ((roof_x[0], -high, last), (0, 0, first - last), (x0 - roof_x[0], high - low, 0)),
-        "front": ((roof_x[1], -high, first), (0, 0, last - first), (x1 - roof_x[1], high - low, 0)),
-        "top": ((roof_x[0], -high, last), (roof_x[1] - roof_x[0], 0, 0), (0, 0, first - last)),
-        "left": ((x1, -high, last), (x0 - x1, 0, 0), (0, high - low, 0)),
-        "right": ((x0, -high, first), (x1 - x0, 0, 0), (0, high - low, 0)),
-    }
-    faces = {side: coloured_face(rng, place, shaded(bgr, SUN[side])) for side, place in places.items()}
-    for side in ("back", "front"):
-        paint_box(faces[side].texture, (0.07, 0.14, 0.93, 0.92), GLASS_BGR)
-    behind, ahead = (roof_x[0] - x0) / (x1 - x0), (x1 - roof_x[1]) / (x1 - x0)
-    for side, (left, right) in (("right", (behind, ahead)), ("left", (ahead, behind))):
-        picture = faces[side].texture
-        paint_box(picture, (0.08, 0.16, 0.46, 0.9), GLASS_BGR)
-        paint_box(picture, (0.5, 0.16, 0.92, 0.9), GLASS_BGR)
-        cut_outside(picture, [(left, 0), (1 - right, 0), (1, 1), (0, 1)])
-    return list(faces.values())
-
-
-def _shadow(rng: np.random.Generator, length: float, width: float) -> Face:
-    """A dark patch on the road, a hand's breadth wider than the vehicle."""
-    x, z = length / 2 + 0.15, width / 2 + 0.15
-    patch = coloured_face(rng, ((-x, -0.01, z), (2 * x, 0, 0), (0, 0, -2 * z)), (38, 36, 36), contrast=6.0)
-    cut_outside(patch.texture, [(0.03, 0), (0.97, 0), (1, 0.1), (1, 0.9), (0.97, 1), (0.03, 1), (0, 0.9), (0, 0.1)])
-    return patch
+def _on_tyres(face: Face, *, sill_m: float = SILL_M) -> None:
+    """A bumper, and two tyres below a back or front (in place)."""
+    sill = 1 - sill_m / float(face.down[1])
+    fill(face.texture, (0, sill - 0.06, 1, sill), (38, 38, 40))
+    fill(face.texture, (0, sill, 1, 1), (20, 20, 22))
+    tyres = [[(left, sill), (left + 0.16, sill), (left + 0.16, 1), (left, 1)] for left in (0.04, 0.80)]
+    keep(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)], *tyres], [])

@@ -1,0 +1,214 @@
+"""NetLaneFinder: the own lane's lines by an ONNX network, told apart by the shapes of its outputs.
+
+Segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection, CULane and TuSimple heads); what
+their outputs mean is in `lane_decoders`. Each is shown the part of the image that looks most like what it was trained
+on: LSTR, trained with one camera, otherwise draws lines toward that camera's horizon, by 10 % of the lane's width on
+others; TwinLiteNet loses thin lines in images that are wider than 16:9 and squeezed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from detection.detections import FloatArray, Image, check_shape
+from detection.lane_decoders import Points, curve_points, is_row_anchor_shape, mask_points, row_anchor_points
+from detection.lane_markings import Markings
+from detection.lanes import LaneLines
+from detection.onnx_session import BoundNetwork, FloatArray32, ModelError, OnnxSession, Runtime
+from detection.own_lane import OwnLane
+
+_IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))  # its own, of blue, green, red
+_UNSCALED = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+_LOOKS = 5  # of one image, at most, while it is not known where to look
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Family:
+    """A kind of lane network.
+
+    Attributes:
+        is_rgb: the channels' order.
+        mean, deviation: of the channels in that order, of pixels / 255.
+        sigma_px: standard deviation of one point's x, in the network's input.
+        horizon: row of the horizon in the images it was trained on, in image heights, and their shape below; None = it
+            has seen all kinds, and is shown the whole image.
+        aim: how far from there the horizon may be, in image heights, without the network being asked again.
+        aspect: width / height of what it is shown.
+        input_hw: of a network that leaves its size open.
+    """
+
+    is_rgb: bool
+    scale: tuple[tuple[float, float, float], tuple[float, float, float]]
+    sigma_px: float
+    horizon: float | None = None
+    aim: float = 0.02
+    aspect: float = 16 / 9
+    input_hw: tuple[int, int] = (360, 640)
+
+
+_SEGMENTATION = _Family(is_rgb=True, scale=_UNSCALED, sigma_px=1.0, horizon=0.47, aim=0.08)
+_CURVES = _Family(is_rgb=False, scale=_LSTR, sigma_px=2.0, horizon=0.35)
+_ROW_ANCHORS = _Family(is_rgb=True, scale=_IMAGENET, sigma_px=2.0, input_hw=(288, 800))
+
+
+class NetLaneFinder:
+    """Finds lanes with one network.
+
+    Attributes:
+        notes: sentences for the user.
+    """
+
+    def __init__(self, model: Path, runtime: Runtime | None = None) -> None:
+        """Load the network and run it once.
+
+        Raises:
+            ModelError: no such model, or its outputs are no lane network's.
+        """
+        session = OnnxSession(model, runtime)
+        self.notes = session.notes
+        self._family, self._network, self._decode = _opened(session)
+        self._input_hw: tuple[int, int] = self._network.blob.shape[2:]
+        self._lane = OwnLane()
+
+    def find(self, image: Image, time_s: float) -> LaneLines:
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`.
+
+        Raises:
+            ModelError: the network fails.
+            ValueError: the image is not (H, W, 3).
+        """
+        check_shape("image", image, (None, None, 3))
+        image_hw = (image.shape[0], image.shape[1])
+        is_new = self._lane.state is None
+        view = self._view(image_hw)
+        lines = LaneLines()
+        for _ in range(_LOOKS):
+            lines = self._lane.update(self._markings(image, view), time_s, image_hw)
+            aimed, view = view, self._view(image_hw)
+            if (
+                not is_new
+                or abs(view.top_px - aimed.top_px) < self._family.aim * image_hw[0]
+                or self._lane.state is None
+            ):
+                break
+            self._lane.forget()  # the same image again is no second witness
+        return lines
+
+    def _view(self, image_hw: tuple[int, int]) -> _View:
+        state = self._lane.state
+        at_px = None if state is None else (state.vanishing_x_px, state.horizon_px)
+        return _View.of(image_hw, self._family, at_px)
+
+    def _markings(self, image: Image, view: _View) -> Markings:
+        self._write(image[view.rows, view.columns])
+        xy, line = self._decode(self._network.run())
+        scale = np.array([view.width_px / self._input_hw[1], view.height_px / self._input_hw[0]])
+        xy_px = (xy + 0.5) * scale - 0.5 + np.array([view.left_px, view.top_px])
+        return Markings(xy_px, line, self._family.sigma_px * float(scale[0]))
+
+    def _write(self, part: Image) -> None:
+        """Put part of an image into the network's input."""
+        pixels = cv2.resize(part, self._input_hw[::-1], interpolation=cv2.INTER_LINEAR)
+        mean, deviation = self._family.scale
+        for channel in range(3):
+            source = pixels[..., 2 - channel if self._family.is_rgb else channel]
+            factor, shift = np.float32(1 / 255 / deviation[channel]), np.float32(mean[channel] / deviation[channel])
+            self._network.blob[0, channel] = source * factor - shift
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """The part of an image that a network is shown."""
+
+    left_px: int
+    top_px: int
+    width_px: int
+    height_px: int
+
+    @classmethod
+    def of(cls, image_hw: tuple[int, int], family: _Family, vanishing_px: tuple[float, float] | None) -> _View:
+        """The largest part whose horizon lies where the family expects it; all of the image if it does not care."""
+        height, width = image_hw
+        if family.horizon is None:
+            return cls(0, 0, width, height)
+        x_px, y_px = vanishing_px or (width / 2, family.horizon * height)
+        tallest = min((height - y_px) / (1 - family.horizon), width / family.aspect)
+        rows = round(float(np.clip(tallest, height / 3, height)))
+        columns = min(round(rows * family.aspect), width)
+        top = round(float(np.clip(y_px - family.horizon * rows, 0, height - rows)))
+        left = round(float(np.clip(x_px - columns / 2, 0, width - columns)))
+        return cls(left, top, columns, rows)
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.top_px, self.top_px + self.height_px)
+
+    @property
+    def columns(self) -> slice:
+        return slice(self.left_px, self.left_px + self.width_px)
+
+
+_Decode = Callable[[Sequence[FloatArray32]], Points]
+
+
+def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
+    """The family of a network by its outputs, its buffers, and what reads its outputs."""
+    _, channels, height, width = session.input_shape
+    if channels != 3:
+        shape = "[" + ", ".join("any" if side is None else str(side) for side in session.input_shape) + "]"
+        raise ModelError(f"{session.path}: no lane network: one input [1, 3, height, width] wanted, {shape} found.")
+    if height and width:
+        return _matched(session, session.bound((height, width)), (height, width))
+    for family in (_SEGMENTATION, _ROW_ANCHORS):  # a network that leaves its size open: of no size but its own it fails
+        input_hw = (height or family.input_hw[0], width or family.input_hw[1])
+        try:
+            return _matched(session, session.bound(input_hw), input_hw)
+        except ModelError as error:
+            last = error
+    raise last
+
+
+def _matched(
+    session: OnnxSession, network: BoundNetwork, input_hw: tuple[int, int]
+) -> tuple[_Family, BoundNetwork, _Decode]:
+    shapes = network.output_shapes
+    names = list(shapes)
+    masks = [name for name, shape in shapes.items() if _is_mask(shape)]
+    anchors = [i for i, shape in enumerate(shapes.values()) if is_row_anchor_shape(shape)]
+    scores = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 2]
+    curves = [i for i, shape in enumerate(shapes.values()) if len(shape) == 3 and shape[2] == 8]
+    if scores and curves and shapes[names[scores[0]]][1] == shapes[names[curves[0]]][1]:
+        return _CURVES, network, lambda out: curve_points(out[scores[0]][0], out[curves[0]][0], input_hw)
+    if anchors:
+        return _ROW_ANCHORS, network, lambda out: row_anchor_points(out[anchors[0]][0], input_hw)
+    if masks:
+        mask = names.index(_lane_mask(masks))
+        return _SEGMENTATION, network, lambda out: _scaled(mask_points(out[mask][0]), out[mask].shape[2:], input_hw)
+    found = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
+    raise ModelError(
+        f"{session.path}: no lane network that is known here: outputs {found} found; known are masks [1, 2, h, w], "
+        "curves [1, K, 2] with [1, K, 8] (LSTR), and row anchors [1, 201, 18, 4] or [1, 101, 56, 4]."
+    )
+
+
+def _is_mask(shape: tuple[int, ...]) -> bool:
+    return len(shape) == 4 and shape[1] in (1, 2) and min(shape[2:]) >= 32
+
+
+def _lane_mask(names: Sequence[str]) -> str:
+    """Which of several masks is that of lines; by its name, else the last (after the drivable area)."""
+    named = [name for name in names if any(word in name.lower() for word in ("lane", "line", "ll"))]
+    return (named or list(names))[-1]
+
+
+def _scaled(points: Points, mask_hw: tuple[int, ...], input_hw: tuple[int, int]) -> Points:
+    """Points of a mask in the input's pixels."""
+    scale: FloatArray = np.array([input_hw[1] / mask_hw[1], input_hw[0] / mask_hw[0]])
+    return (points[0] + 0.5) * scale - 0.5, points[1]

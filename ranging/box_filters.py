@@ -1,0 +1,54 @@
+"""Filters over time put on the distances of labelled boxes, track by track, as a run puts them on its own.
+
+The ego speed is not known here: the paper's filter (`ranging.paper_filter`) takes it for 0, and the default one
+(`ranging.smoothing.DistanceFilter`) goes by the relative speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from detection.detections import FloatArray
+from ranging.box_evaluation import frame_rows
+from ranging.evaluation import MethodColumn
+from ranging.labelled_boxes import BoxSet
+from ranging.paper_filter import PaperFilter
+from ranging.ranges import Ranges
+from ranging.smoothing import DistanceFilter
+
+FilterName = Literal["none", "paper", "default"]
+
+_FILTERS: Mapping[str, Callable[[], PaperFilter | DistanceFilter]] = {"paper": PaperFilter, "default": DistanceFilter}
+
+_UNKNOWN_SIGMA = 0.1
+"""Relative sigma of a method that tells none."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilteredColumn:
+    """A method's filtered distances and sigmas, and (N,) closing speed; NaN = unknown."""
+
+    column: MethodColumn
+    closing_mps: FloatArray
+
+
+def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> FilteredColumn:
+    """The column through a filter; "none" leaves it as it is, without closing speeds."""
+    if filter_name == "none":
+        return FilteredColumn(column, np.full(len(boxes), np.nan))
+    is_told = np.isfinite(column.sigma_m)
+    sigma_m = np.where(is_told, column.sigma_m, _UNKNOWN_SIGMA * column.distance_m)
+    distance_m, out_sigma_m, closing_mps = np.full((3, len(boxes)), np.nan)
+    sequence, smooth = -1, _FILTERS[filter_name]()
+    for rows in frame_rows(boxes):
+        if boxes.sequence[rows[0]] != sequence:
+            sequence, smooth = boxes.sequence[rows[0]], _FILTERS[filter_name]()
+        measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows])
+        found = smooth.update(measured, float(boxes.time_s[rows[0]]))
+        distance_m[rows], out_sigma_m[rows] = found.ranges.distance_m, found.ranges.sigma_m
+        closing_mps[rows] = -found.rate_mps
+    return FilteredColumn(MethodColumn(distance_m, np.where(is_told.any(), out_sigma_m, np.nan)), closing_mps)

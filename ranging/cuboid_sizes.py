@@ -1,0 +1,117 @@
+"""CuboidSizes: distances of a frame's boxes by what is known of sizes, and by the ground that they share.
+
+A detector that says car may mean a van: such a class is a mixture of priors (`SOLD_AS`), and where the box stands on
+the road tells which of the two it is likely to be. Only boxes of classes that stand on the road say anything of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from detection.detections import FloatArray, IntArray
+from ranging.curve_file import write_curve_file
+from ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+from ranging.shared_ground import GroundPrior, Stand
+from ranging.size_posterior import ground_likelihood, mixture_by_size, on_grid
+from ranging.size_prior import ShapeTables, SizePrior
+
+KIND = "cuboids"
+
+SOLD_AS: Mapping[str, Mapping[str, float]] = {
+    "car": {"car": 0.96, "van": 0.04},
+    "van": {"van": 0.95, "truck": 0.05},
+}
+"""What a class's name may mean, with shares: detectors call vans cars, and KITTI calls lorries of 3 m height vans."""
+
+_MIDDLE_68 = (0.158655, 0.5, 0.841345)
+_MIN_SIGMA = 0.01
+
+
+class CuboidSizes:
+    """Priors of all classes, and of the ground."""
+
+    def __init__(self, priors: Mapping[str, SizePrior], ground: GroundPrior | None = None) -> None:
+        """Priors by size class; a class without one gives NaN."""
+        self.priors = dict(priors)
+        self.ground = ground or GroundPrior()
+        self._tables = ShapeTables(priors)
+        self._stands = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
+        self._known = np.array([name in priors for name in SIZE_CLASSES])
+        self._kinds, self._shares = _what_is_sold_as(priors)
+
+    def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
+        """Distances of the boxes of one frame, together."""
+        distance_m, sigma_m, kept_m = np.full((3, len(boxes)), np.nan)
+        known = np.flatnonzero(self._known[boxes.size_class])
+        if len(known):
+            distance_m[known], sigma_m[known], kept_m[known] = self._measured(boxes.select(known))
+        return SizedDistances(distance_m, sigma_m, kept_m)
+
+    def _measured(self, boxes: MeasuredBoxes) -> tuple[FloatArray, FloatArray, FloatArray]:
+        sold_as = boxes.size_class
+        by_size = mixture_by_size(self._tables, boxes, self._kinds[sold_as], self._shares[sold_as])
+        grid = on_grid(by_size)
+        low, middle, high = grid.quantiles(*_MIDDLE_68)  # moments would mind the van that a car hardly ever is
+        size_sigma = (high - low) / 2
+        stands = self._stands[sold_as] & boxes.uses_bottom
+        if stands.any():
+            stand = Stand(boxes.bottom, np.exp(by_size.nearer - middle), size_sigma, boxes.edge_sigma[:, 1], stands)
+            grid = grid.times(ground_likelihood(grid.log_m, by_size.nearer, stand=stand, prior=self.ground))
+            low, _, high = grid.quantiles(*_MIDDLE_68)
+        (best,) = grid.quantiles(0.5, tilt=1.0)
+        sigma = np.maximum((high - low) / 2, _MIN_SIGMA)
+        # the ground shrinks the kept and the new part alike: by size alone they can be told apart
+        kept = sigma * np.sqrt(np.clip(1.0 - by_size.frame_variance / size_sigma**2, 0.0, 1.0))
+        distance_m = np.exp(best)
+        return distance_m, distance_m * sigma, distance_m * kept
+
+    def save(self, path: Path) -> None:
+        """Write the priors as JSON, whole or not at all.
+
+        Raises:
+            CurveError: the file cannot be written.
+        """
+        classes = {name: asdict(prior) for name, prior in self.priors.items()}
+        write_curve_file(path, KIND, {"ground": asdict(self.ground), "classes": classes})
+
+
+def cuboids_in(document: Mapping[str, Any]) -> CuboidSizes:
+    """The priors of a file's content.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: an unknown class, a missing number, numbers that make no sense.
+    """
+    ground = GroundPrior(**{key: _tuples(value) for key, value in document["ground"].items()})
+    priors = {}
+    for name, numbers in document["classes"].items():
+        if name not in SIZE_CLASSES:
+            raise ValueError(f"{name} is no class with a size")
+        priors[name] = SizePrior(**{key: _tuples(value) for key, value in numbers.items()})
+        if faults := priors[name].faults():
+            raise ValueError(f"{name}: {faults}")
+    if faults := ground.faults():
+        raise ValueError(faults)
+    return CuboidSizes(priors, ground)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _what_is_sold_as(priors: Mapping[str, SizePrior]) -> tuple[IntArray, FloatArray]:
+    """(classes, M) kinds that each class's name may mean, and their shares; 0 beyond the last."""
+    meant = [
+        {one: share for one, share in SOLD_AS.get(name, {name: 1.0}).items() if one in priors} for name in SIZE_CLASSES
+    ]
+    most = max(len(kinds) for kinds in meant)
+    kinds, shares = np.zeros((len(SIZE_CLASSES), most), np.int64), np.zeros((len(SIZE_CLASSES), most))
+    for row, members in enumerate(meant):
+        kinds[row] = row
+        for column, (one, share) in enumerate(members.items()):
+            kinds[row, column], shares[row, column] = SIZE_CLASSES.index(one), share
+    return kinds, shares

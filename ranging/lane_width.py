@@ -1,0 +1,183 @@
+r"""LaneWidthRanger: distance from the width of the lane that an object stands on (Luo, the lane-width paper).
+
+     \  w  /       d = fx W / w      W metres between the two lines, w pixels between them in the row of the box's
+      \___/                          bottom edge; neighbouring lanes are taken to be as wide as the own one
+      |box|        sigma_d / d = |sigma_w / w, sigma_W / W, w' sigma_y / w|
+     /-----\
+    /   W   \      w is linear in the row, w = w' (y - horizon), so the last term grows with the distance: it is the
+                   bottom edge's error, as for any method that looks at the ground
+
+Lines and box are seen in the same image: pitching moves both, and cancels. The point on the ground below the bottom
+edge is where the object begins, so d is the distance of its surface where that is upright: a car's rear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from detection.classes import ROAD_CLASSES
+from detection.detections import BoolArray, FloatArray
+from detection.lanes import LaneLine, LaneLines
+from ranging.ranges import Ranges
+from stereo.camera import PinholeCamera
+from stereo.frames import Frame
+from tracking.tracks import Tracks
+
+LANE_WIDTH_M = 3.5
+"""Between the middles of the lines, unless told otherwise."""
+
+LANE_WIDTH_SIGMA = 0.1
+"""Relative, of that guess: lanes are 2.75 to 3.75 m wide by country and kind of road, and wider where a road has no
+shoulders (4.2 m on KITTI 0005)."""
+
+_ON_THE_ROAD = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
+_BORDER_PX = 1.5  # a bottom edge this near the image's border is taken as cut off by it, as in size_regression
+_REACH = (-1.1, 2.1)  # in lane widths from the left line: own lane 0 to 1, and a neighbour on either side
+_FARTHEST_SEEN = 2.0  # times the distance of the farthest row in which both lines were seen
+_NEAREST_SEEN = 0.5
+_MIN_WIDTH_PX = 8.0
+_LARGEST_SIGMA = 0.3  # relative: less sure than that is not measured
+_SUREST = 0.015  # relative: what all measurements of a drive share, a detector's bottom edges, the pair's alignment
+_LEAST_SURE = 0.25
+_SHAKEN = 1.4
+_GATE = 3.0
+_FORGETTING_S = 60.0
+_ROAD_SIGMA = 0.01  # relative: roads are not planes, lanes not of one width
+
+
+@dataclass(frozen=True, slots=True)
+class LaneWidth:
+    """The lane's width as a guess that measurements sharpen, in logarithms.
+
+    Attributes:
+        width_m: metres between the lines.
+        sigma: relative standard deviation.
+    """
+
+    width_m: float = LANE_WIDTH_M
+    sigma: float = LANE_WIDTH_SIGMA
+
+    def after(self, step_s: float) -> LaneWidth:
+        """Less sure some time later: roads change."""
+        variance = self.sigma**2 + LANE_WIDTH_SIGMA**2 * step_s / _FORGETTING_S
+        return replace(self, sigma=min(variance**0.5, max(LANE_WIDTH_SIGMA, self.sigma)))
+
+    def taught(self, width_m: FloatArray, sigma: FloatArray) -> LaneWidth:
+        """Put together with widths (N,) measured in one image and their relative standard deviations, N >= 1.
+
+        They share most of their errors, and count as one. Strays count nothing, but shake the belief: where all of them
+        are strays for a while, it is the belief that is wrong (other lines are followed now).
+        """
+        log = np.log(width_m / self.width_m)
+        good = np.abs(log) < _GATE * np.hypot(sigma, self.sigma)
+        if not good.any():
+            return replace(self, sigma=min(_SHAKEN * self.sigma, _LEAST_SURE))
+        weight = 1.0 / sigma[good] ** 2
+        found, variance = float((weight * log[good]).sum() / weight.sum()), float(1.0 / weight.mean())
+        gain = self.sigma**2 / (self.sigma**2 + variance)
+        return LaneWidth(self.width_m * float(np.exp(gain * found)), max(self.sigma * (1 - gain) ** 0.5, _SUREST))
+
+
+class LaneWidthRanger:
+    """Ranges observed boxes that stand in the own lane or in a neighbour of it.
+
+    Lines come from outside, image by image: `see` them, then `measure`.
+
+    Attributes:
+        lane: the lane's width as known so far.
+    """
+
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        *,
+        width_m: float = LANE_WIDTH_M,
+        width_sigma: float = LANE_WIDTH_SIGMA,
+        box_sigma_px: float = 1.5,
+    ) -> None:
+        """Range for `camera` (undistorted).
+
+        Args:
+            camera: whose images the lines are found in.
+            width_m: the lanes' width, between the middles of the lines.
+            width_sigma: its relative standard deviation.
+            box_sigma_px: standard deviation of a detected box's bottom edge.
+        """
+        self._camera = camera
+        self._box_sigma_px = box_sigma_px
+        self.lane = LaneWidth(width_m, width_sigma)
+        self._lines, self._of_frame = LaneLines(), -1
+        self._taught_s = np.nan
+
+    def see(self, lines: LaneLines, frame_index: int) -> None:
+        """Take the lane's lines of a frame, before it is measured."""
+        self._lines, self._of_frame = lines, frame_index
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the tracks; NaN where this frame's lines are not known.
+
+        NaN also for boxes that are predicted, cut off at the bottom, of lights and signs, farther aside than the
+        neighbouring lanes, or far outside the rows in which the lines were seen.
+        """
+        seen = self._widths(tracks, frame)
+        if seen is None:
+            return Ranges.unmeasured(tracks.track_id)
+        width_px, sigma_w, good = seen
+        distance_m = self._camera.fx_px * self.lane.width_m / np.where(good, width_px, np.nan)
+        sigma = np.hypot(sigma_w, self.lane.sigma)
+        sure = sigma < _LARGEST_SIGMA
+        distance_m = np.where(sure, distance_m, np.nan)
+        return Ranges(tracks.track_id, distance_m, distance_m * sigma)
+
+    def learn(self, tracks: Tracks, frame: Frame, measured: Ranges) -> None:
+        """Take the lane's width from distances that another method (stereo) measured in the frame seen last.
+
+        From then on `measure` is no longer independent of that method.
+        """
+        seen = self._widths(tracks, frame)
+        if seen is None:
+            return
+        width_px, sigma_w, good = seen
+        usable = good & np.isfinite(measured.distance_m) & np.isfinite(measured.sigma_m)
+        if not usable.any():
+            return
+        distance_m, sigma_m = measured.distance_m[usable], measured.sigma_m[usable]
+        step_s = 0.0 if np.isnan(self._taught_s) else max(frame.time_s - self._taught_s, 0.0)
+        self._taught_s = frame.time_s
+        self.lane = self.lane.after(step_s).taught(
+            width_px[usable] * distance_m / self._camera.fx_px, np.hypot(sigma_w[usable], sigma_m / distance_m)
+        )
+
+    def _widths(self, tracks: Tracks, frame: Frame) -> tuple[FloatArray, FloatArray, BoolArray] | None:
+        """(N,) width in the rows of the bottom edges, px, its relative error with theirs, and whom it serves."""
+        left, right = self._lines.left, self._lines.right
+        if left is None or right is None or self._of_frame != frame.index or not len(tracks):
+            return None
+        y_px = tracks.xyxy_px[:, 3]
+        left_px = left.x_px(y_px)
+        width_px = right.x_px(y_px) - left_px
+        wide = np.maximum(width_px, 1.0)
+        across = (tracks.xyxy_px[:, [0, 2]].mean(axis=1) - left_px) / wide
+        good = (
+            tracks.observed
+            & _ON_THE_ROAD[tracks.class_id]
+            & (y_px < frame.left.shape[0] - 0.5 - _BORDER_PX)
+            & (width_px >= _MIN_WIDTH_PX)
+            & (across > _REACH[0])
+            & (across < _REACH[1])
+            & _are_reached(left, right, y_px, width_px=width_px)
+        )
+        opening = right.slope(y_px) - left.slope(y_px)
+        sigma_px = np.sqrt(left.sigma_px(y_px) ** 2 + right.sigma_px(y_px) ** 2 + (opening * self._box_sigma_px) ** 2)
+        return width_px, np.hypot(sigma_px / wide, _ROAD_SIGMA), np.asarray(good)
+
+
+def _are_reached(left: LaneLine, right: LaneLine, y_px: FloatArray, *, width_px: FloatArray) -> BoolArray:
+    """Whether rows are not much farther, or nearer, than those in which both lines were seen."""
+    rows = np.array([max(left.y_top_px, right.y_top_px), min(left.y_bottom_px, right.y_bottom_px)])
+    top_px, bottom_px = right.x_px(rows) - left.x_px(rows)
+    return np.asarray(
+        (rows[0] < rows[1]) & (width_px * _FARTHEST_SEEN >= top_px) & (width_px * _NEAREST_SEEN <= bottom_px)
+    )

@@ -1,0 +1,114 @@
+"""Distance from the size of a box: one log-linear curve per class, on sizes divided by the focal length.
+
+    log d = intercept + per_log_height log(h / fy) + per_log_width log(w / fx) + per_bearing |tan bearing|
+
+For a flat object of known size the slopes are -1 and 0 and exp(intercept) is its height in metres. Unlike the
+polynomial of the box's diagonal (Zhang et al., the paper's eq. 4-7) it cannot turn negative or rise again outside the
+fitted range. A second set of coefficients without the width serves boxes whose side is cut off.
+Sigma: a relative part (other drives, other makes: leave-one-sequence-out residuals) plus the box's own noise in pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from detection.detections import FloatArray
+from ranging.curve_file import write_curve_file
+from ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+
+KIND = "log-linear"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizeCurve:
+    """The curve of one class.
+
+    Attributes:
+        intercept: log metres.
+        per_log_height: slope in log(h / fy), negative.
+        per_log_width: slope in log(w / fx), <= 0; 0 = the width is not used.
+        per_bearing: slope in |tan bearing|.
+        sigma_relative: standard deviation of the relative error on exact boxes of drives not fitted on.
+        n: boxes fitted on; 0 = from a standard size.
+        source: from what the coefficients come.
+    """
+
+    intercept: float
+    per_log_height: float
+    per_log_width: float
+    per_bearing: float
+    sigma_relative: float
+    n: int
+    source: str
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """The four in the equation's order."""
+        return self.intercept, self.per_log_height, self.per_log_width, self.per_bearing
+
+
+class SizeCurves:
+    """The curves of all classes as arrays, so that a frame's boxes are ranged at once."""
+
+    def __init__(self, whole: Mapping[str, SizeCurve], height_only: Mapping[str, SizeCurve]) -> None:
+        """Curves by size class, for whole boxes and for boxes with a side cut off; a class without one gives NaN."""
+        self.whole = dict(whole)
+        self.height_only = dict(height_only)
+        self._tables = np.stack([_table(self.height_only), _table(self.whole)])
+
+    def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
+        """Distances of boxes, each by itself."""
+        table = self._tables[boxes.uses_width.astype(np.int64), boxes.size_class]
+        log_size = np.log(boxes.wh_over_f)
+        slopes = table[:, 1:4]
+        terms = np.stack([log_size[:, 1], log_size[:, 0], np.abs(boxes.bearing)], axis=1)
+        distance_m = np.exp(table[:, 0] + (slopes * terms).sum(axis=1))
+        noise = (slopes[:, 1::-1] ** 2 * boxes.log_variance).sum(axis=1)
+        kept_m = distance_m * table[:, 4]
+        return SizedDistances(distance_m, np.hypot(kept_m, distance_m * np.sqrt(noise)), kept_m)
+
+    def save(self, path: Path) -> None:
+        """Write the curves as JSON, whole or not at all.
+
+        Raises:
+            CurveError: the file cannot be written.
+        """
+        equation = "log d_m = intercept + per_log_height log(h/fy) + per_log_width log(w/fx) + per_bearing |x/z|"
+        sections = {
+            "whole": {name: asdict(curve) for name, curve in self.whole.items()},
+            "height_only": {name: asdict(curve) for name, curve in self.height_only.items()},
+        }
+        write_curve_file(path, KIND, {"equation": equation, **sections})
+
+
+def log_linear_in(document: Mapping[str, Any]) -> SizeCurves:
+    """The curves of a file's content.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: an unknown class, a number missing, a curve that rises.
+    """
+    return SizeCurves(_curves_in(document["whole"]), _curves_in(document["height_only"]))
+
+
+def _curves_in(section: Mapping[str, Mapping[str, Any]]) -> dict[str, SizeCurve]:
+    curves = {name: SizeCurve(**fields) for name, fields in section.items()}
+    for name, curve in curves.items():
+        if name not in SIZE_CLASSES:
+            raise ValueError(f"{name} is no class with a size")
+        if not (curve.per_log_height < 0 and curve.per_log_width <= 0 and curve.sigma_relative > 0):
+            raise ValueError(f"{name}: distance must fall with size, and sigma_relative be positive")
+    return curves
+
+
+def _table(curves: Mapping[str, SizeCurve]) -> FloatArray:
+    """(number of classes, 5): the four coefficients and sigma_relative; NaN where a class has no curve."""
+    table = np.full((len(SIZE_CLASSES), 5), np.nan)
+    borrowed = {"van": curves["car"]} if "car" in curves else {}  # a curve file of road classes: a van is a car
+    for name, curve in {**borrowed, **curves}.items():
+        table[SIZE_CLASSES.index(name)] = (*curve.coefficients, curve.sigma_relative)
+    return table

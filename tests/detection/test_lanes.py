@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from detection.lanes import LaneLine, LaneLines, points
+
+
+def line(*coefficients, covariance=None, rows=(200.0, 350.0)):
+    return LaneLine(np.array(coefficients), np.zeros((3, 3)) if covariance is None else covariance, *rows)
+
+
+def test_a_line_by_hand():
+    bent = line(100.0, 2.0, 0.01)
+    assert bent.x_px(np.array([0.0, 10.0])) == pytest.approx([100.0, 121.0])
+    assert bent.slope(np.array([10.0])) == pytest.approx([2.2])
+    assert bent.is_seen(np.array([199.0, 200.0, 350.0, 351.0])).tolist() == [False, True, True, False]
+
+
+def test_sigma_follows_from_the_covariance():
+    moved_or_turned = np.diag([9.0, 0.04, 0.0])  # x = c0 + c1 y, sigma^2 = 9 + 0.04 y^2
+    sigma = line(0, 0, 0, covariance=moved_or_turned).sigma_px(np.array([0.0, 20.0]))
+    assert sigma == pytest.approx([3.0, 5.0])
+
+
+def test_lines_meet_at_the_vanishing_point():
+    left, right = line(490.0, -1.0, 0.0), line(150.0, 1.0, 0.0)
+    assert LaneLines(left, right).vanishing_point_px() == pytest.approx((320.0, 170.0))
+    assert LaneLines(right, left).vanishing_point_px() is None  # they open upward
+    assert LaneLines(left, line(590.0, -1.0, 0.0)).vanishing_point_px() is None  # parallel
+    assert LaneLines(left, None).vanishing_point_px() is None
+    assert LaneLines().vanishing_point_px() is None
+
+
+def test_lines_that_bend_alike_meet_too():
+    left, right = line(490.0, -1.0, 0.002), line(150.0, 1.0, 0.002)
+    assert LaneLines(left, right).vanishing_point_px() == pytest.approx((320 + 0.002 * 170**2, 170.0))
+    assert LaneLines(left, line(150.0, 1.0, 0.003)).vanishing_point_px() is None
+
+
+def test_points_to_draw():
+    drawn = points(line(10.0, 1.0, 0.0), n=4)
+    assert drawn == pytest.approx(np.array([[210, 200], [260, 250], [310, 300], [360, 350]], float))
+
+
+def test_wrong_shapes_and_rows_are_refused():
+    with pytest.raises(ValueError, match="coefficients"):
+        LaneLine(np.zeros(2), np.zeros((3, 3)), 0.0, 1.0)
+    with pytest.raises(ValueError, match="covariance"):
+        LaneLine(np.zeros(3), np.zeros((2, 2)), 0.0, 1.0)
+    with pytest.raises(ValueError, match="top above bottom"):
+        line(0, 0, 0, rows=(2.0, 1.0))

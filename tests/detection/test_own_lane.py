@@ -1,0 +1,216 @@
+"""Choosing, fitting and following the own lane on exact roads."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.lane_choice import own_pair
+from detection.lane_markings import Markings, Proposals, proposals, run_middles
+from detection.lane_model import LaneState
+from detection.own_lane import OwnLane
+from tests.detection.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
+
+ROWS = np.array([220.0, 300.0, 350.0])
+
+
+def markings(*lines_m, numbered=False, sigma=0.0, seed=0, **more):
+    pixels = [line_pixels(x_m, **more) for x_m in lines_m]
+    xy = np.concatenate(pixels)
+    xy = xy + np.stack([np.random.default_rng(seed).normal(0, sigma, len(xy)), np.zeros(len(xy))], axis=1)
+    number = np.repeat(np.arange(len(pixels)), [len(part) for part in pixels]) if numbered else np.full(len(xy), -1)
+    return Markings(xy, number.astype(np.int64), 1.0)
+
+
+def followed(lane, times_s, seen):
+    lines = None
+    for time_s in times_s:
+        lines = lane.update(seen, time_s, HW)
+    return lines
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_the_two_lines_beside_the_camera_are_the_own_lane(numbered):
+    lines = OwnLane().update(markings(-5.25, -1.75, 1.75, 5.25, numbered=numbered), 0.0, HW)
+    assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=0.5)
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=0.5)
+    assert lines.vanishing_point_px() == pytest.approx((320, HORIZON_PX), abs=1.0)
+    assert (lines.left.y_top_px, lines.left.y_bottom_px) == (200.0, 354.0)
+
+
+@settings(deadline=None, max_examples=25)
+@given(offset_m=st.floats(-0.8, 0.8), lane_m=st.floats(2.8, 4.2), seed=st.integers(0, 99))
+def test_width_of_any_lane_from_noisy_pixels(offset_m, lane_m, seed):
+    left_m = offset_m - lane_m / 2
+    lines = OwnLane().update(markings(left_m, left_m + lane_m, sigma=1.0, seed=seed), 0.0, HW)
+    width = lines.right.x_px(ROWS) - lines.left.x_px(ROWS)
+    sigma = np.hypot(lines.left.sigma_px(ROWS), lines.right.sigma_px(ROWS))
+    assert width == pytest.approx(width_px(ROWS, lane_m), rel=0.05)
+    assert (np.abs(width - width_px(ROWS, lane_m)) < 3 * sigma).all()
+
+
+def test_a_bend_moves_both_lines_alike_and_leaves_the_width():
+    straight = markings(-1.75, 1.75)
+    bend_px = 0.004 * (straight.xy_px[:, 1] - 355) ** 2
+    lines = OwnLane().update(
+        Markings(straight.xy_px + np.stack([bend_px, 0 * bend_px], axis=1), straight.line, 1.0), 0.0, HW
+    )
+    y = np.array([230.0, 340.0])
+    assert lines.right.x_px(y) == pytest.approx(road_x_px(1.75, y) + 0.004 * (y - 355) ** 2, abs=2.0)
+    assert lines.right.x_px(y) - lines.left.x_px(y) == pytest.approx(width_px(y), rel=0.03)
+
+
+def test_strays_do_not_move_the_lines():
+    rng = np.random.default_rng(3)
+    strays = rng.uniform([0, 200], [640, 355], (60, 2))
+    xy = np.concatenate([markings(-1.75, 1.75).xy_px, strays])
+    lines = OwnLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
+    assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.03)
+
+
+def test_markings_all_over_the_road_are_no_lane():
+    rng = np.random.default_rng(4)
+    lines = OwnLane().update(Markings.unnumbered(rng.uniform([0, 200], [640, 355], (900, 2)), 1.0), 0.0, HW)
+    assert lines.left is None
+    assert lines.right is None
+
+
+def test_one_line_alone_is_no_lane_at_first_but_carries_one_on():
+    lane = OwnLane()
+    assert lane.update(markings(1.75), 0.0, HW).right is None
+    followed(lane, [0.1, 0.2, 0.3], markings(-1.75, 1.75))
+    lines = lane.update(markings(1.95), 0.4, HW)  # the camera went 0.2 m to the left, the left line is not seen
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.95, ROWS), abs=3.0)
+    assert lines.left is not None  # not forgotten yet, and less sure than the one that is seen
+    assert (lines.left.sigma_px(ROWS) > lines.right.sigma_px(ROWS)).all()
+
+
+def test_a_line_that_vanishes_is_none_after_half_a_second_of_real_time():
+    for step_s in (0.04, 0.2):
+        lane = OwnLane()
+        followed(lane, [0.0, step_s], markings(-1.75, 1.75))
+        gone = [lane.update(markings(1.75), step_s + t, HW).left is None for t in np.arange(step_s, 1.0, step_s)]
+        times_s = np.arange(step_s, 1.0, step_s)
+        assert gone == (times_s > 0.5 + 1e-9).tolist()
+
+
+def test_both_lines_vanish():
+    lane = OwnLane()
+    nothing = Markings.unnumbered(np.zeros((0, 2)), 1.0)
+    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    lines = lane.update(nothing, 0.3, HW)
+    assert lines.left is not None
+    assert lines.left.sigma_px(ROWS).min() > 3.0
+    lines = lane.update(nothing, 0.7, HW)
+    assert lines.left is None
+    assert lines.right is None
+    assert lane.state is None
+
+
+def test_a_break_in_the_video_starts_anew():
+    lane = OwnLane()
+    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    assert lane.update(markings(1.75), 5.0, HW).right is None
+
+
+def test_lines_that_cross_are_no_lane():
+    y = np.arange(200.0, 355.0, 2.0)
+    crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
+    lines = OwnLane().update(Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0), 0.0, HW)
+    assert lines.left is None
+    assert lines.right is None
+
+
+def test_lines_that_cross_later_do_not_move_the_lane_and_end_it():
+    lane = OwnLane()
+    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    y = np.arange(200.0, 355.0, 2.0)
+    crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
+    swapped = Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0)
+    for time_s in (0.2, 0.4, 0.7):
+        lines = lane.update(swapped, time_s, HW)
+        assert lines.left is None or (lines.right.x_px(ROWS) > lines.left.x_px(ROWS)).all()
+    assert lines.left is None
+
+
+def test_noise_is_smoothed_over_time():
+    alone, over_time = [], []
+    lane = OwnLane()
+    for i in range(30):
+        seen = markings(-1.75, 1.75, sigma=6.0, seed=i, step_px=12.0, numbered=True)
+        for collected, lines in (
+            (alone, OwnLane().update(seen, 0.0, HW)),
+            (over_time, lane.update(seen, i / 25, HW)),
+        ):
+            collected.append(lines.right.x_px(ROWS) - lines.left.x_px(ROWS) if lines.left else np.full(3, np.nan))
+    assert np.nanstd(over_time[5:], axis=0).max() < 0.75 * np.nanstd(alone[5:], axis=0).max()
+
+
+def test_a_change_of_lane_is_followed():
+    lane = OwnLane()
+    four = (-5.25, -1.75, 1.75, 5.25)
+    for i in range(60):  # 3.5 m to the right in three seconds
+        shift_m = 3.5 * i / 60
+        lines = lane.update(markings(*(x_m - shift_m for x_m in four)), i * 0.05, HW)
+    lines = followed(lane, [3.0, 3.2, 3.4], markings(*(x_m - 3.5 for x_m in four)))
+    assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2.0)
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
+
+
+def test_a_kerb_far_outside_is_not_preferred_to_dashes():
+    dashes = line_pixels(1.75)
+    dashes = dashes[(dashes[:, 1] // 30) % 3 == 0]
+    xy = np.concatenate([line_pixels(-1.75), dashes, line_pixels(5.25)])
+    lines = OwnLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
+    assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
+
+
+def test_images_of_another_size_start_anew():
+    lane = OwnLane()
+    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    assert lane.update(markings(1.75), 0.2, (720, 1280)).right is None
+
+
+def test_proposals_bridge_dashes_and_know_their_support():
+    dashes = line_pixels(1.75)
+    dashes = dashes[(dashes[:, 1] // 30) % 2 == 0]
+    found = proposals(Markings.unnumbered(np.concatenate([line_pixels(-1.75), dashes]), 1.0), HW)
+    assert found.support.max() == 1.0
+    slope = 1.75 / 1.5
+    near = np.abs(found.slope - slope) < 0.1
+    assert near.any()
+    assert found.support[near].max() == pytest.approx(np.sqrt(len(dashes) / len(line_pixels(0.0))), abs=0.1)
+
+
+def test_no_pair_of_nothing_or_of_one():
+    nothing = Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+    assert own_pair(nothing, HW, None) is None
+    assert len(proposals(Markings.unnumbered(np.zeros((0, 2)), 1.0), HW)) == 0
+
+
+def test_lane_state_by_hand():
+    state = LaneState.from_straight_lines((490.0, -1.0), (150.0, 1.0), HW)
+    assert state.horizon_px == pytest.approx(170.0)
+    assert state.vanishing_x_px == pytest.approx(320.0)
+    assert state.width_px(np.array([170.0, 270.0])) == pytest.approx([0.0, 200.0], abs=1e-9)
+    left = state.line(-1.0, y_top_px=200.0, y_bottom_px=300.0)
+    assert left.coefficients == pytest.approx([490.0, -1.0, 0.0], abs=1e-9)
+    rows = state.rows(ROWS, -1.0)
+    assert left.sigma_px(ROWS) == pytest.approx(np.sqrt(np.diag(rows @ state.covariance @ rows.T)))
+    assert (state.after(1.0).line(-1.0, y_top_px=0.0, y_bottom_px=1.0).sigma_px(ROWS) > left.sigma_px(ROWS)).all()
+
+
+def test_runs():
+    marked = np.zeros((3, 8), bool)
+    marked[0, 1:4] = marked[2, 0] = marked[2, 6:] = True
+    row, x = run_middles(marked)
+    assert row.tolist() == [0, 2, 2]
+    assert x.tolist() == [2.0, 0.0, 6.5]
+    assert run_middles(marked, widest_px=2)[0].tolist() == [2, 2]
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(ValueError, match="xy_px"):
+        Markings(np.zeros((3, 3)), np.zeros(3, np.int64), 1.0)
+    with pytest.raises(ValueError, match="line"):
+        Markings(np.zeros((3, 2)), np.zeros(2, np.int64), 1.0)

@@ -1,0 +1,61 @@
+"""Made drives: KITTI label folders of vehicles seen from behind, whose distances are known by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+F_PX, CX_PX, CY_PX = 700.0, 600.0, 180.0
+SIZES_HWL_M = {
+    "Car": (1.5, 1.7, 4.0),
+    "Van": (2.2, 1.9, 5.0),
+    "Truck": (3.3, 2.5, 10.0),
+    "Pedestrian": (1.75, 0.6, 0.8),
+    "Cyclist": (1.7, 0.6, 1.8),
+}
+
+
+def label_row(frame: int, track: int, kind: str, rear_m: float, **more: float) -> str:
+    """A row of KITTI tracking labels: an object whose back is `rear_m` away, seen from straight behind."""
+    height, width, length = (size * more.get("scale", 1.0) for size in SIZES_HWL_M[kind])
+    x_m, ground_m = more.get("x_m", 0.0), more.get("ground_m", 1.65)
+    box = [
+        F_PX * (x_m - width / 2) / rear_m + CX_PX,
+        F_PX * (ground_m - height) / rear_m + CY_PX,
+        F_PX * (x_m + width / 2) / rear_m + CX_PX,
+        F_PX * ground_m / rear_m + CY_PX,
+    ]
+    numbers = [
+        *(-1.5708, *box, height, width, length),
+        *(x_m, ground_m, rear_m + length / 2, -1.5707963),
+    ]
+    seen = f"{more.get('truncated', 0):g} {more.get('occluded', 0):g}"
+    return f"{frame} {track} {kind} {seen} " + " ".join(f"{number:.6f}" for number in numbers)
+
+
+def calib_text(shift_px: float = 0.0) -> str:
+    row = f"{F_PX} 0 {CX_PX} {shift_px} 0 {F_PX} {CY_PX} 0 0 0 1 0"
+    return "".join(f"P{k}: {row}\n" for k in range(4))
+
+
+def write_drives(folder: Path, drives: dict[str, Sequence[str]], *, shift_px: float = 0.0) -> tuple[Path, Path]:
+    """Label and calib folders of drives by name."""
+    labels, calib = folder / "label_02", folder / "calib"
+    for place in (labels, calib):
+        place.mkdir(parents=True, exist_ok=True)
+    for name, rows in drives.items():
+        (labels / f"{name}.txt").write_text("\n".join(rows) + "\n")
+        (calib / f"{name}.txt").write_text(calib_text(shift_px))
+    return labels, calib
+
+
+@pytest.fixture(scope="session")
+def row() -> Callable[..., str]:
+    return label_row
+
+
+@pytest.fixture(scope="session")
+def drives() -> Callable[..., tuple[Path, Path]]:
+    return write_drives

@@ -1,0 +1,136 @@
+"""Curve files of every kind: they survive writing, and what cannot be used is refused in a sentence."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ranging.cuboid_sizes import CuboidSizes
+from ranging.curve_file import CURVE_VERSION
+from ranging.log_linear_sizes import SizeCurve, SizeCurves
+from ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes
+from ranging.plain_curves import SAFE_CURVES
+from ranging.size_curve import CurveError, load_curves
+from ranging.table_sizes import TableCurve, TableSizes
+
+
+def log_linear(**more):
+    fields = {"intercept": 0.4, "per_log_height": -1.0, "per_log_width": 0.0, "per_bearing": 0.0}
+    curve = SizeCurve(**{**fields, "sigma_relative": 0.1, "n": 9, "source": "made up", **more})
+    return SizeCurves({"car": curve}, {"car": curve})
+
+
+def table():
+    distance_m = np.linspace(6, 80, 200)
+    sizes = np.stack([1.7 / distance_m, 1.5 / distance_m], axis=1)
+    fitted = SAFE_CURVES["height-3"].fit(sizes, np.zeros(200), distance_m)
+    return TableSizes("height", {"car": TableCurve(table=fitted, sigma_relative=0.05, n=200, source="made up")})
+
+
+def test_every_kind_survives_the_file(tmp_path):
+    file = tmp_path / "c.json"
+    log_linear().save(file)
+    assert load_curves(file).whole == log_linear().whole
+    table().save(file)
+    again = load_curves(file)
+    assert isinstance(again, TableSizes)
+    np.testing.assert_allclose(
+        again.curves["car"].table.log_distance, table().curves["car"].table.log_distance, atol=1e-5
+    )
+    packaged = load_curves()
+    packaged.save(file)
+    assert load_curves(file).priors == packaged.priors
+    assert load_curves(file).ground == packaged.ground
+
+
+def test_the_packaged_file_says_from_what_and_leaves_out_what_runs_are_tested_on():
+    packaged = load_curves()
+    assert isinstance(packaged, CuboidSizes)
+    assert set(packaged.priors) == set(SIZE_CLASSES)
+    for name in ("car", "van", "truck", "person", "bicycle"):
+        assert "KITTI" in packaged.priors[name].source
+        assert packaged.priors[name].n_tracks >= 3
+        assert "0003" not in packaged.priors[name].source
+        assert "0005" not in packaged.priors[name].source
+    for name in ("bus", "motorcycle", "traffic light", "traffic sign"):
+        assert "not fitted" in packaged.priors[name].source
+        assert packaged.priors[name].log_sigma[0] >= 0.1
+
+
+def changed(file, path, value):
+    document = json.loads(file.read_text())
+    inner = document
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    file.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (["track_range_size_curves"], 1, f"version 1 of a curve file; .* version {CURVE_VERSION}: fit it anew"),
+        (["kind"], "spline", "curves of kind spline; of cuboids, log-linear, table"),
+        (["classes"], {"ufo": {}}, "ufo is no class with a size"),
+        (["classes"], None, "not a curve file"),
+        (["classes", "car", "turn_weights"], [1.0], "turn_weights wanted"),
+        (["classes", "car", "hwl_m"], [1.5, 1.6, -4.0], "must be positive"),
+        (["classes", "car", "correlation"], [0.99, 0.99, -0.99], "contradict"),
+        (["classes", "car", "log_distance"], [float("inf"), 1.0], "finite"),
+        (["ground", "camera_height_m"], -1.0, "ground must be positive"),
+        (["ground", "rough_share"], 1.5, "within 0 and 1"),
+    ],
+)
+def test_priors_that_cannot_be_used(tmp_path, path, value, message):
+    file = tmp_path / "c.json"
+    load_curves().save(file)
+    changed(file, path, value)
+    with pytest.raises(CurveError, match=message):
+        load_curves(file)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (["classes", "car", "log_distance"], [1.0, 2.0], "sizes must rise, and distances not"),
+        (["classes", "car", "sigma_relative"], 0.0, "must be positive"),
+        (["classes"], {"ufo": {}}, "ufo is no class"),
+        (["measure"], "area", "not a curve file"),
+    ],
+)
+def test_tables_that_cannot_be_used(tmp_path, path, value, message):
+    file = tmp_path / "c.json"
+    table().save(file)
+    changed(file, path, value)
+    with pytest.raises(CurveError, match=message):
+        load_curves(file)
+
+
+def test_other_files_are_refused(tmp_path):
+    file = tmp_path / "c.json"
+    log_linear(per_log_height=0.5).save(file)
+    with pytest.raises(CurveError, match="distance must fall with size"):
+        load_curves(file)
+    log_linear().save(file)
+    changed(file, ["whole"], {"ufo": {}})
+    with pytest.raises(CurveError, match="not a curve file"):
+        load_curves(file)
+    file.write_text("[1, 2]")
+    with pytest.raises(CurveError, match="not a curve file"):
+        load_curves(file)
+    with pytest.raises(CurveError, match="cannot be read"):
+        load_curves(tmp_path / "none.json")
+    with pytest.raises(CurveError, match="cannot be written"):
+        log_linear().save(tmp_path / "none" / "c.json")
+
+
+def test_a_table_is_of_one_size_and_its_noise_counts():
+
+    one = np.ones(1)
+    boxes = MeasuredBoxes(
+        np.array([[1.7, 1.5]]) / 30, 0 * one, 0.05 * one, np.array([2]), one > 0, one > 0, np.full((1, 2), 0.001)
+    )
+    found = table().measure(boxes)
+    assert found.distance_m == pytest.approx([30.0], rel=0.1)
+    assert found.sigma_m > found.sigma_kept_m
+    assert found.sigma_kept_m == pytest.approx(0.05 * found.distance_m)

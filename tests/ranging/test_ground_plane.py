@@ -1,0 +1,200 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detection.classes import ROAD_CLASSES
+from ranging.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
+from ranging.ranges import Ranges
+from ranging.size_regression import SizeRegressionRanger
+from ranging.surface_offset import surface_offset_m
+from stereo.camera import PinholeCamera
+from stereo.frames import Frame
+from tracking.tracks import Tracks
+
+F_PX, CY_PX, HEIGHT_M = 700.0, 180.0, 1.65
+CAMERA = PinholeCamera(F_PX, F_PX, 600.0, CY_PX, 1200, 370)
+IMAGE = np.zeros((370, 1200, 3), np.uint8)
+CAR, PERSON, LIGHT = (ROAD_CLASSES.index(name) for name in ("car", "person", "traffic light"))
+SMOOTH = GroundSettings(height_m=HEIGHT_M, height_sigma_m=0.02, kerb_m=0.0, box_sigma_px=0.1)
+
+
+def cars_at(distance_m, *, horizon_px=CY_PX, height_m=HEIGHT_M, size_error=0.0, sigma=0.06):
+    """Cars seen from behind on a plane, and what their sizes say (each wrong by `size_error`)."""
+    distance_m = np.asarray(distance_m, float)
+    n = len(distance_m)
+    bottom = horizon_px + F_PX * height_m / distance_m
+    half, high = 0.5 * F_PX * 1.7 / distance_m, F_PX * 1.5 / distance_m
+    boxes = np.stack([600 - half, bottom - high, 600 + half, bottom], axis=1)
+    tracks = Tracks(np.arange(1, n + 1), boxes, np.full(n, CAR), np.ones(n), np.ones(n, bool))
+    by_size_m = distance_m * (1 + np.broadcast_to(size_error, n))
+    return tracks, Ranges(tracks.track_id, by_size_m, sigma * by_size_m)
+
+
+def at(time_s, index=0):
+    return Frame(index, time_s, IMAGE, None)
+
+
+def test_a_car_on_the_plane_by_hand():
+    """f H / (y - horizon) = 700 1.65 / 57.75 = 20 m; 3 cm of it lie between the ground and the surface."""
+    plane = GroundPlane(CAMERA, SMOOTH)
+    tracks, by_size = cars_at([20.0, 40.0, 60.0])
+    assert tracks.xyxy_px[0, 3] - CY_PX == pytest.approx(57.75)
+    found = plane.measure(tracks, by_size, at(0.0))
+    assert found.distance_m == pytest.approx([20.0, 40.0, 60.0], rel=0.01)
+    assert (np.diff(found.sigma_m / found.distance_m) > 0).all()  # pixels below the horizon get fewer
+
+
+def test_an_objects_own_size_has_no_say_in_its_distance():
+    """A car that is 30 % larger than it should be is measured by what the others say of the horizon."""
+    tracks, wrong = cars_at([20.0, 30.0, 45.0, 60.0], size_error=[-0.3, 0.0, 0.0, 0.0])
+    _, right = cars_at([20.0, 30.0, 45.0, 60.0])
+    measured = [GroundPlane(CAMERA, SMOOTH).measure(tracks, sizes, at(0.0)).distance_m for sizes in (wrong, right)]
+    assert measured[0][0] == pytest.approx(measured[1][0], rel=1e-6)
+    assert measured[0][1] != pytest.approx(measured[1][1], rel=1e-6)
+
+
+@pytest.mark.parametrize("horizon_px", [150.0, 180.0, 205.0])
+def test_the_horizon_is_found_from_the_sizes(horizon_px):
+    plane = GroundPlane(CAMERA, SMOOTH)
+    before = plane.horizon
+    for k in range(20):
+        tracks, by_size = cars_at(np.array([15.0, 30.0, 45.0, 60.0]), horizon_px=horizon_px)
+        found = plane.measure(tracks, by_size, at(0.1 * k, k))
+    assert plane.horizon.y_px == pytest.approx(horizon_px, abs=2.0)
+    assert plane.horizon.sigma_px < 0.5 * before.sigma_px
+    assert found.distance_m == pytest.approx([15.0, 30.0, 45.0, 60.0], rel=0.06)
+
+
+def test_an_unknown_height_is_told_by_near_and_far_objects_together():
+    plane = GroundPlane(CAMERA, GroundSettings(box_sigma_px=0.1, kerb_m=0.0, roughness_rad=0.001))
+    assert plane.horizon.height_m == pytest.approx(1.5)
+    for k in range(20):
+        plane.measure(*cars_at([6.0, 8.0, 12.0, 30.0, 50.0, 80.0], height_m=1.2, sigma=0.03), at(0.1 * k, k))
+    assert plane.horizon.height_m == pytest.approx(1.2, abs=0.1)
+
+
+def test_what_was_seen_is_forgotten():
+    plane = GroundPlane(CAMERA, SMOOTH)
+    sigma_px = [plane.horizon.sigma_px]
+    plane.measure(*cars_at([30.0, 45.0, 60.0]), at(0.0))
+    sigma_px.append(plane.horizon.sigma_px)
+    plane.measure(Tracks.empty(), Ranges.unmeasured(np.zeros(0, np.int64)), at(2.0, 1))
+    sigma_px.append(plane.horizon.sigma_px)
+    plane.measure(Tracks.empty(), Ranges.unmeasured(np.zeros(0, np.int64)), at(60.0, 2))
+    sigma_px.append(plane.horizon.sigma_px)
+    assert sigma_px[1] < sigma_px[2] < sigma_px[3]
+    assert sigma_px[3] == pytest.approx(sigma_px[0], rel=1e-3)
+
+
+def test_a_horizon_seen_otherwise_helps():
+    plane = GroundPlane(CAMERA, SMOOTH)
+    plane.hint(200.0, 1.0, source="lanes")
+    assert plane.horizon.y_px == pytest.approx(200.0, abs=3.0)
+    tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)  # alone: nobody else tells of the horizon
+    with_lanes = plane.measure(tracks, by_size, at(0.0))
+    without = GroundPlane(CAMERA, SMOOTH).measure(tracks, by_size, at(0.0))
+    assert with_lanes.distance_m == pytest.approx([25.0], rel=0.08)
+    assert not (with_lanes.sigma_m[0] >= without.sigma_m[0])
+    other = GroundPlane(CAMERA, SMOOTH)
+    for y_px in (200.0, 160.0):  # what is said anew replaces what was said before
+        other.hint(y_px, 1.0, source="lanes")
+    assert other.horizon.y_px == pytest.approx(160.0, abs=3.0)
+    other.hint(180.0, 1.0, source="stereo")
+    assert other.horizon.y_px == pytest.approx(170.0, abs=3.0)
+
+
+def test_what_cannot_be_measured_is_nan():
+    tracks, by_size = cars_at([20.0, 30.0, 40.0, 50.0, 60.0])
+    boxes = tracks.xyxy_px.copy()
+    boxes[1, [1, 3]] = [60.0, 120.0]  # stands above the horizon
+    boxes[2, 3] = 369.5  # cut by the image's lower border
+    changed = Tracks(
+        tracks.track_id,
+        boxes,
+        np.array([LIGHT, CAR, CAR, CAR, CAR]),
+        tracks.score,
+        np.array([True, True, True, False, True]),
+    )
+    found = GroundPlane(CAMERA, SMOOTH).measure(changed, by_size, at(0.0)).distance_m
+    assert np.isnan(found).tolist() == [True, True, True, True, False]
+
+
+def test_one_odd_object_does_not_move_the_horizon_far():
+    """A car on a bridge, 40 px too high, among five on the road."""
+    tracks, by_size = cars_at([20.0, 30.0, 40.0, 50.0, 60.0])
+    boxes = tracks.xyxy_px.copy()
+    boxes[4, [1, 3]] -= 40.0
+    odd = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
+    plane = GroundPlane(CAMERA, SMOOTH)
+    for k in range(10):
+        found = plane.measure(odd, by_size, at(0.1 * k, k))
+    assert abs(plane.horizon.y_px - CY_PX) < 5.0
+    assert found.distance_m[:3] == pytest.approx([20.0, 30.0, 40.0], rel=0.2)
+
+
+def test_sigma_follows_how_even_the_road_is():
+    """Bottom edges scattered by 8 px (a rough road) and by none: roughness is learnt, so sigma tells which it is."""
+    sigma = {}
+    for scatter_px in (0.0, 8.0):
+        rng = np.random.default_rng(3)
+        plane = GroundPlane(CAMERA, GroundSettings(height_m=HEIGHT_M, height_sigma_m=0.02, box_sigma_px=0.5))
+        for k in range(150):
+            tracks, by_size = cars_at([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+            boxes = tracks.xyxy_px + np.array([0, 1, 0, 1]) * rng.normal(0, scatter_px, (6, 1))
+            moved = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
+            found = plane.measure(moved, by_size, at(0.1 * k, k))
+        sigma[scatter_px] = found.sigma_m[0]
+    assert sigma[0.0] < 0.6 * sigma[8.0]
+
+
+def test_sigma_is_true_on_a_made_road():
+    """Sizes wrong by 6 % (kept by a track), kerbs of 10 cm, pitch of 4 px, slopes of 5 px, boxes of 1 px."""
+    rng = np.random.default_rng(5)
+    in_sigmas = []
+    for _ in range(60):
+        plane = GroundPlane(CAMERA, GroundSettings.of_known_height(HEIGHT_M))
+        true_m, kerb_m, wrong = rng.uniform(10, 50, 6), rng.normal(0, 0.1, 6), rng.normal(0, 0.06, 6)
+        horizon_px, slope_px = CY_PX + rng.normal(0, 10), rng.normal(0, 5, 6)
+        for k in range(20):
+            tracks, by_size = cars_at(true_m, horizon_px=horizon_px + rng.normal(0, 4), size_error=wrong)
+            boxes = (
+                tracks.xyxy_px
+                + rng.normal(0, 1, (6, 4))
+                - np.array([0, 1, 0, 1]) * (F_PX * kerb_m / true_m + slope_px)[:, None]
+            )
+            moved = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
+            found = plane.measure(moved, by_size, at(0.1 * k, k))
+            in_sigmas.append(np.abs(found.distance_m - true_m) / found.sigma_m)
+    told = np.concatenate(in_sigmas)
+    told = told[np.isfinite(told)]
+    assert 0.60 < (told <= 1).mean() < 0.85
+    assert 0.92 < (told <= 2).mean() < 0.999
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(st.floats(0, 1190), st.floats(0, 360), st.floats(2, 400), st.floats(2, 400)), max_size=12))
+def test_whatever_the_boxes_distances_are_positive_or_nan(boxes):
+    xyxy_px = np.array([[x, y, x + w, y + h] for x, y, w, h in boxes]).reshape(-1, 4)
+    n = len(xyxy_px)
+    tracks = Tracks(np.arange(1, n + 1), xyxy_px, np.arange(n) % 8, np.ones(n), np.ones(n, bool))
+    by_size_m = 900.0 / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
+    plane = GroundPlane(CAMERA)
+    for k in range(3):
+        found = plane.measure(tracks, Ranges(tracks.track_id, by_size_m, 0.1 * by_size_m), at(0.1 * k, k))
+        known = np.isfinite(found.distance_m)
+        assert (np.isfinite(found.sigma_m) == known).all()
+        assert (found.distance_m[known] > 0).all()
+        assert (found.sigma_m[known] > 0).all()
+
+
+def test_offset_from_the_ground_to_the_surface():
+    boxes = np.array([[0, 0, 100, 100], [0, 0, 300, 100], [0, 0, 40, 100.0]])
+    assert surface_offset_m(boxes, np.array([CAR, CAR, PERSON])) == pytest.approx([0.03, 0.45, 0.05])
+
+
+def test_the_ranger_asks_a_size_ranger():
+    ranger = GroundPlaneRanger(CAMERA, SizeRegressionRanger(CAMERA), GroundSettings.of_known_height(HEIGHT_M))
+    found = ranger.measure(cars_at([20.0, 40.0, 60.0])[0], at(0.0))
+    assert found.distance_m == pytest.approx([20.0, 40.0, 60.0], rel=0.2)
+    assert ranger.plane.horizon.y_px == pytest.approx(CY_PX, abs=5.0)

@@ -1,0 +1,145 @@
+import numpy as np
+import pytest
+
+from detection.kitti_format import LabelFileError
+from ranging.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
+from stereo.rig import RigError
+
+
+def test_a_car_seen_from_behind_by_hand(tmp_path, row, drives):
+    """f = 700 px: a back of 1.7 x 1.5 m at 20 m is 59.5 x 52.5 px; the ray through its middle meets it at 20 m."""
+    boxes = box_set(*drives(tmp_path, {"a": [row(3, 7, "Car", 20.0)]}))
+    assert boxes.distance_m == pytest.approx([20.0], abs=1e-4)
+    assert boxes.xyxy_px[0, 2:] - boxes.xyxy_px[0, :2] == pytest.approx([59.5, 52.5], abs=1e-4)
+    assert boxes.wh_over_f == pytest.approx(np.array([[0.085, 0.075]]), abs=1e-6)
+    assert boxes.time_s == pytest.approx([3 * FRAME_STEP_S])
+    assert (boxes.class_name[0], boxes.kitti_type[0], boxes.track_id[0]) == ("car", "Car", 7)
+    assert boxes.is_rear_view.all()
+
+
+def test_the_ray_starts_at_the_left_colour_camera(tmp_path, row, drives):
+    """P2's fourth column tells where camera 2 is; labels are in camera 0's frame.
+
+    The ray of bearing 0.3 meets the back at 20 m; a car that is 1.2 m further right is met at its left side, which runs
+    along x = 6.35 m: at 6.35 / 0.3 = 21.17 m.
+    """
+    slanted = row(0, 0, "Car", 20.0, x_m=6.0)
+    plain = box_set(*drives(tmp_path / "plain", {"a": [slanted]}))
+    shifted = box_set(*drives(tmp_path / "shifted", {"a": [slanted]}, shift_px=700 * 1.2))
+    assert plain.distance_m == pytest.approx([20.0], abs=1e-3)
+    assert plain.bearing == pytest.approx([0.3], abs=1e-4)
+    assert shifted.distance_m == pytest.approx([6.35 / 0.3], abs=1e-3)
+
+
+def test_what_is_measured_and_what_not(tmp_path, row, drives):
+    rows = [
+        row(0, 0, "Car", 20.0),
+        row(0, 1, "Car", 20.0, x_m=5.0, truncated=1),
+        row(0, 2, "Car", 20.0, x_m=-5.0, occluded=2),
+        row(0, 3, "Car", 4.9),
+        row(0, 4, "Car", 101.0),
+        row(1, 5, "Van", 30.0, occluded=1),
+        row(1, 6, "Pedestrian", 30.0, x_m=3.0),
+        row(1, 7, "Cyclist", 30.0, x_m=-3.0),
+        row(1, 8, "Truck", 30.0, x_m=12.0),
+    ]
+    boxes = box_set(*drives(tmp_path, {"a": [*rows, rows[0].replace("Car", "Misc").replace("0 0", "0 9", 1)]}))
+    assert boxes.track_id.tolist() == [0, 5, 6, 7, 8]
+    assert boxes.class_name.tolist() == ["car", "van", "person", "bicycle", "truck"]
+    assert boxes.is_rear_view.tolist() == [True, True, True, True, False]  # the truck is 12 m aside
+
+
+def test_noise_moves_edges_by_its_sigma_and_a_seed_repeats_it(tmp_path, row, drives):
+    rows = [row(frame, track, "Car", 20.0 + track, x_m=2.0 * track) for frame in range(50) for track in range(10)]
+    place = drives(tmp_path, {"a": rows})
+    exact, noisy, again, other = (
+        box_set(*place, noise_px=noise_px, seed=seed).xyxy_px for noise_px, seed in ((0, 0), (2, 0), (2, 0), (2, 1))
+    )
+    assert (noisy - exact).std() == pytest.approx(2.0, rel=0.05)
+    assert (noisy - exact).mean() == pytest.approx(0.0, abs=0.15)
+    assert (noisy == again).all()
+    assert (noisy != other).any()
+    assert box_set(*place, noise_px=2).distance_m == pytest.approx(box_set(*place).distance_m)  # the truth stays
+    thin = box_set(*place, noise_px=50, seed=0)
+    assert (thin.xyxy_px[:, 2:] - thin.xyxy_px[:, :2] >= 1.0 - 1e-9).all()
+
+
+def test_detections_take_the_labels_place_and_the_truth_stays(tmp_path, row, drives):
+    """One that fits, one too weak, one too far off, one of a hidden car that stands beside a measured one."""
+    hidden = row(1, 3, "Car", 20.0, x_m=1.0, occluded=3)
+    place = drives(tmp_path, {"a": [row(0, 1, "Car", 20.0), row(1, 2, "Car", 20.0), hidden, row(2, 4, "Van", 20.0)]})
+    exact = box_set(*place)
+    x1, y1, x2, y2 = exact.xyxy_px[0]
+    for kind in ("Car", "Pedestrian"):
+        (tmp_path / "rrc" / kind).mkdir(parents=True)
+    shift_px = 700.0 / 20.0
+    found = [
+        f"0,{x1 + 2},{y1},{x2 + 2},{y2},0.9",
+        f"0,{x1},{y1},{x2},{y2},0.4",
+        f"1,{x1 + shift_px},{y1},{x2 + shift_px},{y2},0.9",
+        f"2,{x1},{y1},{x2},{y2},0.9",  # a van is no car to be found
+    ]
+    (tmp_path / "rrc/Car/a.txt").write_text("\n".join(found))
+    boxes = box_set(*place, boxes=f"rrc:{tmp_path / 'rrc'}")
+    assert boxes.track_id.tolist() == [1]
+    assert boxes.xyxy_px[0] == pytest.approx([x1 + 2, y1, x2 + 2, y2])
+    assert boxes.distance_m == pytest.approx([20.0], abs=1e-3)
+
+
+def test_the_strongest_detection_takes_the_best_label_first():
+    labels = (np.array([0, 0, 1]), np.array([[0, 0, 10, 10], [4, 0, 14, 10], [0, 0, 10, 10.0]]))
+    detections = (np.array([0, 0, 0, 1]), np.array([[1, 0, 11, 10], [0, 0, 10, 10], [50, 0, 60, 10], [9, 0, 19, 10.0]]))
+    row, detection = greedy_matches(labels, detections, score=np.array([0.9, 0.8, 0.95, 0.9]))
+    assert sorted(zip(row.tolist(), detection.tolist(), strict=True)) == [(0, 0)]
+    row, detection = greedy_matches(labels, detections, score=np.array([0.8, 0.9, 0.95, 0.9]))
+    assert sorted(zip(row.tolist(), detection.tolist(), strict=True)) == [(0, 1), (1, 0)]
+
+
+def test_object_labels_a_file_per_image(tmp_path, row, drives):
+    """The same rows without frame and id; images become groups, since nothing says which drive is which."""
+    images = {f"{k:06d}": [row(0, 0, "Car", 10.0 + k).split(maxsplit=2)[2]] for k in range(20)}
+    images["000020"] = []
+    boxes = box_set(*drives(tmp_path, images))
+    assert boxes.distance_m == pytest.approx(10.0 + np.arange(20), abs=1e-3)
+    assert len(np.unique(boxes.sequence)) == 10
+    assert len(np.unique(boxes.frame)) == 20
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ({}, "no label files"),
+        ({"a": ["0 1 Car 0 0 0 1 1 9 9 -1 -1 -1 -1000 -1000 -1000 -10"]}, "no label has a 3-D box"),
+        ({"a": ["0 1 Misc 0 0 0 1 1 9 9 1.5 1.7 4 0 1.65 20 0"]}, "nothing to measure"),
+        ({"a": ["0 1 Car 0 0"]}, "line 1"),
+    ],
+)
+def test_labels_that_cannot_be_used(tmp_path, drives, rows, message):
+    with pytest.raises(LabelFileError, match=message):
+        box_set(*drives(tmp_path, rows))
+
+
+def test_a_missing_calibration_or_folder_is_told(tmp_path, row, drives):
+    labels, calib = drives(tmp_path, {"a": [row(0, 0, "Car", 20.0)]})
+    with pytest.raises(LabelFileError, match=r"labels or rrc:DIR"):
+        box_set(labels, calib, boxes="mine")
+    with pytest.raises(LabelFileError, match=r"DIR/Car and DIR/Pedestrian"):
+        box_set(labels, calib, boxes=f"rrc:{tmp_path}")
+    (labels / "a.txt").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(LabelFileError, match="cannot be read as text"):
+        box_set(labels, calib)
+    (calib / "a.txt").unlink()
+    (labels / "a.txt").write_text(row(0, 0, "Car", 20.0))
+    with pytest.raises(RigError):
+        box_set(labels, calib)
+
+
+def test_kitti_has_what_is_known_of_it(shared_data):
+    place = shared_data / "kitti_labels"
+    boxes = box_set(place / "label_02", place / "calib")
+    counts = {name: int((boxes.class_name == name).sum()) for name in np.unique(boxes.class_name)}
+    assert counts == {"bicycle": 1194, "car": 11918, "person": 2502, "truck": 724, "van": 1055}
+    assert 0.2 < boxes.is_rear_view.mean() < 0.3
+    found = box_set(place / "label_02", place / "calib", boxes=f"rrc:{place / 'rrc'}")
+    assert set(found.class_name) == {"car", "person"}
+    assert 0.85 < (found.class_name == "car").sum() / counts["car"] < 1.0

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+
+from detection.classes import ROAD_CLASSES
+from detection.lane_edges import EdgeLaneFinder
+from detection.lanes import LaneLine, LaneLines
+from ranging.lane_width import LaneWidth, LaneWidthRanger
+from ranging.ranges import Ranges
+from stereo.camera import PinholeCamera
+from stereo.frames import Frame
+from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, picture, row_px, width_px
+from tracking.tracks import Tracks
+
+CAMERA = PinholeCamera(FOCAL_PX, FOCAL_PX, CENTRE_PX, HORIZON_PX, HW[1], HW[0])
+CAR = ROAD_CLASSES.index("car")
+FRAME = Frame(7, 0.0, np.zeros((*HW, 3), np.uint8), None)
+
+
+def lines(lane_m=3.5, *, sigma_px=0.0, rows=(190.0, 355.0)):
+    """A lane seen from 1.5 m: x = 320 -+ lane / 2 / 1.5 (y - 170)."""
+    slope = lane_m / 2 / 1.5
+    covariance = np.diag([sigma_px**2, 0.0, 0.0])
+    return LaneLines(
+        *(LaneLine(np.array([320 - side * slope * 170, side * slope, 0.0]), covariance, *rows) for side in (-1, 1))
+    )
+
+
+def standing_at(*distance_m, lanes_aside=0.0, class_id=CAR, observed=True):
+    """Boxes whose bottom edges are on the ground there."""
+    y = row_px(np.array(distance_m))
+    x = CENTRE_PX + lanes_aside * width_px(y)
+    n = len(y)
+    return Tracks(
+        np.arange(1, n + 1),
+        np.stack([x - 10, y - 20, x + 10, y], axis=1),
+        np.full(n, class_id),
+        np.ones(n),
+        np.full(n, observed),
+    )
+
+
+def measured(tracks, seen=None, **more):
+    ranger = LaneWidthRanger(CAMERA, **more)
+    ranger.see(seen or lines(), FRAME.index)
+    return ranger.measure(tracks, FRAME)
+
+
+def test_by_hand():
+    """500 px x 3.5 m / (3.5 / 1.5 x (220 - 170) = 116.67 px) = 15 m."""
+    box = Tracks(np.array([1]), np.array([[310.0, 200, 330, 220]]), np.array([CAR]), np.ones(1), np.ones(1, bool))
+    assert measured(box).distance_m == pytest.approx([15.0])
+
+
+def test_distances_down_the_road_and_of_another_width():
+    true_m = np.array([5.0, 10.0, 20.0, 30.0])
+    assert measured(standing_at(*true_m)).distance_m == pytest.approx(true_m)
+    assert measured(standing_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(true_m)
+    assert measured(standing_at(*true_m), lines(3.0)).distance_m == pytest.approx(true_m * 3.5 / 3.0)
+
+
+def test_sigma_by_the_rule_of_errors():
+    ranges = measured(standing_at(15.0), lines(sigma_px=2.0), width_sigma=0.06, box_sigma_px=1.5)
+    width = 3.5 / 1.5 * 50
+    parts = (2 * np.sqrt(2) / width, 0.06, 3.5 / 1.5 * 1.5 / width, 0.01)
+    assert ranges.sigma_m == pytest.approx([15 * np.sqrt(np.sum(np.square(parts)))])
+
+
+def test_own_and_neighbouring_lanes_only():
+    for lanes_aside, is_measured in ((0.0, True), (-1.0, True), (1.0, True), (-2.0, False), (2.0, False)):
+        ranges = measured(standing_at(15.0, lanes_aside=lanes_aside))
+        assert np.isfinite(ranges.distance_m).tolist() == [is_measured]
+
+
+def test_what_cannot_be_measured_is_nan():
+    def is_nan(tracks, seen=None):
+        ranges = measured(tracks, seen)
+        assert np.isnan(ranges.sigma_m).tolist() == np.isnan(ranges.distance_m).tolist()
+        return np.isnan(ranges.distance_m).all()
+
+    assert is_nan(standing_at(15.0, observed=False))
+    assert is_nan(standing_at(15.0, class_id=ROAD_CLASSES.index("traffic light")))
+    assert is_nan(standing_at(3.98))  # its bottom edge, row 358.4, is at the image's border
+    assert is_nan(standing_at(-30.0))  # above the horizon
+    assert is_nan(standing_at(15.0), LaneLines())
+    assert is_nan(standing_at(15.0), LaneLines(lines().left, None))
+    assert len(measured(Tracks.empty())) == 0
+
+
+def test_no_farther_than_twice_what_was_seen():
+    seen = lines(rows=(row_px(12.0), 355.0))
+    ranges = measured(standing_at(12.0, 23.9, 24.1), seen)
+    assert np.isfinite(ranges.distance_m).tolist() == [True, True, False]
+    near_unseen = lines(rows=(190.0, row_px(20.0)))
+    assert np.isfinite(measured(standing_at(9.9, 10.1), near_unseen).distance_m).tolist() == [False, True]
+
+
+def test_unsure_lines_measure_nothing():
+    assert np.isnan(measured(standing_at(15.0), lines(sigma_px=40.0)).distance_m).all()
+
+
+def test_lines_of_another_frame_are_not_used():
+    ranger = LaneWidthRanger(CAMERA)
+    assert np.isnan(ranger.measure(standing_at(15.0), FRAME).distance_m).all()
+    ranger.see(lines(), FRAME.index - 1)
+    assert np.isnan(ranger.measure(standing_at(15.0), FRAME).distance_m).all()
+
+
+def learn(ranger, lane_m, n_frames, *, noise=0.02, first=0):
+    rng = np.random.default_rng(2)
+    for i in range(first, first + n_frames):
+        frame = Frame(i, i * 0.1, FRAME.left, None)
+        tracks = standing_at(12.0, 20.0)
+        ranger.see(lines(lane_m), i)
+        stereo_m = np.array([12.0, 20.0]) * (1 + noise * rng.standard_normal(2))
+        ranger.learn(tracks, frame, Ranges(tracks.track_id, stereo_m, 0.02 * stereo_m))
+    return ranger
+
+
+def test_the_width_is_learnt_from_stereo():
+    ranger = learn(LaneWidthRanger(CAMERA), 4.0, 20)
+    assert ranger.lane.width_m == pytest.approx(4.0, rel=0.02)
+    assert 0.014 < ranger.lane.sigma < 0.03
+
+
+def test_another_lane_is_learnt_anew():
+    ranger = learn(learn(LaneWidthRanger(CAMERA), 3.5, 20), 6.5, 30, first=20)
+    assert ranger.lane.width_m == pytest.approx(6.5, rel=0.02)
+
+
+def test_nothing_is_learnt_from_nothing():
+    ranger = LaneWidthRanger(CAMERA)
+    tracks = standing_at(15.0)
+    ranger.learn(tracks, FRAME, Ranges(tracks.track_id, np.array([15.0]), np.array([0.1])))  # no lines seen
+    ranger.see(lines(4.0), FRAME.index)
+    ranger.learn(tracks, FRAME, Ranges.unmeasured(tracks.track_id))
+    assert ranger.lane == LaneWidth()
+
+
+def test_one_image_teaches_by_the_rule_of_inverse_variances():
+    taught = LaneWidth(3.5, 0.1).taught(np.array([3.85]), np.array([0.1]))
+    assert taught.width_m == pytest.approx(3.5 * np.sqrt(1.1))  # half way, in logarithms
+    assert taught.sigma == pytest.approx(0.1 / np.sqrt(2))
+    many = LaneWidth(3.5, 0.1).taught(np.full(50, 3.85), np.full(50, 0.1))
+    assert many == taught  # they share their errors
+    assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(0.1)  # not beyond the first guess
+    assert LaneWidth(3.5, 0.02).after(0.6).sigma == pytest.approx(np.hypot(0.02, 0.01))
+
+
+def test_from_a_picture_to_metres():
+    """A painted road, its lines found by their edges; the exact truth is what the picture was drawn from."""
+    ranger = LaneWidthRanger(CAMERA)
+    ranger.see(EdgeLaneFinder().find(picture(-1.75, 1.75), 0.0), FRAME.index)
+    true_m = np.array([6.0, 10.0, 20.0, 30.0])
+    ranges = ranger.measure(standing_at(*true_m), FRAME)
+    error = ranges.distance_m / true_m - 1
+    assert np.abs(error).max() < 0.05
+    assert (np.abs(error) < ranges.sigma_m / true_m).all()

@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+
+from ranging.noise_scale import NoiseScale
+
+ALL = np.ones(20, bool)
+
+
+def learnt(true_variance, *, said=1.0, predicted=0.3, frames=100):
+    rng, scale = np.random.default_rng(6), NoiseScale()
+    for _ in range(frames):
+        squared = rng.normal(0, np.sqrt(predicted + true_variance), 20) ** 2
+        scale.learn(squared, np.full(20, predicted), noise=np.full(20, scale.factor * said), use=ALL)
+    return scale.factor
+
+
+@pytest.mark.parametrize("true_variance", [0.2, 1.0, 4.0])
+def test_the_ratio_of_true_to_told_variance_is_found(true_variance):
+    assert learnt(true_variance) == pytest.approx(true_variance, rel=0.2)
+
+
+def test_it_begins_with_the_methods_word_and_moves_slowly():
+    scale = NoiseScale()
+    assert scale.factor == 1.0
+    scale.learn(np.full(3, 9.0), np.zeros(3), noise=np.ones(3), use=ALL[:3])
+    assert scale.factor == pytest.approx((30 * 0.5 ** (3 / 300) + 27) / (30 * 0.5 ** (3 / 300) + 3))
+
+
+def test_it_has_limits_and_outliers_are_not_noise():
+    assert learnt(1e-6, predicted=1e-6, frames=400) == pytest.approx(0.04)
+    assert learnt(1e4, frames=400) == pytest.approx(16.0)
+    scale = NoiseScale()
+    scale.learn(np.array([1e9]), np.zeros(1), noise=np.ones(1), use=ALL[:1])
+    assert scale.factor < 1.3
+
+
+def test_nothing_used_changes_nothing():
+    scale = NoiseScale()
+    scale.learn(np.full(20, np.nan), np.full(20, np.nan), noise=np.full(20, np.nan), use=~ALL)
+    assert scale.factor == 1.0

@@ -1,0 +1,47 @@
+"""Fitting log-linear curves: the height is found, and the error is that of other drives."""
+
+import numpy as np
+import pytest
+
+from ranging.size_curve import CurveError, load_curves
+from ranging.size_curve_fit import SizeSamples, fit_curves, leave_one_out_error
+
+
+def world(n=400, n_sequences=4, seed=0):
+    """Cars of 1.5 m whose height differs from sequence to sequence by 5 %."""
+    rng = np.random.default_rng(seed)
+    sequence = np.arange(n) % n_sequences
+    distance_m = rng.uniform(8, 80, n)
+    height_m = 1.5 * (1 + 0.05 * np.array([1, -1, 1, -1])[sequence])
+    sizes = np.stack([1.7 / distance_m, height_m / distance_m], axis=1) * np.exp(rng.normal(0, 0.01, (n, 2)))
+    return SizeSamples(np.full(n, "car"), sequence, sizes, rng.uniform(-0.5, 0.5, n), distance_m)
+
+
+def test_fit_finds_the_height_and_an_honest_sigma():
+    samples = world()
+    curve = fit_curves(samples, source="made up").height_only["car"]
+    assert np.exp(curve.intercept) == pytest.approx(1.5, rel=0.03)
+    assert curve.per_log_height == pytest.approx(-1.0, abs=0.02)
+    assert 0.04 < curve.sigma_relative < 0.09  # between the sequences, not the 1 % within them
+    error = leave_one_out_error(samples, use_width=False)
+    assert np.sqrt((error**2).mean()) == pytest.approx(curve.sigma_relative, rel=0.01)
+
+
+def test_what_is_fitted_can_be_loaded_even_where_the_labels_say_little(tmp_path):
+    """One truck seen from one side: its width explains everything, and its height nothing."""
+    distance_m = np.linspace(20, 21, 150)
+    sizes = np.stack([2.5 / distance_m, 3.0 / 20 * np.ones(150)], axis=1)
+    samples = SizeSamples(np.full(150, "truck"), np.zeros(150, np.int64), sizes, np.zeros(150), distance_m)
+    fit_curves(samples, source="").save(tmp_path / "c.json")
+    assert load_curves(tmp_path / "c.json").whole["truck"].per_log_height <= -0.1
+
+
+def test_one_sequence_is_enough_to_fit_but_its_sigma_has_a_floor():
+    samples = world()
+    one = samples.select(samples.sequence == 0)
+    assert fit_curves(one, source="").whole["car"].sigma_relative == 0.03
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(CurveError, match=r"at least 100 labelled boxes .* found: car 12"):
+        fit_curves(world(12), source="")

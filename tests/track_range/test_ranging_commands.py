@@ -1,0 +1,271 @@
+"""`evaluate ranges` and `fit` through the command line, on made drives of vehicles seen from behind, and on KITTI."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ranging.model_fit import MODEL_NAMES
+from ranging.size_curve import load_curves
+
+F_PX = 700.0
+SIZES_M = {"Car": (1.5, 1.7, 4.0), "Van": (2.2, 1.9, 5.0), "Pedestrian": (1.75, 0.6, 0.8)}
+
+
+def row(frame, track, kind, rear_m, x_m=0.0, scale=1.0):
+    height, width, length = (scale * size for size in SIZES_M[kind])
+    box = [F_PX * u / rear_m + c for u, c in ((x_m - width / 2, 600), (1.65 - height, 180), (x_m + width / 2, 600))]
+    numbers = [
+        -1.5708,
+        *box,
+        F_PX * 1.65 / rear_m + 180,
+        height,
+        width,
+        length,
+        x_m,
+        1.65,
+        rear_m + length / 2,
+        -1.5708,
+    ]
+    return f"{frame} {track} {kind} 0 0 " + " ".join(f"{number:.5f}" for number in numbers)
+
+
+def drive(seed, kinds=("Car", "Pedestrian", "Car", "Pedestrian"), n_frames=60):
+    """Objects that come nearer at 8 m/s, 60 frames of each."""
+    first_m = np.random.default_rng(seed).uniform(58, 70, len(kinds))
+    near = [(frame, track, first_m[track] - 0.8 * frame) for frame in range(n_frames) for track in range(len(kinds))]
+    return [row(frame, track, kinds[track], rear_m, x_m=3.0 * track) for frame, track, rear_m in near]
+
+
+@pytest.fixture
+def folders(tmp_path):
+    def write(**drives):
+        for place in ("labels", "calib"):
+            (tmp_path / place).mkdir(exist_ok=True)
+        for name, rows in drives.items():
+            (tmp_path / "labels" / f"{name}.txt").write_text("\n".join(rows) + "\n")
+            (tmp_path / "calib" / f"{name}.txt").write_text(f"P2: {F_PX} 0 600 0 0 {F_PX} 180 0 0 0 1 0\n")
+        return ("--labels", tmp_path / "labels", "--calib", tmp_path / "calib")
+
+    return write
+
+
+def test_methods_side_by_side_in_terminal_json_and_markdown(cli, folders, tmp_path):
+    given = folders(a=drive(0), b=drive(1), c=drive(2))
+    files = ("--json", tmp_path / "f.json", "--table", tmp_path / "f.md")
+    status, out, err = cli("evaluate", "ranges", *given, "--cross-validate", *files)
+    assert (status, err) == (0, "")
+    told = json.loads((tmp_path / "f.json").read_text())
+    assert set(told["methods"]) >= {"diagonal-3", "diagonal-4", "diagonal-5", "inverse-height", "log-linear", "mono"}
+    assert {"ground", "mono+ground"} <= set(told["methods"])
+    for name, classes in told["methods"].items():
+        assert set(classes) == {"car", "person"}, name
+        assert {"n", "bias_pct", "within_1_sigma", "within_2_sigma", "rear_view_pct", "far_pct"} <= set(classes["car"])
+    mono, plain = told["methods"]["mono"]["car"], told["methods"]["diagonal-3"]["car"]
+    assert mono["mean_relative_error_pct"] < 1.0 < plain["mean_relative_error_pct"] < 60.0
+    assert mono["bands"][0]["to_m"] == 10.0
+    assert "closing_median_error_mps" not in mono
+    table = (tmp_path / "f.md").read_text()
+    assert "| mono |" in table
+    assert "mono" in out
+    assert "3 folds over 3 sequences" in " ".join(out.split())
+
+
+def car_by(cli, file, method, *arguments):
+    assert cli("evaluate", "ranges", *arguments, "--method", method, "--cross-validate", "--json", file)[0] == 0
+    return json.loads(file.read_text())["methods"][method]["car"]
+
+
+def test_noise_is_seeded(cli, folders, tmp_path):
+    given = folders(a=drive(0), b=drive(1), c=drive(2))
+    exact, noisy, again, other = (
+        car_by(cli, tmp_path / "f.json", "log-linear", *given, *options)["mean_relative_error_pct"]
+        for options in ((), ("--noise-px", 2), ("--noise-px", 2), ("--noise-px", 2, "--seed", 1))
+    )
+    assert noisy == again != other
+    assert exact < 0.2 * noisy
+
+
+def test_filters_smooth_and_tell_closing_speeds(cli, folders, tmp_path):
+    given = (*folders(a=drive(0), b=drive(1), c=drive(2)), "--noise-px", 2)
+    none, paper, default = (
+        car_by(cli, tmp_path / "f.json", "mono", *given, "--filter", name) for name in ("none", "paper", "default")
+    )
+    assert default["mean_relative_error_pct"] < 0.75 * none["mean_relative_error_pct"]
+    assert paper["closing_median_error_mps"] > default["closing_median_error_mps"] > 0
+    assert none["within_2_sigma"] > 0.85
+
+
+def test_fitted_and_tested_on_one_drive_as_the_paper_did(cli, folders, tmp_path):
+    """People are 5 % taller in one drive: nothing for who fits on it, all for who does not."""
+    tall = [row(k, 0, "Pedestrian", 60 - 0.3 * k, scale=1.1) for k in range(160)]
+    usual = [[row(k, 0, "Pedestrian", d_m - 0.3 * k) for k in range(160)] for d_m in (58.0, 62.0)]
+    given = ("evaluate", "ranges", *folders(a=tall, b=usual[0], c=usual[1]), "--method", "log-linear", "--json")
+    error = {}
+    for option in ("--same-drive", "--cross-validate"):
+        status, out, _ = cli(*given, tmp_path / "f.json", option)
+        assert status == 0
+        error[option] = json.loads((tmp_path / "f.json").read_text())["methods"]["log-linear"]["person"]
+        assert ("how the paper was measured" in " ".join(out.split())) == (option == "--same-drive")
+    assert error["--same-drive"]["mean_relative_error_pct"] < 0.1
+    assert 3.0 < error["--cross-validate"]["mean_relative_error_pct"] < 12.0
+    assert error["--same-drive"]["rear_view_far_pct"] < 0.1
+
+
+def test_packaged_curves_one_sequence_and_chosen_methods(cli, folders, tmp_path):
+    given = folders(a=drive(0))
+    status, out, _ = cli("evaluate", "ranges", *given, "--method", "ground,log-linear", "--json", tmp_path / "f.json")
+    assert status == 0
+    told = json.loads((tmp_path / "f.json").read_text())
+    assert list(told["methods"]) == ["ground", "log-linear"]
+    assert "the one sequence there is" in " ".join(out.split())
+    assert "packaged" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (("--method", "mono,radar"), 2, "--method radar: of diagonal-3"),
+        (("--boxes", "mine"), 2, "--boxes mine: labels or rrc:DIR"),
+        (("--boxes", "rrc:nowhere"), 1, "DIR/Car and DIR/Pedestrian"),
+        (("--cross-validate", "--curves", "c.json"), 2, "leave --curves out"),
+        (("--same-drive", "--cross-validate"), 2, "give one of them"),
+        (("--curves", "none.json"), 1, "cannot be read"),
+        (("--json", "no/such/folder/f.json"), 1, "cannot be written"),
+    ],
+)
+def test_what_evaluate_ranges_refuses(cli, folders, options, status, message):
+    found, _, err = cli("evaluate", "ranges", *folders(a=drive(0)), *options)
+    assert (found, message in err) == (status, True), err
+
+
+def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
+    given = folders(a=drive(0), b=drive(1), c=drive(2, n_frames=20))
+    wanted = ("--compare", "--picture", tmp_path / "p.png", "--out", tmp_path / "c.json", "--leave-out", "c")
+    status, out, err = cli("fit", *given, *wanted, "--source", "made drives")
+    assert (status, err) == (0, "")
+    assert out.count("inverse-height") == 2  # of cars and of people
+    assert "car: 240 boxes" in out
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+    assert "made drives, sequences a, b" in (tmp_path / "c.json").read_text()
+    load_curves(tmp_path / "c.json")
+    again = ("evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json", "--json")
+    assert cli(*again, tmp_path / "f.json")[0] == 0
+    car = json.loads((tmp_path / "f.json").read_text())["methods"]["mono"]["car"]
+    assert car["mean_relative_error_pct"] < 1.5
+
+
+@pytest.mark.parametrize("curve", MODEL_NAMES)
+def test_whatever_is_fitted_can_be_run_with(cli, folders, tmp_path, curve):
+    given = folders(a=drive(0), b=drive(1))
+    assert cli("fit", *given, "--curve", curve, "--out", tmp_path / "c.json")[0] == 0
+    assert (
+        cli(
+            "evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json", "--json", tmp_path / "f"
+        )[0]
+        == 0
+    )
+    car = json.loads((tmp_path / "f").read_text())["methods"]["mono"]["car"]
+    assert car["coverage"] == 1.0
+    assert car["mean_relative_error_pct"] < {"cuboids": 4.0, "log-linear": 1.5, "inverse-height": 1.5}.get(curve, 35.0)
+    assert car["within_2_sigma"] > 0.7
+
+
+def test_a_curve_file_of_another_version_is_refused(cli, folders, tmp_path):
+    given = folders(a=drive(0), b=drive(1))
+    assert cli("fit", *given, "--out", tmp_path / "c.json")[0] == 0
+    old = json.loads((tmp_path / "c.json").read_text()) | {"track_range_size_curves": 1}
+    (tmp_path / "c.json").write_text(json.dumps(old))
+    status, _, err = cli("evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json")
+    assert (status, "version 1 of a curve file" in err) == (1, True), err
+
+
+def test_labels_without_3d_boxes_are_refused(cli, folders, tmp_path):
+    flat = [f"{k} 0 Car 0 0 0 10 10 {60 + k} 40 -1 -1 -1 -1000 -1000 -1000 -10" for k in range(150)]
+    status, _, err = cli("fit", *folders(a=flat), "--out", tmp_path / "c.json")
+    assert (status, "no label has a 3-D box" in err) == (1, True), err
+
+
+def test_fit_on_a_csv(cli, tmp_path):
+    rng = np.random.default_rng(0)
+    lines = ["class,x1,y1,x2,y2,distance_m"]
+    for distance_m in rng.uniform(8, 60, 150):
+        height_px = 900 * 1.5 / distance_m
+        lines.append(f"car,100,100,{100 + 1.1 * height_px},{100 + height_px},{distance_m}")
+    (tmp_path / "b.csv").write_text("\n".join(lines))
+    given = ("fit", "--csv", tmp_path / "b.csv", "--out", tmp_path / "c.json")
+    status, _, err = cli(*given)
+    assert (status, "no focal length: add a column fx" in err) == (1, True)
+    status, out, _ = cli(*given, "--focal-px", 900)
+    assert status == 0
+    assert "one sequence" in out
+    assert "b.csv" in (tmp_path / "c.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("kinds", "n_frames", "message"),
+    [
+        (("Car",), 10, "car (10 boxes, at least 100 needed)"),
+        (("Car", "Pedestrian"), 60, "car (60 boxes, at least 100 needed), person (60 boxes"),
+    ],
+)
+def test_too_few_boxes_are_refused(cli, folders, tmp_path, kinds, n_frames, message):
+    given = folders(a=drive(0, kinds, n_frames))
+    status, _, err = cli("fit", *given, "--out", tmp_path / "c.json")
+    assert (status, message in err) == (1, True), err
+    assert not (tmp_path / "c.json").exists()
+
+
+def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_path):
+    rows = [row(k, k // 50, "Car", 10.0 + 0.3 * k) for k in range(150)]
+    rows += [row(k, 3, "Van", 20.0, x_m=6) for k in range(150)]
+    status, out, _ = cli("fit", *folders(a=rows), "--out", tmp_path / "c.json")
+    assert status == 0
+    assert "No curve of its own for van (boxes of one size: several distances needed)." in " ".join(out.split())
+    same = [row(k, 0, "Car", 20.0) for k in range(150)]
+    status, _, err = cli("fit", *folders(a=same), "--out", tmp_path / "d.json")
+    assert (status, "car (boxes of one size" in err) == (1, True), err
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (("--compare",), 2, "give --labels with --calib, or --csv"),
+        (("--labels", "x", "--csv", "y", "--compare"), 2, "not both"),
+        (("--labels", "x", "--compare"), 2, "--labels wants --calib"),
+        (("--csv", "x"), 2, "nothing to do"),
+        (("--csv", "x", "--compare", "--curve", "spline"), 2, "--curve spline: of"),
+        (("--csv", "x", "--out", "c.json", "--curve", "cuboids"), 2, "wants labels with 3-D boxes"),
+        (("--csv", "none.csv", "--compare"), 1, "cannot be read as CSV"),
+    ],
+)
+def test_what_fit_refuses(cli, options, status, message):
+    found, _, err = cli("fit", *options)
+    assert (found, message in err) == (status, True), err
+
+
+def test_kitti_is_measured_as_it_was(cli, shared_data, tmp_path):
+    """Two-sided: the plain curves on all drives."""
+    place = shared_data / "kitti_labels"
+    given = ("--labels", place / "label_02", "--calib", place / "calib", "--json", tmp_path / "f.json")
+    assert cli("evaluate", "ranges", *given, "--method", "log-linear,inverse-height,height-5")[0] == 0
+    found = json.loads((tmp_path / "f.json").read_text())["methods"]
+    mean = {name: {kind: row["mean_relative_error_pct"] for kind, row in rows.items()} for name, rows in found.items()}
+    assert mean["log-linear"]["car"] == pytest.approx(5.36, abs=0.02)
+    assert mean["inverse-height"]["bicycle"] == pytest.approx(3.27, abs=0.02)
+    assert mean["height-5"]["person"] == pytest.approx(5.97, abs=0.02)
+    assert found["log-linear"]["car"]["n"] == 10670
+
+
+def test_ours_beside_them_on_four_drives(cli, shared_data, tmp_path):
+    for kind in ("label_02", "calib"):
+        (tmp_path / kind).mkdir()
+        for name in ("0000", "0002", "0013", "0018"):
+            (tmp_path / kind / f"{name}.txt").symlink_to(shared_data / "kitti_labels" / kind / f"{name}.txt")
+    given = ("--labels", tmp_path / "label_02", "--calib", tmp_path / "calib", "--json", tmp_path / "f.json")
+    assert cli("evaluate", "ranges", *given, "--method", "log-linear,mono,ground,mono+ground")[0] == 0
+    found = json.loads((tmp_path / "f.json").read_text())["methods"]
+    assert 2.0 < found["mono"]["car"]["mean_relative_error_pct"] < 7.0
+    assert 4.0 < found["ground"]["car"]["mean_relative_error_pct"] < 20.0
+    assert 0.55 < found["ground"]["car"]["within_1_sigma"] < 0.92
+    assert 2.0 < found["mono+ground"]["person"]["mean_relative_error_pct"] < 10.0

@@ -1,0 +1,348 @@
+"""The report as a person uses it: in a real, headless Chromium; skipped, with the reason, where there is none.
+
+Each frame of the little overlay is as bright as its number says, so that a picture of the page tells which it shows.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from track_range.report import write_comparison, write_report
+from track_range.report_comparison import ComparedRun
+from track_range.results import COLUMNS
+from track_range.video import VideoWriter
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
+
+STEP_S, N_FRAMES = 0.1, 25
+EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Playwright's own Chromium, else the system's."""
+    with playwright.sync_playwright() as started:
+        own = Path(started.chromium.executable_path)
+        names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+        found = str(own) if own.is_file() else next(filter(None, map(shutil.which, names)), None)
+        if found is None:
+            pytest.skip("no Chromium here: neither playwright's own nor one on the PATH")
+        try:
+            launched = started.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        except playwright.Error as error:
+            pytest.skip(f"{found} does not start here: {str(error).splitlines()[0]}")
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def page_of(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Opens a file; at the end nothing may have been said on the console, and nothing asked of the network."""
+    opened, complaints = [], []
+
+    def open_page(path: Path, **options: Any) -> Any:
+        page = browser.new_page(**{"viewport": {"width": 1280, "height": 900}, **options})
+        opened.append(page)
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on(
+            "request", lambda asked: None if asked.url.startswith(("file:", "data:")) else complaints.append(asked.url)
+        )
+        page.goto(path.as_uri())
+        return page
+
+    yield open_page
+    for page in opened:
+        page.close()
+    assert complaints == []
+
+
+def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0.0) -> dict[str, Any]:
+    """tracks.csv with one track of each length; the distance of each falls by a metre per frame, the truth likewise."""
+    n = sum(lengths)
+    number = np.concatenate([np.arange(length, dtype=np.float64) for length in lengths]) if lengths else np.zeros(0)
+    found: dict[str, Any] = {column: np.full(n, np.nan) for column in COLUMNS}
+    found |= {
+        "frame": number,
+        "time_s": from_s + number * STEP_S,
+        "track_id": np.repeat(np.arange(1.0, len(lengths) + 1), lengths),
+        "class": np.full(n, name),
+        "observed": np.where(number == 3, 0.0, 1.0),
+        "fused_m": 60.0 - number,
+        "fused_sigma_m": np.full(n, 0.5),
+        "fused_kf_m": 60.0 - number,
+    }
+    for method, factor in (("mono", 1.1), ("stereo", 0.99), ("sgbm", 1.01)):
+        found |= {f"{method}_m": (60.0 - number) * factor, f"{method}_sigma_m": np.full(n, 1.0)}
+    return found | ({"truth_m": 60.0 - number} if truth else {})
+
+
+def summary(**more: Any) -> dict[str, Any]:
+    row = {"coverage": 1.0, "n": 25, "median_relative_error_pct": 2.0, "within_1_sigma": 0.7, "within_2_sigma": 0.9}
+    bands = [{"from_m": 20.0, "to_m": 30.0, "mean_relative_error_pct": 1.0}]
+    return {
+        "frames": N_FRAMES,
+        "wall_s": 2.0,
+        "stages_ms": {"read": 2.0, "detect": 61.7},
+        "methods": {
+            "mono": {**row, "median_relative_error_pct": 10.0},
+            "stereo": row,
+            "fused": {**row, "bands": bands},
+        },
+        "tracks": {"n": 2, "mota": 88.1, "idf1": 91.4, "idsw": 0, "hota": 70.2},
+        "truth": "the surface",
+        "notes": ["A note."],
+        "inputs": {"left": "drive/left.mp4"},
+        "files": {"overlay": "overlay.mp4"},
+        **more,
+    }
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report beside an overlay whose frames get brighter."""
+    folder = tmp_path_factory.mktemp("run")
+    with VideoWriter(folder / "overlay.mp4", width_px=320, height_px=180, fps=1 / STEP_S) as video:
+        for number in range(N_FRAMES):
+            video.write(np.full((180, 320, 3), 10 * number, np.uint8), number * STEP_S)
+    write_report(folder / "report.html", summary(), rows(N_FRAMES, 12))
+    return folder
+
+
+def frame_shown(page: Any) -> float:
+    """Number of the overlay's frame that the page shows, from its brightness above the player's controls."""
+    page.mouse.move(2, 2)
+    picture = cv2.imdecode(np.frombuffer(page.locator("#video").screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    height, width = picture.shape
+    return float(np.median(picture[height // 8 : height // 3, width * 4 // 10 : width * 6 // 10])) / 10
+
+
+def wait_for_video(page: Any) -> None:
+    page.wait_for_function(
+        "() => { const v = document.getElementById('video'); return v.readyState >= 2 && !v.seeking; }"
+    )
+
+
+def first_chart(page: Any) -> Any:
+    """The first track's chart, scrolled to and drawn."""
+    chart = page.locator("#track-list .chart").first
+    chart.scroll_into_view_if_needed()
+    chart.locator("svg svg").wait_for()
+    return chart
+
+
+def click_at(page: Any, time_s: float, *, first_s: float = 0.0, last_s: float = (N_FRAMES - 1) * STEP_S) -> None:
+    """Click in the first chart where a time is."""
+    chart = first_chart(page)
+    plot = chart.locator("> svg > svg").bounding_box()
+    box = chart.bounding_box()
+    x = plot["x"] - box["x"] + (time_s - first_s) / (last_s - first_s) * plot["width"]
+    chart.click(position={"x": x, "y": box["height"] / 2})
+
+
+def test_a_click_in_a_chart_takes_the_video_there(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    for number in (12, 3, 24, 0):
+        click_at(page, number * STEP_S)
+        wait_for_video(page)
+        page.wait_for_function(
+            f"() => Math.abs(document.getElementById('video').currentTime - {number * STEP_S}) < 0.01"
+        )
+        assert abs(frame_shown(page) - number) < 0.5
+        readout = page.locator(".readout").first.inner_text()
+        assert f"{number * STEP_S:.2f} s" in readout
+        assert f"truth {60 - number:.1f} m" in readout
+
+
+def test_the_cursor_runs_with_the_video(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    first_chart(page)
+    lines = "() => [...document.querySelectorAll('.cursor')].map((line) => +line.getAttribute('x1'))"
+    before = page.evaluate(lines)
+    page.evaluate("() => document.getElementById('video').play()")
+    page.wait_for_function("() => document.getElementById('video').ended")
+    page.wait_for_function("() => document.querySelector('.readout').textContent.startsWith('2.40 s')")
+    after = page.evaluate(lines)
+    assert after[0] > before[0] + 500
+    assert "not there at this moment" in page.locator(".readout").nth(1).inner_text()  # its track ended before
+    assert page.locator("#now button").all_inner_texts() == ["car 1 36.0 m"]
+
+
+def test_keys_step_through_a_chart_and_start_the_video(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    chart = page.get_by_role("slider", name="Distance over time of car 1")
+    chart.focus()
+    for key, number in (
+        ("End", 24),
+        ("ArrowLeft", 23),
+        ("PageDown", 13),
+        ("ArrowRight", 14),
+        ("Home", 0),
+        ("ArrowLeft", 0),
+    ):
+        page.keyboard.press(key)
+        assert float(str(chart.get_attribute("aria-valuenow"))) == pytest.approx(number * STEP_S)
+        assert f"fused {60 - number:.1f} ± 0.5 m" in str(chart.get_attribute("aria-valuetext"))
+        page.wait_for_function(
+            f"() => Math.abs(document.getElementById('video').currentTime - {number * STEP_S}) < 0.01"
+        )
+    page.keyboard.press("Enter")
+    page.wait_for_function("() => document.getElementById('video').currentTime > 0.15")
+
+
+def test_a_name_under_the_video_leads_to_its_chart(page_of: Callable[..., Any], run: Path) -> None:
+    write_report(run / "many.html", summary(), rows(*([N_FRAMES] * 30), 9))
+    page = page_of(run / "many.html")
+    first_chart(page)
+    assert page.locator("#track-list figure[data-track='24']").count() == 0  # the list begins with twenty
+    page.locator("#now button").last.click()
+    assert page.locator("#track-list figure").first.get_attribute("data-track") == "24"
+    chart = page.locator("#track-list .chart:focus")
+    chart.locator("svg svg").wait_for()
+    page.wait_for_function(
+        "() => document.activeElement.getBoundingClientRect().top"
+        " >= document.getElementById('watch').getBoundingClientRect().bottom - 1"
+    )
+
+
+def test_a_run_that_starts_late_seeks_by_its_own_clock(page_of: Callable[..., Any], run: Path) -> None:
+    write_report(run / "late.html", summary(starts_s=5.0), rows(N_FRAMES, from_s=5.0))
+    page = page_of(run / "late.html")
+    wait_for_video(page)
+    click_at(page, 5.7, first_s=5.0, last_s=5.0 + (N_FRAMES - 1) * STEP_S)
+    wait_for_video(page)
+    assert abs(frame_shown(page) - 7) < 0.5
+
+
+def test_tables_sort_by_mouse_and_by_key(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    table = page.locator("table.sortable").first
+    names = lambda: table.locator("tbody th").all_inner_texts()  # noqa: E731
+    heading = table.get_by_role("columnheader", name="median %")
+    assert names() == ["mono", "stereo", "fused"]
+    heading.get_by_role("button").click()
+    assert names() == ["stereo", "fused", "mono"]
+    assert heading.get_attribute("aria-sort") == "ascending"
+    page.keyboard.press("Enter")
+    assert names() == ["mono", "stereo", "fused"]
+    assert heading.get_attribute("aria-sort") == "descending"
+    banded = table.get_by_role("columnheader", name="20-30 m").get_by_role("button")
+    for _ in range(2):
+        banded.click()
+        assert names()[0] == "fused"  # what was not measured stays below, either way
+
+
+def test_methods_are_switched_everywhere_at_once(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    first_chart(page)
+    strokes = (
+        "() => [...document.querySelector('#track-list .chart').querySelectorAll('path[stroke]')]"
+        ".map((path) => path.getAttribute('stroke'))"
+    )
+    assert "#e08214" in page.evaluate(strokes)
+    page.locator("#legend").get_by_role("button", name="mono", exact=True).click()
+    assert "#e08214" not in page.evaluate(strokes)
+    pressed = page.locator(".legend button[data-method=mono]").evaluate_all("all => all.map((b) => b.ariaPressed)")
+    assert pressed == ["false"] * 3
+    assert "mono" not in page.locator(".readout").first.inner_text()
+
+
+def test_the_theme_follows_the_system_until_it_is_chosen(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html", color_scheme="dark")
+    background = "() => getComputedStyle(document.body).backgroundColor"
+    dark = page.evaluate(background)
+    theme = page.get_by_role("button", name="Theme")
+    theme.click()
+    assert theme.inner_text() == "Theme: light"
+    assert page.evaluate(background) != dark
+    page.reload()
+    assert theme.inner_text() == "Theme: light"
+    theme.click()
+    assert page.evaluate(background) == dark
+
+
+def test_a_phone_need_not_scroll_sideways(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html", viewport={"width": 360, "height": 740})
+    first_chart(page)
+    page.locator("#sigma-chart").scroll_into_view_if_needed()
+    page.locator("#sigma-chart svg svg").wait_for()
+    assert page.evaluate("() => document.documentElement.scrollWidth") == 360
+
+
+def test_two_thousand_tracks_open_and_draw_only_what_is_seen(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_report(path, summary(files={}), rows(*([30] * 2000)))
+    assert path.stat().st_size < 10_000_000
+    page = page_of(path)
+    assert page.locator("#count").inner_text() == "20 of 2000 tracks"
+    first_chart(page)
+    assert 0 < page.locator("#track-list .chart svg svg").count() < 10
+    page.get_by_label("Find").fill("1999")
+    assert page.locator("#track-list figcaption").first.inner_text().startswith("car 1999")
+    assert page.locator("#count").inner_text() == "1 of 1 tracks"
+    page.get_by_label("Find").fill("")
+    page.get_by_role("button", name="Show more").click()
+    assert page.locator("#track-list figure").count() == 40
+
+
+def test_nothing_that_a_run_names_becomes_markup_or_runs(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    found = summary(notes=[EVIL], truth=EVIL, inputs={"left": EVIL, EVIL: EVIL}, files={}, stages_ms={EVIL: 3.0})
+    write_report(tmp_path / "report.html", {**found, "methods": {EVIL: found["methods"]["mono"]}}, rows(9, name=EVIL))
+    page = page_of(tmp_path / "report.html")
+    first_chart(page)
+    assert page.locator("#track-list figcaption").first.inner_text().startswith(EVIL)
+    assert page.locator("img").count() == 0
+    assert page.title() != "hacked"
+    assert page.locator("script").count() == 2
+
+
+def test_a_missing_video_is_said(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "overlay.mp4").write_bytes(b"no video")
+    write_report(tmp_path / "report.html", summary(), rows(9))
+    page = page_of(tmp_path / "report.html")
+    page.get_by_text("The overlay cannot be played").wait_for()
+    click_at(page, 0.4, last_s=0.8)
+    assert "0.40 s" in page.locator(".readout").first.inner_text()
+
+
+@pytest.mark.parametrize(
+    ("found", "lengths", "truth"),
+    [({}, (1,), True), ({"truth": None, "methods": {}}, (5, 3), False), ({"truth": None, "methods": {}}, (), False)],
+    ids=["one frame", "no truth", "no track"],
+)
+def test_runs_that_lack_something_open(
+    page_of: Callable[..., Any], tmp_path: Path, found: Any, lengths: Any, truth: bool
+) -> None:
+    write_report(tmp_path / "report.html", summary(files={}, **found), rows(*lengths, truth=truth))
+    page = page_of(tmp_path / "report.html")
+    assert page.locator("h1").inner_text() == "drive/left.mp4"
+    if lengths:
+        first_chart(page)
+        page.locator("#track-list .chart").first.press("ArrowRight")
+    else:
+        assert page.get_by_text("No track was confirmed in this run.").is_visible()
+    assert page.locator("#error-chart svg").count() == 0 or truth
+
+
+def test_several_runs_are_compared(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    runs = [
+        ComparedRun(name=name, summary=summary(), settings={}, link=f"{name}/report.html") for name in ("one", EVIL)
+    ]
+    write_comparison(tmp_path / "comparison.html", runs)
+    page = page_of(tmp_path / "comparison.html")
+    page.locator("#run-chart").scroll_into_view_if_needed()
+    page.locator("#run-chart .chart svg svg path").first.wait_for(state="attached")
+    assert [text.strip() for text in page.locator("#run-chart .legend > span").all_inner_texts()] == ["one", EVIL]
+    assert json.loads(page.locator("#run-content").inner_text())["lines"][0]["x"] == [25.0]
+    assert page.get_by_role("link", name="one", exact=True).get_attribute("href") == "one/report.html"

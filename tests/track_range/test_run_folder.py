@@ -1,0 +1,198 @@
+"""A run's folder read again, whole or with files missing, and the command that makes its pages anew."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rich.console import Console
+
+from ranging.truth import Truth
+from track_range.commands.report import report, short_names
+from track_range.report_truth import with_truth
+from track_range.results import COLUMNS
+from track_range.run_folder import read_run_folder
+from track_range.written import OutputError
+
+N_FRAMES = 6
+
+
+def write_run(folder: Path, **run: Any) -> Path:
+    """A run over a car that stands 20 m ahead, 4 m long: its rear is at 18 m, and fused says 18.9 m, 5 % too much."""
+    folder.mkdir(parents=True)
+    (folder / "truth.txt").write_text(
+        "".join(
+            f"{frame} 1 Car 0 0 0 280 140 360 220 1.5 1.7 4.0 0.0 0.75 20.0 {-math.pi / 2:.8f}\n"
+            for frame in range(N_FRAMES)
+        )
+    )
+    with (folder / "tracks.csv").open("w", newline="") as file:
+        rows = csv.DictWriter(file, COLUMNS, restval="")
+        rows.writeheader()
+        for frame in range(N_FRAMES):
+            box = {"x1_px": 280, "y1_px": 140, "x2_px": 360, "y2_px": 220}
+            ranged = {"fused_m": 18.9, "fused_sigma_m": 0.5}
+            time = {"frame": frame, "time_s": frame / 10}
+            rows.writerow({**time, "track_id": 1, "class": "car", "score": 0.9, "observed": 1, **box, **ranged})
+    settings = {
+        "track_range_settings": 1,
+        "run": {"mono": "drive.mp4", "truth": str(folder / "truth.txt"), "out": str(folder), "classes": [], **run},
+        "found": {
+            "rig": None,
+            "focal_px": 1000.0,
+            "principal_point_px": [320.0, 180.0],
+            "image_size_px": [640, 360],
+            "versions": {"numpy": "2"},
+        },
+    }
+    (folder / "settings.yaml").write_text(yaml.safe_dump(settings))
+    (folder / "overlay.mp4").write_bytes(b"a film")
+    summary = {"frames": 9, "methods": {}, "files": {"overlay": "overlay.mp4"}, "notes": ["as said"], "truth": "t"}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return write_run(tmp_path / "run")
+
+
+def test_a_whole_run_is_read_as_it_is(run: Path) -> None:
+    found = read_run_folder(run)
+    assert found.missing == ()
+    assert (found.summary["frames"], found.summary["notes"]) == (9, ["as said"])
+    assert found.columns["truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert found.columns["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert found.summary["focal_px"] == 1000.0
+    assert found.summary["settings"] == {key: value for key, value in found.settings.items() if key != "classes"}
+
+
+@pytest.mark.parametrize(("old", "new"), [("Car", "Van"), (" 20.0 ", " 120.0 ")])
+def test_truth_that_is_not_scored_is_drawn_all_the_same(run: Path, old: str, new: str) -> None:
+    labels = (run / "truth.txt").read_text().replace(old, new)
+    (run / "truth.txt").write_text(labels)
+    columns = read_run_folder(run).columns
+    assert columns["truth_m"].min() > 10
+    assert bool(np.isnan(columns["scored_truth_m"]).all())
+
+
+def test_a_truth_of_no_label_matches_nothing(run: Path) -> None:
+    columns = read_run_folder(run).columns
+    nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(6)))
+    assert bool(np.isnan(with_truth(columns, nothing)["scored_truth_m"]).all())
+
+
+def test_a_killed_run_is_counted_from_its_rows(run: Path) -> None:
+    (run / "summary.json").unlink()
+    with (run / "tracks.csv").open("a") as file:
+        file.write("6,0.6,1,ca")  # the row that it was writing
+    found = read_run_folder(run)
+    assert found.missing[0].startswith("summary.json is missing, so the run was killed or is still at work")
+    assert found.summary["notes"] == list(found.missing)
+    assert found.summary["frames"] == N_FRAMES
+    assert found.summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
+    assert found.summary["tracks"]["mota"] == pytest.approx(100.0)
+    assert found.summary["files"] == {"overlay": "overlay.mp4"}
+    assert found.summary["inputs"] == {"mono": "drive.mp4", "truth": str(run / "truth.txt")}
+    assert found.summary["versions"] == {"numpy": "2"}
+
+
+def test_a_killed_pair_names_both_of_its_videos(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", mono=None, stereo=["l.mp4", "r.mp4"])
+    (folder / "summary.json").unlink()
+    assert read_run_folder(folder).summary["inputs"] | {"mono": None, "truth": None} == {
+        "left": "l.mp4",
+        "right": "r.mp4",
+        "mono": None,
+        "truth": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("gone", "words"),
+    [
+        ("settings.yaml", "settings.yaml is missing or cannot be read"),
+        ("tracks.csv", "tracks.csv is missing: there are no charts of tracks."),
+        ("truth.txt", "The truth could not be read again, so charts show none"),
+        ("overlay.mp4", "overlay.mp4 is missing: it cannot be shown."),
+    ],
+)
+def test_what_is_missing_is_said_and_the_rest_is_shown(run: Path, gone: str, words: str) -> None:
+    (run / gone).unlink()
+    path = report([run], None, Console(file=(said := io.StringIO())))
+    assert words in said.getvalue()
+    page = path.read_text()
+    assert words in page
+    assert "as said" in page
+    assert ("<video" in page) == (gone != "overlay.mp4")
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "\x00"])
+def test_a_broken_summary_is_said_and_counted_anew(run: Path, text: str) -> None:
+    (run / "summary.json").write_text(text)
+    found = read_run_folder(run)
+    assert found.missing == ("summary.json cannot be read: figures are of the frames in tracks.csv.",)
+    assert found.summary["frames"] == N_FRAMES
+
+
+def test_settings_without_a_camera_tell_no_truth(run: Path) -> None:
+    settings = yaml.safe_load((run / "settings.yaml").read_text())
+    for found in ({}, {"focal_px": 1.0, "principal_point_px": None, "image_size_px": 3}):
+        (run / "settings.yaml").write_text(yaml.safe_dump(settings | {"found": found}))
+        read = read_run_folder(run)
+        assert "truth_m" not in read.columns
+        assert len(read.missing) == 1
+
+
+def test_folders_that_are_no_runs_are_refused(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"nowhere: there is no such folder; give the folder of a run's results\."):
+        read_run_folder(tmp_path / "nowhere")
+    with pytest.raises(OutputError, match=r"neither tracks\.csv nor summary\.json is in it"):
+        read_run_folder(tmp_path)
+    (run / "tracks.csv").write_text("frame,time_s,class\n1,2,car\n")
+    with pytest.raises(OutputError, match=r"not a tracks\.csv \(no track_id, x1_px, x2_px, y1_px, y2_px\)\."):
+        read_run_folder(run)
+    (run / "tracks.csv").write_bytes(b"\xff\xfe")
+    with pytest.raises(OutputError, match=r"not a readable tracks\.csv"):
+        read_run_folder(run)
+
+
+def test_a_killed_run_without_any_track_has_a_page(run: Path) -> None:
+    (run / "tracks.csv").write_text(",".join(COLUMNS) + "\n")
+    (run / "summary.json").unlink()
+    assert "No track was confirmed in this run." in report([run], None, Console(file=io.StringIO())).read_text()
+
+
+def test_a_page_elsewhere_points_to_the_overlay(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "pages").mkdir()
+    path = report([run], tmp_path / "pages" / "mine.html", Console(file=io.StringIO()))
+    assert path == tmp_path / "pages" / "mine.html"
+    assert 'src="../run/overlay.mp4"' in path.read_text()
+    assert not (run / "report.html").exists()
+
+
+def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
+    other = write_run(tmp_path / "more" / "run", sgbm=False)
+    (other / "summary.json").unlink()
+    said = io.StringIO()
+    path = report([run, other, run / "."], tmp_path / "all.html", Console(file=said, width=120))
+    page = path.read_text()
+    assert "2 runs side by side" in page
+    assert 'href="run/report.html"' in page
+    assert 'href="more/run/report.html"' in page
+    assert '<th scope="row">sgbm</th><td>-</td><td>False</td>' in page
+    assert (run / "report.html").exists()
+    for words in ("more/run", "The runs have different numbers of frames.", "Settings that differ", "5.00"):
+        assert words in said.getvalue()
+
+
+def test_names_are_as_long_as_they_must_be() -> None:
+    assert short_names([Path("/a/x"), Path("/a/y")]) == ["x", "y"]
+    assert short_names([Path("/a/x"), Path("/b/x"), Path("/b/y")]) == ["a/x", "b/x", "b/y"]

@@ -1,0 +1,77 @@
+"""LiveAddress: a camera or a stream in place of a file: `0`, `/dev/video0`, `rtsp://...`, `http://...`."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit, urlunsplit
+
+_SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
+_NUMBER = re.compile(r"\d{1,3}")
+
+_SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000"}
+"""FFmpeg: hand images on as they come, and look for two seconds at most at what a stream holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveAddress:
+    """Where live images come from; as text it is shown without name and password.
+
+    Attributes:
+        url: an address, or the path of a camera's device.
+    """
+
+    url: str
+
+    def __str__(self) -> str:
+        if self.is_camera:
+            return self.url
+        parts = urlsplit(self.url)
+        return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether it is a device of this machine."""
+        return "://" not in self.url
+
+    @property
+    def stem(self) -> str:
+        """A name for files: `video0`, `10-0-0-7-stream1`."""
+        name = Path(self.url).name if self.is_camera else str(self).partition("://")[2]
+        return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")[:60] or "live"
+
+    @property
+    def format(self) -> str | None:
+        """FFmpeg's name of how it is read; None = it finds out."""
+        return "v4l2" if self.is_camera else None
+
+    @property
+    def options(self) -> dict[str, str]:
+        """FFmpeg's options for it."""
+        if self.is_camera:
+            return {}
+        # Lost packets of UDP, RTSP's default, are images that are half grey.
+        is_rtsp = self.url.lower().startswith("rtsp")
+        return {**_SOON, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
+
+
+def live_address(name: str) -> LiveAddress | None:
+    """The camera or stream that a name on the command line means; None = a file or folder.
+
+    A number is a camera's unless there is a file or folder of that name.
+    """
+    scheme, colon, _ = name.partition("://")
+    if colon and scheme.lower() in _SCHEMES:
+        return LiveAddress(name)
+    path = Path(name)
+    if _NUMBER.fullmatch(name) and not path.exists():
+        return LiveAddress(f"/dev/video{int(name)}")
+    return LiveAddress(name) if _is_device(path) else None
+
+
+def _is_device(path: Path) -> bool:
+    try:
+        return path.is_char_device()
+    except OSError:
+        return False

@@ -1,0 +1,120 @@
+"""Text of the overlay: what a track's label and the corners say, and how text is drawn on its backing.
+
++------------------------+   large the fused distance and its sigma, then class and id in the track's colour;
+| 22.4 m ±0.7   car 12   |   the methods side by side, by the letters of `METHOD_LETTERS`;
+| M 23.1  S 22.4  G 22.0 |   when the gap shrinks: time to collision and closing speed, on a bar that fills as the
+|#TTC 3.6 s##closing 6.2 |   time runs out, amber or red.
++------------------------+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.overlay_colours import AMBER, CALM, GREY, WHITE, Bgr, alarm_colour, track_colour
+from track_range.results import FrameResult
+
+METHOD_LETTERS = {"mono": "M", "lane": "L", "ground": "P", "stereo": "S", "sgbm": "G"}
+"""The small figures' letters; a legend in the corner spells them out."""
+
+METHOD_WORDS = {"ground": "ground plane", "sgbm": "dense stereo"}
+"""Words of the legend where the method's own name says little."""
+
+CLOSING_SHOWN_MPS = 0.5
+"""Slower closing is within the distance filter's noise on a standing gap."""
+
+TTC_SHOWN_S = 30.0
+"""A longer time to collision warns of nothing; the closing speed alone is shown."""
+
+BAR_S = 8.0
+"""The bar of the time to collision is empty at this much, full at none."""
+
+BOLD, REGULAR = 700, 450
+"""Font weights, 100..900."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A piece of text in one size and colour.
+
+    Attributes:
+        fill: the colour of the bar behind the text; None = no bar.
+        filled: how much of the line's length that takes, 0..1.
+    """
+
+    text: str
+    size_px: int
+    weight: int
+    bgr: Bgr
+    fill: Bgr | None = None
+    filled: float = 0.0
+
+
+Line = Sequence[Span]
+Lines = Sequence[Line]
+
+
+def text_sizes_px(height_px: int) -> tuple[int, int, int]:
+    """Large text, small text and stroke for an image of this height: 15, 11, 2 at 374 px; 26, 18, 3 at 720 px."""
+    return round(4 + 0.03 * height_px), max(11, round(3.5 + 0.02 * height_px)), max(1, round(1 + 0.0025 * height_px))
+
+
+def distance_text(distance_m: float) -> str:
+    """Metres with one decimal, from 100 m with none; "-" for NaN."""
+    if not np.isfinite(distance_m):
+        return "-"
+    return f"{distance_m:.0f}" if distance_m >= 99.95 else f"{distance_m:.1f}"
+
+
+def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
+    """The fused distance and its sigma, else the filtered ones (a predicted box is not measured); NaN = unknown."""
+    known = (result.ranges[name] for name in ("fused", "fused_kf") if name in result.ranges)
+    pairs = ((float(found.distance_m[row]), float(found.sigma_m[row])) for found in known)
+    return next((pair for pair in pairs if np.isfinite(pair[0])), (np.nan, np.nan))
+
+
+def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], sizes_px: tuple[int, int]) -> Lines:
+    """One to three lines for a track: fused distance and identity, the methods, the closing speed."""
+    large_px, small_px = sizes_px
+    tracks, ranges = result.tracks, result.ranges
+    identity = f"{class_names[int(tracks.class_id[row])]} {int(tracks.track_id[row])}"
+    named = Span(identity, small_px, BOLD, track_colour(int(tracks.track_id[row])))
+    distance_m, sigma_m = shown_distance(result, row)
+    metres = Span(f"{distance_text(distance_m)} m", large_px, BOLD, WHITE)
+    sigma = [Span(f"±{distance_text(sigma_m)}", small_px, REGULAR, WHITE)] if np.isfinite(distance_m) else []
+    lines = [[metres, *sigma, named]]
+    methods = [(letter, ranges[name]) for name, letter in METHOD_LETTERS.items() if name in ranges]
+    if methods and tracks.observed[row]:
+        figures = "  ".join(f"{letter} {distance_text(found.distance_m[row])}" for letter, found in methods)
+        lines.append([Span(figures, small_px, REGULAR, GREY)])
+    closing = closing_span(float(result.closing_mps[row]), float(result.ttc_s[row]), small_px)
+    return [*lines, [closing]] if closing else lines
+
+
+def closing_span(closing_mps: float, ttc_s: float, size_px: int) -> Span | None:
+    """Time to collision and closing speed on a bar, amber or red where urgent; None where the gap does not shrink."""
+    if not closing_mps > CLOSING_SHOWN_MPS:
+        return None
+    speed = f"closing {closing_mps:.1f} m/s"
+    text = f"TTC {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
+    filled = float(np.clip(1 - ttc_s / BAR_S, 0, 1)) if ttc_s < BAR_S else 0.0
+    alarm = alarm_colour(ttc_s)
+    return Span(text, size_px, REGULAR if alarm is None else BOLD, WHITE, alarm or CALM, filled)
+
+
+def corner_lines(
+    result: FrameResult, size_px: int, *, status: Sequence[str] = (), warning: str = ""
+) -> tuple[Lines, Lines]:
+    """What the two upper corners say: frame number and time, status, a warning; the legend of letters and strokes."""
+    clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
+    clock += [Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)]
+    if warning:
+        clock.append(Span(warning, size_px, BOLD, AMBER))
+    letters = [
+        f"{letter} {METHOD_WORDS.get(name, name)}" for name, letter in METHOD_LETTERS.items() if name in result.ranges
+    ]
+    legend = "   ".join(["large: fused ±1 sigma", *letters, "dashed: predicted"])
+    return [clock], [[Span(legend, size_px, REGULAR, GREY)]]

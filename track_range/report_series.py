@@ -1,0 +1,134 @@
+"""A run's tracks as text small enough to be carried by its report: whole numbers, as steps from one to the next.
+
+    25.261 m, nothing, 25.102 m  ->  2526 cm, -, 2510 cm  ->  "2526,,-16"
+
+Times are milliseconds, distances and sigmas centimetres, speeds decimetres per second. The page's script unpacks a
+track only when its chart comes into view. Where all tracks together have too many points, the longest are thinned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from detection.detections import BoolArray, FloatArray, IntArray
+
+Columns = Mapping[str, npt.NDArray[Any]]
+"""tracks.csv by column: one row per track and frame, NaN = empty; a column may be missing."""
+
+LINE_POINTS = 1200
+"""A longer line is thinned to at most as many: a page shows about one per pixel."""
+
+MOST_CELLS = 1_800_000
+"""Numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
+
+TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS = 1000.0, 100.0, 10.0
+
+_NOT_METHODS = ("truth", "scored_truth", "x", "y")
+
+
+def methods_measured(columns: Columns) -> list[str]:
+    """Names of the methods that have at least one distance, in the columns' order."""
+    named = [name.removesuffix("_m") for name in columns if name.endswith("_m") and not name.endswith("_sigma_m")]
+    return [name for name in named if name not in _NOT_METHODS and bool(np.isfinite(columns[f"{name}_m"]).any())]
+
+
+def column(columns: Columns, name: str, rows: BoolArray | IntArray | slice = slice(None)) -> FloatArray:
+    """A column's rows, all NaN where the run has no such column."""
+    if name in columns:
+        return np.asarray(columns[name][rows], np.float64)
+    return np.full(len(columns["time_s"][rows]), np.nan)
+
+
+def packed(values: FloatArray, ticks_per_unit: float) -> str:
+    """(N,) values as text: rounded to ticks, each as the step from the last one known, empty where NaN."""
+    known = np.isfinite(values)
+    steps = np.diff(np.round(values[known] * ticks_per_unit), prepend=0.0).astype(np.int64)
+    cells = np.full(len(values), "", dtype=object)
+    cells[known] = steps.astype(str)
+    return ",".join(cells)
+
+
+def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
+    """What the page knows of each track, the longest first; a series is left out where nothing was measured.
+
+    Keys: id, name (the class), n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, truth, closing;
+    observed ("1101": the third box was predicted; missing = none was); m and s: distance and sigma by method.
+    """
+    runs = _rows_of_each(columns)
+    limit = _longest_line([len(rows) for rows in runs], n_series=_n_series(columns))
+    methods = methods_measured(columns)
+    for rows in runs:
+        track = {name: values[rows] for name, values in columns.items()}
+        shown = thinned(len(rows), limit)
+        yield {**_facts(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
+
+
+def _rows_of_each(columns: Columns) -> list[IntArray]:
+    """The rows of each track in the order of time, the longest track first."""
+    track_id = columns["track_id"]
+    if not len(track_id):
+        return []
+    order = np.lexsort((columns["time_s"], track_id))
+    starts = np.flatnonzero(np.diff(track_id[order])) + 1
+    return sorted(np.split(order, starts), key=len, reverse=True)
+
+
+def _n_series(columns: Columns) -> int:
+    return 3 + sum(name in columns for method in methods_measured(columns) for name in (f"{method}_m", _sigma(method)))
+
+
+def _sigma(method: str) -> str:
+    return f"{method}_sigma_m"
+
+
+def _longest_line(lengths: list[int], *, n_series: int) -> int:
+    """The most points a line may have for all of them to fit into a page."""
+    limit = LINE_POINTS
+    while limit > 8 and n_series * sum(min(length, limit) for length in lengths) > MOST_CELLS:
+        limit = int(0.9 * limit)
+    return limit
+
+
+def thinned(n: int, limit: int) -> IntArray:
+    """At most `limit` of n rows, evenly, with the first and the last."""
+    return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
+
+
+def _facts(track: Columns) -> dict[str, Any]:
+    time_s, fused_m = column(track, "time_s"), column(track, "fused_m")
+    truth_m = column(track, "truth_m")
+    error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
+    names, counts = np.unique(track["class"], return_counts=True)
+    return {
+        "id": int(track["track_id"][0]),
+        "name": str(names[np.argmax(counts)]),
+        "n": len(time_s),
+        "from_s": round(float(time_s[0]), 3),
+        "to_s": round(float(time_s[-1]), 3),
+        "near_m": _rounded(fused_m, np.min),
+        "ttc_s": _rounded(column(track, "ttc_s"), np.min),
+        "error_pct": _rounded(100.0 * error, np.median),
+    }
+
+
+def _rounded(values: FloatArray, reduce: Any) -> float | None:
+    known = values[np.isfinite(values)]
+    return round(float(reduce(known)), 2) if len(known) else None
+
+
+def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
+    for name, key, ticks in (("truth_m", "truth", TICKS_PER_M), ("closing_mps", "closing", TICKS_PER_MPS)):
+        values = column(track, name)
+        found |= {key: packed(values, ticks)} if np.isfinite(values).any() else {}
+    observed = column(track, "observed") != 0
+    found |= {} if observed.all() else {"observed": "".join("1" if each else "0" for each in observed)}
+    for method in methods:
+        for key, name in (("m", f"{method}_m"), ("s", _sigma(method))):
+            values = column(track, name)
+            found[key] |= {method: packed(values, TICKS_PER_M)} if np.isfinite(values).any() else {}
+    return found

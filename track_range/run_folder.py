@@ -1,0 +1,182 @@
+"""A run's folder read again: what its files say, and what can still be told where some of them are missing.
+
+A killed run leaves tracks.csv up to its last whole frame and settings.yaml, but no summary.json: coverage, errors and
+metrics of tracking are then computed anew, as far as the labels that it was measured against are still where they were.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from detection.kitti_format import LabelFileError
+from ranging.truth import Truth, read_truth
+from stereo.camera import PinholeCamera
+from stereo.rig import RigError
+from stereo.rig_files import left_from_reference_m
+from track_range.report_series import Columns, methods_measured
+from track_range.report_truth import with_truth
+from track_range.results import COLUMNS, read_tracks_csv
+from track_range.summary import TRUTH_PROTOCOL, range_scores, track_scores
+from track_range.written import OutputError
+
+Sections = Mapping[str, Any]
+
+_INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
+
+_NEEDED = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
+"""Columns without which nothing can be told; an earlier version's file may lack others."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunFolder:
+    """What a run left behind.
+
+    Attributes:
+        folder: where it lies.
+        summary: as summary.json has it, or rebuilt; its notes say what is missing.
+        columns: tracks.csv by column, with `truth_m` where the truth could be read again.
+        settings: the section `run` of settings.yaml; empty without one.
+        missing: sentences on what could not be read.
+    """
+
+    folder: Path
+    summary: Sections
+    columns: Columns
+    settings: Sections
+    missing: tuple[str, ...]
+
+
+def read_run_folder(folder: Path) -> RunFolder:
+    """Read the files of a run.
+
+    Raises:
+        OutputError: it is no run's folder, or tracks.csv is not one.
+    """
+    if not folder.is_dir():
+        raise OutputError(f"{folder}: there is no such folder; give the folder of a run's results.")
+    missing: list[str] = []
+    summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
+    columns = _columns_of(folder, missing)
+    if summary is None and columns is None:
+        raise OutputError(f"{folder}: neither tracks.csv nor summary.json is in it, so it is no run's folder.")
+    run, found = _section(settings, "run"), _section(settings, "found")
+    rows = _no_rows() if columns is None else columns
+    truth = _truth_of(run, found, missing)
+    if truth is not None:
+        rows = with_truth(rows, truth)
+    summary = _rebuilt(rows, truth, run) if summary is None else summary
+    kept = _with_what_is_there(folder, summary, settings, missing)
+    return RunFolder(folder=folder, summary=kept, columns=rows, settings=run, missing=tuple(missing))
+
+
+def _section(document: Sections, name: str) -> dict[str, Any]:
+    found = document.get(name)
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
+    try:
+        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        missing.append(
+            "summary.json is missing, so the run was killed or is still at work: how long its stages took, what was "
+            "found of the alignment and its notes are not known; the other figures are of the frames in tracks.csv."
+        )
+        return None
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict):
+        missing.append("summary.json cannot be read: figures are of the frames in tracks.csv.")
+        return None
+    return found
+
+
+def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
+    try:
+        found = yaml.safe_load((folder / "settings.yaml").read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        missing.append("settings.yaml is missing or cannot be read: what the run was asked for is not known.")
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
+    path = folder / "tracks.csv"
+    if path.is_file():
+        columns = read_tracks_csv(path)
+        if not columns.keys() >= _NEEDED:
+            raise OutputError(f"{path}: not a tracks.csv (no {', '.join(sorted(_NEEDED - columns.keys()))}).")
+        return columns
+    missing.append("tracks.csv is missing: there are no charts of tracks.")
+    return None
+
+
+def _no_rows() -> dict[str, Any]:
+    return {name: np.zeros(0, np.str_ if name == "class" else np.float64) for name in COLUMNS}
+
+
+def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | None:
+    """The labels that the run was measured against, None where there were none or they are gone."""
+    if not run.get("truth"):
+        return None
+    try:
+        camera = _camera(found)
+        shift_m = left_from_reference_m(Path(found["rig"]), is_grey=False) if found.get("rig") else np.zeros(3)
+        return read_truth(Path(run["truth"]), camera, shift_m)
+    except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
+        missing.append(f"The truth could not be read again, so charts show none ({error}).")
+        return None
+
+
+def _camera(found: Sections) -> PinholeCamera:
+    """The left camera as the run saw it.
+
+    Raises:
+        KeyError: settings.yaml does not say.
+    """
+    (width_px, height_px), (cx_px, cy_px) = found["image_size_px"], found["principal_point_px"]
+    focal_px = float(found["focal_px"])
+    return PinholeCamera(focal_px, float(found.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
+
+
+def _rebuilt(columns: Columns, truth: Truth | None, run: Sections) -> dict[str, Any]:
+    """What of a summary the rows alone tell."""
+    frame = columns["frame"].astype(np.int64)
+    seen = np.arange(frame.min(), frame.max() + 1) if len(frame) else frame
+    methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
+    inputs = {key: run[key] for key in _INPUTS if key in run}
+    if isinstance(run.get("stereo"), list) and len(run["stereo"]) == 2:
+        inputs = {"left": run["stereo"][0], "right": run["stereo"][1], **inputs}
+    return {
+        "frames": len(seen),
+        **range_scores(columns, truth, methods),
+        "tracks": track_scores(columns, truth, seen),
+        "truth": TRUTH_PROTOCOL if truth is not None else None,
+        "inputs": inputs,
+        "files": {"overlay": "overlay.mp4"} if run.get("overlay", True) else {},
+    }
+
+
+def _with_what_is_there(folder: Path, summary: Sections, settings: Sections, missing: list[str]) -> dict[str, Any]:
+    """The summary without files that are gone, with the camera that settings.yaml knows, and with notes on the rest."""
+    files = _section(summary, "files")
+    gone = [name for name in files.values() if not (folder / str(name)).is_file()]
+    missing += [f"{name} is missing: it cannot be shown." for name in gone]
+    found = _section(settings, "found")
+    camera = {key: found[key] for key in ("focal_px", "baseline_m", "versions") if found.get(key) is not None}
+    run = {key: value for key, value in _section(settings, "run").items() if value not in ([], {})}
+    return {
+        **camera,
+        "settings": run,
+        "starts_s": run.get("start_s", 0.0),
+        **summary,
+        "files": {key: name for key, name in files.items() if name not in gone},
+        "notes": [*missing, *(summary.get("notes") or [])],
+    }

@@ -1,0 +1,247 @@
+r"""What a car is made of: a hull with chamfered corners on four wheels, and a glazed cabin that leans inwards.
+
+      ______            The hull's back, front and sides lie on the 3-D box itself, so that a ray through the middle
+ ____/__|___\____       of a box on the image meets the paint just where it meets the 3-D box. Three builds: saloon,
+|_ _     |    _ _|      hatchback, estate; where roof and bonnet begin and end is told in shares of the length, from
+  (o)-------(o)   x ->  the back, and in shares of the height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.simulation.faces import Colour, Face, Vector, coloured_face, shaded
+from track_range.simulation.painting import SEAM, fill, keep, number_plate, pane, polygon, shade_rows, wheel
+from track_range.simulation.shadows import shadow
+
+PAINTS: tuple[Colour, ...] = (
+    (205, 206, 205),
+    (176, 176, 174),
+    (120, 120, 118),
+    (72, 70, 68),
+    (40, 38, 38),
+    (112, 66, 38),
+    (42, 36, 138),
+    (92, 104, 112),
+    (150, 96, 52),
+    (62, 78, 54),
+)
+"""What cars are painted: white, silvers and greys, black, blues, red, beige, green."""
+
+LAMP_RED: Colour = (32, 26, 190)
+LAMP_WHITE: Colour = (232, 238, 238)
+TRIM: Colour = (34, 34, 36)
+
+SILL = 0.15
+"""The hull's lower edge, as a share of the height."""
+
+PAINT_CONTRAST = 5.0
+LEAN_M = 0.17
+"""How far the cabin's sides lean in up to the roof."""
+
+WHEEL_M = 0.32
+BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.14, 0.10), (0.30, 0.20)
+"""Of the corners seen from above: along, across."""
+
+
+@dataclass(frozen=True, slots=True)
+class Build:
+    """Places along (shares of the length, from the back) and heights (shares of the height)."""
+
+    deck: float
+    shoulder: float
+    roof: tuple[float, float]
+    cabin: tuple[float, float]
+    nose: float
+
+
+BUILDS = (
+    Build(0.66, 0.64, (0.27, 0.55), (0.10, 0.74), 0.50),  # saloon
+    Build(0.64, 0.62, (0.10, 0.56), (0.015, 0.76), 0.50),  # hatchback
+    Build(0.63, 0.61, (0.05, 0.58), (0.01, 0.77), 0.52),  # estate, SUV
+)
+
+
+def car(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
+    """A car of one of the builds and paints."""
+    build = BUILDS[int(rng.integers(len(BUILDS)))]
+    paint = PAINTS[int(rng.integers(len(PAINTS)))]
+    return [shadow(size_hwl_m), *_hull(rng, size_hwl_m, build, paint), *_cabin(rng, size_hwl_m, build, paint)]
+
+
+def _hull(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
+    height, width, length = size_hwl_m
+    x, z = length / 2, width / 2
+    faces = []
+    for is_front, (deep, wide) in ((False, BACK_CHAMFER_M), (True, FRONT_CHAMFER_M)):
+        top = (build.nose if is_front else build.deck) * height
+        end, sign = (x, 1) if is_front else (-x, -1)
+        inner = z - wide
+        flat: tuple[Vector, Vector] = ((end, -top, -sign * inner), (0, 0, sign * 2 * inner))
+        faces.append(_end_face(rng, flat, top, shaded(paint, 0.88 if is_front else 0.94), is_front=is_front))
+        for side in (1, -1):
+            at_end, at_side = (end, -top, side * inner), (end - sign * deep, -top, side * z)
+            first, second = (at_end, at_side) if side * sign > 0 else (at_side, at_end)
+            edge = (first, (second[0] - first[0], 0.0, second[2] - first[2]))
+            faces.append(_corner_face(rng, edge, top, shaded(paint, 0.9 - 0.06 * side), is_front=is_front))
+    for side in (1, -1):
+        faces.append(_side_face(rng, size_hwl_m, build, (shaded(paint, 0.9 - 0.14 * side), side)))
+    return [*faces, *_lids(rng, size_hwl_m, build, paint)]
+
+
+def _end_face(
+    rng: np.random.Generator, edge: tuple[Vector, Vector], top: float, bgr: Colour, *, is_front: bool
+) -> Face:
+    """The flat part of back or front, from its upper edge to the road; below the sill only tyres are left."""
+    face = coloured_face(rng, (*edge, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
+    picture = face.texture
+    shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
+    if is_front:
+        fill(picture, (0.24, 0.10, 0.76, 0.30), (26, 26, 28))
+        for row in (0.15, 0.2, 0.25):
+            fill(picture, (0.25, row, 0.75, row + 0.012), (120, 122, 122))
+        fill(picture, (0.12, 0.60, 0.88, 0.76), TRIM)
+        number_plate(picture, (0.34, 0.42, 0.66, 0.54))
+        for left in (0.0, 0.82):
+            polygon(picture, [(left, 0.12), (left + 0.18, 0.12), (left + 0.18, 0.30), (left, 0.30)], LAMP_WHITE)
+            fill(picture, (left + 0.05, 0.16, left + 0.13, 0.27), (150, 156, 158))
+    else:
+        fill(picture, (0.0, 0.035, 1.0, 0.055), SEAM)
+        fill(picture, (0.0, 0.50, 1.0, 0.515), SEAM)
+        number_plate(picture, (0.33, 0.27, 0.67, 0.39))
+        for left in (0.0, 0.83):
+            fill(picture, (left, 0.10, left + 0.17, 0.36), LAMP_RED)
+            fill(picture, (left + 0.04, 0.26, left + 0.13, 0.31), (200, 205, 215))
+        fill(picture, (0.0, 0.70, 1.0, 0.80), TRIM)
+    fill(picture, (0, 0.80, 1, 1), (20, 20, 22))
+    sill = 1 - 1.3 * SILL
+    keep(
+        picture,
+        [
+            [(0, 0), (1, 0), (1, sill), (0.17, sill), (0.17, 1), (0.03, 1), (0.03, sill), (0, sill)],
+            [(0.83, sill), (0.97, sill), (0.97, 1), (0.83, 1)],
+        ],
+        [],
+    )
+    return face
+
+
+def _corner_face(
+    rng: np.random.Generator, edge: tuple[Vector, Vector], top: float, bgr: Colour, *, is_front: bool
+) -> Face:
+    """A chamfer, round which lamps and bumper run."""
+    face = coloured_face(rng, (*edge, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
+    picture = face.texture
+    shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
+    rows, colour = ((0.12, 0.30), LAMP_WHITE) if is_front else ((0.10, 0.36), LAMP_RED)
+    fill(picture, (0.0, rows[0], 0.9, rows[1]), colour)
+    fill(picture, (0, 0.72, 1, 1), TRIM)
+    keep(picture, [[(0, 0), (1, 0), (1, 1 - SILL), (0, 1 - SILL)]], [])
+    return face
+
+
+def _side_face(
+    rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, look: tuple[Colour, int]
+) -> Face:
+    """Doors, seams, arches and wheels; the bonnet's slope and what is below the sill are cut away."""
+    height, width, length = size_hwl_m
+    bgr, side = look
+    back, front = -length / 2 + BACK_CHAMFER_M[0], length / 2 - FRONT_CHAMFER_M[0]
+    top, z = build.deck * height, side * width / 2
+    corner: Vector = (front, -top, z) if side > 0 else (back, -top, z)
+    along: Vector = (back - front, 0, 0) if side > 0 else (front - back, 0, 0)
+    face = coloured_face(rng, (corner, along, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
+    picture = face.texture
+
+    def at(share: float) -> float:
+        """Share of the length from the back -> share of the picture from its left."""
+        own = (share * length - length / 2 - back) / (front - back)
+        return 1 - own if side > 0 else own
+
+    shade_rows(picture, ((0, 1.18), (0.2, 1.05), (0.34, 1.12), (0.38, 0.9), (0.75, 0.78), (1, 0.5)))
+    for seam in (0.24, 0.47, 0.70):
+        fill(picture, (at(seam) - 0.003, 0.02, at(seam) + 0.003, 0.72), SEAM)
+    for handle in (0.29, 0.52):
+        left, right = sorted((at(handle), at(handle + 0.035)))
+        fill(picture, (left, 0.12, right, 0.16), shaded(bgr, 0.5))
+    fill(picture, (0, 1 - 1.45 * SILL, 1, 1), TRIM)
+    radius = WHEEL_M / top
+    centres = [(at((0.82 if not is_front else length - 0.86) / length), 1 - radius) for is_front in (False, True)]
+    for centre in centres:
+        wheel(picture, centre, radius)
+    nose = 1 - build.nose / build.deck
+    outline = [(at(0.0), 0.0), (at(build.cabin[1]), 0.0), (at(1.0), nose), (at(1.0), 1 - SILL), (at(0.0), 1 - SILL)]
+    keep(picture, [outline], [(*centre, radius) for centre in centres])
+    return face
+
+
+def _lids(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
+    """The bonnet, sloping down to the nose, and a boot's lid where there is one; and the dark floor."""
+    height, width, length = size_hwl_m
+    z, base_x = width / 2, build.cabin[1] * length - length / 2
+    high, low = build.deck * height, build.nose * height
+    bonnet = coloured_face(
+        rng,
+        ((base_x, -high, z), (length / 2 - base_x, high - low, 0), (0, 0, -width)),
+        shaded(paint, 1.12),
+        contrast=PAINT_CONTRAST,
+    )
+    shade = (FRONT_CHAMFER_M[1] / width, 1 - FRONT_CHAMFER_M[0] / (length / 2 - base_x))
+    keep(bonnet.texture, [[(0, 0), (shade[1], 0), (1, shade[0]), (1, 1 - shade[0]), (shade[1], 1), (0, 1)]], [])
+    lid_m = build.cabin[0] * length
+    boot = coloured_face(
+        rng, ((-length / 2, -high, z), (lid_m, 0, 0), (0, 0, -width)), shaded(paint, 1.12), contrast=PAINT_CONTRAST
+    )
+    return [bonnet, boot]
+
+
+def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
+    """Windscreens, roof and side windows on the shoulders."""
+    height, width, length = size_hwl_m
+    low = build.deck * height
+    x0, x1 = (share * length - length / 2 for share in build.cabin)
+    roof0, roof1 = (share * length - length / 2 for share in build.roof)
+    z, top_z = width / 2 - 0.03, width / 2 - LEAN_M
+    rise, lean = height - low, z - top_z
+    inset = lean / (2 * z)
+    places: dict[str, tuple[Vector, Vector, Vector]] = {
+        "back": ((roof0, -height, z), (0, 0, -2 * z), (x0 - roof0, rise, 0)),
+        "front": ((roof1, -height, -z), (0, 0, 2 * z), (x1 - roof1, rise, 0)),
+        "top": ((roof0, -height, top_z), (roof1 - roof0, 0, 0), (0, 0, -2 * top_z)),
+        "left": ((x1, -height, top_z), (x0 - x1, 0, 0), (0, rise, lean)),
+        "right": ((x0, -height, -top_z), (x1 - x0, 0, 0), (0, rise, -lean)),
+    }
+    lights = {"back": 0.96, "front": 0.96, "top": 1.15, "left": 0.8, "right": 1.04}
+    faces = {
+        name: coloured_face(rng, place, shaded(paint, lights[name]), contrast=PAINT_CONTRAST)
+        for name, place in places.items()
+    }
+    for name in ("back", "front"):
+        _screen(faces[name], inset, is_back=name == "back")
+    behind, ahead = (roof0 - x0) / (x1 - x0), (x1 - roof1) / (x1 - x0)
+    _side_windows(faces["right"], behind, ahead)
+    _side_windows(faces["left"], ahead, behind)
+    return list(faces.values())
+
+
+def _screen(face: Face, inset: float, *, is_back: bool) -> None:
+    """A pane in its frame; seen from behind, head rests stand out against it."""
+    edge, margin = inset + 0.07, 0.05
+    pane(face.texture, [(edge, 0.12), (1 - edge, 0.12), (1 - margin, 0.93), (margin, 0.93)])
+    for left in (0.24, 0.62) if is_back else ():
+        fill(face.texture, (left, 0.45, left + 0.14, 0.80), (30, 28, 28))
+    keep(face.texture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]], [])
+
+
+def _side_windows(face: Face, left: float, right: float) -> None:
+    """Two or three panes between pillars; `left` and `right` are how far the roof's ends stand in."""
+    foot, head, top, low = 0.035, 0.03, 0.14, 0.94
+    middle = (left + 1 - right) / 2 + 0.02
+    pane(face.texture, [(left + head, top), (middle - 0.012, top), (middle - 0.012, low), (foot + 0.3 * left, low)])
+    pane(
+        face.texture,
+        [(middle + 0.012, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (middle + 0.012, low)],
+    )
+    keep(face.texture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]], [])

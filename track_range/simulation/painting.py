@@ -1,0 +1,97 @@
+"""Brushes for vehicles: shades, lamps, panes, wheels, outlines; all paint in place, in shares of the picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from detection.detections import Image
+
+Box = tuple[float, float, float, float]
+"""x1, y1, x2, y2 as shares of the picture."""
+
+Colour = tuple[float, ...]
+
+TYRE: Colour = (28, 28, 30)
+ALLOY: Colour = (168, 170, 170)
+SEAM: Colour = (24, 24, 26)
+
+
+def shade_rows(picture: Image, lights: tuple[tuple[float, float], ...]) -> None:
+    """Make rows lighter or darker: (share from the top, factor) pairs with straight lines between."""
+    rows = np.linspace(0, 1, picture.shape[0])
+    factor = np.interp(rows, [at for at, _ in lights], [light for _, light in lights]).astype(np.float32)
+    picture[:, :, :3] = np.clip(picture[:, :, :3] * factor[:, None, None], 0, 255).astype(np.uint8)
+
+
+def fill(picture: Image, box: Box, bgr: Colour) -> None:
+    """A rectangle of one colour with the picture's own fine dirt kept at a third."""
+    x1, y1, x2, y2 = _texels(picture, box)
+    part = picture[y1:y2, x1:x2, :3].astype(np.float32)
+    if part.size:
+        dirt = (part - cv2.blur(part, (15, 15)).reshape(part.shape)) / 3
+        picture[y1:y2, x1:x2, :3] = np.clip(dirt + np.array(bgr, np.float32), 0, 255).astype(np.uint8)
+
+
+def polygon(picture: Image, corners: list[tuple[float, float]], bgr: Colour) -> None:
+    """A smooth-edged polygon."""
+    height, width = picture.shape[:2]
+    at = np.rint(np.array(corners) * (width * 16, height * 16)).astype(np.int32)
+    cv2.fillPoly(picture, [at], (*bgr, 255), cv2.LINE_AA, 4)
+
+
+def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.0, bottom: float = 34.0) -> None:
+    """Glass: the sky's reflection above fades into the dark inside."""
+    height, width = picture.shape[:2]
+    mask = np.zeros((height, width), np.uint8)
+    at = np.rint(np.array(corners) * (width, height)).astype(np.int32)
+    cv2.fillPoly(mask, [at], 255)
+    low, high = float(min(y for _, y in corners)), float(max(y for _, y in corners))
+    share = np.clip((np.linspace(0, 1, height) - low) / max(high - low, 1e-6), 0, 1)
+    grey = (top + (bottom - top) * share**0.6)[:, None, None] * np.array([1.06, 1.0, 0.93])
+    dirt = (picture[:, :, :3].astype(np.float32) - cv2.blur(picture[:, :, :3], (9, 9))) * 0.7
+    glass = np.clip(grey + dirt, 0, 255).astype(np.uint8)
+    np.copyto(picture[:, :, :3], glass, where=(mask > 0)[:, :, None])
+
+
+def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: float = 1.22) -> None:
+    """A tyre with its rim in a dark arch; the radius as a share of the picture's height."""
+    height, width = picture.shape[:2]
+    at = (round(centre[0] * width), round(centre[1] * height))
+    reach = radius * height
+    cv2.ellipse(
+        picture, at, (round(reach * arch), round(reach * arch)), 0, 180, 360, (18, 18, 20, 255), -1, cv2.LINE_AA
+    )
+    cv2.circle(picture, at, round(reach), (*TYRE, 255), -1, cv2.LINE_AA)
+    cv2.circle(picture, at, round(0.66 * reach), (*ALLOY, 255), -1, cv2.LINE_AA)
+    cv2.circle(picture, at, round(0.58 * reach), (92, 94, 96, 255), -1, cv2.LINE_AA)
+    for angle in np.arange(5) * 2 * np.pi / 5 + 0.3:
+        end = (round(at[0] + 0.62 * reach * np.cos(angle)), round(at[1] + 0.62 * reach * np.sin(angle)))
+        cv2.line(picture, at, end, (*ALLOY, 255), max(2, round(0.14 * reach)), cv2.LINE_AA)
+    cv2.circle(picture, at, round(0.14 * reach), (*ALLOY, 255), -1, cv2.LINE_AA)
+
+
+def keep(picture: Image, outlines: list[list[tuple[float, float]]], discs: list[tuple[float, float, float]]) -> None:
+    """Keep polygons and discs (x, y, radius as a share of the height); the rest becomes a hole."""
+    height, width = picture.shape[:2]
+    inside = np.zeros((height, width), np.uint8)
+    for corners in outlines:
+        cv2.fillPoly(inside, [np.rint(np.array(corners) * (width, height)).astype(np.int32)], 255)
+    for x, y, radius in discs:
+        cv2.circle(inside, (round(x * width), round(y * height)), round(radius * height), 255, -1)
+    picture[:, :, 3] = np.minimum(picture[:, :, 3], inside)
+
+
+def number_plate(picture: Image, box: Box) -> None:
+    """A white plate with dark characters."""
+    fill(picture, box, (222, 228, 228))
+    x1, y1, x2, y2 = box
+    for share in (0.1, 0.22, 0.4, 0.52, 0.68, 0.8):
+        left = x1 + share * (x2 - x1)
+        fill(picture, (left, y1 + 0.25 * (y2 - y1), left + 0.08 * (x2 - x1), y1 + 0.75 * (y2 - y1)), (40, 36, 36))
+
+
+def _texels(picture: Image, box: Box) -> tuple[int, int, int, int]:
+    height, width = picture.shape[:2]
+    x1, y1, x2, y2 = np.rint(np.array(box) * (width, height, width, height)).astype(int).tolist()
+    return max(x1, 0), max(y1, 0), x2, y2
