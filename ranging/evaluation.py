@@ -26,13 +26,20 @@ BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)
 
 MIN_IOU = 0.5
 
+_MIN_COMMON_COVERAGE = 0.5
+"""A method that covers less has no say in what the common coverage is: it would leave nothing to compare on."""
+
 
 @dataclass(frozen=True, slots=True)
 class MethodColumn:
-    """One method's distances over a run's track-frames: (N,) metres and (N,) sigma, NaN = not measured."""
+    """One method's distances over a run's track-frames: (N,) metres and (N,) sigma, NaN = not measured.
+
+    `sigma_kept_m` as in `Ranges`.
+    """
 
     distance_m: FloatArray
     sigma_m: FloatArray
+    sigma_kept_m: FloatArray | None = None
 
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
@@ -54,7 +61,7 @@ def score_methods(
     is_road_class: BoolArray,
     kitti_type: npt.NDArray[np.str_],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Scores of each method over its own coverage, and over the common one.
+    """Scores of each method over its own coverage, and over the common one of those that cover half of it all.
 
     Args:
         methods: columns of (N,) by method name.
@@ -69,13 +76,9 @@ def score_methods(
             str(word): score_rows(column, true_m, in_span & (kitti_type == word))
             for word in np.unique(kitti_type[in_span])
         }
-    ran = [column for column in methods.values() if np.isfinite(column.distance_m).any()]
-    everyone = in_span & is_road_class & np.all([np.isfinite(c.distance_m) for c in ran] or [in_span], axis=0)
-    common = {
-        name: _score_with_bands(c, true_m, in_span=everyone)
-        for name, c in methods.items()
-        if np.isfinite(c.distance_m).any()
-    }
+    ran = {name: column for name, column in methods.items() if (mine[name]["coverage"] or 0) >= _MIN_COMMON_COVERAGE}
+    everyone = in_span & is_road_class & np.all([np.isfinite(c.distance_m) for c in ran.values()] or [in_span], axis=0)
+    common = {name: _score_with_bands(c, true_m, in_span=everyone) for name, c in ran.items()}
     return mine, common
 
 

@@ -62,9 +62,9 @@ def test_all_files_are_there_and_whole(simulated_run):
 def test_summary_has_the_contracts_keys(simulated_run):
     _, _, summary = simulated_run
     assert summary["frames"] == 16
-    assert list(summary["stages_ms"]) == STAGES
+    assert set(STAGES) <= set(summary["stages_ms"])
     assert summary["stages_ms"]["sgbm"] > 0
-    assert sorted(summary["methods"]) == sorted(STEREO_METHODS)
+    assert set(STEREO_METHODS) <= set(summary["methods"])
     for section in ("methods", "common"):
         for score in summary[section].values():
             assert 0 < score["coverage"] <= 1
@@ -119,7 +119,8 @@ def test_one_camera_classes_and_a_part_of_the_video(drive, tmp_path):
     assert (columns["frame"].min(), columns["frame"].max()) == (5, 10)
     assert np.isnan(columns["stereo_m"]).all()
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert sorted(summary["methods"]) == ["fused", "fused_kf", "mono", "mono_kf"]
+    assert {"fused", "fused_kf", "ground", "mono", "mono_kf"} <= set(summary["methods"])
+    assert "stereo" not in summary["methods"]
     assert summary["methods"]["mono"]["bias_pct"] is None
 
 
