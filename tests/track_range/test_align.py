@@ -80,8 +80,8 @@ def test_a_table_of_disparities_half_a_pixel_off(drive, videos, tmp_path, cli):
     assert status == 0, complained
     far = load_alignment(out).offset_px
     table.write_text(
-        "frame,x1,y1,x2,y2,distance_m\n"
-        + "\n".join(",".join(map(str, [*row[:5], rig.left.fx_px * rig.baseline_m / row[5]])) for row in rows)
+        "frame,x1,y1,x2,y2,distance_m,id\n"
+        + "\n".join(",".join(map(str, [*row[:5], rig.left.fx_px * rig.baseline_m / row[5], row[6]])) for row in rows)
     )
     assert cli("align", "--reference", table, *videos, "--out", out)[0] == 0
     assert load_alignment(out).offset_px == pytest.approx(far, abs=0.05)
