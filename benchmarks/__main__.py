@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import ablation, detection, history, looks, memory, pipeline, stereo, tracking
+from benchmarks import ablation, detection, history, looks, memory, pipeline, ranging, stereo, tracking
 
 WORKLOADS = {
     "pipeline": pipeline,
@@ -16,6 +16,7 @@ WORKLOADS = {
     "history": history,
     "looks": looks,
     "tracking": tracking,
+    "ranging": ranging,
     "stereo": stereo,
 }
 """Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""

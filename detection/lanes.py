@@ -67,6 +67,19 @@ class LaneLines:
     left: LaneLine | None = None
     right: LaneLine | None = None
 
+    def horizon_px(self) -> tuple[float, float] | None:
+        """Row of the vanishing point, and its standard deviation; None as there.
+
+        The lines meet where their distance, known to sigma, is 0: as much of a row as it grows by in one is unsure.
+        """
+        point = self.vanishing_point_px()
+        if point is None or self.left is None or self.right is None:
+            return None
+        y_px = np.array(point[1])
+        opening = float(self.right.slope(y_px) - self.left.slope(y_px))
+        sigma_px = float(np.hypot(self.left.sigma_px(y_px), self.right.sigma_px(y_px)))
+        return point[1], sigma_px / opening
+
     def vanishing_point_px(self) -> tuple[float, float] | None:
         """(x, y) in which the two lines meet, the horizon's row on a flat road; None where they do not, far ahead.
 

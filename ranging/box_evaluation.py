@@ -6,7 +6,7 @@ that was fitted is judged leaving sequences out: fitted on the others, fold by f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -72,12 +72,11 @@ def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 
     `train` has the same sequences as `boxes`, but perhaps exact boxes. One sequence alone is fitted on itself.
     """
-    distance_m, sigma_m = np.full((2, len(boxes)), np.nan)
+    parts = []
     for test in folds(boxes):
         others = train.select(~np.isin(train.sequence, np.unique(boxes.sequence[test])))
-        found = fit(others if len(others) else train)(boxes.select(test))
-        distance_m[test], sigma_m[test] = found.distance_m, found.sigma_m
-    return MethodColumn(distance_m, sigma_m)
+        parts.append((test, fit(others if len(others) else train)(boxes.select(test))))
+    return _put_together(parts, len(boxes))
 
 
 def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
@@ -85,12 +84,20 @@ def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 
     It says how well a curve can fit, and nothing of other drives, other cars and other people.
     """
-    distance_m, sigma_m = np.full((2, len(boxes)), np.nan)
+    parts = []
     for number in np.unique(boxes.sequence):
         test = boxes.sequence == number
-        found = fit(train.select(train.sequence == number))(boxes.select(test))
-        distance_m[test], sigma_m[test] = found.distance_m, found.sigma_m
-    return MethodColumn(distance_m, sigma_m)
+        parts.append((test, fit(train.select(train.sequence == number))(boxes.select(test))))
+    return _put_together(parts, len(boxes))
+
+
+def _put_together(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> MethodColumn:
+    """(n,) from columns of the rows that masks name; what a part does not tell of its sigma is NaN."""
+    distance_m, sigma_m, kept_m = np.full((3, n), np.nan)
+    for rows, found in parts:
+        distance_m[rows], sigma_m[rows] = found.distance_m, found.sigma_m
+        kept_m[rows] = np.nan if found.sigma_kept_m is None else found.sigma_kept_m
+    return MethodColumn(distance_m, sigma_m, kept_m if np.isfinite(kept_m).any() else None)
 
 
 def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:

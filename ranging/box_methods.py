@@ -16,7 +16,6 @@ from ranging.ground_plane import GroundPlane, GroundSettings
 from ranging.labelled_boxes import BoxSet
 from ranging.measured_boxes import SIZE_CLASSES
 from ranging.plain_curves import PLAIN_CURVES, PlainCurve
-from ranging.ranger import Ranger
 from ranging.ranges import Ranges
 from ranging.size_curve import CurveError, SizeModel, load_curves
 from ranging.size_prior_fit import LabelledSizes, fit_size_priors
@@ -131,17 +130,17 @@ def mono_fitter(box_sigma_px: float | None) -> Fitter:
 
 def mono_measured(boxes: BoxSet, curves: SizeModel, *, box_sigma_px: float | None) -> MethodColumn:
     """What the size ranger says of the boxes, frame by frame as in a run; None = a detector's noise."""
-    distance_m, sigma_m = np.full((2, len(boxes)), np.nan)
+    distance_m, sigma_m, kept_m = np.full((3, len(boxes)), np.nan)
     size_class = np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
-    ranger: Ranger | None = None
+    ranger: SizeRegressionRanger | None = None
     sequence = -1
     for rows, tracks, frame in as_frames(boxes):
         if boxes.sequence[rows[0]] != sequence or ranger is None:
             sequence = boxes.sequence[rows[0]]
             ranger = SizeRegressionRanger(boxes.camera_at(rows[0]), curves, box_sigma_px=box_sigma_px)
         found = ranger.measure(replace(tracks, class_id=size_class[rows]), frame)
-        distance_m[rows], sigma_m[rows] = found.distance_m, found.sigma_m
-    return MethodColumn(distance_m, sigma_m)
+        distance_m[rows], sigma_m[rows], kept_m[rows] = found.distance_m, found.sigma_m, found.sigma_kept_m
+    return MethodColumn(distance_m, sigma_m, kept_m)
 
 
 def as_frames(boxes: BoxSet) -> Iterator[tuple[IntArray, Tracks, Frame]]:

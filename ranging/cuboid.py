@@ -14,14 +14,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
-
-from detection.detections import FloatArray
+import numpy.typing as npt
 
 _N_STEPS = 5  # of the iteration that puts the middle of the box on the ray
+_N_MORE_STEPS = 2  # from where a cuboid of nearly the same size stands
 _NEAREST_M = 0.3
 _CORNERS = tuple(product((-0.5, 0.5), repeat=2))
+
+Floats = npt.NDArray[np.floating[Any]]
+"""Of single or double precision; what comes out has that of what goes in."""
+
+_Pair = tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +38,23 @@ class CuboidBox:
         log_height: of the box's height over the focal length.
         log_width: of its width over the focal length.
         log_nearness: of 1 / z of the nearest point on the ground, z in metres: where the bottom edge is.
+        place_m: how far aside and ahead the cuboid's middle is, in metres (no logarithms).
     """
 
-    log_height: FloatArray
-    log_width: FloatArray
-    log_nearness: FloatArray
+    log_height: Floats
+    log_width: Floats
+    log_nearness: Floats
+    place_m: _Pair
 
 
 def box_of_cuboid(
-    log_hwl: FloatArray, *, turn_rad: FloatArray, bearing: FloatArray, distance_m: FloatArray, camera_height_m: float
+    log_hwl: Floats,
+    *,
+    turn_rad: Floats,
+    bearing: Floats,
+    distance_m: Floats,
+    camera_height_m: float,
+    near: CuboidBox | None = None,
 ) -> CuboidBox:
     """The box of cuboids with log sizes (height, width, length; 3 values, metres), for broadcast arrays of the rest.
 
@@ -50,12 +64,16 @@ def box_of_cuboid(
         bearing: tangent of the angle of the box's middle column.
         distance_m: depth at which the ray of that column meets the surface.
         camera_height_m: above the ground that the cuboid stands on.
+        near: the same for sizes that are nearly these: less is left to iterate.
     """
     height, width, length = np.exp(log_hwl)
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-    depth = distance_m + 0.5 * (np.abs(cos) * length + np.abs(sin) * width)  # of the cuboid's middle: a first guess
-    aside = bearing * depth
-    for _ in range(_N_STEPS):
+    if near is None:
+        depth = distance_m + 0.5 * (np.abs(cos) * length + np.abs(sin) * width)
+        aside = bearing * depth
+    else:
+        aside, depth = near.place_m
+    for _ in range(_N_STEPS if near is None else _N_MORE_STEPS):
         column, _ = _corners((aside, depth), (width, length), (cos, sin))
         aside = aside + (bearing - (column.min(axis=0) + column.max(axis=0)) / 2) * depth
         met_m = _entry((aside, depth), (width, length), (cos, sin), bearing)
@@ -64,10 +82,8 @@ def box_of_cuboid(
     column, nearness = _corners((aside, depth), (width, length), (cos, sin))
     nearest = nearness.max(axis=0)
     top = ((camera_height_m - height) * nearness).min(axis=0)
-    return CuboidBox(np.log(camera_height_m * nearest - top), np.log(np.ptp(column, axis=0)), np.log(nearest))
-
-
-_Pair = tuple[FloatArray, FloatArray]
+    log_height, log_width = np.log(camera_height_m * nearest - top), np.log(column.max(axis=0) - column.min(axis=0))
+    return CuboidBox(log_height, log_width, np.log(nearest), (aside, depth))
 
 
 def _corners(middle: _Pair, size: _Pair, turn: _Pair) -> _Pair:
@@ -78,7 +94,7 @@ def _corners(middle: _Pair, size: _Pair, turn: _Pair) -> _Pair:
     return x / z, 1.0 / z
 
 
-def _entry(middle: _Pair, size: _Pair, turn: _Pair, bearing: FloatArray) -> FloatArray:
+def _entry(middle: _Pair, size: _Pair, turn: _Pair, bearing: Floats) -> Floats:
     """Depth at which the ray (bearing, 1) enters: a slab test, as in `box_surface`, seen from above."""
     (aside, depth), (width, length), (cos, sin) = middle, size, turn
     along, across = sin * bearing + cos, cos * bearing - sin

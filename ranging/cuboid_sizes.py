@@ -17,7 +17,7 @@ from detection.detections import FloatArray, IntArray
 from ranging.curve_file import write_curve_file
 from ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
 from ranging.shared_ground import GroundPrior, Stand
-from ranging.size_posterior import ground_likelihood, mixture_by_size, on_grid
+from ranging.size_posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
 from ranging.size_prior import ShapeTables, SizePrior
 
 KIND = "cuboids"
@@ -42,19 +42,21 @@ class CuboidSizes:
         self._tables = ShapeTables(priors)
         self._stands = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
         self._known = np.array([name in priors for name in SIZE_CLASSES])
-        self._kinds, self._shares = _what_is_sold_as(priors)
+        self._kinds, self._log_shares = _what_is_sold_as(priors)
 
     def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
         """Distances of the boxes of one frame, together."""
-        distance_m, sigma_m, kept_m = np.full((3, len(boxes)), np.nan)
-        known = np.flatnonzero(self._known[boxes.size_class])
-        if len(known):
-            distance_m[known], sigma_m[known], kept_m[known] = self._measured(boxes.select(known))
-        return SizedDistances(distance_m, sigma_m, kept_m)
+        known = self._known[boxes.size_class]
+        if known.all() and len(boxes):
+            return SizedDistances(*self._measured(boxes))
+        columns = np.full((3, len(boxes)), np.nan)
+        if known.any():
+            columns[:, known] = self._measured(boxes.select(known))
+        return SizedDistances(*columns)
 
     def _measured(self, boxes: MeasuredBoxes) -> tuple[FloatArray, FloatArray, FloatArray]:
         sold_as = boxes.size_class
-        by_size = mixture_by_size(self._tables, boxes, self._kinds[sold_as], self._shares[sold_as])
+        by_size = mixture_by_size(self._tables, boxes, self._kinds[:, sold_as], self._log_shares[:, sold_as])
         grid = on_grid(by_size)
         low, middle, high = grid.quantiles(*_MIDDLE_68)  # moments would mind the van that a car hardly ever is
         size_sigma = (high - low) / 2
@@ -104,14 +106,14 @@ def _tuples(value: Any) -> Any:
 
 
 def _what_is_sold_as(priors: Mapping[str, SizePrior]) -> tuple[IntArray, FloatArray]:
-    """(classes, M) kinds that each class's name may mean, and their shares; 0 beyond the last."""
+    """(M, classes) kinds that each class's name may mean, and the logarithms of their shares."""
     meant = [
         {one: share for one, share in SOLD_AS.get(name, {name: 1.0}).items() if one in priors} for name in SIZE_CLASSES
     ]
     most = max(len(kinds) for kinds in meant)
-    kinds, shares = np.zeros((len(SIZE_CLASSES), most), np.int64), np.zeros((len(SIZE_CLASSES), most))
-    for row, members in enumerate(meant):
-        kinds[row] = row
-        for column, (one, share) in enumerate(members.items()):
-            kinds[row, column], shares[row, column] = SIZE_CLASSES.index(one), share
-    return kinds, shares
+    kinds = np.tile(np.arange(len(SIZE_CLASSES)), (most, 1))
+    log_shares = np.full(kinds.shape, NO_CHANCE)
+    for column, members in enumerate(meant):
+        for row, (one, share) in enumerate(members.items()):
+            kinds[row, column], log_shares[row, column] = SIZE_CLASSES.index(one), np.log(share)
+    return kinds, log_shares

@@ -14,7 +14,7 @@ from stereo.camera import PinholeCamera
 SIZE_CLASSES = (*ROAD_CLASSES, "van")
 """Index = size class: the road classes, and what has a size of its own but is no road class."""
 
-_SOFT = [SIZE_CLASSES.index(name) for name in ("person", "bicycle", "motorcycle")]
+_IS_SOFT = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class BoxNoise:
 
     def sigma_px(self, size_px: FloatArray, size_class: IntArray) -> FloatArray:
         """(N, 2) standard deviation of the edges of boxes of (N, 2) width and height."""
-        share = np.where(np.isin(size_class, _SOFT), self.relative_soft, self.relative)
+        share = np.where(_IS_SOFT[size_class], self.relative_soft, self.relative)
         return np.asarray(np.hypot(self.px, share[:, None] * size_px))
 
 

@@ -11,13 +11,15 @@ horizon tracked over time can be given as the prior.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from detection.detections import BoolArray, FloatArray
 
-_ROUNDS = 4  # of reweighting
+_ROUNDS = 3  # of reweighting
 _TAIL = 2.0  # in sigma: where an object begins to count less
+_Real = TypeVar("_Real", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,29 +94,29 @@ def seen_by_others(stand: Stand, prior: GroundPrior) -> SeenGround:
     basis = np.stack([np.ones_like(x), x, x * x, y, x * y])  # what information about (horizon, height) is made of
     by_size = prior.camera_height_m * x * stand.sigma
     variance = (prior.kerb_m[0] * x) ** 2 + stand.edge_sigma**2 + by_size**2
-    horizon, height = prior.horizon, prior.camera_height_m
-    known, terms, shared = _prior_information(prior, horizon), 0.0 * basis, np.full_like(x, prior.horizon_sigma**2)
+    horizon, height, shared = prior.horizon, prior.camera_height_m, np.full_like(x, prior.horizon_sigma**2)
     for _ in range(_ROUNDS):
-        surprise = (y - horizon - height * x) ** 2 / (_TAIL**2 * (variance + shared))
-        terms = basis * (stand.tells / (variance * (1.0 + surprise)))
-        known = _prior_information(prior, horizon)
-        mean, (a, b, c) = _solved(known + terms.sum(axis=1))
-        horizon, height = mean.tolist()
-        shared = a + 2 * x * b + x * x * c
-    (horizons, heights), (a, b, c) = _solved((known + terms.sum(axis=1))[:, None] - terms)
+        away = y - horizon - height * x
+        surprise = away * away / (variance + shared)
+        weight = stand.tells / (variance * (1.0 + surprise / _TAIL**2))
+        known = [a + b for a, b in zip(_prior_information(prior, horizon), (basis @ weight).tolist(), strict=True)]
+        horizon, height, a, b, c = _solved(*known)
+        shared = a + x * (2 * b + x * c)
+    by_others: list[FloatArray] = [all_of_it - own for all_of_it, own in zip(known, basis * weight, strict=True)]
+    horizons, heights, *covariance = _solved(*by_others)
+    variances = covariance[0] + x * (2 * covariance[1] + x * covariance[2])
     others = stand.tells.sum() - stand.tells.astype(np.int64)
-    return SeenGround(horizons, heights, a + 2 * x * b + x * x * c, np.asarray(others == 0))
+    return SeenGround(horizons, heights, variances, np.asarray(others == 0))
 
 
-def _prior_information(prior: GroundPrior, horizon: float) -> FloatArray:
-    """(5,): a horizon far from the expected one widens the prior, as Student's t does."""
+def _prior_information(prior: GroundPrior, horizon: float) -> tuple[float, ...]:
+    """5 numbers: a horizon far from the expected one widens the prior, as Student's t does."""
     wide = (2.0 + ((horizon - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
     about, of_height = 1.0 / (prior.horizon_sigma**2 * wide), prior.camera_height_sigma_m**-2
-    return np.array([about, 0.0, of_height, about * prior.horizon, of_height * prior.camera_height_m])
+    return about, 0.0, of_height, about * prior.horizon, of_height * prior.camera_height_m
 
 
-def _solved(terms: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(2, ...) horizon and height, and (3, ...) numbers of their covariance, from (5, ...) information."""
-    a, b, c, u, v = terms
-    determinant = a * c - b * b
-    return np.stack([c * u - b * v, a * v - b * u]) / determinant, np.stack([c, -b, a]) / determinant
+def _solved(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:
+    """Horizon, height, and the three numbers of their covariance, from information."""
+    scale = 1.0 / (a * c - b * b)
+    return (c * u - b * v) * scale, (a * v - b * u) * scale, c * scale, -b * scale, a * scale

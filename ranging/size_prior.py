@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
 from detection.detections import FloatArray, IntArray
-from ranging.cuboid import box_of_cuboid
+from ranging.cuboid import CuboidBox, Floats, box_of_cuboid
 from ranging.measured_boxes import SIZE_CLASSES
 
 TURN_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
@@ -33,7 +35,7 @@ _LOG_M = np.arange(np.log(4.0), np.log(250.0), _LOG_STEP)
 NODE_RANGE = float(_LOG_M[0]), float(_LOG_M[-1])
 """Log distances that there are nodes for."""
 
-N_NUMBERS = 10
+N_NUMBERS = 11
 """Numbers kept per node."""
 
 _SIZE_STEP = 0.02  # of the numerical derivatives by log size
@@ -93,60 +95,67 @@ class ShapeTables:
     """Boxes of all classes by turn, bearing and log distance: nodes with values and slopes, one look-up for a frame."""
 
     def __init__(self, priors: Mapping[str, SizePrior]) -> None:
-        """Make room for every class; the nodes of one are worked out when it is first seen (some 50 ms)."""
-        self._priors = {SIZE_CLASSES.index(name): prior for name, prior in priors.items()}
+        """Work out the nodes of every class, some 15 ms each."""
         n = len(SIZE_CLASSES)
-        self._nodes = np.full((n, len(_BEARINGS), len(_LOG_M), len(_TURN_RAD), N_NUMBERS), np.nan)
-        self.log_turn_weight = np.zeros((n, len(_TURN_RAD)))
-        self.log_height, self.log_distance = np.zeros(n), np.ones((n, 2))
-        self._worked_out = np.zeros(n, np.bool_)
-        for k, prior in self._priors.items():
-            self.log_height[k], self.log_distance[k] = np.log(prior.hwl_m[0]), prior.log_distance
-            self.log_turn_weight[k] = _log_weights(np.array(prior.turn_weights))
+        n_cells = len(_BEARINGS) * len(_LOG_M)
+        self._nodes = np.full((n * n_cells, N_NUMBERS * len(_TURN_RAD)), np.nan, np.float32)
+        self.log_height, self.log_distance = np.zeros(n), np.ones((2, n))  # of the latter mean and 1 / variance
+        for name, prior in priors.items():
+            k = SIZE_CLASSES.index(name)
+            self._nodes[k * n_cells : (k + 1) * n_cells] = _nodes(prior).reshape(n_cells, -1)
+            self.log_height[k] = np.log(prior.hwl_m[0])
+            self.log_distance[:, k] = prior.log_distance[0], prior.log_distance[1] ** -2
 
     def at(
         self, size_class: IntArray, bearing: FloatArray, log_m: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The nodes nearest to (N,) |bearing| and (N,) log distance.
+    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
+        """The nodes nearest to |bearing| and log distance of (N,) boxes.
 
         Returns:
-            (N,) steps of bearing and of log distance from the node to what was asked, and (10, N, K) of K turns:
-            log height, log width, their slopes by log distance, their slopes by bearing, the three numbers of their
-            covariance (sizes and scatter), and log(distance / nearest ground point).
+            (N,) steps of bearing and of log distance from the node to what was asked, and (11, K, N) of K turns:
+            log height and width, their slopes by log distance, their slopes by bearing, their variances and their
+            covariance (sizes and scatter), log(distance / nearest ground point), and the turn's log weight.
         """
-        if not self._worked_out[size_class].all():
-            for k in np.unique(size_class[~self._worked_out[size_class]]).tolist():
-                self._nodes[k] = _nodes(self._priors[k])
-                self._worked_out[k] = True
-        b = np.minimum(np.rint(bearing / _BEARING_STEP).astype(np.int64), len(_BEARINGS) - 1)
-        d = np.rint((log_m - _LOG_M[0]) / _LOG_STEP).astype(np.int64).clip(0, len(_LOG_M) - 1)
+        b = np.minimum((bearing / _BEARING_STEP + 0.5).astype(np.int64), len(_BEARINGS) - 1)
+        d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64).clip(0, len(_LOG_M) - 1)
         off = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
-        return off, log_m - _LOG_M[d], np.moveaxis(self._nodes[size_class, b, d], -1, 0)
+        nodes = self._nodes.take((size_class * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
+        return off, log_m - _LOG_M[d], np.ascontiguousarray(nodes.T).reshape(N_NUMBERS, len(_TURN_RAD), -1)
 
 
-def _nodes(prior: SizePrior) -> FloatArray:
-    """(bearings, distances, turns, 10) of one class."""
-    bearing, log_m, turn = np.meshgrid(_BEARINGS, _LOG_M, _TURN_RAD, indexing="ij")
-
-    def sizes(log_hwl: FloatArray) -> tuple[FloatArray, FloatArray]:
-        box = box_of_cuboid(
-            log_hwl,
-            turn_rad=turn,
-            bearing=bearing,
-            distance_m=np.exp(log_m),
-            camera_height_m=NODE_CAMERA_HEIGHT_M,
-        )
-        return np.stack([box.log_height, box.log_width], axis=-1), box.log_nearness + log_m
-
-    mean = np.log(prior.hwl_m)
-    value, nearer = sizes(mean)
-    by_size = np.stack(
-        [(sizes(mean + step)[0] - sizes(mean - step)[0]) / (2 * _SIZE_STEP) for step in _SIZE_STEP * np.eye(3)], -1
+def _nodes(prior: SizePrior) -> Floats:
+    """(bearings, distances, 11, turns) of one class."""
+    bearing, log_m, turn = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _TURN_RAD))
+    box_for = partial(
+        box_of_cuboid,
+        turn_rad=turn,
+        bearing=bearing,
+        distance_m=np.exp(log_m),
+        camera_height_m=NODE_CAMERA_HEIGHT_M,
     )
-    spread = by_size @ prior.covariance @ np.swapaxes(by_size, -1, -2) + np.diag(np.square(prior.scatter))
-    slopes = [np.gradient(value, step, axis=axis) for axis, step in ((1, _LOG_STEP), (0, _BEARING_STEP))]
-    upper = np.stack([spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]], axis=-1)
-    return np.concatenate([value + np.array(prior.offset), *slopes, upper, nearer[..., None]], axis=-1)
+    mean = np.log(prior.hwl_m).astype(np.float32)
+    typical = box_for(mean)
+    value = _log_size(typical)
+    by_size = np.stack(
+        [
+            (_log_size(box_for(mean + step, near=typical)) - _log_size(box_for(mean - step, near=typical)))
+            / (2 * _SIZE_STEP)
+            for step in (_SIZE_STEP * np.eye(3)).astype(np.float32)
+        ]
+    )
+    a, c, b = (
+        np.einsum("i...,ij,j...", by_size[:, i], prior.covariance, by_size[:, j]) for i, j in ((0, 0), (1, 1), (0, 1))
+    )
+    a, c = a + prior.scatter[0] ** 2, c + prior.scatter[1] ** 2
+    slopes = [np.gradient(value, step, axis=axis) for axis, step in ((2, _LOG_STEP), (1, _BEARING_STEP))]
+    value += np.array(prior.offset, np.float32)[:, None, None, None]
+    weight = np.broadcast_to(_log_weights(np.array(prior.turn_weights)), a.shape)
+    rest = np.stack([a, c, b, typical.log_nearness + log_m, weight])
+    return np.concatenate([value, *slopes, rest]).transpose(1, 2, 0, 3)
+
+
+def _log_size(box: CuboidBox) -> Floats:
+    return np.stack([box.log_height, box.log_width])
 
 
 def _log_weights(weights: FloatArray) -> FloatArray:

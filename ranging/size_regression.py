@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray, IntArray
-from ranging.measured_boxes import BoxNoise, SizedDistances, SizeModel, measured_boxes
+from ranging.measured_boxes import BoxNoise, SizeModel, measured_boxes
 from ranging.ranges import Ranges
 from ranging.size_curve import load_curves
 from stereo.camera import PinholeCamera
@@ -42,11 +41,6 @@ class SizeRegressionRanger:
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances by size; NaN for predicted boxes, for boxes cut at top or bottom, for classes without a curve."""
-        sized = self.sized(tracks, frame)
-        return Ranges(tracks.track_id, sized.distance_m, sized.sigma_m)
-
-    def sized(self, tracks: Tracks, frame: Frame) -> SizedDistances:
-        """The same, with the part of sigma that a track keeps."""
         height_px, width_px = frame.left.shape[:2]
         xyxy_px = tracks.xyxy_px
         size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
@@ -62,12 +56,6 @@ class SizeRegressionRanger:
             uses_width_bottom=(~cut[rows, 0], np.ones(len(rows), np.bool_)),
         )
         found = self._curves.measure(boxes)
-        columns = (found.distance_m, found.sigma_m, found.sigma_kept_m)
-        return SizedDistances(*(_spread(column, rows, len(tracks)) for column in columns))
-
-
-def _spread(values: FloatArray, rows: IntArray, n: int) -> FloatArray:
-    """(n,) with values in their rows, NaN elsewhere."""
-    whole = np.full(n, np.nan)
-    whole[rows] = values
-    return whole
+        columns = np.full((3, len(tracks)), np.nan)
+        columns[:, rows] = found.distance_m, found.sigma_m, found.sigma_kept_m
+        return Ranges(tracks.track_id, *columns)

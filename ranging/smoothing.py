@@ -31,6 +31,9 @@ from ranging.remembered import TrackRows
 MIN_CLOSING_MPS = 0.3
 """Slower than this is not closing: the time to collision would be minutes of noise."""
 
+_LEAST_NOISE_SHARE = 0.1
+"""No measurement is quite free of noise, even where its method says so."""
+
 _NEAREST_M = 0.3
 """Nothing is predicted to be nearer: a track that runs through the camera is a new one."""
 
@@ -43,7 +46,8 @@ class FilterSettings:
         acceleration_noise: q is its square: how far the speed wanders, m/s per root second.
         initial_rate_sigma_mps: how unknown the rate of a new track is,
         target_speed_sigma_mps: and where the ego speed is known the target's own speed: many stand still.
-        noise_share: part of a method's sigma that is independent from frame to frame: where learning it starts.
+        noise_share: part of sigma that is independent from frame to frame, of a method that does not tell: where
+            learning it starts.
         learns_noise: whether the innovations may correct it.
         outlier_sigma: innovations beyond so many standard deviations count less.
         max_outliers: so many of them in a row start the track's filter anew.
@@ -138,7 +142,7 @@ class DistanceFilter:
 
     @property
     def noise_share(self) -> float:
-        """The part of the method's sigma that is independent from frame to frame, as far as it is known by now."""
+        """As in the settings, as far as it is known by now."""
         return float(self._settings.noise_share * np.sqrt(self._noise.factor))
 
     def update(
@@ -170,9 +174,16 @@ class DistanceFilter:
         there = np.isfinite(measured.distance_m) & (measured.distance_m > 0) & (measured.sigma_m > 0)
         distance_m = np.where(there, measured.distance_m, np.nan)
         variance = (measured.sigma_m / distance_m) ** 2
-        share, factor = self._settings.noise_share**2, self._noise.factor
+        share, factor = self._noise_part(measured), self._noise.factor
         kept = 1 - share * min(factor, 1.0)  # noise that is not there was not told as noise, but as doubt
         return _Measured(np.log(distance_m), share * factor * variance, kept * variance, there)
+
+    def _noise_part(self, measured: Ranges) -> FloatArray | float:
+        """Of the variance: what is new in every frame."""
+        if measured.sigma_kept_m is None:
+            return self._settings.noise_share**2
+        told = 1.0 - (measured.sigma_kept_m / measured.sigma_m) ** 2
+        return np.asarray(np.maximum(told, _LEAST_NOISE_SHARE**2))
 
     def _predicted(self, state: _State, time_s: float, ego_speed_mps: float) -> _State:
         dt = np.where(np.isnan(state.time_s), 0.0, time_s - state.time_s)

@@ -30,8 +30,9 @@ from track_range.cli_models import evaluation, models
 from track_range.cli_ranging import fit, ranges
 from track_range.cli_report import report
 from track_range.cli_run import run
+from track_range.cli_simulation import simulate
 from track_range.cli_tracking import track
-from track_range.cli_training import anchors, simulate, train
+from track_range.cli_training import anchors, train
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.run import RunStoppedError
 from track_range.config import ConfigError, UsageError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from detection.classes import ROAD_CLASSES
 from detection.input_format import LETTERBOXES
 from track_range.commands.run import run as run_video
 from track_range.config import settings_from
+from track_range.live_view import open_view
 
 _console = Console()
 _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
@@ -19,10 +21,17 @@ _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
 
 def run(
     stereo: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(metavar="LEFT RIGHT", help="Two videos, or folders of numbered images.", rich_help_panel=_INPUT),
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="LEFT RIGHT",
+            help="Two videos, folders of numbered images, cameras (0 1) or streams (rtsp://...).",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
-    mono: Annotated[Path | None, typer.Option(help="The video of one camera.", rich_help_panel=_INPUT)] = None,
+    mono: Annotated[
+        str | None,
+        typer.Option(metavar="VIDEO", help="The video of one camera, or a camera or stream.", rich_help_panel=_INPUT),
+    ] = None,
     rig: Annotated[
         Path | None,
         typer.Option(
@@ -138,6 +147,25 @@ def run(
         bool | None,
         typer.Option("--disparity/--no-disparity", help="Write disparity.mp4, dense stereo's.", rich_help_panel=_HOW),
     ] = None,
+    overlay_side: Annotated[
+        bool | None,
+        typer.Option(
+            "--overlay-side/--no-overlay-side",
+            help="Below the overlay the same frame in the colours of dense stereo's disparities.",
+            rich_help_panel=_HOW,
+        ),
+    ] = None,
+    show: Annotated[
+        bool, typer.Option("--show", help="Watch the overlay in a browser while it runs.", rich_help_panel=_HOW)
+    ] = False,
+    serve: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PORT|HOST:PORT",
+            help="Serve that view on this machine's port, or where other machines see it.",
+            rich_help_panel=_HOW,
+        ),
+    ] = None,
     lanes: Annotated[
         str | None,
         typer.Option(
@@ -189,5 +217,8 @@ def run(
     given["classes"] = tuple(classes.split(",")) if classes else None
     for option, field in (("start", "start_s"), ("duration", "duration_s"), ("size", "size_px")):
         given[field] = given.pop(option)
-    del given["settings"]
-    run_video(settings_from(given, settings), _console)
+    for option in ("settings", "show", "serve"):  # what a run is watched by is no setting of it
+        del given[option]
+    wanted = settings_from(given, settings)
+    with open_view(show=show, serve=serve) or nullcontext() as view:
+        run_video(wanted, _console, view)

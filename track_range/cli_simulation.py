@@ -15,7 +15,7 @@ _SCENARIOS = "town, highway, city, cut-in, crossing, queue, empty, night"
 
 
 def simulate(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.", rich_help_panel=_WRITTEN)],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
     scenario: Annotated[
         str | None, typer.Option(metavar="NAME", help=f"{_SCENARIOS} (default: city).", rich_help_panel=_WHAT)
     ] = None,
@@ -50,7 +50,7 @@ def simulate(
         bool,
         typer.Option(
             "--disparity",
-            help="True disparities too: image_2/, image_3/ and disp_occ_0/ as KITTI 2015 has them.",
+            help="True disparities too, as KITTI 2015 has them: image_2/, image_3/, disp_occ_0/ and obj_map/.",
             rich_help_panel=_WRITTEN,
         ),
     ] = False,
@@ -69,7 +69,7 @@ def simulate(
     ] = 6,
     noise: Annotated[
         float | None,
-        typer.Option(min=0, max=80, metavar="GREY", help="Sensor noise (default: 2).", rich_help_panel=_FAULTS),
+        typer.Option(min=0, max=40, metavar="GREY", help="Sensor noise (default: 2).", rich_help_panel=_FAULTS),
     ] = None,
     gain: Annotated[
         float | None,

@@ -10,9 +10,6 @@ import typer
 from rich.console import Console
 
 from detection.training.errors import TrainingError
-from track_range.cli_simulation import simulate
-
-__all__ = ["anchors", "simulate", "train"]
 
 _console = Console()
 _WHAT, _HOW, _PAPER = "What to learn", "How to train", "The paper's improvements"

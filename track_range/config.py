@@ -9,15 +9,27 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 
 from detection.model_lookup import DEFAULT_MODEL
 from stereo.sgbm import SgbmSettings
+from track_range.live_address import LiveAddress, live_address
 from track_range.written import write_text
 
 TrackerName = Literal["deepsort", "sort"]
 """With looks, or without."""
 
+
+VideoName = Path | LiveAddress
+"""A video file or folder of images, or a camera or stream."""
 
 _NO_OPTION = ("sgbm_options",)
 """Fields that are set in settings.yaml alone."""
@@ -46,9 +58,9 @@ class RunSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    stereo: tuple[Path, Path] | None = None
-    """Left and right video, or folders of numbered images."""
-    mono: Path | None = None
+    stereo: tuple[VideoName, VideoName] | None = None
+    """Left and right video, folders of numbered images, cameras or streams."""
+    mono: VideoName | None = None
     """The video of a single camera."""
     rig: Path | None = None
     """rig.yaml, KITTI calib.txt or OpenCV's stereo calibration; None = looked for beside the left video."""
@@ -102,6 +114,8 @@ class RunSettings(BaseModel):
     """Dense matching beside the patch matcher, in stereo runs."""
     sgbm_options: dict[str, Any] = {}
     """Its parameters that are not to be chosen by the rig: fields of `stereo.sgbm.SgbmSettings`."""
+    overlay_side: bool = False
+    """The overlay with the disparities below it."""
     disparity: bool = False
     """Its picture of each frame, as disparity.mp4."""
     align: str = "auto"
@@ -114,6 +128,19 @@ class RunSettings(BaseModel):
         if isinstance(given, dict) and given.get("detector") is None and given.get("detections") is None:
             return {**given, "detector": DEFAULT_MODEL}
         return given
+
+    @field_validator("stereo", "mono", mode="before")
+    @classmethod
+    def _cameras_and_streams(cls, given: Any) -> Any:
+        """A name may be a camera's number, a device or an address."""
+        if isinstance(given, list | tuple):
+            return tuple((live_address(name) or Path(name)) if isinstance(name, str) else name for name in given)
+        return (live_address(given) or Path(given)) if isinstance(given, str) else given
+
+    @field_serializer("stereo", "mono")
+    def _named(self, video: VideoName | tuple[VideoName, VideoName] | None) -> Any:
+        """Without passwords."""
+        return [str(eye) for eye in video] if isinstance(video, tuple) else video and str(video)
 
     @field_validator("align", "lanes", mode="before")
     @classmethod
@@ -135,6 +162,11 @@ class RunSettings(BaseModel):
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
             raise ValueError("give --rig or --focal-px, not both")
+        if self.overlay_side and (self.stereo is None or not self.sgbm or not self.overlay):
+            raise ValueError(
+                "--overlay-side shows dense stereo below the overlay; it needs --stereo, and goes not with --no-sgbm "
+                "or --no-overlay"
+            )
         if self.disparity and (self.stereo is None or not self.sgbm):
             raise ValueError(
                 "--disparity shows what dense stereo finds; it needs --stereo, and goes not with --no-sgbm"
@@ -143,7 +175,7 @@ class RunSettings(BaseModel):
         return self
 
     @property
-    def left(self) -> Path:
+    def left(self) -> VideoName:
         """The video that everything is named after."""
         video = self.mono if self.stereo is None else self.stereo[0]
         if video is None:
@@ -191,15 +223,21 @@ def _option(place: tuple[int | str, ...]) -> str:
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
     run = settings.model_dump(mode="json", exclude_none=True)
-    for key in ("rig", "detections", "curves", "truth", "table", "out", "mono", "reid"):
+    for key in ("rig", "detections", "curves", "truth", "table", "out", "reid"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
     for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file, or a word
         if key in run and Path(run[key]).exists():
             run[key] = str(Path(run[key]).resolve())
     if settings.stereo:
-        run["stereo"] = [str(video.resolve()) for video in settings.stereo]
+        run["stereo"] = [_absolute(video) for video in settings.stereo]
+    if settings.mono:
+        run["mono"] = _absolute(settings.mono)
     write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
+
+
+def _absolute(video: VideoName) -> str:
+    return str(video.resolve() if isinstance(video, Path) else video)
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -5,30 +5,37 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
+from typing import Protocol
 
 import numpy as np
 
 from track_range.results import FrameResult
-from track_range.video_frame import counted
 
 _OVER_S = 2.0  # the rate is that of so much time
+
+
+class LiveOrigin(Protocol):
+    """Whatever reads a camera."""
+
+    @property
+    def first_time_s(self) -> float:
+        """When, by the meter's clock, the run's time began."""
+        ...
 
 
 class FrameMeter:
     """Watches the results of one run.
 
     Args:
-        live_origin_s: of a live run: tells when, by `now_s`, the camera's time was 0; None = the run reads files.
-        now_s: the clock.
+        live: the left eye of a run that reads a camera; None = it reads files.
+        now_s: the clock, the same as the camera's times.
 
     Attributes:
         latency_s: from the camera to the result, of each frame of a live run.
     """
 
-    def __init__(
-        self, live_origin_s: Callable[[], float] | None = None, *, now_s: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._origin_s, self._now_s = live_origin_s, now_s
+    def __init__(self, live: LiveOrigin | None = None, *, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._live, self._now_s = live, now_s
         self._stamps_s: deque[float] = deque()
         self.latency_s: list[float] = []
         self._n_frames, self._first_index, self._last_index = 0, 0, 0
@@ -47,8 +54,8 @@ class FrameMeter:
             self._stamps_s.popleft()
         self._first_index = self._first_index if self._n_frames else result.frame.index
         self._n_frames, self._last_index = self._n_frames + 1, result.frame.index
-        if self._origin_s is not None:
-            self.latency_s.append(now_s - self._origin_s() - result.frame.time_s)
+        if self._live is not None:
+            self.latency_s.append(now_s - self._live.first_time_s - result.frame.time_s)
 
     @property
     def rate_hz(self) -> float:
@@ -75,7 +82,4 @@ class FrameMeter:
         if not self.latency_s:
             return ()
         median_ms, longest_ms = 1000 * np.median(self.latency_s), 1000 * max(self.latency_s)
-        return (
-            f"Results came a median of {median_ms:.0f} ms after the camera's images, {longest_ms:.0f} ms at most; "
-            f"{counted(self.n_left_out, 'frame')} left out to keep up.",
-        )
+        return (f"Results came a median of {median_ms:.0f} ms after the camera's images, {longest_ms:.0f} ms at most.",)

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit, urlunsplit
 _SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
 _NUMBER = re.compile(r"\d{1,3}")
 
-_SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000"}
+_SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
 """FFmpeg: hand images on as they come, and look for two seconds at most at what a stream holds."""
 
 

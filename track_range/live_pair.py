@@ -48,13 +48,18 @@ class LivePair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know."""
-        if not self._apart_s or self._is_shared:
+        """What the user should know, once it is over."""
+        if not self.left.is_closed or not self._apart_s or self._is_shared:
             return ()
         return (
             f"Left and right come over a network and are paired by when they arrive, {counted(self._n_pairs, 'pair')} "
             f"a median of {1000 * np.median(self._apart_s):.0f} ms apart: what moves is ranged wrongly by as much.",
         )
+
+    def close(self) -> None:
+        """End both connections."""
+        for eye in (self.left, self.right):
+            eye.close()
 
     def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         self.left.begin()

@@ -12,7 +12,7 @@ from track_range.video_frame import TIME_EPSILON_S, VideoError, VideoFrame, coun
 
 
 class LiveReader:
-    """Read as a `VideoReader` is; each reading starts at what comes now. `close` ends the connection.
+    """Read as a `VideoReader` is, but once: iterating starts at what comes now, and ends the connection in the end.
 
     Args:
         address: the camera or stream.
@@ -25,6 +25,7 @@ class LiveReader:
         first_time_s: time at which the present reading began, of `time.monotonic`.
         n_frames: None: nobody knows.
         busy_s: processor time spent on handing images on.
+        is_closed: whether the connection has been ended.
 
     Raises:
         VideoError: it cannot be opened. While iterating: it broke off, or its images change their size.
@@ -38,15 +39,15 @@ class LiveReader:
         self.width_px, self.height_px = self.stream.width_px, self.stream.height_px
         self.is_grey, self.fps = self.stream.is_grey, self.stream.fps
         self._start_s, self._duration_s = start_s, math.inf if duration_s is None else duration_s
-        self.busy_s = 0.0
+        self.busy_s, self.is_closed = 0.0, False
         self.first_time_s = self.stream.waiting_s()[0][1]
         self._first_index = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know."""
+        """What the user should know, once it is over."""
         stream = self.stream
-        if stream.n_received == stream.n_taken:
+        if not self.is_closed or stream.n_received == stream.n_taken:
             return ()
         return (
             f"{self.path}: {counted(stream.n_received, 'frame')} came, {stream.n_taken} were used; the others came "
@@ -76,22 +77,28 @@ class LiveReader:
     def close(self) -> None:
         """End the connection."""
         self.stream.close()
+        self.is_closed = True
 
     def __iter__(self) -> Generator[VideoFrame, None, None]:
         self.begin()
+        try:
+            yield from self._newest()
+        finally:
+            self.close()
+
+    def _newest(self) -> Generator[VideoFrame, None, None]:
         news = self.stream.news()
         while True:
             news.clear()  # before anything is looked at: what comes meanwhile sets it again
-            is_over = self.stream.is_over
-            newest = self.stream.waiting_s()[-1:]
+            is_over, newest = self.stream.is_over, self.stream.waiting_s()[-1:]
+            if not newest and is_over:
+                self.stream.check()
+                return
+            if not newest and not news.wait(SILENCE_S):
+                raise VideoError(f"{self.path}: broke off: no image for {SILENCE_S:.0f} s.")
             for index, time_s in newest:
                 if self.is_past(time_s):
                     return
                 frame = self.take(index)
                 if frame is not None and self.is_wanted(time_s):
                     yield frame
-            if not newest and is_over:
-                self.stream.check()
-                return
-            if not newest and not news.wait(SILENCE_S):
-                raise VideoError(f"{self.path}: broke off: no image for {SILENCE_S:.0f} s.")

@@ -55,7 +55,7 @@ class DisparityPicture:
         swatches = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].tolist()
         line = [Span("dense stereo, m", size_px, BOLD, WHITE)]
         for metres, (blue, green, red) in zip(SCALE_M, swatches, strict=True):
-            line += [Span("■", size_px, BOLD, (blue, green, red)), Span(str(metres), size_px, REGULAR, GREY)]
+            line += [Span("■■", size_px, BOLD, (blue, green, red)), Span(str(metres), size_px, REGULAR, GREY)]
         width, height = self._pen.sizes_px([[line]])[0]
         corner: FloatArray = np.array(canvas.shape[1::-1], np.float64)
         if width <= corner[0]:

@@ -1,7 +1,7 @@
 """Text of the overlay: what a track's label and the corners say, and how text is drawn on its backing.
 
 +------------------------+   large the fused distance and its sigma, then class and id in the track's colour;
-| 22.4 m ±0.7   car 12   |   the methods side by side, by the letters of `METHOD_LETTERS`;
+| 22.4 m ±0.7   car 12   |   what each method says, by the letters of `METHOD_LETTERS`;
 | M 23.1  S 22.4  G 22.0 |   when the gap shrinks: time to collision and closing speed, on a bar that fills as the
 |#TTC 3.6 s##closing 6.2 |   time runs out, amber or red.
 +------------------------+
@@ -86,10 +86,12 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     metres = Span(f"{distance_text(distance_m)} m", large_px, BOLD, WHITE)
     sigma = [Span(f"±{distance_text(sigma_m)}", small_px, REGULAR, WHITE)] if np.isfinite(distance_m) else []
     lines = [[metres, *sigma, named]]
-    methods = [(letter, ranges[name]) for name, letter in METHOD_LETTERS.items() if name in ranges]
-    if methods and tracks.observed[row]:
-        figures = "  ".join(f"{letter} {distance_text(found.distance_m[row])}" for letter, found in methods)
-        lines.append([Span(figures, small_px, REGULAR, GREY)])
+    measured = (
+        (letter, float(ranges[name].distance_m[row])) for name, letter in METHOD_LETTERS.items() if name in ranges
+    )
+    figures = [f"{letter} {distance_text(metres)}" for letter, metres in measured if np.isfinite(metres)]
+    if figures:
+        lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
     closing = closing_span(float(result.closing_mps[row]), float(result.ttc_s[row]), small_px)
     return [*lines, [closing]] if closing else lines
 

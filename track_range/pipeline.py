@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from threading import Lock
 
@@ -20,6 +20,7 @@ from detection.detections import Detections, FloatArray
 from detection.lanes import LaneFinder, LaneLines
 from ranging.ego_speed import EgoSpeed
 from ranging.fusion import Fusion
+from ranging.ground_plane import GroundPlane
 from ranging.lane_width import LaneWidthRanger
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
@@ -37,7 +38,7 @@ STAGES = ("read", "lanes", "detect", "track", "mono", "ground", "lane", "stereo"
 NOISE_SHARES: Mapping[str, float] = {"mono": 0.6, "stereo": 0.3, "fused": 0.35}
 """Methods with a distance filter, and the part of their sigma that is independent from frame to frame.
 
-Where the filter starts; it learns the share from its innovations.
+Where the filter starts; it learns the share from its innovations. Mono tells it box by box (`Ranges.sigma_kept_m`).
 """
 
 _READ_AHEAD = 4
@@ -79,10 +80,12 @@ class Pipeline:
         tracker: gives them identities.
         rangers: methods by name ("mono", "ground", "stereo"), measured side by side.
         lane_finder: finds the own lane's lines, for `lane`; None = not wanted.
+        ground: whose horizon the lane's lines help to find; None = nobody's.
         lane: the method that lives on them; where there is a calibrated pair, stereo teaches it the lane's width.
         dense: dense matching in its own thread ("sgbm"); None = not wanted.
         ego_speed: how fast the camera moves; None = unknown.
         shared_sigma: relative error that all methods share, from a focal length that nobody has calibrated.
+        is_live: frames come from a camera: none waits, so that results are as new as can be.
         clock: where the time goes.
     """
 
@@ -91,27 +94,32 @@ class Pipeline:
     tracker: Tracker
     rangers: Mapping[str, Ranger]
     lane_finder: LaneFinder | None = None
+    ground: GroundPlane | None = None
     lane: LaneWidthRanger | None = None
     dense: DenseRanger | None = None
     ego_speed: EgoSpeed | None = None
     shared_sigma: float = 0.0
+    is_live: bool = False
     clock: StageClock = field(default_factory=StageClock)
     _fusion: Fusion = field(default_factory=Fusion)
     _filters: dict[str, DistanceFilter] = field(default_factory=dict)
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """The results of each frame in order; closing the generator ends the threads."""
-        read = prefetch(frames, depth=_READ_AHEAD, gives_way=True)
-        with_lanes = prefetch(self._with_lanes(read), depth=_DETECT_AHEAD)
-        detected = prefetch(self._detected(with_lanes), depth=_DETECT_AHEAD)
-        try:
+        read_ahead, detect_ahead = (1, 1) if self.is_live else (_READ_AHEAD, _DETECT_AHEAD)
+        with ExitStack() as stack:
+            stack.callback(self._end_dense)
+            # All are closed, the last one first: no thread may still read when the videos are closed.
+            read = stack.enter_context(closing(prefetch(frames, depth=read_ahead, gives_way=True)))
+            with_lanes = stack.enter_context(closing(prefetch(self._with_lanes(read), depth=detect_ahead)))
+            detected = stack.enter_context(closing(prefetch(self._detected(with_lanes), depth=detect_ahead)))
             for frame, lanes, detections in detected:
                 yield self._result(frame, lanes, detections)
-        finally:
-            detected.close()
-            if self.dense is not None:
-                self.dense.close()
-                self.clock.busy_s["sgbm"] = self.dense.busy_s
+
+    def _end_dense(self) -> None:
+        if self.dense is not None:
+            self.dense.close()
+            self.clock.busy_s["sgbm"] = self.dense.busy_s
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, LaneLines | None]]:
         for frame in frames:
@@ -132,6 +140,8 @@ class Pipeline:
     def _result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
         with self.clock.stage("track"):
             tracks = self.tracker.update(detections, frame.time_s, frame.left)
+        if self.ground is not None and lanes is not None and (horizon := lanes.horizon_px()) is not None:
+            self.ground.hint(*horizon, source="lanes")
         ranges: dict[str, Ranges] = {}
         for name, ranger in self.rangers.items():
             with self.clock.stage(name):

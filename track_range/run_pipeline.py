@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from detection.detections import Image
 from detection.lane_lookup import open_lane_finder
 from detection.onnx_session import Runtime
 from ranging.ego_speed import open_ego_speed
 from ranging.ground_plane import GroundPlaneRanger, GroundSettings
 from ranging.lane_width import LaneWidthRanger
 from ranging.measured_boxes import SizeModel
-from ranging.ranger import Ranger
+from ranging.ranger import OncePerFrame, Ranger
 from ranging.size_regression import SizeRegressionRanger
 from ranging.size_scaled_stereo import SizeScaledRanger
 from ranging.triangulation import DenseRanger, PatchRanger
 from stereo.alignment import Alignment
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
 from stereo.rig import StereoRig
-from stereo.sgbm import SgbmSettings, disparity_picture
+from stereo.sgbm import SgbmSettings
 from track_range.box_source import BoxSource
 from track_range.config import RunSettings
-from track_range.overlay import Overlay
 from track_range.pipeline import Pipeline
-from track_range.result_video import Draw
-from track_range.results import FrameResult
 from track_range.source import Source
 from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair
-
-_REDDEST_M = 5.0
-"""What is as near or nearer is all red in the disparity's picture."""
 
 
 def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curves: SizeModel) -> Pipeline:
@@ -43,8 +35,9 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         ModelError: the network for looks or for lanes cannot be used.
         EgoSpeedError: the ego speed cannot be used.
     """
-    by_size = SizeRegressionRanger(source.camera, curves)
-    rangers: dict[str, Ranger] = {"mono": by_size, "ground": _ground(settings, source, by_size)}
+    by_size = OncePerFrame(SizeRegressionRanger(source.camera, curves))  # ground and scale ask it too
+    ground = _ground(settings, source, by_size)
+    rangers: dict[str, Ranger] = {"mono": by_size, "ground": ground}
     dense, taken = None, source.uncalibrated
     if source.rig is not None:
         alignment = source.alignment.applied if source.alignment else Alignment()
@@ -62,10 +55,12 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         tracker=new_tracker(settings.tracker, open_descriptor(settings.tracker, settings.reid, runtime)),
         rangers=rangers,
         lane_finder=None if settings.lanes == "off" else open_lane_finder(settings.lanes, runtime),
+        ground=ground.plane,
         lane=LaneWidthRanger(source.camera, width_m=settings.lane_width_m),
         dense=dense,
         ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),
         shared_sigma=taken.focal_sigma if taken is not None else 0.0,
+        is_live=source.live is not None,
     )
 
 
@@ -77,23 +72,6 @@ def _ground(settings: RunSettings, source: Source, by_size: Ranger) -> GroundPla
 
 def _patch_matcher(rig: StereoRig) -> PatchMatcher:
     return PatchMatcher(PatchMatcherSettings.for_rig(rig))
-
-
-def pictures(settings: RunSettings, source: Source) -> dict[str, Draw]:
-    """What is filmed, by the name of its file without the ending."""
-    wanted: dict[str, Draw] = {}
-    if settings.overlay:
-        wanted["overlay"] = Overlay(warning="uncalibrated" if source.calibration == "estimated" else "").draw
-    if settings.disparity and source.rig is not None:
-        largest_px = source.rig.left.fx_px * source.rig.baseline_m / _REDDEST_M
-        wanted["disparity"] = partial(_picture_of_disparity, largest_px=largest_px)
-    return wanted
-
-
-def _picture_of_disparity(result: FrameResult, *, largest_px: float) -> Image:
-    if result.disparity is None:
-        return np.zeros_like(result.frame.left)
-    return disparity_picture(result.disparity, largest_px=largest_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,8 +13,10 @@ import numpy.typing as npt
 from ranging.truth import Truth
 from track_range.box_source import BoxSource
 from track_range.config import RunSettings
+from track_range.frame_meter import FrameMeter
 from track_range.pipeline import Pipeline
-from track_range.run_pipeline import learnt_scale, pictures
+from track_range.run_pictures import pictures
+from track_range.run_pipeline import learnt_scale
 from track_range.source import Source
 from track_range.summary import TRUTH_PROTOCOL, range_scores, stage_times_ms, track_scores
 
@@ -39,6 +41,7 @@ class RunRecord:
     source: Source
     truth: Truth | None
     pipeline: Pipeline
+    meter: FrameMeter
     frame_index: list[int] = field(default_factory=list)
     methods: set[str] = field(default_factory=set)
     starts_s: float = 0.0
@@ -66,7 +69,7 @@ class RunRecord:
         """What the lane finder, the looks' network and the ego speed have to say."""
         finder, ego = self.pipeline.lane_finder, self.pipeline.ego_speed
         speed = None if ego is None or not self.frame_index else ego.note(self.last_s)
-        return [*(() if finder is None else finder.notes), *(() if speed is None else (speed,))]
+        return [*(() if finder is None else finder.notes), *(() if speed is None else (speed,)), *self.meter.notes]
 
     def _strangers(self) -> list[str]:
         """A file of boxes or labels none of whose frames came up: usually another video's, or numbered otherwise."""

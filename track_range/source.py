@@ -18,18 +18,20 @@ from stereo.rectification import Rectifier, Undistorter
 from stereo.rig import RigError, StereoRig
 from stereo.rig_checks import check_camera
 from stereo.rig_files import find_rig, left_from_reference_m, load_camera, load_rig
-from track_range.config import RunSettings
+from track_range.config import RunSettings, VideoName
+from track_range.live_address import LiveAddress
+from track_range.live_reader import LiveReader
 from track_range.pair_watch import PairWatch
 from track_range.stereo_alignment import FoundAlignment, Progress, find_alignment
-from track_range.stereo_frames import StereoFrames, eye_reader
+from track_range.stereo_frames import Reader, StereoFrames, eye_reader
 from track_range.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
-from track_range.video import VideoReader
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
 """Where metres come from: a file, --focal-px, or the sizes of road users."""
 
 
 _NO_DISPARITY = ("No disparity.mp4: dense stereo needs a rig.",)
+_NO_SIDE = ("No disparities below the overlay: dense stereo needs a rig.",)
 
 
 @dataclass(slots=True)
@@ -65,7 +67,7 @@ class Source:
     size_px: tuple[int, int]
     calibration: CalibrationKind
     opening_notes: tuple[str, ...]
-    readers: tuple[VideoReader, ...]
+    readers: tuple[Reader, ...]
     watchers: tuple[_Noting, ...] = ()
     alignment: FoundAlignment | None = None
     uncalibrated: UncalibratedPair | None = None
@@ -75,6 +77,12 @@ class Source:
         """What is worth telling so far."""
         watched = itertools.chain.from_iterable(one.notes for one in (*self.readers, *self.watchers))
         return (*self.opening_notes, *watched)
+
+    @property
+    def live(self) -> LiveReader | None:
+        """The left eye, where it is a camera or a stream."""
+        left = self.readers[0]
+        return left if isinstance(left, LiveReader) else None
 
     @property
     def busy_s(self) -> float:
@@ -142,7 +150,7 @@ def _open_single(settings: RunSettings) -> Source:
 
 def _open_pair(
     settings: RunSettings,
-    stereo: tuple[Path, Path],
+    stereo: tuple[VideoName, VideoName],
     rig_path: Path,
     *,
     found: tuple[str, ...],
@@ -154,7 +162,7 @@ def _open_pair(
     alignment = find_alignment(
         settings.align,
         rectifier.rig,
-        lambda: StereoFrames.open(settings, stereo).rectified(rectifier),
+        lambda: pair.to_look_at().rectified(rectifier),
         progress,
     )
     if alignment.measured.rows_to_move_px:
@@ -178,14 +186,14 @@ def _open_pair(
     )
 
 
-def _open_uncalibrated(settings: RunSettings, stereo: tuple[Path, Path]) -> Source:
+def _open_uncalibrated(settings: RunSettings, stereo: tuple[VideoName, VideoName]) -> Source:
     pair = StereoFrames.open(settings, stereo)
     taken = UncalibratedPair.of(pair.size_px, settings.focal_px)
     check_camera(taken.camera, "--focal-px")
     guessed = StereoRig.rectified(
         taken.camera, ASSUMED_BASELINE_M
     )  # rectifying needs a baseline, and makes no use of it
-    with closing(StereoFrames.open(settings, stereo).rectified(Rectifier(guessed))) as first_frames:
+    with closing(pair.to_look_at().rectified(Rectifier(guessed))) as first_frames:
         taken = taken.looked_at(first_frames)
     frames, watch = _watched(pair.rectified(Rectifier(guessed, row_offset_px=taken.row_offset_px)))
     return Source(
@@ -199,7 +207,11 @@ def _open_uncalibrated(settings: RunSettings, stereo: tuple[Path, Path]) -> Sour
         fps=pair.left.fps,
         size_px=pair.size_px,
         calibration="estimated",
-        opening_notes=(*taken.notes, *(_NO_DISPARITY if settings.disparity else ())),
+        opening_notes=(
+            *taken.notes,
+            *(_NO_DISPARITY if settings.disparity else ()),
+            *(_NO_SIDE if settings.overlay_side else ()),
+        ),
         readers=(pair.left, pair.video.right),
         watchers=(pair.video, watch) if taken.has_equal_rows else (pair.video,),
         uncalibrated=taken,
@@ -224,5 +236,5 @@ def _first_and_rest(first: Frame | None, rest: Generator[Frame, None, None]) -> 
 def _rig_path(settings: RunSettings) -> tuple[Path | None, tuple[str, ...]]:
     if settings.rig is not None or settings.focal_px is not None:
         return settings.rig, ()
-    found = find_rig(settings.left)
+    found = None if isinstance(settings.left, LiveAddress) else find_rig(settings.left)
     return found, (() if found is None else (f"No --rig given: {found} beside the left video is used.",))

@@ -1,17 +1,21 @@
-"""StereoFrames: two videos -> rectified frames of one instant each."""
+"""StereoFrames: two videos, or two cameras -> rectified frames of one instant each."""
 
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import closing
-from dataclasses import dataclass
-from pathlib import Path
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
 
 from stereo.frames import Frame
 from stereo.rectification import Rectifier
-from track_range.config import RunSettings
+from track_range.config import RunSettings, VideoName
+from track_range.live_address import LiveAddress
+from track_range.live_pair import LivePair
+from track_range.live_reader import LiveReader
 from track_range.pairing import StereoVideo
 from track_range.video import VideoError, VideoReader
+
+Reader = VideoReader | LiveReader
 
 _CODEC_CROP_PX = 2  # video codecs want even sizes, so one eye may have lost a row or a column
 
@@ -23,13 +27,18 @@ class StereoFrames:
     Attributes:
         video: both, in step.
         size_px: width and height that both have.
+        settings, stereo: what was opened.
+        stays_open: whether live streams outlive a reading.
     """
 
-    video: StereoVideo
+    video: StereoVideo | LivePair
     size_px: tuple[int, int]
+    settings: RunSettings
+    stereo: tuple[VideoName, VideoName]
+    stays_open: bool = False
 
     @classmethod
-    def open(cls, settings: RunSettings, stereo: tuple[Path, Path]) -> StereoFrames:
+    def open(cls, settings: RunSettings, stereo: tuple[VideoName, VideoName]) -> StereoFrames:
         """Open left and right, the part that the settings want.
 
         Raises:
@@ -37,29 +46,47 @@ class StereoFrames:
         """
         left = eye_reader(settings, stereo[0])
         right = eye_reader(settings, stereo[1], origin_s=left.first_time_s)
-        return cls(StereoVideo(left, right), _shared_size_px(left, right))
+        return cls(_in_step(left, right), _shared_size_px(left, right), settings, stereo)
+
+    def to_look_at(self) -> StereoFrames:
+        """The same for another reading, before this one: files are opened anew, live streams are read on."""
+        if isinstance(self.video, LivePair):
+            return replace(self, stays_open=True)
+        return StereoFrames.open(self.settings, self.stereo)
 
     @property
-    def left(self) -> VideoReader:
+    def left(self) -> Reader:
         """The left video."""
         return self.video.left
 
     def rectified(self, rectifier: Rectifier) -> Generator[Frame, None, None]:
         """All pairs; closing it closes the videos."""
         width_px, height_px = self.size_px
-        with closing(iter(self.video)) as pairs:
-            for left, right in pairs:
+        with ExitStack() as stack:
+            if isinstance(self.video, LivePair) and not self.stays_open:
+                stack.callback(self.video.close)
+            for left, right in stack.enter_context(closing(iter(self.video))):
                 images = (eye.image[:height_px, :width_px] for eye in (left, right))
                 left_image, right_image = rectifier.rectify(*images)
                 yield Frame(left.index, left.time_s - self.left.first_time_s, left_image, right_image)
 
 
-def eye_reader(settings: RunSettings, path: Path, *, origin_s: float | None = None) -> VideoReader:
+def _in_step(left: Reader, right: Reader) -> StereoVideo | LivePair:
+    if isinstance(left, LiveReader) and isinstance(right, LiveReader):
+        return LivePair(left, right)
+    if isinstance(left, VideoReader) and isinstance(right, VideoReader):
+        return StereoVideo(left, right)
+    raise VideoError(f"{left.path} and {right.path}: one is live and the other a file; give two of a kind.")
+
+
+def eye_reader(settings: RunSettings, path: VideoName, *, origin_s: float | None = None) -> Reader:
     """The part of a video that the settings want; `origin_s`: when the left one begins.
 
     Raises:
         VideoError: it cannot be used.
     """
+    if isinstance(path, LiveAddress):
+        return LiveReader(path, start_s=settings.start_s, duration_s=settings.duration_s)
     return VideoReader(
         path,
         folder_fps=settings.folder_fps,
@@ -69,7 +96,7 @@ def eye_reader(settings: RunSettings, path: Path, *, origin_s: float | None = No
     )
 
 
-def _shared_size_px(left: VideoReader, right: VideoReader) -> tuple[int, int]:
+def _shared_size_px(left: Reader, right: Reader) -> tuple[int, int]:
     sizes = [(reader.width_px, reader.height_px) for reader in (left, right)]
     if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(*sizes, strict=True)):
         (lw, lh), (rw, rh) = sizes

@@ -78,7 +78,7 @@ def test_tables_are_the_geometry_between_their_nodes():
     rng = np.random.default_rng(1)
     bearing, log_m = rng.uniform(0, 0.6, 50), rng.uniform(np.log(8), np.log(90), 50)
     off, step, nodes = tables.at(np.full(50, 2), bearing, log_m)
-    seen = nodes[0] + step[:, None] * nodes[2] + off[:, None] * nodes[4]
+    seen = nodes[0] + step * nodes[2] + off * nodes[4]
     for k, turn in enumerate(np.radians(TURN_DEG)):
         box = box_of_cuboid(
             np.log(prior.hwl_m),
@@ -87,8 +87,8 @@ def test_tables_are_the_geometry_between_their_nodes():
             distance_m=np.exp(log_m),
             camera_height_m=1.65,
         )
-        np.testing.assert_allclose(seen[:, k], box.log_height, atol=0.02)
-        np.testing.assert_allclose(nodes[9][:, k] - log_m, box.log_nearness, atol=0.1)
+        np.testing.assert_allclose(seen[k], box.log_height, atol=0.02)
+        np.testing.assert_allclose(nodes[9][k] - log_m, box.log_nearness, atol=0.1)
 
 
 @pytest.fixture(scope="module")

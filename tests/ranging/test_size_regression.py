@@ -42,7 +42,7 @@ def test_an_object_of_known_height_by_hand():
 
 def test_box_noise_widens_sigma_by_the_rule_of_errors_and_is_not_kept():
     ranger = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
-    sized = ranger.sized(tracks_of([300, 200, 360, 250]), FRAME)
+    sized = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert sized.sigma_m == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
     assert sized.sigma_kept_m == pytest.approx([3.0])
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
@@ -188,6 +190,30 @@ def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
     for step in range(50):
         result = tracker.update(measured(ids, 30.0 + rng.normal(0, 1.2, 50), 2.0), step * 0.1)
     assert 0.8 * 2.0 < np.mean(result.ranges.sigma_m) < 0.9 * 2.0
+
+
+def test_what_a_method_tells_of_the_kept_part_is_taken_box_by_box():
+    """Sigma 2, of which sqrt(3) is kept: as if half of it were noise; the track beside it has noise alone."""
+    rng, ids = np.random.default_rng(11), np.array([1, 2])
+    told = DistanceFilter(FilterSettings(noise_share=0.9, learns_noise=False))
+    half, whole = (DistanceFilter(FilterSettings(noise_share=share, learns_noise=False)) for share in (0.5, 1.0))
+    for step in range(20):
+        now = measured(ids, 30.0 + rng.normal(0, 1.0, 2), 2.0)
+        found = told.update(replace(now, sigma_kept_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
+        expected = [each.update(now, step * 0.1).ranges for each in (half, whole)]
+        for k in (0, 1):
+            assert found.distance_m[k] == pytest.approx(expected[k].distance_m[k])
+            assert found.sigma_m[k] == pytest.approx(expected[k].sigma_m[k])
+    assert found.sigma_m[0] > 1.05 * found.sigma_m[1]
+
+
+def test_a_measurement_that_claims_to_be_free_of_noise_is_still_filtered():
+    tracker = DistanceFilter()
+    for step in range(3):  # twice at the same time
+        now = replace(measured([1], [30.0], 2.0), sigma_kept_m=np.array([2.0]))
+        found = tracker.update(now, max(step - 1, 0) * 0.1).ranges
+    assert found.distance_m == pytest.approx([30.0])
+    assert found.sigma_m == pytest.approx([2.0], rel=0.02)
 
 
 def test_a_sigma_that_shows_no_noise_is_all_kept():

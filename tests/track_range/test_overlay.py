@@ -7,60 +7,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from detection.detections import BoolArray, FloatArray, Image
-from ranging.ranges import Ranges
-from stereo.frames import Frame
-from track_range.overlay import (
-    AMBER,
-    GREY,
-    PALETTE,
-    RED,
-    Overlay,
-    alarm_colour,
+from detection.lanes import LaneLine, LaneLines
+from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
+from track_range.overlay import Overlay
+from track_range.overlay_colours import AMBER, CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
+from track_range.overlay_text import (
+    Span,
     closing_span,
     corner_lines,
     distance_text,
-    free_place,
     label_lines,
-    label_places,
-    place_costs,
-    shared_areas,
+    shown_distance,
     text_sizes_px,
-    track_colour,
 )
+from track_range.overlay_writing import Pen
 from track_range.results import FrameResult
-from tracking.tracks import Tracks
-
-HEIGHT, WIDTH = 374, 1242
-BOX = [500.0, 200.0, 620.0, 280.0]
-
-
-def grey(height: int = HEIGHT, width: int = WIDTH) -> Image:
-    return np.full((height, width, 3), 128, np.uint8)
-
-
-def result(
-    boxes: list[list[float]],
-    *,
-    image: Image | None = None,
-    observed: bool = True,
-    ranges: dict[str, tuple[float, float]] | None = None,
-    closing: tuple[float, float] = (np.nan, np.nan),
-) -> FrameResult:
-    n = len(boxes)
-    ids = np.arange(1, n + 1)
-    tracks = Tracks(ids, np.array(boxes).reshape(-1, 4), np.full(n, 2), np.ones(n), np.full(n, observed))
-    wanted = {"mono": (23.1, 1.5), "stereo": (22.4, 0.5), "fused": (22.5, 0.45)} if ranges is None else ranges
-    found = {name: Ranges(ids, np.full(n, metres), np.full(n, sigma)) for name, (metres, sigma) in wanted.items()}
-    frame = Frame(7, 0.723, grey() if image is None else image, None)
-    return FrameResult(frame, tracks, found, np.full(n, closing[0]), np.full(n, closing[1]), np.zeros((n, 3)))
-
-
-def painted(image: Image, colour: tuple[int, int, int]) -> BoolArray:
-    return np.asarray((image == np.array(colour, np.uint8)).all(axis=2))
 
 
 def words(found: FrameResult, row: int = 0) -> list[list[str]]:
@@ -93,11 +55,38 @@ def test_a_seen_box_has_a_whole_outline_and_a_predicted_one_has_gaps() -> None:
 def test_a_dashed_outline_keeps_to_the_box() -> None:
     drawn = Overlay().draw(result([BOX], observed=False))
     changed = (drawn != 128).any(axis=2)
-    changed[:200] = False
+    changed[:200] = changed[:, :160] = False
     rows, columns = np.nonzero(changed)
     assert 497 <= columns.min() <= columns.max() <= 623
     assert rows.max() <= 283
     assert not changed[210:270, 510:610].any()
+
+
+def test_the_window_in_which_stereo_looks_is_marked_by_its_corners() -> None:
+    # The inner half of BOX: columns 530..590, rows 220..260.
+    inside = Overlay().draw(result([BOX]))[205:275, 505:615]
+    rows, columns = np.nonzero(painted(inside, track_colour(1)))
+    assert (rows.min() + 205, rows.max() + 205) == (220, 260)
+    assert (columns.min() + 505, columns.max() + 505) == (530, 590)
+    assert not painted(inside, track_colour(1))[30:40].any()
+    for unmarked in (result([BOX], ranges={"mono": (9.0, 1.0)}), result([BOX], observed=False)):
+        assert not painted(Overlay().draw(unmarked)[205:275, 505:615], track_colour(1)).any()
+
+
+def test_lane_lines_are_drawn_where_they_were_seen() -> None:
+    straight = LaneLine(np.array([700.0, 0.5, 0.0]), np.eye(3), 210.0, 350.0)
+    drawn = Overlay().draw(result([], lanes=LaneLines(None, straight)))
+    lime = painted(drawn, LANE_COLOUR)
+    rows = np.flatnonzero(lime.any(axis=1))
+    assert (rows.min(), rows.max()) == pytest.approx((210, 350), abs=2)
+    for row in (230, 280, 340):
+        assert np.flatnonzero(lime[row]).mean() == pytest.approx(700 + 0.5 * row, abs=1.5)
+    assert not painted(Overlay().draw(result([])), LANE_COLOUR).any()
+
+
+def test_a_lane_line_that_runs_off_the_image_is_drawn_as_far_as_it_goes() -> None:
+    wild = LaneLine(np.array([-1e9, 1e7, 0.0]), np.eye(3), 90.0, 373.0)
+    assert Overlay().draw(result([], lanes=LaneLines(wild, None))).shape == (HEIGHT, WIDTH, 3)
 
 
 def test_a_track_keeps_its_colour_in_every_frame_and_neighbours_differ() -> None:
@@ -107,23 +96,27 @@ def test_a_track_keeps_its_colour_in_every_frame_and_neighbours_differ() -> None
         assert 0.114 * blue + 0.587 * green + 0.299 * red >= 0.49 * 255
 
 
-def test_with_no_tracks_only_the_corners_are_drawn_on() -> None:
+def test_with_no_tracks_only_the_corners_and_the_inset_are_drawn_on() -> None:
     drawn = Overlay().draw(result([]))
     changed = (drawn != 128).any(axis=2)
     assert changed[:20].any()
-    assert not changed[20:].any()
+    assert not changed[20:, 160:].any()
+    assert changed[300, 60]  # the road from above
 
 
 def test_corners_say_frame_time_methods_and_strokes() -> None:
     clock, legend = corner_lines(result([BOX]), 11)
     assert [span.text for span in clock[0]] == ["frame 7", "0.72 s"]
+    more, _ = corner_lines(result([BOX]), 11, status=("9.8 fps", "85 ms behind"), warning="uncalibrated")
+    assert [span.text for span in more[0]] == ["frame 7", "0.72 s", "9.8 fps", "85 ms behind", "uncalibrated"]
+    assert more[0][-1].bgr == AMBER
     assert legend[0][0].text == "large: fused ±1 sigma   M mono   S stereo   dashed: predicted"
 
 
 def test_a_label_says_fused_identity_and_the_methods_side_by_side() -> None:
     assert words(result([BOX])) == [["22.5 m", "±0.5", "car 1"], ["M 23.1  S 22.4"]]
     both = {"sgbm": (np.nan, np.nan), "lane": (104.2, 9.0), "mono": (99.96, 3.0), "fused": (7.04, 0.1)}
-    assert words(result([BOX], ranges=both)) == [["7.0 m", "±0.1", "car 1"], ["M 100  L 104  G -"]]
+    assert words(result([BOX], ranges=both)) == [["7.0 m", "±0.1", "car 1"], ["M 100  L 104"]]
 
 
 def test_a_track_without_any_range_still_has_its_name() -> None:
@@ -131,19 +124,37 @@ def test_a_track_without_any_range_still_has_its_name() -> None:
     assert words(result([BOX], ranges={"fused": (np.nan, np.nan)})) == [["- m", "car 1"]]
 
 
-def test_closing_is_said_only_when_the_gap_shrinks_and_turns_amber_and_red() -> None:
-    urgent, soon, far = (closing_span(6.2, ttc_s, 11) for ttc_s in (1.9, 3.6, 12.0))
-    assert urgent is not None
-    assert soon is not None
-    assert far is not None
-    assert (urgent.text, urgent.back) == ("TTC 1.9 s  closing 6.2 m/s", RED)
-    assert (soon.text, soon.back) == ("TTC 3.6 s  closing 6.2 m/s", AMBER)
-    assert (far.text, far.back, far.bgr) == ("TTC 12.0 s  closing 6.2 m/s", None, GREY)
+def test_a_predicted_track_shows_its_filtered_distance() -> None:
+    carried = result([BOX], observed=False, ranges={"fused": (np.nan, np.nan), "fused_kf": (31.0, 2.0)})
+    assert shown_distance(carried, 0) == (31.0, 2.0)
+    assert words(carried) == [["31.0 m", "±2.0", "car 1"]]
+
+
+def test_closing_is_said_only_when_the_gap_shrinks_on_a_bar_that_turns_amber_and_red() -> None:
+    spans = [closing_span(6.2, ttc_s, 11) for ttc_s in (1.9, 3.6, 6.0, 12.0)]
+    texts = [f"TTC {ttc_s:.1f} s  closing 6.2 m/s" for ttc_s in (1.9, 3.6, 6.0, 12.0)]
+    assert [span.text for span in spans if span] == texts
+    assert [span.fill for span in spans if span] == [RED, AMBER, CALM, CALM]
+    assert [span.filled for span in spans if span] == pytest.approx([1 - 1.9 / 8, 1 - 3.6 / 8, 0.25, 0])
     assert closing_span(-3.0, np.nan, 11) is None
     assert closing_span(np.nan, np.nan, 11) is None
     slow = closing_span(0.6, 80.0, 11)
     assert slow is not None
-    assert slow.text == "closing 0.6 m/s"
+    assert (slow.text, slow.filled) == ("closing 0.6 m/s", 0.0)
+
+
+def test_a_bar_is_as_long_as_it_says_and_its_text_is_read_on_either_part() -> None:
+    place = np.array([10.0, 10.0, 213.0, 30.0])  # 200 px behind the stripe
+    for filled in (0.0, 0.25, 0.75, 1.0):
+        canvas = grey(60, 300)
+        Pen().write(canvas, [[Span("TTC 3.0 s  closing 6.2 m/s", 14, 700, (255, 255, 255), AMBER, filled)]], place)
+        columns = np.flatnonzero(painted(canvas, AMBER)[11])
+        assert len(columns) == round(200 * filled)
+        if filled:
+            assert (columns[0], columns[-1]) == (13, 12 + round(200 * filled))
+        unfilled = canvas[11:27, 13 + round(200 * filled) : 213]
+        assert filled == 1.0 or unfilled.max() > 200  # white letters
+        assert not filled or (canvas[11:27, 13 : 13 + round(200 * filled)].max(axis=2) < 60).any()  # black ones
 
 
 def test_warnings_start_below_four_and_two_seconds() -> None:
@@ -165,55 +176,6 @@ def test_text_grows_with_the_image() -> None:
     assert text_sizes_px(374) == (15, 11, 2)
     assert text_sizes_px(720) == (26, 18, 3)
     assert text_sizes_px(100)[1] == 11
-
-
-def test_shared_areas_by_hand() -> None:
-    places = np.array([[0.0, 0, 10, 10], [20, 20, 30, 30]])
-    others = np.array([[5.0, 5, 15, 15], [8, 0, 9, 2], [10, 10, 20, 20]])
-    assert shared_areas(places, others).tolist() == [25 + 2, 0]
-    assert shared_areas(places, np.zeros((0, 4))).tolist() == [0, 0]
-
-
-def test_a_label_stands_above_its_box_when_nothing_is_in_the_way() -> None:
-    boxes = np.array([BOX])
-    places = label_places(boxes, np.array([[90.0, 40.0]]), (WIDTH, HEIGHT))
-    costs = place_costs(places, boxes)
-    place = free_place(places[0], costs[0], np.zeros((0, 4)))
-    assert place is not None
-    assert place.tolist() == [500, 160, 590, 200]
-
-
-def test_a_label_gives_way_and_gives_up() -> None:
-    boxes = np.array([BOX])
-    places = label_places(boxes, np.array([[90.0, 40.0]]), (WIDTH, HEIGHT))
-    costs = place_costs(places, boxes)
-    above = np.array([[400.0, 100, 700, 200]])
-    second = free_place(places[0], costs[0], above)
-    assert second is not None
-    assert second.tolist() == [500, 280, 590, 320]
-    assert free_place(places[0], costs[0], np.array([[0.0, 0, WIDTH, HEIGHT]])) is None
-
-
-coordinates = st.floats(-500, 2000)
-
-
-@given(st.lists(st.tuples(coordinates, coordinates, coordinates, coordinates), min_size=1, max_size=12))
-@settings(deadline=None, max_examples=60)
-def test_labels_stay_inside_and_never_cover_each_other(boxes: list[tuple[float, float, float, float]]) -> None:
-    found = np.array(boxes)
-    size_px = np.tile([130.0, 46.0], (len(found), 1))
-    places = label_places(found, size_px, (WIDTH, HEIGHT))
-    costs = place_costs(places, found)
-    assert places.min() >= 0
-    assert (places[..., 2:] <= (WIDTH, HEIGHT)).all()
-    assert np.array_equal(places[..., 2:] - places[..., :2], np.broadcast_to(size_px[:, None], (*places.shape[:2], 2)))
-    taken: FloatArray = np.zeros((0, 4))
-    for i in range(len(found)):
-        place = free_place(places[i], costs[i], taken)
-        if place is not None:
-            assert shared_areas(place[None], taken)[0] == 0
-            taken = np.vstack([taken, place])
-    assert len(taken) >= 1
 
 
 HOSTILE = [
@@ -263,3 +225,22 @@ def test_real_frames_keep_their_picture_under_the_marks(shared_data: Path) -> No
     assert read
     drawn = Overlay().draw(result([BOX, [100.0, 180.0, 160.0, 220.0]], image=np.asarray(image, np.uint8)))
     assert (drawn == image).all(axis=2).mean() > 0.9
+
+
+def test_the_corner_says_what_the_run_says_at_each_frame() -> None:
+    said = iter([(), ("12.3 fps", "a sentence that needs room")])
+    overlay = Overlay(status=lambda: next(said))
+    short, long = (overlay.draw(result([])) for _ in range(2))
+    assert (long != short).any(axis=2)[:15, 150:350].any()
+
+
+def test_a_label_keeps_its_place_when_another_becomes_as_good() -> None:
+    """Car 1 covers what is above car 2; when it has gone, car 2's label stays below."""
+    overlay = Overlay()
+    blocked = [[480.0, 60.0, 700.0, 195.0], BOX]
+    rows = []
+    for boxes in (blocked, [[0.0, 0.0, 0.0, 0.0], BOX]):
+        label = np.flatnonzero((overlay.draw(result(boxes)) != 128).any(axis=2)[:, 505])
+        rows.append(bool((label > 284).any()))
+    assert rows[0]
+    assert rows[0] == rows[1]

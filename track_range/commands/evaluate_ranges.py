@@ -105,7 +105,7 @@ def _check(test: RangesTest) -> None:
     unknown = [name for name in test.methods if name not in METHODS]
     if unknown:
         raise UsageError(f"--method {','.join(unknown)}: of {', '.join(METHODS)}.")
-    if test.boxes != "labels" and not test.boxes.removeprefix("rrc:") != test.boxes:
+    if test.boxes != "labels" and not (test.boxes.startswith("rrc:") and test.boxes != "rrc:"):
         raise UsageError(f"--boxes {test.boxes}: labels or rrc:DIR wanted.")
     if (test.is_cross_validated or test.is_same_drive) and test.curves is not None:
         raise UsageError("--cross-validate and --same-drive fit their own curves: leave --curves out.")

@@ -18,13 +18,16 @@ from track_range.box_source import open_box_source
 from track_range.commands.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
 from track_range.config import RunSettings, save_settings
+from track_range.frame_meter import FrameMeter
 from track_range.interrupts import deaf_to_interrupts, termination_as_interrupt
+from track_range.live_view import LiveView
 from track_range.overlap import short_switch_interval
 from track_range.report import write_report
 from track_range.report_truth import with_truth
-from track_range.result_video import ResultVideo, VideoFormat
+from track_range.result_video import ResultVideo
 from track_range.results import ResultRows, read_tracks_csv
-from track_range.run_pipeline import open_pipeline, pictures
+from track_range.run_pictures import overlay_picture, pictures, video_format
+from track_range.run_pipeline import open_pipeline
 from track_range.run_record import RunRecord, found_by, summary_of
 from track_range.source import open_source
 from track_range.summary import (
@@ -38,8 +41,8 @@ class RunStoppedError(Exception):
     """The user ended a run early, by Ctrl-C or a polite kill; its finished part is safe."""
 
 
-def run(settings: RunSettings, console: Console) -> Path:
-    """Do the whole job, print the tables, and return the folder of the results.
+def run(settings: RunSettings, console: Console, view: LiveView | None = None) -> Path:
+    """Do the whole job, print the tables, and return the folder of the results; `view` shows it as it goes on.
 
     A run that is interrupted, or that an input fails in the middle of, finishes its files first.
 
@@ -49,12 +52,12 @@ def run(settings: RunSettings, console: Console) -> Path:
     """
     with termination_as_interrupt():
         try:
-            return _run(settings, console)
+            return _run(settings, console, view)
         except KeyboardInterrupt:
             raise RunStoppedError("stopped by the user before any frame was finished.") from None
 
 
-def _run(settings: RunSettings, console: Console) -> Path:
+def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path:
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
     source = open_source(settings, partial(step_progress, console))
@@ -64,14 +67,15 @@ def _run(settings: RunSettings, console: Console) -> Path:
         boxes = open_box_source(settings, source.rectified_boxes, lambda word: ready_model(word, console))
         truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
         pipeline = open_pipeline(settings, source, boxes, curves)
-        this = RunRecord(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline)
+        meter = FrameMeter(source.live)
+        this = RunRecord(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline, meter=meter)
         folder = settings.out_dir
         make_folder(folder)
         clear_results(folder, keep=_input_files(settings))
         told = this.notes
         _tell_notes(console, told)
         save_settings(settings, folder / "settings.yaml", found=found_by(this))
-        _work(this, folder, console)
+        _work(this, folder, console, view)
         this.wall_s += opened_s
     with deaf_to_interrupts():
         columns = read_tracks_csv(folder / "tracks.csv")
@@ -110,8 +114,7 @@ def _nobody_may_listen() -> Iterator[None]:
 def _input_files(settings: RunSettings) -> list[Path]:
     """Every file that the run reads."""
     named = (
-        *(settings.stereo or ()),
-        settings.mono,
+        *(video for video in (*(settings.stereo or ()), settings.mono) if isinstance(video, Path)),
         settings.rig,
         settings.detections,
         settings.truth,
@@ -122,7 +125,7 @@ def _input_files(settings: RunSettings) -> list[Path]:
     return [*(path for path in named if path is not None), *(Path(word) for word in words if word is not None)]
 
 
-def _work(this: RunRecord, folder: Path, console: Console) -> None:
+def _work(this: RunRecord, folder: Path, console: Console, view: LiveView | None) -> None:
     """Run every frame through the pipeline and write it."""
     began_s = time.perf_counter()
     clock = this.pipeline.clock
@@ -130,15 +133,22 @@ def _work(this: RunRecord, folder: Path, console: Console) -> None:
         with ExitStack() as stack:
             stack.enter_context(short_switch_interval())
             rows = stack.enter_context(ResultRows(folder))
-            form = VideoFormat(this.source.size_px, this.source.fps)
             videos = [
-                stack.enter_context(ResultVideo(folder / f"{name}.mp4", draw, form=form, clock=clock))
-                for name, draw in pictures(this.settings, this.source).items()
+                stack.enter_context(
+                    ResultVideo(
+                        folder / f"{name}.mp4", draw, form=video_format(name, this.settings, this.source), clock=clock
+                    )
+                )
+                for name, draw in pictures(this.settings, this.source, this.meter.words).items()
             ]
+            if view is not None:
+                _tell_notes(console, [view.begin(overlay_picture(this.settings, this.source, this.meter.words))])
             results = this.pipeline.run(this.source.frames)
             stack.callback(results.close)
             advance = stack.enter_context(frame_progress(console, this.source.n_frames))
-            for result in results:
+            for result in this.meter.watched(results):
+                if view is not None:
+                    view.offer(result)
                 with clock.stage("write"):
                     rows.write(result)
                 for video in videos:

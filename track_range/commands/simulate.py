@@ -135,7 +135,7 @@ def _rig(path: Path, console: Console) -> StereoRig:
     if not _is_as_good_as_rectified(found):
         raise RigError(
             f"{path}: its cameras are not rectified, and the simulation draws rectified pairs only: give the rig of "
-            "rectified images (KITTI's calib.txt, or equal cameras without distortion, the right one to the right)."
+            "rectified images (KITTI's calib.txt, or equal cameras without distortion, side by side)."
         )
     rig = StereoRig.rectified(found.left.without_distortion(), found.baseline_m)
     even = with_even_size(rig)

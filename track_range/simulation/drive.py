@@ -4,7 +4,7 @@ left.mp4, right.mp4     H.264, near lossless; or, lossless, folders left/ and ri
 rig.yaml                the cameras                 truth.txt        KITTI tracking labels
 ego_speed.csv           of the left eye's frames    truth.csv        exact distances and more (`truth_table.py`)
 detections.txt          KITTI detections, made from the truth
-image_2/, image_3/, disp_occ_0/                     on demand: pairs and true disparities in KITTI 2015's layout
+image_2/, image_3/, disp_occ_0/, obj_map/           on demand: pairs, disparities, objects as KITTI 2015 has
 
 Frames are numbered as the left eye's file has them: lost ones have no number and no truth.
 """
@@ -23,7 +23,14 @@ from detection.detections import FloatArray
 from detection.kitti_format import KittiLabels
 from stereo.rig import StereoRig
 from stereo.rig_files import save_rig
-from track_range.simulation.drive_files import EyeWriter, disparity_map, eye_writer, with_even_size, write_png
+from track_range.simulation.drive_files import (
+    EyeWriter,
+    disparity_map,
+    eye_writer,
+    object_map,
+    with_even_size,
+    write_png,
+)
 from track_range.simulation.faults import NO_FAULTS, Faults
 from track_range.simulation.kitti_rows import kitti_text
 from track_range.simulation.playback import play_back
@@ -186,6 +193,8 @@ class _Writing:
             write_png(_in_kitti(self.disparity_folder, "image_2", number), image)
             truth = disparity_map(inverse_depth, self.renderer.rig)
             write_png(_in_kitti(self.disparity_folder, "disp_occ_0", number), truth)
+            objects = object_map(inverse_depth, self.renderer.rig, seen, scene.turns(time_s))
+            write_png(_in_kitti(self.disparity_folder, "obj_map", number), objects)
 
     def _right(self, writer: EyeWriter, time_s: float, number: int) -> None:
         image = self.renderer.render(time_s + self.renderer.faults.late_s, eye="right")

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from detection.detections import FloatArray, Image
 from stereo.camera import PinholeCamera
 from stereo.rig import StereoRig
+from track_range.simulation.truth import SeenObjects
 from track_range.video import VideoWriter
 from track_range.written import make_folder, write_bytes
 
@@ -25,6 +26,9 @@ PNG_EFFORT = 1
 
 EDGE_PX = 1.0
 """A pixel across which the disparity differs by more shows two things: it has none."""
+
+SKIN_M = 0.04
+"""How far outside of its 3-D box a drawn point may lie, and how far above the road it must."""
 
 
 class EyeWriter(Protocol):
@@ -85,6 +89,37 @@ def disparity_map(inverse_depth: FloatArray, rig: StereoRig) -> npt.NDArray[np.u
     mean = samples.mean(axis=(1, 3))
     known = is_one & (samples.min(axis=(1, 3)) > 0) & (mean < 256 - 1 / 256)
     return np.where(known, np.rint(mean * 256), 0).astype(np.uint16)
+
+
+def object_map(
+    inverse_depth: FloatArray, rig: StereoRig, seen: SeenObjects, turns: FloatArray
+) -> npt.NDArray[np.uint8]:
+    """(H, W) which object each pixel shows: 1 = the nearest of the frame's labels, 0 = none or beyond the 254th.
+
+    A pixel shows an object if the point that was drawn there lies within its 3-D box, above the road.
+
+    Args:
+        inverse_depth: (2 H, 2 W) 1/m of the samples.
+        rig: of the drive.
+        seen: the frame's objects.
+        turns: (M, 3, 3) of all road users, from their own axes to the left camera's.
+    """
+    camera = rig.left
+    at = inverse_depth[::2, ::2]
+    found = np.zeros(at.shape, np.uint8)
+    for number in np.flatnonzero(seen.labels.track_id >= 0)[:254].tolist():
+        x1, y1, x2, y2 = (int(edge) for edge in seen.labels.xyxy_px[number])
+        column, row = np.meshgrid(np.arange(x1, x2 + 1), np.arange(y1, y2 + 1))
+        near = np.maximum(at[row, column], 1e-6)[:, :, None]
+        rays = camera.rays(np.stack([column.ravel(), row.ravel()], axis=1).astype(np.float64) - 0.25)
+        own = (rays.reshape(*row.shape, 3) / near - seen.labels.location_m[number]) @ turns[seen.row[number]]
+        height, width, length = seen.labels.size_hwl_m[number]
+        x, y, z = np.moveaxis(own, 2, 0)
+        inside = (np.abs(x) < length / 2 + SKIN_M) & (np.abs(z) < width / 2 + SKIN_M)
+        inside &= (y > -height - SKIN_M) & (y < -SKIN_M)
+        part = found[y1 : y2 + 1, x1 : x2 + 1]
+        part[inside & (part == 0)] = number + 1
+    return found
 
 
 def with_even_size(rig: StereoRig) -> StereoRig:

@@ -149,11 +149,11 @@ class Renderer:
         return sky_picture(rng, size_px=size_px, horizon_px=horizon_px, is_night=self.scene.is_night)
 
     def _background(self, pose: CameraPose, camera: PinholeCamera) -> Image:
-        """The sky as a camera at infinity's centre sees it, turned as this one is but for the road's own slope."""
-        if not self._turns:
+        """The sky as this camera sees it, wherever it is: only its turn, and the place of its centre, count."""
+        left = self._cameras["left"]
+        if not self._turns and camera == left:
             return self._sky
-        at_px = camera.matrix
-        of_sky_px = at_px.copy()
+        at_px, of_sky_px = camera.matrix, left.matrix
         of_sky_px[:2, 2] += (np.array(self._sky.shape[1::-1]) - (camera.width_px, camera.height_px)) / 2
         to_sky = of_sky_px @ pose.camera_from_world.T @ np.linalg.inv(at_px)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

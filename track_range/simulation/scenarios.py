@@ -21,8 +21,8 @@ from track_range.simulation.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
 WOBBLE_RAD = np.radians(0.12)
 """Root mean square of pitch; roll has half of it."""
 
-QUEUE_SPACING_M, QUEUE_DELAY_S = 7.6, 0.8
-"""From bumper to bumper, and by how much later each car of a queue does what the one before it did."""
+QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
+"""From middle to middle where a queue stands, and by how much later each car does what the one before it did."""
 
 _TRUCKS = (("Truck", 0.45), ("Van", 0.25), ("Car", 0.2), ("Bus", 0.1))
 _FAST = (("Car", 0.85), ("Motorcycle", 0.15))
@@ -115,18 +115,19 @@ def _crossing(seed: int, seconds: float) -> Scene:
     line_m = travelled_m(ego, 6.0) + 6.5
     people = [
         (5.2, line_m, np.pi, 1.3),
-        (6.4, line_m + 0.9, np.pi, 1.35),
-        (-6.0, line_m + 2.0, 0.0, 1.25),
-        (-8.2, line_m - 0.4, 0.0, 1.5),
-        (8.4, line_m + 3.0, np.pi, 1.2),
+        (6.4, line_m + 1.1, np.pi, 1.35),
+        (-6.0, line_m + 2.2, 0.0, 1.25),
+        (-8.0, line_m + 3.3, 0.0, 1.5),
+        (8.2, line_m + 4.4, np.pi, 1.2),
     ]
+    rides: SpeedChanges = ((4.0, 0), (5.0, 3.4), (8.4, 3.4), (9.2, 0))
     shift_m = float(rng.uniform(-0.8, 0.8))
     parts = [
         *(
             Part(kind="Pedestrian", x_m=x_m + shift_m, z_m=z_m, heading_rad=heading, speed_mps=speed)
             for x_m, z_m, heading, speed in people
         ),
-        Part(kind="Cyclist", x_m=-15.0 + shift_m, z_m=line_m + 5.5, heading_rad=0.0, speed_mps=3.2),
+        Part(kind="Cyclist", x_m=-7.2, z_m=line_m + 6.2, heading_rad=0.0, speed_changes=rides),
         Part(kind="Car", x_m=0.0, z_m=line_m + 22.0, speed_mps=9.5),
         Part(kind="Car", x_m=-3.5, z_m=line_m + 16.0, heading_rad=TOWARDS_RAD, speed_changes=((0, 4), (2, 0), (9, 0))),
         *parked(rng, until_m=until_m, share=0.55, free_m=(line_m, line_m + 6)),
@@ -143,11 +144,13 @@ def _queue(seed: int, seconds: float) -> Scene:
     until_m = travelled_m(ego, seconds) + VIEW_M
     parts: list[Part] = []
     for x_m, delay_s, first_m in ((0.0, 0.0, 9.5), (3.5, 1.3, 5.5)):
-        places = np.arange(first_m, VIEW_M, QUEUE_SPACING_M).tolist()
-        for number, z_m in enumerate(places, 1):
-            kind = "Van" if rng.uniform() < 0.15 else "Car"
+        number, z_m = 1, first_m
+        while z_m < VIEW_M:
             changes = _earlier(ego, QUEUE_DELAY_S * number - delay_s)
+            kind = "Van" if rng.uniform() < 0.15 else "Car"
             parts.append(Part(kind=kind, x_m=x_m + float(rng.normal(0, 0.1)), z_m=z_m, speed_changes=changes))
+            number += 1
+            z_m += QUEUE_SPACING_M + travelled_m(changes, QUEUE_DELAY_S)  # which the next has done already
     parts += _oncoming(rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m + 8 * seconds)
     parts += [*walkers(rng, until_m=until_m, x_m=9.4), *signs(until_m=until_m, x_m=7.9), *lights(34.0)]
     return _scene(seed, rng, parts, ego, surroundings="city", road=_road(rng, swing_m=3.0, hill_m=0.5))

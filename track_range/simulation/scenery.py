@@ -28,13 +28,13 @@ def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
     shape = (round(PERIOD_M * density), round(2 * kind.half_width_m * density))
     x_m = ((np.arange(shape[1]) + 0.5) / density - kind.half_width_m).astype(np.float32)
     z_m = ((np.arange(shape[0]) + 0.5) / density).astype(np.float32)
-    grain = value_noise(rng, shape, cells=(2, 4, 8)).astype(np.float32)[:, :, None]
-    patches = value_noise(rng, shape, cells=(32, 64, 256)).astype(np.float32)[:, :, None]
+    grain = value_noise(rng, shape, cells=(2, 4, 8, 16, 32)).astype(np.float32)[:, :, None]
+    patches = value_noise(rng, shape, cells=(64, 128, 256)).astype(np.float32)[:, :, None]
     bgr = np.full((*shape, 3), 94.0, np.float32)
     for _, from_m, to_m in kind.lanes:  # two darker tracks that wheels have left
         off_m = np.abs(np.abs(x_m - (from_m + to_m) / 2) - 0.8)
         bgr -= (7.0 * np.exp(-((off_m / 0.3) ** 2)))[None, :, None]
-    bgr += 10.0 * grain + 5.0 * patches
+    bgr += 11.0 * grain + 5.0 * patches
     for from_m, to_m, colour in kind.bands:
         band = (x_m >= from_m) & (x_m < to_m)
         rough = 2.2 if colour != PAVEMENT else 1.0
@@ -54,8 +54,8 @@ def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
 def houses_picture(rng: np.random.Generator, *, height_m: float) -> Image:
     """A row of houses of different heights and colours; what is above a roof is cut out."""
     shape = (round(height_m * WALL_TEXELS_PER_M), round(PERIOD_M * WALL_TEXELS_PER_M))
-    fine = value_noise(rng, shape, cells=(2, 4, 8)).astype(np.float32)
-    stains = value_noise(rng, shape, cells=(16, 64, 128)).astype(np.float32)
+    fine = value_noise(rng, shape, cells=(2, 4, 8, 16, 32)).astype(np.float32)
+    stains = value_noise(rng, shape, cells=(64, 128)).astype(np.float32)
     bgr = np.zeros((*shape, 3), np.float32)
     alpha = np.zeros(shape, np.uint8)
     starts_m = [0.0, *np.sort(rng.choice(np.arange(1, 6), 3, replace=False) * PERIOD_M / 6).tolist(), PERIOD_M]
@@ -63,7 +63,7 @@ def houses_picture(rng: np.random.Generator, *, height_m: float) -> Image:
         columns = slice(round(from_m * WALL_TEXELS_PER_M), round(to_m * WALL_TEXELS_PER_M))
         top = round(float(rng.uniform(0, 0.4)) * shape[0])
         wall = np.array([128.0, 140.0, 152.0]) + rng.normal(0, 22) + rng.normal(0, 10, 3)
-        bgr[:, columns] = wall + (6.0 * fine + 4.0 * stains)[:, columns, None]
+        bgr[:, columns] = wall + (10.0 * fine + 5.0 * stains)[:, columns, None]
         alpha[top:, columns] = 255
         _paint_house(bgr[top:, columns], rng)
     picture = opaque(bgr)
@@ -152,20 +152,19 @@ def tree_picture(rng: np.random.Generator) -> Image:
 
 def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_px: float, is_night: bool) -> Image:
     """(H, W, 4) what is behind everything, without parallax: clouds, a far line of trees, haze below the horizon."""
-    width_px, height_px = size_px
-    y = np.arange(height_px, dtype=np.float32)[:, None]
-    share = np.clip(y / max(horizon_px, 1.0), 0, 1)[:, :, None]
-    above, below = ([232.0, 196.0, 158.0], [238.0, 232.0, 226.0])
-    sky = np.array(above, np.float32) * (1 - share) + np.array(below, np.float32) * share
-    clouds = _smooth_noise(rng, (height_px, width_px))
-    sky = sky + (7.0 + 10.0 * (1 - share)) * np.clip(clouds, -0.6, 2)[:, :, None]
-    ridge_px = horizon_px - height_px * (0.022 + 0.008 * value_noise(rng, (2, width_px), cells=(8, 20, 60))[0])
-    trees = (
-        np.array([112.0, 122.0, 112.0], np.float32)
-        + 6.0 * value_noise(rng, (height_px, width_px), cells=(3, 6, 12)).astype(np.float32)[:, :, None]
-    )
-    picture = np.where((y >= ridge_px[None, :])[:, :, None], trees, sky)
-    return opaque(picture * (0.07, 0.055, 0.05) if is_night else picture)
+    width, height = size_px[0] // 2, size_px[1] // 2  # painted at half the size: nothing in it is sharp
+    horizon = horizon_px / 2
+    y = np.arange(height, dtype=np.float32)[:, None]
+    share = np.clip(y / max(horizon, 1.0), 0, 1)[:, :, None]
+    above, below = np.array([232.0, 196.0, 158.0], np.float32), np.array([238.0, 232.0, 226.0], np.float32)
+    clouds = np.clip(_smooth_noise(rng, (height, width)), -0.6, 2).astype(np.float32)[:, :, None]
+    sky = above * (1 - share) + below * share + (7.0 + 10.0 * (1 - share)) * clouds
+    ridge = horizon - height * (0.022 + 0.008 * value_noise(rng, (2, width), cells=(4, 10, 30))[0])
+    grain = value_noise(rng, (height, width), cells=(2, 4, 8)).astype(np.float32)[:, :, None]
+    trees = np.array([112.0, 122.0, 112.0], np.float32) + 6.0 * grain
+    picture = np.where((y >= ridge[None, :])[:, :, None], trees, sky)
+    painted = opaque(picture * np.array([0.07, 0.055, 0.05], np.float32) if is_night else picture)
+    return np.asarray(cv2.resize(painted, size_px, interpolation=cv2.INTER_LINEAR), np.uint8)
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int]) -> FloatArray:

@@ -6,6 +6,7 @@ each octave of the value noise (Perlin, "An image synthesizer", SIGGRAPH 1985) k
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import cv2
@@ -16,6 +17,9 @@ from detection.detections import FloatArray, Image
 
 TEXELS_PER_M = 96
 """Of vehicles and people: the density of a camera with f = 721 px at 7.5 m."""
+
+DIRT_SHAPE = (1024, 1536)
+"""Texels; a bus has fewer."""
 
 GLASS_BGR = (58, 50, 44)
 RUBBER_BGR = (30, 30, 32)
@@ -45,13 +49,25 @@ def opaque(bgr: npt.NDArray[np.floating[Any]]) -> Image:
     return picture
 
 
+@cache
+def _dirt() -> npt.NDArray[np.float32]:
+    """A large sheet of noise, always the same one, from which surfaces get theirs."""
+    noise = value_noise(np.random.default_rng(9), DIRT_SHAPE, cells=(2, 4, 8, 16, 32, 64)).astype(np.float32)
+    noise.flags.writeable = False
+    return noise
+
+
 def plain(
     rng: np.random.Generator, size_m: tuple[float, float], bgr: tuple[float, ...], *, contrast: float = 11.0
 ) -> Image:
-    """One colour with dirt and reflections on it; `size_m` is width and height."""
+    """One colour with dirt and reflections on it, some part of the sheet; `size_m` is width and height."""
     width, height = (max(4, round(side * TEXELS_PER_M)) for side in size_m)
-    noise = value_noise(rng, (height, width), cells=(2, 4, 8, 16, 32, 64))
-    return opaque(np.array(bgr) + contrast * noise[:, :, None])
+    if height > DIRT_SHAPE[0] or width > DIRT_SHAPE[1]:
+        noise = value_noise(rng, (height, width), cells=(2, 4, 8, 16, 32, 64)).astype(np.float32)
+    else:
+        top, left = (int(rng.integers(room + 1)) for room in np.subtract(DIRT_SHAPE, (height, width)))
+        noise = _dirt()[top : top + height, left : left + width]
+    return opaque(np.array(bgr, np.float32) + contrast * noise[:, :, None])
 
 
 def paint_box(picture: Image, box: tuple[float, float, float, float], bgr: tuple[float, ...]) -> None:

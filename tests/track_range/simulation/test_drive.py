@@ -1,14 +1,21 @@
 """The files of a drive, read back by the readers of the rest of the program."""
 
+import csv
+
+import cv2
 import numpy as np
 import pytest
 
+from detection.boxes import iou
 from detection.kitti_format import read_kitti
+from ranging.ego_speed import open_ego_speed
+from stereo.kitti_2015 import read_pair
 from stereo.rig_files import load_rig
-from track_range.simulation.drive import kitti_text, write_drive
+from track_range.simulation.drive import DriveOptions, kitti_text, write_drive
 from track_range.simulation.render import Renderer, kitti_like_rig
+from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.scene import make_scene
-from track_range.simulation.truth import label_scene
+from track_range.simulation.truth import joined, label_scene, seen_at
 from track_range.video import VideoReader
 
 SMALL = kitti_like_rig(width_px=310, height_px=94)
@@ -48,7 +55,14 @@ def test_the_rig_reads_back(drive):
 
 def test_the_truth_reads_back(drive):
     labels = read_kitti(drive[0].truth)
-    wanted = label_scene(make_scene(3, seconds=0.4), [0.0, 0.1, 0.2, 0.3], camera=SMALL.left)
+    renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
+    frames = [
+        seen_at(
+            renderer.scene, time_s, frame=frame, camera=SMALL.left, inverse_depth=renderer.render_with_depth(time_s)[1]
+        )
+        for frame, time_s in enumerate([0.0, 0.1, 0.2, 0.3])
+    ]
+    wanted = joined([seen.labels for seen in frames])
     assert labels.kitti_type.tolist() == wanted.kitti_type.tolist()
     np.testing.assert_array_equal(labels.track_id, wanted.track_id)
     np.testing.assert_allclose(labels.xyxy_px, wanted.xyxy_px, atol=1e-6)
@@ -68,7 +82,7 @@ def test_the_detections_read_back(drive):
 
 def test_the_same_seed_writes_the_same_bytes(drive, tmp_path):
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
-    for name in ("truth", "detections", "rig", "left", "right"):
+    for name in ("truth", "table", "ego_speed", "detections", "rig", "left", "right"):
         assert getattr(again, name).read_bytes() == getattr(drive[0], name).read_bytes(), name
     other = label_scene(make_scene(4, seconds=0.4), [0.0], camera=SMALL.left)
     assert kitti_text(other) not in drive[0].truth.read_text()
@@ -84,6 +98,61 @@ def test_alpha_is_the_heading_less_the_bearing():
         np.exp(1j * np.array(alpha)), np.exp(1j * (labels.rotation_y_rad - np.arctan2(x, z))), atol=1e-5
     )
     assert np.abs(alpha).max() <= np.pi + 1e-6
+
+
+def test_the_ego_speed_reads_back(drive):
+    speed = open_ego_speed(str(drive[0].ego_speed))
+    np.testing.assert_allclose(speed.time_s, [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(speed.speed_mps, 10.0)
+
+
+def test_lossless_folders_hold_the_very_pixels_drawn(tmp_path):
+    (tmp_path / "left").mkdir()
+    (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")
+    written = write_drive(tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(is_lossless=True))
+    renderer = Renderer(make_scene(3, seconds=0.2), SMALL)
+    for folder, eye in ((written.left, "left"), (written.right, "right")):
+        assert sorted(path.name for path in folder.iterdir()) == ["000000.png", "000001.png"]
+        image = cv2.imread(str(folder / "000001.png"))
+        np.testing.assert_array_equal(image, renderer.render(0.1, eye=eye))
+
+
+def test_disparity_maps_tell_the_depth_of_the_road_and_leave_sky_and_edges_out(tmp_path):
+    write_drive(tmp_path, seed=3, seconds=0.1, rig=SMALL, options=DriveOptions(scenario="empty", has_disparity=True))
+    truth = cv2.imread(str(tmp_path / "disp_occ_0" / "000000_10.png"), cv2.IMREAD_UNCHANGED)
+    assert truth.dtype == np.uint16
+    assert truth.shape == (94, 310)
+    scene = make_scenario("empty", seed=3, seconds=0.1)
+    depth_m = Renderer(scene, SMALL).depth_m(0.0)
+    wanted = SMALL.left.fx_px * 0.54 / depth_m
+    known = truth > 0
+    assert 0.3 < known.mean() < 0.9
+    assert np.abs(truth[known] / 256 - wanted[known]).max() < 1 / 256
+    assert (truth[np.isnan(depth_m)] == 0).all()
+
+
+def test_pairs_with_disparities_are_a_set_as_kitti_2015_is(tmp_path):
+    rig = kitti_like_rig(width_px=620, height_px=188)
+    write_drive(tmp_path, seed=1, seconds=0.1, rig=rig, options=DriveOptions(has_disparity=True))
+    pair = read_pair(tmp_path, "000000_10", rig=tmp_path / "rig.yaml")
+    with (tmp_path / "truth.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if float(row["visible_share"]) > 0.95]
+    boxes = np.array([[float(row[name]) for name in ("x1", "y1", "x2", "y2")] for row in rows])
+    overlap = iou(boxes, pair.xyxy_px)
+    alike = overlap.max(axis=1) > 0.8
+    assert alike.sum() >= 4
+    found_m = pair.rig.distance_m(pair.true_px[overlap.argmax(axis=1)])[alike]
+    wanted_m = np.array([float(row["distance_m"]) for row in rows])[alike]
+    # The median over the middle of what a box shows is not the ray through its centre: cars are seen from the side too.
+    assert np.median(np.abs(found_m / wanted_m - 1)) < 0.02
+
+
+def test_an_odd_size_gets_one_more_column_and_row(tmp_path):
+    written = write_drive(tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=311, height_px=95))
+    frame = next(iter(VideoReader(written.left)))
+    assert frame.image.shape == (96, 312, 3)
+    rig, _ = load_rig(written.rig, size_px=(312, 96))
+    assert rig.left.fx_px == pytest.approx(721.5 * 311 / 1240)
 
 
 def test_a_drive_without_a_frame_is_refused(tmp_path):

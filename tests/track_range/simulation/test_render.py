@@ -90,11 +90,16 @@ def test_an_object_is_drawn_where_its_label_says():
     changed = np.abs(with_it.astype(int) - without).max(axis=2) > 12
     rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
     x1, y1, x2, y2 = label_scene(scene, [0.0], camera=RIG.left).xyxy_px[0]
-    # The shadow on the road reaches 0.15 m beyond the sides and behind: only the top is the body's alone.
+    # The shadow on the road reaches 0.6 m beyond the right side and behind, and is cast to the left by 0.45 of the
+    # height: only the top is the body's alone.
     assert rows[0] == pytest.approx(y1, abs=1.0)
-    shadow_px = F * 0.15 / 14.0
-    assert x1 - shadow_px - 1 <= columns[0] <= x1 + 1
-    assert x2 - 1 <= columns[-1] <= x2 + shadow_px + 1
+    soft_px, cast_px = F * 0.6 / 14.0, F * 0.45 * 3.0 / 14.0
+    assert x1 - soft_px - cast_px - 1 <= columns[0] <= x1 - 0.5 * cast_px
+    assert x2 - 1 <= columns[-1] <= x2 + soft_px + 1
+    body = changed[int(y1) : int((y1 + y2) / 2)]
+    across = np.flatnonzero(body.any(axis=0))
+    assert across[0] == pytest.approx(x1, abs=1.5)
+    assert across[-1] == pytest.approx(x2, abs=1.5)
     assert y2 - 1 <= rows[-1] <= y2 + 6
 
 

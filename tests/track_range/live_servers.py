@@ -1,0 +1,123 @@
+"""Cameras made up: streams over TCP on this machine whose images are levels of grey, each its number's."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import wave
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from fractions import Fraction
+from io import BytesIO
+
+import av
+import cv2
+import numpy as np
+
+RATE_HZ = 100
+FIRST_LEVEL, LEVEL_STEP, N_LEVELS = 20, 4, 50
+
+
+def level_image(number: int) -> np.ndarray:
+    return np.full((48, 64, 3), FIRST_LEVEL + LEVEL_STEP * (number % N_LEVELS), np.uint8)
+
+
+def number_of(image: np.ndarray) -> int:
+    """The number of an image, modulo `N_LEVELS`."""
+    return round((float(image.mean()) - FIRST_LEVEL) / LEVEL_STEP)
+
+
+class Camera:
+    """Sends an image each 10 ms to whoever connects first, until it is unplugged, or has sent `n_images`.
+
+    Attributes:
+        url: where it is.
+        interval_s: from image to image.
+        is_torn: whether the connection is broken off at the end, not closed.
+    """
+
+    def __init__(self, n_images: int = 10_000, *, is_torn: bool = False) -> None:
+        self.n_images, self.is_torn, self.interval_s = n_images, is_torn, 1 / RATE_HZ
+        self.unplugged = threading.Event()
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.url = f"tcp://127.0.0.1:{self._socket.getsockname()[1]}"
+        self.thread = threading.Thread(target=self._serve, daemon=True)
+        self.thread.start()
+
+    def _serve(self) -> None:
+        with suppress(OSError), self._socket.accept()[0] as connection:
+            sent = connection.makefile("wb", 0)
+            with suppress(av.FFmpegError, OSError):
+                self._send(sent)
+            if self.is_torn:
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            sent.close()
+
+    def _send(self, sent: object) -> None:
+        options = {"tune": "zerolatency", "preset": "ultrafast", "crf": "5"}
+        with av.open(sent, "w", format="nut") as container:  # type: ignore[call-overload]
+            stream = container.add_stream("libx264", rate=RATE_HZ, options=options)
+            stream.width, stream.height, stream.pix_fmt, stream.gop_size = 64, 48, "yuv420p", 5
+            for number in range(self.n_images):
+                if self.unplugged.wait(self.interval_s):
+                    break
+                planes = cv2.cvtColor(level_image(number), cv2.COLOR_BGR2YUV_I420)
+                frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+                frame.pts, frame.time_base = number, Fraction(1, RATE_HZ)
+                container.mux(stream.encode(frame))
+            if self.is_torn:
+                raise ConnectionAbortedError
+
+    def close(self) -> None:
+        self.unplugged.set()
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self.thread.join(20)
+
+
+@contextmanager
+def cameras(n: int, n_images: int = 10_000, *, is_torn: bool = False) -> Iterator[list[Camera]]:
+    """Some cameras, unplugged in the end."""
+    opened = [Camera(n_images, is_torn=is_torn) for _ in range(n)]
+    try:
+        yield opened
+    finally:
+        for camera in opened:
+            camera.close()
+
+
+@contextmanager
+def served(content: bytes, *, stays: bool = False) -> Iterator[str]:
+    """The address of a server that sends this, then closes, or falls silent."""
+    over = threading.Event()
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with suppress(OSError), server.accept()[0] as connection:
+            connection.sendall(content)
+            if stays:
+                over.wait(30)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+    finally:
+        over.set()
+        with suppress(OSError):
+            server.shutdown(socket.SHUT_RDWR)
+        server.close()
+        thread.join(20)
+
+
+def sound() -> bytes:
+    """A file that holds no video."""
+    file = BytesIO()
+    with wave.open(file, "wb") as written:
+        written.setnchannels(1)
+        written.setsampwidth(2)
+        written.setframerate(8000)
+        written.writeframes(bytes(16000))
+    return file.getvalue()

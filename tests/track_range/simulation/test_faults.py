@@ -1,0 +1,120 @@
+"""Faults of cameras, each measured on the images."""
+
+import cv2
+import numpy as np
+import pytest
+
+from stereo.rig import StereoRig
+from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.faults import Faults
+from track_range.simulation.render import Renderer, kitti_like_rig, noise_steps
+from track_range.simulation.scenarios import make_scenario
+from track_range.video import VideoReader
+
+RIG = kitti_like_rig(width_px=620, height_px=188)
+SMALL = kitti_like_rig(width_px=310, height_px=94)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scenario("city", seed=1, seconds=1.0)
+
+
+def right(scene, rig=SMALL, **faults):
+    return Renderer(scene, rig, noise_grey=0, faults=Faults(**faults)).render(0.2, eye="right").astype(np.float64)
+
+
+@pytest.mark.parametrize(
+    ("faults", "wanted"), [({"row_offset_px": 1.5}, (0.0, 1.5)), ({"disparity_offset_px": 2.25}, (-2.25, 0.0))]
+)
+def test_offsets_move_the_right_image_by_what_they_say(scene, faults, wanted):
+    plain, moved = (right(scene, RIG, **some).mean(axis=2) for some in ({}, faults))
+    tried = np.arange(-0.3, 0.31, 0.02)
+    for axis in (0, 1):
+        costs = []
+        for off in tried:
+            shift = np.array([[1.0, 0, wanted[0]], [0, 1.0, wanted[1]]])
+            shift[axis, 2] += off
+            seen = cv2.warpAffine(plain, shift, plain.shape[::-1], flags=cv2.INTER_CUBIC)
+            costs.append(np.square(seen - moved)[10:-10, 10:-10].mean())
+        assert tried[int(np.argmin(costs))] == pytest.approx(0, abs=0.05)
+
+
+def test_faults_leave_the_left_eye_alone(scene):
+    faults = Faults(gain=1.3, row_offset_px=2, disparity_offset_px=1, late_s=0.1)
+    plain, faulty = (Renderer(scene, SMALL, faults=some).render(0.2) for some in (Faults(), faults))
+    np.testing.assert_array_equal(plain, faulty)
+
+
+def test_gain_makes_the_right_eye_brighter(scene):
+    plain, bright = right(scene), right(scene, gain=1.25)
+    inside = (plain > 20) & (plain < 200)
+    np.testing.assert_allclose(bright[inside], 1.25 * plain[inside], atol=1)
+
+
+def test_blur_takes_detail_away(scene):
+    sharp, blurred = (cv2.Laplacian(right(scene, blur_px=px), cv2.CV_64F).std() for px in (0.0, 1.5))
+    assert blurred < 0.4 * sharp
+
+
+def test_rain_falls_in_streaks_at_their_own_disparity(scene):
+    dry, wet = (
+        [Renderer(scene, RIG, noise_grey=0, faults=Faults(rain=rain)).render(0.2, eye=eye) for eye in ("left", "right")]
+        for rain in (0.0, 0.6)
+    )
+    streaks = [np.abs(w.astype(int) - d).max(axis=2) > 6 for w, d in zip(wet, dry, strict=True)]
+    assert 0.01 < streaks[0].mean() < 0.5
+    rows, columns = (np.abs(np.diff(streaks[0].astype(int), axis=axis)).sum() for axis in (0, 1))
+    assert columns > 1.5 * rows  # taller than wide
+    assert (streaks[0] ^ streaks[1]).mean() > 0.01
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 12.0, 40.0])
+def test_noise_has_the_spread_asked_for(sigma):
+    steps = noise_steps(sigma).astype(float)
+    assert steps.std() == pytest.approx(np.hypot(sigma, 0.29), rel=0.03)
+    assert abs(steps.mean()) < 0.01
+
+
+def test_a_late_right_eye_in_a_drive_keeps_its_times_and_shows_the_future(tmp_path):
+    faults = Faults(late_s=0.5)
+    drive = write_drive(tmp_path, seconds=0.2, rig=SMALL, options=DriveOptions(scenario="highway", faults=faults))
+    frames = list(VideoReader(drive.right))
+    assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.1], abs=1e-4)
+    renderer = Renderer(make_scenario("highway", seconds=0.2), SMALL, noise_grey=0)
+    grey = frames[0].image.astype(float).mean(axis=2)
+    later, now = (np.abs(grey - renderer.render(t, eye="right").mean(axis=2)).mean() for t in (0.5, 0.0))
+    assert later < 0.5 * now
+
+
+def test_dropped_frames_leave_gaps_in_time_and_truth_counts_what_is_left(tmp_path):
+    options = DriveOptions(scenario="town", faults=Faults(drop_share=0.4), noise_grey=0)
+    drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)
+    left, right_eye = ([frame.time_s for frame in VideoReader(path)] for path in (drive.left, drive.right))
+    assert 6 <= len(left) <= 18
+    assert left != right_eye
+    assert left[0] == right_eye[0] == 0.0
+    rows = [line.split(",") for line in drive.table.read_text().splitlines()[1:]]
+    times = {int(row[0]): float(row[1]) for row in rows}
+    assert [times[frame] for frame in sorted(times)] == pytest.approx(left, abs=1e-3)
+    speeds = [float(line.split(",")[0]) for line in drive.ego_speed.read_text().splitlines()[1:]]
+    assert speeds == pytest.approx(left, abs=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
+def test_the_share_of_frames_lost_is_as_asked(share):
+    kept = Faults(drop_share=share).kept_frames(4000, 3, is_right=True)
+    assert kept[0] == 0
+    assert 1 - len(kept) / 4000 == pytest.approx(share, abs=0.03)
+    assert kept != Faults(drop_share=share).kept_frames(4000, 3, is_right=False) or share == 0
+
+
+def test_a_wrong_rig_is_wrong_by_what_it_says():
+    rig = StereoRig.rectified(SMALL.left, 0.5)
+    baseline, focal, principal, right_one = (
+        Faults(wrong_rig=name).told_rig(rig) for name in ("baseline", "focal", "principal", None)
+    )
+    assert baseline.baseline_m == pytest.approx(0.525)
+    assert focal.left.fx_px == pytest.approx(1.04 * rig.left.fx_px)
+    assert principal.left.cx_px == pytest.approx(rig.left.cx_px + 15)
+    assert right_one.left == rig.left

@@ -1,0 +1,105 @@
+"""Every drive by its name: it can be drawn, repeats, and nobody runs into anybody."""
+
+from itertools import combinations
+
+import cv2
+import numpy as np
+import pytest
+
+from track_range.simulation.render import Renderer, kitti_like_rig
+from track_range.simulation.scenarios import SCENARIOS, make_scenario
+from track_range.simulation.surroundings import PERIOD_M, SURROUNDINGS
+from track_range.simulation.truth import seen_at
+
+SMALL = kitti_like_rig(width_px=310, height_px=94)
+EGO_HW_M = (4.2, 1.8)
+"""Length and width of the camera's car; the camera is 1.5 m behind its nose."""
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_is_drawn_and_labelled(name):
+    scene = make_scenario(name, seed=2, seconds=3.0)
+    renderer = Renderer(scene, SMALL)
+    seen = []
+    for time_s in (0.0, 1.4, 2.8):
+        image, inverse_depth = renderer.render_with_depth(time_s)
+        assert image.shape == (94, 310, 3)
+        assert image.std() > 8
+        assert renderer.render(time_s, eye="right").shape == image.shape
+        seen += seen_at(
+            scene, time_s, frame=0, camera=SMALL.left, inverse_depth=inverse_depth
+        ).labels.kitti_type.tolist()
+    assert seen
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_seed_makes_one_scene(name):
+    assert make_scenario(name, seed=4) == make_scenario(name, seed=4)
+    assert make_scenario(name, seed=4) != make_scenario(name, seed=5)
+
+
+def footprint(place, size, yaw):
+    return (float(place[0]), float(place[2])), (float(size[2]), float(size[1])), float(-np.degrees(yaw))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("seed", range(3))
+def test_nobody_runs_into_anybody_nor_the_camera_into_them(name, seed):
+    scene = make_scenario(name, seed=seed, seconds=10.0)
+    standing = np.array([user.raised_m == 0 for user in scene.road_users], bool)
+    size = scene.size_hwl_m()[standing]
+    ego = ((0.0, 1.5 - EGO_HW_M[0] / 2), EGO_HW_M, 90.0)
+    for time_s in np.arange(0, 10.01, 0.25):
+        place, yaw = scene.location_m(time_s)[standing], scene.rotation_y_rad(time_s)[standing]
+        prints = [footprint(*one) for one in zip(place, size, yaw, strict=True)]
+        for k, one in enumerate(prints):
+            if np.hypot(*place[k][[0, 2]]) < 12:
+                kind, _ = cv2.rotatedRectangleIntersection(ego, one)
+                assert kind == cv2.INTERSECT_NONE, (time_s, k)
+        gaps = np.hypot(*(place[:, None] - place[None])[:, :, [0, 2]].transpose(2, 0, 1))
+        near = gaps < (size[:, None, 2] + size[None, :, 2]) / 2 + 1
+        for k, other in combinations(range(len(place)), 2):
+            if near[k, other]:
+                kind, _ = cv2.rotatedRectangleIntersection(prints[k], prints[other])
+                assert kind == cv2.INTERSECT_NONE, (time_s, k, other)
+
+
+def test_scenarios_are_what_their_names_say():
+    cut_in, queue, empty, highway = (make_scenario(name, seed=1) for name in ("cut-in", "queue", "empty", "highway"))
+    cutter = cut_in.road_users[0]
+    assert [round(cutter.on_road_m(t)[0], 1) for t in (0.0, 6.0)] == [3.6, 0.0]
+    assert 6 < cut_in.location_m(4.5)[0, 2] < 25
+    assert sum(0 < z < 60 for z in queue.location_m(0.0)[:, 2]) > 12
+    assert {user.kitti_type for user in empty.road_users} == {"TrafficSign"}
+    assert highway.speed_mps(3.0) > 27
+    crossing = make_scenario("crossing", seed=1)
+    assert crossing.speed_mps(6.0) == 0.0
+    ahead = [
+        crossing.location_m(6.0)[k]
+        for k, user in enumerate(crossing.road_users)
+        if user.kitti_type == "Pedestrian" and abs(user.rotation_y_rad) not in (np.pi / 2,)
+    ]
+    assert sum(abs(x) < 4 and 3 < z < 15 for x, _, z in ahead) >= 3
+    kinds = {user.kitti_type for user in make_scenario("city", seed=1).road_users}
+    assert kinds >= {"Car", "Bus", "Motorcycle", "Cyclist", "Pedestrian", "TrafficSign", "TrafficLight"}
+
+
+def test_the_night_is_dark_and_lamps_shine_in_it():
+    day, night = (Renderer(make_scenario(name, seed=1), SMALL, noise_grey=0).render(1.0) for name in ("city", "night"))
+    assert night.mean() < 0.4 * day.mean()
+    assert night.max() > 220
+
+
+def test_a_name_that_is_none_gets_the_names():
+    with pytest.raises(
+        ValueError, match=r"suburb: no such scenario; there are town, highway, city, cut-in, .* night\."
+    ):
+        make_scenario("suburb")
+
+
+@pytest.mark.parametrize("kind", SURROUNDINGS.values(), ids=list(SURROUNDINGS))
+def test_what_repeats_along_a_road_fits_its_period(kind):
+    assert PERIOD_M % kind.dash_m[1] == 0
+    assert all(PERIOD_M % row.every_m == 0 for row in kind.rows)
+    assert kind.lane_of(0.0) == 0
+    assert kind.lane_of(kind.half_width_m - 0.1) is None

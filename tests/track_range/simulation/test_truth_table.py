@@ -1,0 +1,118 @@
+"""Exact distances: rays against faces by hand, and truth.csv against what was drawn."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from stereo.camera import PinholeCamera
+from track_range.simulation.drive import DriveOptions, write_drive
+from track_range.simulation.faces import Face
+from track_range.simulation.render import Renderer, kitti_like_rig
+from track_range.simulation.scenarios import make_scenario
+from track_range.simulation.surface import centre_depth_m, first_depths_m
+
+CAMERA = PinholeCamera(1000.0, 1000.0, 500.0, 200.0, 1000, 400)
+RIG = kitti_like_rig()
+
+
+def plate(z, *, x=(-1.0, 1.0), hole=False, two_sided=False, is_shadow=False, turned=False):
+    texture = np.full((8, 8, 4), 255, np.uint8)
+    if hole:
+        texture[2:6, 2:6, 3] = 0
+    along, corner = np.array([x[1] - x[0], 0.0, 0.0]), np.array([x[0], -1.0, z])
+    if turned:
+        along, corner = -along, corner + along
+    return Face(corner, along, np.array([0.0, 2.0, 0.0]), texture, two_sided, is_shadow)
+
+
+def test_the_nearest_face_counts_and_holes_shadows_and_backs_do_not():
+    ahead = np.array([[0.0, 0.0, 1.0]])
+    assert first_depths_m([plate(10.0), plate(7.0)], ahead)[0] == pytest.approx(7.0)
+    assert first_depths_m([plate(10.0), plate(7.0, hole=True)], ahead)[0] == pytest.approx(10.0)
+    assert first_depths_m([plate(10.0), plate(7.0, is_shadow=True)], ahead)[0] == pytest.approx(10.0)
+    assert first_depths_m([plate(10.0), plate(7.0, turned=True)], ahead)[0] == pytest.approx(10.0)
+    assert first_depths_m([plate(10.0), plate(7.0, turned=True, two_sided=True)], ahead)[0] == pytest.approx(7.0)
+    assert np.isnan(first_depths_m([plate(10.0, x=(0.5, 1.0))], ahead)[0])
+
+
+def test_a_sloping_face_is_met_where_it_is():
+    # From (-1, ., 8) to (1, ., 12): straight ahead at 10 m, at x = z / 20 where 10 + 2 x = z, z = 10 / 0.9.
+    face = Face(np.array([-1.0, -1.0, 8.0]), np.array([2.0, 0, 4.0]), np.array([0, 2.0, 0]), plate(1.0).texture)
+    depths = first_depths_m([face], np.array([[0, 0, 1.0], [0.05, 0, 1.0]]))
+    np.testing.assert_allclose(depths, [10.0, 10 / 0.9])
+
+
+def test_a_ray_through_a_hole_gives_way_to_the_nearest_that_meets_the_body():
+    box = np.array([400.0, 100.0, 600.0, 300.0])  # the plate at 10 m
+    assert centre_depth_m([plate(10.0, hole=True)], CAMERA, box) == pytest.approx(10.0)
+    assert np.isnan(centre_depth_m([plate(10.0, x=(5.0, 6.0))], CAMERA, box))
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return write_drive(
+        tmp_path_factory.mktemp("table"), seed=2, seconds=0.3, rig=RIG, options=DriveOptions(scenario="city")
+    )
+
+
+@pytest.fixture(scope="module")
+def rows(drive):
+    with drive.table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_distances_are_those_of_the_drawn_depth(rows):
+    renderer = Renderer(make_scenario("city", seed=2, seconds=0.3), RIG)
+    depth_m = {frame: renderer.depth_m(frame / 10) for frame in range(3)}
+    errors = []
+    for row in rows:
+        if float(row["visible_share"]) > 0.98:
+            x, y = ((float(row[f"{axis}1"]) + float(row[f"{axis}2"])) / 2 for axis in "xy")
+            errors.append(abs(depth_m[int(row["frame"])][round(y), round(x)] / float(row["distance_m"]) - 1))
+    assert len(errors) > 20
+    # The others are rays between legs and wheels, and pixels on an edge.
+    assert np.median(errors) < 1e-3
+    assert np.mean(np.array(errors) < 0.01) > 0.85
+
+
+def test_closing_speeds_are_how_fast_places_come_nearer(rows):
+    scene = make_scenario("city", seed=2, seconds=0.3)
+    ids = [user.track_id for user in scene.road_users]
+    for row in rows:
+        time_s, k = float(row["time_s"]), ids.index(int(row["id"]))
+        before, after = (scene.location_m(time_s + step)[k, 2] for step in (-0.01, 0.01))
+        assert float(row["closing_mps"]) == pytest.approx((before - after) / 0.02, abs=0.01)
+
+
+def test_lanes_classes_and_identities(rows):
+    scene = make_scenario("city", seed=2, seconds=0.3)
+    by_id = {user.track_id: user for user in scene.road_users}
+    lanes = {"": 0, "-1": 0, "0": 0, "1": 0}
+    for row in rows:
+        user = by_id[int(row["id"])]
+        x = user.on_road_m(float(row["time_s"]))[0]
+        wanted = "" if abs(x) > 5.25 or user.raised_m else ("0" if abs(x) < 1.75 else "1" if x > 0 else "-1")
+        assert row["lane"] == wanted
+        lanes[wanted] += 1
+    assert min(lanes.values()) > 0
+    assert {row["class"] for row in rows} >= {"car", "bus", "person", "traffic sign"}
+    assert len({(row["frame"], row["id"]) for row in rows}) == len(rows)
+
+
+def test_boxes_are_those_of_the_kitti_file(drive, rows):
+    kitti = {
+        tuple(line.split()[:2]): [float(word) for word in line.split()[6:10]]
+        for line in drive.truth.read_text().splitlines()
+        if "DontCare" not in line
+    }
+    assert len(kitti) == len(rows)
+    for row in rows:
+        box = [float(row[name]) for name in ("x1", "y1", "x2", "y2")]
+        np.testing.assert_allclose(box, kitti[row["frame"], row["id"]], atol=1e-3)
+
+
+def test_what_a_wall_of_leaves_or_a_hill_hides_is_hidden(rows):
+    shares = np.array([float(row["visible_share"]) for row in rows])
+    assert shares.max() == 1.0
+    assert 0 < shares.min() < 0.6

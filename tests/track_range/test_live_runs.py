@@ -1,0 +1,161 @@
+"""Whole runs on live streams, on this machine."""
+
+from __future__ import annotations
+
+import http.client
+import itertools
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from stereo.camera import PinholeCamera
+from stereo.rig import StereoRig
+from stereo.rig_files import save_rig
+from tests.track_range.live_servers import cameras
+from track_range.results import read_tracks_csv
+
+Cli = Callable[..., tuple[int, str, str]]
+BOXES = "".join(f"{frame},-1,10,10,20,20,0.9,-1,-1,-1\n" for frame in range(1, 3000))
+"""The same box in every frame."""
+
+QUICK = ("--focal-px", "60", "--lanes", "off", "--tracker", "sort")
+
+
+@pytest.fixture
+def boxes(tmp_path: Path) -> Path:
+    path = tmp_path / "det.txt"
+    path.write_text(BOXES)
+    return path
+
+
+def n_frames_of(video: Path) -> int:
+    with av.open(str(video)) as container:
+        return sum(1 for _ in container.decode(video=0))
+
+
+def summary_of(out: Path) -> dict:
+    return json.loads((out / "summary.json").read_text())
+
+
+def test_one_camera_for_a_while(boxes: Path, tmp_path: Path, cli: Cli) -> None:
+    out = tmp_path / "out"
+    with cameras(1) as (camera,):
+        url = camera.url.replace("tcp://", "tcp://me:secret@")
+        status, told, wrong = cli("--mono", url, "--detections", boxes, *QUICK, "--duration", "0.5", "--out", out)
+    assert (status, wrong) == (0, "")
+    summary = summary_of(out)
+    assert summary["frames"] == n_frames_of(out / "overlay.mp4") > 0
+    times_s = read_tracks_csv(out / "tracks.csv")["time_s"]
+    assert times_s[0] >= 0
+    assert times_s[-1] < 0.5
+    assert "Results came a median of" in " ".join(told.split())
+    assert all("secret" not in file.read_text() for file in out.iterdir() if file.suffix != ".mp4")
+    assert yaml.safe_load((out / "settings.yaml").read_text())["run"]["mono"] == camera.url
+
+
+def test_two_cameras_until_one_is_unplugged(boxes: Path, tmp_path: Path, cli: Cli) -> None:
+    out = tmp_path / "out"
+    with cameras(1) as (left,), cameras(1, 500, is_torn=True) as (right,):
+        pair = ("--stereo", left.url, right.url)
+        status, _, wrong = cli(*pair, "--detections", boxes, *QUICK, "--no-sgbm", "--out", out)
+    assert status == 1
+    assert re.fullmatch(rf"track-range: {right.url}: broke off after \d+ frames \(.*\)\.\n", wrong)
+    summary = summary_of(out)
+    assert summary["frames"] == n_frames_of(out / "overlay.mp4") > 0
+    assert f"Stopped early, after {summary['frames']} frames." in summary["notes"]
+    assert any("paired by when they arrive" in note for note in summary["notes"])
+    assert "<html" in (out / "report.html").read_text()
+
+
+def test_a_live_eye_and_a_file_are_no_pair(film: Callable[..., Path], tmp_path: Path, cli: Cli) -> None:
+    film(tmp_path / "left.mp4", [0.0, 0.1])
+    with cameras(1) as (camera,):
+        status, _, wrong = cli("--stereo", camera.url, tmp_path / "left.mp4", "--focal-px", "60")
+    assert status == 1
+    assert wrong.strip().endswith("one is live and the other a file; give two of a kind.")
+
+
+def test_ctrl_c_ends_a_live_run_with_all_files_and_the_page_with_it(boxes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with cameras(1) as (camera,):
+        options = ("--mono", camera.url, "--detections", boxes, *QUICK, "--serve", "0", "--out", out)
+        command = [sys.executable, "-m", "track_range", *map(str, options)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+            assert running.stdout is not None
+            lines = iter(running.stdout.readline, "")
+            served = next(found for line in lines if (found := re.search(r"http://127.0.0.1:(\d+)/", line)))
+            viewer = http.client.HTTPConnection("127.0.0.1", int(served[1]), timeout=30)
+            viewer.request("GET", "/stream.mjpg")
+            with viewer.getresponse() as pictures:
+                parts = (line for line in iter(pictures.readline, b"") if line.strip() == b"--picture")
+                assert len(list(itertools.islice(parts, 3))) == 3  # so a frame is finished
+            viewer.close()
+            running.send_signal(signal.SIGINT)
+            _, wrong = running.communicate(timeout=60)
+    assert running.returncode == 1
+    assert wrong.strip() == "track-range: stopped by the user; what was finished is kept."
+    assert summary_of(out)["frames"] == n_frames_of(out / "overlay.mp4") > 0
+
+
+def test_a_port_in_use_ends_the_run_before_it_begins(boxes: Path, tmp_path: Path, cli: Cli) -> None:
+    with cameras(1) as (camera,):
+        port = camera.url.rpartition(":")[2]
+        options = ("--mono", "left.mp4", "--focal-px", "60", "--serve", port, "--out", tmp_path / "out")
+        status, _, wrong = cli(*options)
+    assert status == 1
+    assert re.fullmatch(rf"track-range: --serve 127.0.0.1:{port}: cannot be served there \(.*in use\); .*\n", wrong)
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_port_is_wrong_usage(cli: Cli) -> None:
+    status, _, wrong = cli("--mono", "left.mp4", "--focal-px", "60", "--serve", "loud")
+    assert status == 2
+    assert "--serve: a port such as 8000" in wrong
+
+
+def test_no_such_camera(cli: Cli) -> None:
+    status, _, wrong = cli("--mono", "987", "--focal-px", "60")
+    assert status == 1
+    assert wrong == "track-range: /dev/video987: this camera cannot be opened (No such file or directory).\n"
+
+
+def test_the_overlay_with_the_disparities_below_it(
+    film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli
+) -> None:
+    noise = np.random.default_rng(4).integers(0, 255, (96, 200, 3), np.uint8)
+    seen = cv2.resize(noise[::4, ::4], (200, 96))
+    save_rig(StereoRig.rectified(PinholeCamera(150.0, 150.0, 95.5, 47.5, 192, 96), 0.5), tmp_path / "rig.yaml")
+    eyes = {"left": seen[:, :192], "right": seen[:, 8:]}
+    films = [film(tmp_path / f"{eye}.mp4", [0.0, 0.1, 0.2], images=[image] * 3) for eye, image in eyes.items()]
+    pair = ("--stereo", *films, "--detections", boxes, "--lanes", "off", "--align", "off", "--out", tmp_path / "out")
+    status, _, wrong = cli(*pair, "--overlay-side")
+    assert (status, wrong) == (0, "")
+    with av.open(str(tmp_path / "out" / "overlay.mp4")) as container:
+        picture = next(container.decode(video=0)).to_ndarray(format="bgr24")
+    assert picture.shape == (192, 192, 3)
+    assert np.ptp(picture[96:180, 64:180].astype(int), axis=2).mean() > 60  # in colours
+    status, _, wrong = cli(*pair, "--overlay-side", "--no-sgbm")
+    assert status == 2
+    assert "--overlay-side shows dense stereo below the overlay" in wrong
+
+
+def test_without_a_rig_there_are_no_disparities_below_the_overlay(
+    film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli
+) -> None:
+    films = [film(tmp_path / f"{eye}.mp4", [0.0, 0.1, 0.2]) for eye in ("left", "right")]
+    options = ("--detections", boxes, "--lanes", "off", "--overlay-side", "--out", tmp_path / "out")
+    status, told, wrong = cli("--stereo", *films, *options)
+    assert (status, wrong) == (0, "")
+    assert "No disparities below the overlay: dense stereo needs a rig." in " ".join(told.split())
+    with av.open(str(tmp_path / "out" / "overlay.mp4")) as container:
+        assert next(container.decode(video=0)).height == 48

@@ -1,0 +1,52 @@
+"""The overlay with the disparities below it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereo.camera import PinholeCamera
+from stereo.rig import StereoRig
+from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, result
+from track_range.overlay import Overlay
+from track_range.overlay_side import SCALE_M, DisparityPicture, SidePicture
+
+RIG = StereoRig.rectified(PinholeCamera(700.0, 700.0, 620.5, 186.5, WIDTH, HEIGHT), 0.5)
+
+
+def disparity_at(metres: float) -> np.ndarray:
+    return np.full((HEIGHT, WIDTH), 350.0 / metres, np.float32)
+
+
+def test_the_upper_half_is_the_overlay_and_the_lower_one_the_disparities() -> None:
+    found = result([], disparity=disparity_at(20.0))
+    both = SidePicture(Overlay(), RIG).draw(found)
+    assert both.shape == (2 * HEIGHT, WIDTH, 3)
+    assert np.array_equal(both[:HEIGHT], Overlay().draw(found))
+    lower = both[HEIGHT:]
+    assert np.array_equal(lower[:300], DisparityPicture(RIG).draw(found)[:300])
+
+
+def test_the_scale_has_the_colours_of_the_picture() -> None:
+    pictures = DisparityPicture(RIG)
+    for metres in (10.0, 30.0):
+        assert metres in SCALE_M
+        found = result([], disparity=disparity_at(metres))
+        colour = pictures.draw(found)[0, 0].astype(int)
+        scale = pictures.draw_marked(result([]))[HEIGHT - 40 :]
+        assert (np.abs(scale.astype(int) - colour).max(axis=2) <= 12).any()
+
+
+def test_boxes_are_outlined_on_the_disparities() -> None:
+    plain, marked = (DisparityPicture(RIG).draw_marked(result(boxes)) for boxes in ([], [BOX, [np.nan] * 4]))
+    rows, columns = np.nonzero((plain != marked).any(axis=2))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (200, 280, 500, 620)
+
+
+def test_without_dense_stereo_the_lower_half_is_black_but_for_the_scale() -> None:
+    lower = SidePicture(Overlay(), RIG).draw(result([]))[HEIGHT:]
+    assert not lower[:300].any()
+
+
+def test_a_narrow_image_has_no_scale() -> None:
+    narrow = StereoRig.rectified(PinholeCamera(70.0, 70.0, 31.5, 23.5, 64, 48), 0.5)
+    assert not DisparityPicture(narrow).draw_marked(result([], image=np.zeros((48, 64, 3), np.uint8))).any()
