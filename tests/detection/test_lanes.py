@@ -36,6 +36,17 @@ def test_lines_that_bend_alike_meet_too():
     assert LaneLines(left, line(150.0, 1.0, 0.003)).vanishing_point_px() is None
 
 
+def test_the_horizons_row_is_as_unsure_as_the_lines_are_where_they_meet():
+    """3 and 4 px where they meet, 5 together; two pixels per row they open by."""
+    lines = [
+        LaneLine(np.array([c0, c1, 0.0]), np.diag([sigma_px**2, 0.0, 0.0]), 200.0, 350.0)
+        for c0, c1, sigma_px in ((490.0, -1.0, 3.0), (150.0, 1.0, 4.0))
+    ]
+    assert LaneLines(*lines).horizon_px() == pytest.approx((170.0, 2.5))
+    assert LaneLines(lines[0], None).horizon_px() is None
+    assert LaneLines(*lines[::-1]).horizon_px() is None
+
+
 def test_points_to_draw():
     drawn = points(line(10.0, 1.0, 0.0), n=4)
     assert drawn == pytest.approx(np.array([[210, 200], [260, 250], [310, 300], [360, 350]], float))

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from detection.detections import Detections
+from detection.lanes import LaneLine, LaneLines
+from ranging.ground_plane import GroundPlane
 from ranging.ranges import Ranges
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -60,6 +62,30 @@ def test_an_error_that_all_methods_share_widens_every_sigma_and_moves_nothing():
         for name, ranges in one.ranges.items():
             assert other.ranges[name].distance_m == pytest.approx(ranges.distance_m)
             assert other.ranges[name].sigma_m == pytest.approx(np.hypot(ranges.sigma_m, 0.25 * ranges.distance_m))
+
+
+class LinesTo:
+    """A lane finder whose lines meet in a row."""
+
+    notes = ()
+
+    def __init__(self, y_px):
+        self.y_px = y_px
+
+    def find(self, image, time_s):
+        left, right = (
+            LaneLine(np.array([49.5 - slope * self.y_px, slope, 0.0]), np.diag([0.01, 0.0, 0.0]), 50.0, 79.0)
+            for slope in (-1.0, 1.0)
+        )
+        return LaneLines(left, right)
+
+
+@pytest.mark.parametrize("y_px", [35.0, 44.0])
+def test_the_grounds_horizon_is_where_lane_lines_meet(y_px):
+    loop, plane = pipeline(), GroundPlane(CAMERA)
+    loop.lane_finder, loop.ground = LinesTo(y_px), plane
+    assert len(list(loop.run(frames(3)))) == 3
+    assert plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
 
 
 def test_a_frame_without_boxes_is_a_result_without_rows():
