@@ -28,7 +28,7 @@ from tracking.tracks import Tracks
 LANE_WIDTH_M = 3.5
 """Between the middles of the lines, unless told otherwise."""
 
-LANE_WIDTH_SIGMA = 0.1
+LANE_WIDTH_SIGMA = 0.15
 """Relative, of that guess: lanes are 2.75 to 3.75 m wide by country and kind of road, and wider where a road has no
 shoulders (4.2 m on KITTI 0005)."""
 

@@ -31,9 +31,10 @@ def videos(drive):
 
 
 def near_boxes(drive):
-    """Frame, box and id of the labels that are whole and near, with the depth of each object's middle."""
+    """Frame, box and id of the cars that are whole and near, with the depth of their middles."""
     labels = read_kitti(drive / "truth.txt")
-    clear = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded == 0) & (labels.location_m[:, 2] < 40)
+    clear = (labels.kitti_type == "Car") & (labels.truncated == 0) & (labels.occluded == 0)
+    clear &= labels.location_m[:, 2] < 40
     return labels.frame[clear], labels.xyxy_px[clear], labels.track_id[clear], labels.location_m[clear, 2]
 
 
