@@ -4,7 +4,7 @@ import pytest
 from detection.classes import ROAD_CLASSES
 from detection.lane_edges import EdgeLaneFinder
 from detection.lanes import LaneLine, LaneLines
-from ranging.lane_width import LaneWidth, LaneWidthRanger
+from ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger
 from ranging.ranges import Ranges
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -142,8 +142,8 @@ def test_one_image_teaches_by_the_rule_of_inverse_variances():
     assert taught.sigma == pytest.approx(0.1 / np.sqrt(2))
     many = LaneWidth(3.5, 0.1).taught(np.full(50, 3.85), np.full(50, 0.1))
     assert many == taught  # they share their errors
-    assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(0.1)  # not beyond the first guess
-    assert LaneWidth(3.5, 0.02).after(0.6).sigma == pytest.approx(np.hypot(0.02, 0.01))
+    assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(LANE_WIDTH_SIGMA)  # not beyond the first guess
+    assert LaneWidth(3.5, 0.02).after(0.6).sigma == pytest.approx(np.hypot(0.02, 0.1 * LANE_WIDTH_SIGMA))
 
 
 def test_from_a_picture_to_metres():
