@@ -18,7 +18,6 @@ from ranging.log_linear_sizes import SizeCurve, SizeCurves
 from ranging.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_model, usable_boxes
 from ranging.table_sizes import TableSizes
 from track_range import tables
-from track_range.charts import curve_picture
 from track_range.config import UsageError
 
 
@@ -115,6 +114,8 @@ def _compare(boxes: BoxSet, job: FitJob, console: Console) -> None:
         console.print(tables.rich_table(comparison_grid(fits)))
     if job.picture is not None:
         points = {name: boxes.select(boxes.class_name == name) for name in names}
+        from track_range.charts import curve_picture  # matplotlib takes a third of a second to load
+
         curve_picture(
             {name: (points[name].wh_over_f, points[name].distance_m, fits) for name, fits in found.items()}, job.picture
         )

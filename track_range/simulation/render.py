@@ -11,7 +11,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from detection.detections import FloatArray, Image
 from stereo.camera import PinholeCamera
@@ -177,7 +177,7 @@ class Renderer:
 
 def noise_steps(sigma_grey: float) -> npt.NDArray[np.int8]:
     """(256,) whole grey levels, each as likely: a byte's worth of the normal distribution."""
-    steps = sigma_grey * norm.ppf((np.arange(256) + 0.5) / 256)
+    steps = sigma_grey * ndtri((np.arange(256) + 0.5) / 256)
     return np.asarray(np.clip(np.rint(steps), -128, 127), np.int8)
 
 
