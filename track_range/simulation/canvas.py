@@ -11,6 +11,7 @@ depth, each averaged for its own.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import ceil, floor
 
 import cv2
 import numpy as np
@@ -39,7 +40,8 @@ class Canvas:
         self.camera = camera
         self.bgra = background.copy()
         self.inverse_depth = np.zeros(background.shape[:2], np.float32)
-        self._ray_of_pixel = np.linalg.inv(camera.matrix)
+        self._matrix = camera.matrix
+        self._ray_of_pixel = np.linalg.inv(self._matrix)
         self._colours = self.bgra.view(np.uint32)[:, :, 0]  # one number per sample: quicker to copy under a mask
 
     def could_show(self, corners_m: FloatArray) -> bool:
@@ -71,20 +73,21 @@ class Canvas:
 
     def _draw_piece(self, face: Face, corner: FloatArray, corners: FloatArray, normal: FloatArray) -> None:
         """Warp one piece, all of it in front of the camera, into the box that it covers."""
-        at_px = self.camera.project(corners)
-        left, top = np.maximum(np.floor(at_px.min(axis=0)), 0).astype(int).tolist()
-        last_px = (self.camera.width_px - 1, self.camera.height_px - 1)
-        right, bottom = np.minimum(np.ceil(at_px.max(axis=0)), last_px).astype(int).tolist()
+        at = corners @ self._matrix.T
+        at_px = at[:, :2] / at[:, 2:]
+        (left, top), (right, bottom) = at_px.min(axis=0).tolist(), at_px.max(axis=0).tolist()
+        left, top = max(floor(left), 0), max(floor(top), 0)
+        right, bottom = min(ceil(right), self.camera.width_px - 1), min(ceil(bottom), self.camera.height_px - 1)
         if left > right or top > bottom:
             return
         window = np.s_[top : bottom + 1, left : right + 1]
-        if self.inverse_depth[window].min() >= 1 / corners[:, 2].min() and not face.is_shadow:
+        if not face.is_shadow and self.inverse_depth[window].min() >= 1 / corners[:, 2].min():
             return
         texture = _averaged(face.texture, at_px)
-        texel = np.diag([1 / (texture.shape[1] - 2), 1 / (texture.shape[0] - 2), 1.0])  # two texels are margin
-        texel[:2, 2] = -0.5 * texel[0, 0], -0.5 * texel[1, 1]
-        to_roi = np.array([[1.0, 0.0, -left], [0.0, 1.0, -top], [0.0, 0.0, 1.0]])
-        homography = to_roi @ self.camera.matrix @ np.stack([face.along, face.down, corner], axis=1) @ texel
+        wide, high = texture.shape[1] - 2, texture.shape[0] - 2  # two texels are margin
+        homography = self._matrix @ np.array([face.along / wide, face.down / high, corner]).T
+        homography[:, 2] -= 0.5 * (homography[:, 0] + homography[:, 1])
+        homography[:2] -= np.array([[left], [top]]) * homography[2]
         size_px = (right - left + 1, bottom - top + 1)
         warped = cv2.warpPerspective(texture, homography, size_px, flags=cv2.INTER_LINEAR)
         inverse = normal @ self._ray_of_pixel / (normal @ corner)
@@ -109,9 +112,10 @@ def _averaged(texture: Image, at_px: FloatArray) -> Image:
 
     The margin repeats the colours of the edge, so that only alpha fades out.
     """
-    sides_px = np.linalg.norm(at_px[[1, 2, 3, 0]] - at_px, axis=1)  # top, right, bottom, left
-    wanted = np.ceil([max(sides_px[0], sides_px[2]), max(sides_px[1], sides_px[3])]).astype(int)
-    width, height = np.clip(wanted, 1, (texture.shape[1], texture.shape[0])).tolist()
+    edges = at_px[[1, 2, 3, 0]] - at_px
+    top, right, bottom, left = np.sqrt((edges * edges).sum(axis=1)).tolist()
+    width = min(max(ceil(max(top, bottom)), 1), texture.shape[1])
+    height = min(max(ceil(max(left, right)), 1), texture.shape[0])
     small = texture
     if (height, width) != texture.shape[:2]:
         small = np.asarray(cv2.resize(texture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

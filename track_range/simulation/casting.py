@@ -73,7 +73,7 @@ def parked(rng: np.random.Generator, *, until_m: float, share: float = 0.6, free
     return parts
 
 
-def walkers(rng: np.random.Generator, *, until_m: float, x_m: float, spacing_m: float = 17.0) -> list[Part]:
+def walkers(rng: np.random.Generator, *, until_m: float, x_m: float, spacing_m: float = 24.0) -> list[Part]:
     """People on both pavements, `x_m` from the middle, walking either way or waiting."""
     parts = []
     for side in (1, -1):

@@ -131,7 +131,7 @@ def _crossing(seed: int, seconds: float) -> Scene:
         Part(kind="Car", x_m=0.0, z_m=line_m + 22.0, speed_mps=9.5),
         Part(kind="Car", x_m=-3.5, z_m=line_m + 16.0, heading_rad=TOWARDS_RAD, speed_changes=((0, 4), (2, 0), (9, 0))),
         *parked(rng, until_m=until_m, share=0.55, free_m=(line_m, line_m + 6)),
-        *walkers(rng, until_m=until_m, x_m=9.4, spacing_m=24.0),
+        *walkers(rng, until_m=until_m, x_m=9.4),
         *lights(line_m + 9.0),
         *signs(until_m=until_m, x_m=7.9, first_m=line_m - 3.0),
     ]

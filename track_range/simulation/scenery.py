@@ -62,7 +62,7 @@ def houses_picture(rng: np.random.Generator, *, height_m: float) -> Image:
     for from_m, to_m in pairwise(starts_m):
         columns = slice(round(from_m * WALL_TEXELS_PER_M), round(to_m * WALL_TEXELS_PER_M))
         top = round(float(rng.uniform(0, 0.4)) * shape[0])
-        wall = np.array([128.0, 140.0, 152.0]) + rng.normal(0, 22) + rng.normal(0, 10, 3)
+        wall = np.array([128.0, 140.0, 152.0]) + rng.normal(0, 22) + rng.normal(0, 6, 3)
         bgr[:, columns] = wall + (10.0 * fine + 5.0 * stains)[:, columns, None]
         alpha[top:, columns] = 255
         _paint_house(bgr[top:, columns], rng)
