@@ -37,8 +37,8 @@ class Frame:
         index: number of the frame in the left video, from 0, counting also frames that were skipped.
         time_s: seconds from the left video's first frame, from the file's timestamps.
         left: (H, W, 3) uint8 BGR, rectified (one camera: undistorted).
-        right: the same of the right eye, in the same rows, in colour or grey, perhaps rectified only where it is looked at
-            (`whole_image` gives all of it); None for one camera.
+        right: the same of the right eye, in the same rows, in colour or grey, perhaps rectified only where it is looked
+            at (`whole_image` gives all of it); None for one camera.
     """
 
     index: int
