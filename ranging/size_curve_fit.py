@@ -14,14 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from detection.boxes import are_sound
-from detection.classes import KITTI_IGNORED, ROAD_CLASS_OF
 from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import KittiLabels
-from ranging.box_surface import surface_distance_m
 from ranging.curve_file import CurveError
 from ranging.log_linear_sizes import SizeCurve, SizeCurves
-from stereo.camera import PinholeCamera
 
 NEAREST_M, FARTHEST_M = 5.0, 100.0
 """Labels nearer are cut off by the image, labels farther are a few pixels high."""
@@ -60,31 +55,6 @@ class SizeSamples:
     def joined(cls, parts: list[SizeSamples]) -> SizeSamples:
         """Several sequences as one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
-
-
-def samples_of_kitti(
-    labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray, *, sequence: int
-) -> SizeSamples:
-    """Fully visible, untruncated labels at 5-100 m of one sequence; distance to the visible surface."""
-    ignored = np.isin(labels.kitti_type, KITTI_IGNORED)
-    visible = (labels.truncated == 0) & (labels.occluded == 0) & are_sound(labels.xyxy_px)
-    labels = labels.select(labels.has_3d_box & visible & ~ignored)
-    size = labels.xyxy_px[:, 2:] - labels.xyxy_px[:, :2]
-    rays = camera.rays((labels.xyxy_px[:, :2] + labels.xyxy_px[:, 2:]) / 2)
-    distance_m = surface_distance_m(
-        rays,
-        labels.location_m + left_from_reference_m,
-        size_hwl_m=labels.size_hwl_m,
-        rotation_y_rad=labels.rotation_y_rad,
-    )
-    samples = SizeSamples(
-        np.array([ROAD_CLASS_OF.get(str(name).lower(), "") for name in labels.kitti_type], np.str_),
-        np.full(len(labels), sequence),
-        size / np.array([camera.fx_px, camera.fy_px]),
-        rays[:, 0],
-        distance_m,
-    )
-    return samples.select((distance_m >= NEAREST_M) & (distance_m <= FARTHEST_M) & (samples.road_class != ""))
 
 
 def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:

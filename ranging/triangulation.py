@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,6 +19,7 @@ from detection.detections import BoolArray, FloatArray, Image, IntArray
 from ranging.ranges import Ranges
 from stereo.alignment import Alignment
 from stereo.frames import Frame, ImageView, whole_image
+from stereo.patch_matches import Outcome, PatchMatches
 from stereo.rig import StereoRig
 from stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
 from tracking.tracks import Tracks
@@ -31,10 +33,8 @@ _FULL_RANGE_EVERY_S = 1.0  # and this often in any case, so that a track that fo
 class Matcher(Protocol):
     """Finds the disparity of single boxes; `stereo.patch_matcher.PatchMatcher` does."""
 
-    def match(
-        self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(N,) disparity_px and (N,) sigma_px of boxes (N, 4); prior_px NaN = search the full range."""
+    def matches(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+        """Disparities of boxes (N, 4), and why some have none; prior_px (N,) NaN = search the full range."""
         ...
 
 
@@ -64,12 +64,16 @@ class TrackMatcher:
     """Matches each observed box alone, about the disparity that its track had last.
 
     A predicted box is not measured: what hides an object from the detector stands where the box is.
+
+    Attributes:
+        outcomes: how many boxes were matched so far, and how many were not, by the reason.
     """
 
     def __init__(self, matcher: Matcher) -> None:
         """Remember for `matcher` what its tracks had."""
         self._matcher = matcher
         self._memory = _Disparities.none()
+        self.outcomes: Counter[Outcome] = Counter()
 
     def match(self, tracks: Tracks, frame: Frame) -> tuple[FloatArray, FloatArray]:
         """(N,) disparities and standard deviations, px; NaN where there is no match or no right eye."""
@@ -78,10 +82,11 @@ class TrackMatcher:
             return disparity_px, sigma_px
         seen = np.flatnonzero(tracks.observed)
         prior_px = self._memory.prior_px(tracks.track_id[seen], frame.time_s)
-        found = self._matcher.match(frame.left, frame.right, tracks.xyxy_px[seen], prior_px)
-        disparity_px[seen], sigma_px[seen] = found
+        found = self._matcher.matches(frame.left, frame.right, tracks.xyxy_px[seen], prior_px)
+        disparity_px[seen], sigma_px[seen] = found.disparity_px, found.sigma_px
+        self.outcomes.update(Outcome(code) for code in found.outcome.tolist())
         self._memory = self._memory.with_matches(
-            tracks.track_id[seen], found[0], is_full_range=np.isnan(prior_px), time_s=frame.time_s
+            tracks.track_id[seen], found.disparity_px, is_full_range=np.isnan(prior_px), time_s=frame.time_s
         )
         return disparity_px, sigma_px
 
@@ -93,6 +98,11 @@ class PatchRanger:
         """Range for a rectified rig; disparities are put right by `alignment`."""
         self._triangulate = Triangulation(rig, alignment or Alignment())
         self._matcher = TrackMatcher(matcher)
+
+    @property
+    def outcomes(self) -> Counter[Outcome]:
+        """How many boxes were matched so far, and how many were not, by the reason."""
+        return self._matcher.outcomes
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""

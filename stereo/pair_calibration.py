@@ -39,7 +39,7 @@ from stereo.calibration import (
 )
 from stereo.camera import PinholeCamera
 from stereo.coverage import coverage_of
-from stereo.rectification import Rectifier
+from stereo.rectification import Rectifier, lens_terms, turns_of
 from stereo.rig import RigError, StereoRig
 from stereo.rig_checks import BASELINE_M
 
@@ -140,15 +140,10 @@ def calibrate_pair(
 def rows_px(rig: StereoRig, pair: ViewPair) -> float:
     """Mean |dy| of a pair's corners in the rectified images."""
     cameras = (rig.left, rig.right)
-    matrices = [camera.matrix for camera in cameras]
-    lens = [np.array(camera.distortion or (0.0,) * 4) for camera in cameras]
-    turn_l, turn_r, new_l, new_r, *_ = cv2.stereoRectify(
-        matrices[0], lens[0], matrices[1], lens[1], (rig.left.width_px, rig.left.height_px),
-        rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:], flags=cv2.STEREO_ZERO_DISPARITY, alpha=0,
-    )  # fmt: skip
+    turns = turns_of(rig)
     rows = [
-        cv2.undistortPoints(view.xy_px.reshape(-1, 1, 2), matrix, terms, R=turn, P=new)[:, 0, 1]
-        for view, matrix, terms, turn, new in zip(pair, matrices, lens, (turn_l, turn_r), (new_l, new_r), strict=True)
+        cv2.undistortPoints(view.xy_px.reshape(-1, 1, 2), camera.matrix, lens_terms(camera), R=turn, P=new)[:, 0, 1]
+        for view, camera, turn, new in zip(pair, cameras, turns[:2], turns[2:4], strict=True)
     ]
     return float(np.abs(rows[0] - rows[1]).mean())
 

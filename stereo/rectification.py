@@ -153,7 +153,7 @@ class _View:
         x1, y1, x2, y2 = xyxy_px.T
         x, y = (x1 + x2) / 2, (y1 + y2) / 2
         middles = np.stack([x1, y, x, y1, x2, y, x, y2], axis=1).reshape(-1, 1, 2)
-        lens, new = _lens_terms(self.camera), np.ascontiguousarray(self.matrix[:, :3])
+        lens, new = lens_terms(self.camera), np.ascontiguousarray(self.matrix[:, :3])
         moved = cv2.undistortPoints(middles, self.camera.matrix, lens, R=self.turn, P=new).reshape(-1, 4, 2)
         return np.stack([moved[:, 0, 0], moved[:, 1, 1], moved[:, 2, 0], moved[:, 3, 1]], axis=1).astype(np.float64)
 
@@ -166,21 +166,37 @@ class _Views(NamedTuple):
     right: _View
 
 
-def _rectified(rig: StereoRig) -> _Views:
-    """The rig once its cameras are turned until their rows agree."""
-    _check_rotation(rig.right_from_left[:3, :3])
-    size_px = (rig.left.width_px, rig.left.height_px)
-    left_turn, right_turn, left_projection, right_projection, *_ = cv2.stereoRectify(
+class Turns(NamedTuple):
+    """What turns a pair until its rows agree, in OpenCV's words: R1, R2 (3, 3), P1, P2 (3, 4), Q (4, 4)."""
+
+    left_turn: cv2.typing.MatLike
+    right_turn: cv2.typing.MatLike
+    left_projection: cv2.typing.MatLike
+    right_projection: cv2.typing.MatLike
+    depth_of_disparity: cv2.typing.MatLike
+
+
+def turns_of(rig: StereoRig) -> Turns:
+    """Bouguet's turns of a rig, without any check of them."""
+    found = cv2.stereoRectify(
         rig.left.matrix,
-        _lens_terms(rig.left),
+        lens_terms(rig.left),
         rig.right.matrix,
-        _lens_terms(rig.right),
-        size_px,
+        lens_terms(rig.right),
+        (rig.left.width_px, rig.left.height_px),
         rig.right_from_left[:3, :3],
         rig.right_from_left[:3, 3:],
         flags=cv2.STEREO_ZERO_DISPARITY,
         alpha=0,  # no black borders where the lenses allow it
     )
+    return Turns(*found[:5])
+
+
+def _rectified(rig: StereoRig) -> _Views:
+    """The rig once its cameras are turned until their rows agree."""
+    _check_rotation(rig.right_from_left[:3, :3])
+    size_px = (rig.left.width_px, rig.left.height_px)
+    left_turn, right_turn, left_projection, right_projection, _ = turns_of(rig)
     focal_px = float(left_projection[0, 0])
     _check_turn(left_turn, right_turn, right_projection)
     _check_zoom(focal_px, rig.left)
@@ -224,12 +240,13 @@ def _check_zoom(focal_px: float, camera: PinholeCamera) -> None:
 def _maps(view: _View, size_px: tuple[int, int]) -> Maps:
     """Where each pixel of the new image comes from, in OpenCV's fixed-point form (1/32 px), its fastest."""
     whole, fraction = cv2.initUndistortRectifyMap(
-        view.camera.matrix, _lens_terms(view.camera), view.turn, view.matrix[:, :3], size_px, cv2.CV_16SC2
+        view.camera.matrix, lens_terms(view.camera), view.turn, view.matrix[:, :3], size_px, cv2.CV_16SC2
     )
     return np.asarray(whole, np.int16), np.asarray(fraction, np.uint16)
 
 
-def _lens_terms(camera: PinholeCamera) -> FloatArray:
+def lens_terms(camera: PinholeCamera) -> FloatArray:
+    """(5,) or more of OpenCV's lens terms; zeros for an ideal lens."""
     return np.array(camera.distortion or (0.0,) * 5)
 
 

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import yaml
 
 from stereo.camera import PinholeCamera
+from stereo.rectification import lens_terms, turns_of
 from stereo.rig import RigError, StereoRig
 from stereo.rig_checks import check_camera, check_rig
 
@@ -87,10 +88,7 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
 def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
     rotation, shift_m = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
     left, right = _lens_row(rig.left), _lens_row(rig.right)
-    r1, r2, p1, p2, q, *_ = cv2.stereoRectify(
-        rig.left.matrix, left, rig.right.matrix, right, (rig.left.width_px, rig.left.height_px), rotation, shift_m,
-        flags=cv2.STEREO_ZERO_DISPARITY, alpha=0,
-    )  # fmt: skip
+    r1, r2, p1, p2, q = turns_of(rig)
     return {
         "M1": rig.left.matrix, "D1": left, "M2": rig.right.matrix, "D2": right, "R": rotation, "T": shift_m,
         "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,
@@ -98,7 +96,7 @@ def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
 
 
 def _lens_row(camera: PinholeCamera) -> FloatArray:
-    return np.array([camera.distortion or (0.0,) * 5])
+    return lens_terms(camera)[None]
 
 
 def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:

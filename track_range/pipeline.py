@@ -111,7 +111,9 @@ class Pipeline:
             stack.callback(self._end_dense)
             # All are closed, the last one first: no thread may still read when the videos are closed.
             read = stack.enter_context(closing(prefetch(frames, depth=read_ahead, gives_way=True)))
-            with_lanes = stack.enter_context(closing(prefetch(self._with_lanes(read), depth=detect_ahead)))
+            with_lanes = self._with_lanes(read)
+            if self.lane_finder is not None:
+                with_lanes = stack.enter_context(closing(prefetch(with_lanes, depth=detect_ahead)))
             detected = stack.enter_context(closing(prefetch(self._detected(with_lanes), depth=detect_ahead)))
             for frame, lanes, detections in detected:
                 yield self._result(frame, lanes, detections)

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ranging.triangulation import PatchRanger
 from ranging.truth import Truth
+from stereo.patch_matches import REASONS, Outcome
 from track_range.box_source import BoxSource
 from track_range.config import RunSettings
 from track_range.frame_meter import FrameMeter
@@ -98,6 +100,7 @@ def summary_of(this: RunRecord, columns: dict[str, npt.NDArray[Any]]) -> dict[st
         **range_scores(columns, this.truth, tuple(this.methods)),
         "tracks": track_scores(columns, this.truth, np.array(this.frame_index, np.int64)),
         **_geometry(this),
+        **_unmatched(this.pipeline),
         "truth": TRUTH_PROTOCOL if this.truth is not None else None,
         "notes": this.notes,
         "inputs": _inputs(this.settings),
@@ -117,6 +120,15 @@ def _geometry(this: RunRecord) -> dict[str, Any]:
         **({"learnt_scale": asdict(scale)} if scale else {}),
         **({"alignment": source.alignment.summary()} if source.alignment else {}),
     }
+
+
+def _unmatched(pipeline: Pipeline) -> dict[str, dict[str, int]]:
+    """How many boxes stereo gave no distance, by the reason; only where there is a rig."""
+    ranger = pipeline.rangers.get("stereo")
+    if not isinstance(ranger, PatchRanger):
+        return {}
+    missed = {REASONS[why]: n for why, n in ranger.outcomes.most_common() if why is not Outcome.MATCHED}
+    return {"stereo_unmatched": missed}
 
 
 def _inputs(settings: RunSettings) -> dict[str, Any]:

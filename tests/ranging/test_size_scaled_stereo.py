@@ -6,6 +6,7 @@ import pytest
 from ranging.ranges import Ranges
 from ranging.size_scaled_stereo import FocalBaseline, SizeScaledRanger
 from stereo.frames import Frame
+from stereo.patch_matches import PatchMatches
 from tracking.tracks import Tracks
 
 IMAGE = np.zeros((200, 320, 3), np.uint8)
@@ -71,8 +72,9 @@ class Matched:
     def __init__(self, *disparity_px):
         self.disparity_px = np.array(disparity_px)
 
-    def match(self, left, right, xyxy_px, prior_px):
-        return self.disparity_px, np.full(len(xyxy_px), 0.1)
+    def matches(self, left, right, xyxy_px, prior_px):
+        n = len(xyxy_px)
+        return PatchMatches(self.disparity_px, np.full(n, 0.1), np.zeros(n, np.int64))
 
 
 class Sized:

@@ -5,6 +5,8 @@ from ranging.triangulation import DenseRanger, PatchRanger, Triangulation
 from stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
+from stereo.patch_matcher import PatchMatcher
+from stereo.patch_matches import Outcome, PatchMatches
 from stereo.rig import StereoRig
 from tracking.tracks import Tracks
 
@@ -44,9 +46,10 @@ class Recorder:
     def __init__(self):
         self.priors = []
 
-    def match(self, left, right, xyxy_px, prior_px):
+    def matches(self, left, right, xyxy_px, prior_px):
         self.priors.append(prior_px.tolist())
-        return np.full(len(xyxy_px), 10.0), np.full(len(xyxy_px), 0.1)
+        n = len(xyxy_px)
+        return PatchMatches(np.full(n, 10.0), np.full(n, 0.1), np.zeros(n, np.int64))
 
 
 def frame_at(time_s, right=True):
@@ -111,3 +114,10 @@ def test_dense_sigma_carries_what_the_alignment_leaves():
         dense.close()
     assert ranges[0].distance_m == pytest.approx(ranges[1].distance_m)
     assert ranges[0].sigma_m[0] > 3 * ranges[1].sigma_m[0]
+
+
+def test_why_boxes_are_not_matched_is_counted():
+    ranger = PatchRanger(RIG, PatchMatcher())
+    for step in range(2):
+        assert np.isnan(ranger.measure(tracks_of(1, 2), frame_at(0.1 * step)).distance_m).all()  # black images
+    assert ranger.outcomes == {Outcome.NO_TEXTURE: 4}

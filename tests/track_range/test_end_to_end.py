@@ -73,6 +73,7 @@ def test_summary_has_the_contracts_keys(simulated_run):
             assert [band["from_m"] for band in score["bands"]] == [5, 10, 20, 30, 50]
     assert len({score["n"] for score in summary["common"].values()}) == 1
     assert {"n", "mota", "idf1", "idsw"} <= set(summary["tracks"])
+    assert all(n > 0 for n in summary["stereo_unmatched"].values())
 
 
 def test_distances_on_the_exact_world_are_right_and_not_too_good(simulated_run):

@@ -51,16 +51,15 @@ class Build:
     """Places along (shares of the length, from the back) and heights (shares of the height)."""
 
     deck: float
-    shoulder: float
     roof: tuple[float, float]
     cabin: tuple[float, float]
     nose: float
 
 
 BUILDS = (
-    Build(0.66, 0.64, (0.27, 0.55), (0.10, 0.74), 0.50),  # saloon
-    Build(0.64, 0.62, (0.10, 0.56), (0.015, 0.76), 0.50),  # hatchback
-    Build(0.63, 0.61, (0.05, 0.58), (0.01, 0.77), 0.52),  # estate, SUV
+    Build(0.66, (0.27, 0.55), (0.10, 0.74), 0.50),  # saloon
+    Build(0.64, (0.10, 0.56), (0.015, 0.76), 0.50),  # hatchback
+    Build(0.63, (0.05, 0.58), (0.01, 0.77), 0.52),  # estate, SUV
 )
 
 

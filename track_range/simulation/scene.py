@@ -35,8 +35,6 @@ AWAY_RAD = -np.pi / 2
 TOWARDS_RAD = np.pi / 2
 """Heading against z: oncoming."""
 
-WALL_X_M = 11.0
-
 SIZE_HWL_M = {
     "Car": (1.53, 1.70, 4.10),
     "Van": (2.20, 1.92, 5.08),
