@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import ablation, detection, history, looks, memory, pipeline, ranging, stereo, tracking
+from benchmarks import ablation, detection, history, looks, memory, pipeline, ranging, recall, stereo, tracking
 
 WORKLOADS = {
     "pipeline": pipeline,
@@ -17,6 +17,7 @@ WORKLOADS = {
     "looks": looks,
     "tracking": tracking,
     "ranging": ranging,
+    "recall": recall,
     "stereo": stereo,
 }
 """Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""
