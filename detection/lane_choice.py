@@ -17,7 +17,8 @@ _MAX_SIGMAS = 3.0
 _OFFSET_SIGMA = 0.25  # of the camera from the lane's middle, in lane widths
 _CENTRE_SIGMA = 0.15  # of the vanishing point from the image's middle, in image widths
 _COST = 0.2  # of one sigma squared, in units of support
-_FOLLOWED_SIGMA = 0.12  # lane widths; and no jump costs more than _MAX_SIGMAS of it
+_FOLLOWED_SIGMA = 0.12  # lane widths
+_MAX_DEPARTURE = 1.5  # sigma^2 that any jump costs at most: a lane that was wrong is left when a better one is seen
 
 
 def own_pair(proposed: Proposals, image_hw: tuple[int, int], followed: LaneState | None) -> tuple[int, int] | None:
@@ -63,4 +64,4 @@ def _departure(proposed: Proposals, followed: LaneState) -> FloatArray:
     width_px = np.maximum(followed.width_px(y_px), 1.0)
     left, right = (((x_px - followed.x_px(y_px, side)) / width_px / _FOLLOWED_SIGMA) ** 2 for side in (-1.0, 1.0))
     both = (left.mean(axis=1)[:, None] + right.mean(axis=1)[None, :]) / 2
-    return np.asarray(np.minimum(both, _MAX_SIGMAS**2), np.float64)
+    return np.asarray(np.minimum(both, _MAX_DEPARTURE), np.float64)

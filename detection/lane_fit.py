@@ -55,9 +55,10 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
     """
     state = expected
     seen: list[BoolArray] = []
+    prior = np.linalg.inv(expected.covariance)
     for gate in np.geomspace(_FIRST_GATE, _LAST_GATE, _ROUNDS).tolist():
         seen = [_pixels(markings, state, side, number, gate) for side, number in zip(SIDES, lines, strict=True)]
-        state = _updated(markings, expected, about=state, seen=seen)
+        state = _updated(markings, expected, prior, about=state, seen=seen)
     left, right = (_span(markings.xy_px[mine, 1]) for mine in seen)
     return LaneFit(state, (left, right), _clutter(markings, state, seen))
 
@@ -74,9 +75,11 @@ def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate
     return np.asarray(mine & enough)
 
 
-def _updated(markings: Markings, expected: LaneState, *, about: LaneState, seen: list[BoolArray]) -> LaneState:
-    """One round: expected, and the pixels weighted by how well they fit `about`."""
-    information = np.linalg.inv(expected.covariance)
+def _updated(
+    markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: list[BoolArray]
+) -> LaneState:
+    """One round: expected, known to the information `prior`, and the pixels weighted by how well they fit `about`."""
+    information = prior
     pull = information @ expected.mean
     for side, mine in zip(SIDES, seen, strict=True):
         if not mine.any():

@@ -78,12 +78,17 @@ class LaneState:
     def rows(self, y_px: FloatArray, side: float) -> FloatArray:
         """(N, 5) dx/dstate in each row; side -1 = left, +1 = right."""
         t = self._t(y_px)
-        one = np.ones_like(t)
-        return np.stack([one, t, side / 2 * one, side / 2 * t, t**2], axis=1)
+        rows = np.empty((len(t), 5))
+        rows[:, 0], rows[:, 1], rows[:, 4] = 1.0, t, t * t
+        rows[:, 2:4] = side / 2 * rows[:, :2]
+        return rows
 
     def x_px(self, y_px: FloatArray, side: float) -> FloatArray:
         """(N,) x of a line in each row."""
-        return self.rows(y_px, side) @ self.mean
+        a, b, d, s, c = self.mean.tolist()
+        half = side / 2
+        t = self._t(y_px)
+        return np.asarray((a + half * d) + t * ((b + half * s) + c * t))
 
     def line(self, side: float, *, y_top_px: float, y_bottom_px: float) -> LaneLine:
         """One of the lines, as a polynomial of y."""

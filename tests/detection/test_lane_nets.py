@@ -121,6 +121,15 @@ def test_edges_find_painted_lines():
     assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.03)
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.5, 2.0, 3.0])
+def test_edges_find_the_same_lane_in_images_of_any_size(factor):
+    image = cv2.resize(picture(-1.75, 1.75), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    lines = EdgeLaneFinder().find(image, 0.0)
+    y = (ROWS + 0.5) * factor - 0.5
+    assert (lines.left.x_px(y) + 0.5) / factor - 0.5 == pytest.approx(road_x_px(-1.75, ROWS), abs=3.0)
+    assert (lines.right.x_px(y) - lines.left.x_px(y)) / factor == pytest.approx(width_px(ROWS), rel=0.03)
+
+
 def test_edges_find_yellow_on_pale_concrete():
     image = picture(-1.75, 1.75)
     paint = image[..., 0] > 150

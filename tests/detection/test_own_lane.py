@@ -157,6 +157,15 @@ def test_a_change_of_lane_is_followed():
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
 
 
+def test_a_wrong_lane_is_left_soon_after_the_right_one_is_seen():
+    """The dashes at the left come into sight late; until then the line beyond them is all there is."""
+    lane = OwnLane()
+    without, whole = markings(-5.25, 1.75), markings(-5.25, -1.75, 1.75)
+    times_s = np.arange(0, 0.5, 0.1)
+    assert followed(lane, times_s, without).left.x_px(ROWS) == pytest.approx(road_x_px(-5.25, ROWS), abs=2)
+    assert followed(lane, times_s + 0.5, whole).left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2)
+
+
 def test_a_kerb_far_outside_is_not_preferred_to_dashes():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 3 == 0]
