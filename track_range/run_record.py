@@ -17,10 +17,11 @@ from track_range.box_source import BoxSource
 from track_range.config import RunSettings
 from track_range.frame_meter import FrameMeter
 from track_range.pipeline import Pipeline
+from track_range.results import FrameResult
 from track_range.run_pictures import pictures
 from track_range.run_pipeline import learnt_scale
 from track_range.source import Source
-from track_range.summary import TRUTH_PROTOCOL, range_scores, stage_times_ms, track_scores
+from track_range.summary import range_scores, stage_times_ms, track_scores
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
@@ -50,6 +51,14 @@ class RunRecord:
     last_s: float = 0.0
     wall_s: float = 0.0
     stopped_by: BaseException | None = None
+
+    def count(self, result: FrameResult) -> None:
+        """A frame is finished."""
+        self.last_s = result.frame.time_s
+        if not self.frame_index:
+            self.starts_s = self.last_s
+        self.frame_index.append(result.frame.index)
+        self.methods.update(result.ranges)
 
     @property
     def notes(self) -> list[str]:
@@ -101,7 +110,7 @@ def summary_of(this: RunRecord, columns: dict[str, npt.NDArray[Any]]) -> dict[st
         "tracks": track_scores(columns, this.truth, np.array(this.frame_index, np.int64)),
         **_geometry(this),
         **_unmatched(this.pipeline),
-        "truth": TRUTH_PROTOCOL if this.truth is not None else None,
+        "truth": this.truth.protocol if this.truth is not None else None,
         "notes": this.notes,
         "inputs": _inputs(this.settings),
         "files": {name: f"{name}.mp4" for name in pictures(this.settings, this.source)},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import http.client
 import itertools
 import json
@@ -90,7 +91,10 @@ def test_ctrl_c_ends_a_live_run_with_all_files_and_the_page_with_it(boxes: Path,
     with cameras(1) as (camera,):
         options = ("--mono", camera.url, "--detections", boxes, *QUICK, "--serve", "0", "--out", out)
         command = [sys.executable, "-m", "track_range", *map(str, options)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        # Where the tests themselves run in the background of a shell, programs they start would ignore SIGINT.
+        heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen(command, **pipes, text=True, preexec_fn=heed) as running:
             assert running.stdout is not None
             lines = iter(running.stdout.readline, "")
             served = next(found for line in lines if (found := re.search(r"http://127.0.0.1:(\d+)/", line)))

@@ -19,7 +19,7 @@ from track_range.commands.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
 from track_range.config import RunSettings, save_settings
 from track_range.frame_meter import FrameMeter
-from track_range.interrupts import deaf_to_interrupts, termination_as_interrupt
+from track_range.interrupts import deaf_to_interrupts, interrupts_put_off, termination_as_interrupt
 from track_range.live_view import LiveView
 from track_range.overlap import short_switch_interval
 from track_range.report import write_report
@@ -34,7 +34,7 @@ from track_range.summary import (
     write_summary,
 )
 from track_range.tables import markdown, summary_tables
-from track_range.written import clear_results, make_folder, write_text
+from track_range.written import check_outputs, clear_results, make_folder, write_text
 
 
 class RunStoppedError(Exception):
@@ -58,6 +58,7 @@ def run(settings: RunSettings, console: Console, view: LiveView | None = None) -
 
 
 def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path:
+    check_outputs([settings.table] if settings.table is not None else [], _input_files(settings))
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
     source = open_source(settings, partial(step_progress, console))
@@ -149,15 +150,12 @@ def _work(this: RunRecord, folder: Path, console: Console, view: LiveView | None
             for result in this.meter.watched(results):
                 if view is not None:
                     view.offer(result)
-                with clock.stage("write"):
-                    rows.write(result)
-                for video in videos:
-                    video.write(result)
-                this.last_s = result.frame.time_s
-                if not this.frame_index:
-                    this.starts_s = this.last_s
-                this.frame_index.append(result.frame.index)
-                this.methods.update(result.ranges)
+                with interrupts_put_off():
+                    with clock.stage("write"):
+                        rows.write(result)
+                    for video in videos:
+                        video.write(result)
+                    this.count(result)
                 advance()
     except (KeyboardInterrupt, Exception) as error:
         if not this.frame_index:
