@@ -1,7 +1,8 @@
 """How far a method's distances are from the truth, and whether its sigmas are honest.
 
 Tracks are matched to labels frame by frame (one to one, greatest total IoU, at least 0.5, whatever their classes).
-Errors are relative, (measured - true) / true, over 5-100 m, of labels that are not truncated and at most partly hidden.
+Errors are relative, (measured - true) / true, over 5-100 m, of labels that are not truncated and at most partly hidden;
+those of closing speeds, where the truth knows them, are differences over the same labels.
 `coverage` is the share of matched track-frames that a method measured. The `common` figures are over the track-frames
 that every method measured, so that none can look good by refusing the hard ones.
 """
@@ -123,6 +124,26 @@ def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dic
     }
 
 
+def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: FloatArray) -> dict[str, Any] | None:
+    """Figures of closing speeds (N,) that are errors in m/s, over the rows with a truth; None where there is none."""
+    rows = np.isfinite(true_mps)
+    if not rows.any():
+        return None
+    measured = rows & np.isfinite(closing_mps)
+    error_mps = (closing_mps - true_mps)[measured]
+    in_sigmas = np.abs(error_mps) / sigma_mps[measured]
+    n = len(error_mps)
+    return {
+        "coverage": _share(measured[rows]),
+        "n": n,
+        "mean_error_mps": _rounded(np.abs(error_mps).mean()) if n else None,
+        "median_error_mps": _rounded(np.median(np.abs(error_mps))) if n else None,
+        "bias_mps": _rounded(np.median(error_mps)) if n else None,
+        **_within(in_sigmas),
+        "median_sigma_mps": _rounded(np.median(sigma_mps[measured])) if n else None,
+    }
+
+
 def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
     """Median of what a method claims its relative error to be; None where it claims nothing."""
     claimed = (column.sigma_m / column.distance_m)[measured & np.isfinite(column.sigma_m)]
@@ -131,14 +152,18 @@ def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
 
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
     """Figures of relative errors and of errors in units of sigma; None where there is nothing to say."""
-    known = in_sigmas[np.isfinite(in_sigmas)]
     return {
         "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if len(error) else None,
         "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if len(error) else None,
         "bias_pct": _rounded(100 * np.median(error)) if len(error) else None,
-        "within_1_sigma": _share(known <= 1),
-        "within_2_sigma": _share(known <= 2),
+        **_within(in_sigmas),
     }
+
+
+def _within(in_sigmas: FloatArray) -> dict[str, float | None]:
+    """Shares of errors (N,) in units of sigma, NaN = sigma not told."""
+    known = in_sigmas[np.isfinite(in_sigmas)]
+    return {"within_1_sigma": _share(known <= 1), "within_2_sigma": _share(known <= 2)}
 
 
 def _share(yes: BoolArray) -> float | None:

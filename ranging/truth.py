@@ -1,18 +1,21 @@
-"""What is known to be true of a drive: boxes, identities and distances from KITTI tracking labels.
+"""What is known to be true of a drive: boxes, identities and distances from KITTI tracking labels, or from a CSV.
 
-The distance is the z at which the ray through the label's box centre first meets the 3-D box, in the left camera's
-frame; labels are in the frame of the rig's reference camera and are shifted into the left one first.
+The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
+frame. A CSV (`detection/csv_labels.py`) says it as it is, and how fast the object comes nearer. KITTI's labels have 3-D
+boxes, which riders and people do not fill, in the frame of the rig's reference camera; they are shifted into the left
+one first.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from detection.classes import KITTI_IGNORED, road_class_of_each
+from detection.csv_labels import is_label_csv, read_csv_labels
 from detection.detections import BoolArray, FloatArray, IntArray
 from detection.kitti_format import KittiLabels, LabelFileError, read_kitti
 from ranging.box_surface import surface_distance_m
@@ -20,6 +23,26 @@ from stereo.camera import PinholeCamera
 
 MAX_OCCLUDED = 1
 """Labels hidden more than partly are not scored for distance: their boxes are guesses."""
+
+MIN_VISIBLE_SHARE = 0.5
+"""The same where a share is known: KITTI's partly hidden objects are seen by half at least."""
+
+_CUT_PX = 1.0
+"""Boxes this near to the border are taken as cut by it; labels are clipped to the image."""
+
+_SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
+
+KITTI_PROTOCOL = (
+    "the z at which the ray through a label's box centre first meets its 3-D box "
+    f"(labels at 5-100 m, not truncated, occluded <= {MAX_OCCLUDED}; {_SCORED})"
+)
+CSV_PROTOCOL = (
+    "the distance and closing speed that a row of the CSV gives "
+    f"(rows at 5-100 m, not cut by the image's border, visible_share >= {MIN_VISIBLE_SHARE:g}; {_SCORED})"
+)
+"""What errors are measured against."""
+
+_COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_m", "closing_mps")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +55,9 @@ class Truth:
         kitti_type: (N,) the label's own word.
         class_id: (N,) road class; -1 = to be ignored in detection and tracking scores.
         xyxy_px: (N, 4) box.
-        distance_m: (N,) to the visible surface; NaN = no 3-D box, or not to be scored (truncated, hidden).
+        distance_m: (N,) to the visible surface; NaN = not known, or not to be scored (truncated, hidden).
+        closing_mps: (N,) how fast that shrinks; NaN = not known.
+        protocol: what errors are measured against, in words.
     """
 
     frame: IntArray
@@ -41,21 +66,47 @@ class Truth:
     class_id: IntArray
     xyxy_px: FloatArray
     distance_m: FloatArray
+    closing_mps: FloatArray
+    protocol: str = KITTI_PROTOCOL
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def select(self, keep: BoolArray | IntArray) -> Truth:
         """The rows that a mask or an index array names."""
-        return Truth(*(getattr(self, field.name)[keep] for field in fields(self)))
+        return replace(self, **{name: getattr(self, name)[keep] for name in _COLUMNS})
 
 
 def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
-    """Read KITTI tracking labels as the truth for the left `camera`.
+    """Read KITTI tracking labels, or a CSV, which its first line tells, as the truth for the left `camera`.
 
     Raises:
-        LabelFileError: the file cannot be read, has no 3-D boxes, or no identities.
+        LabelFileError: the file cannot be read, tells no distances (KITTI: has no 3-D boxes), or no identities.
     """
+    return _of_csv(path, camera) if is_label_csv(path) else _of_kitti(path, camera, left_from_reference_m)
+
+
+def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
+    labels = read_csv_labels(path)
+    if len(labels.frame) and not np.isfinite(labels.distance_m).any():
+        raise LabelFileError(f"{path}: no row has a distance_m, so it tells no distances.")
+    last_px = np.array([camera.width_px, camera.height_px]) - 1
+    box_px = labels.xyxy_px
+    is_cut = (box_px[:, :2] <= _CUT_PX).any(axis=1) | (box_px[:, 2:] >= last_px - _CUT_PX).any(axis=1)
+    scored = ~is_cut & (labels.visible_share >= MIN_VISIBLE_SHARE)
+    return Truth(
+        frame=labels.frame,
+        track_id=labels.track_id,
+        kitti_type=labels.word,
+        class_id=labels.class_id,
+        xyxy_px=box_px,
+        distance_m=np.where(scored, labels.distance_m, np.nan),
+        closing_mps=labels.closing_mps,
+        protocol=CSV_PROTOCOL,
+    )
+
+
+def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
     labels = read_kitti(path)
     if not labels.has_3d_box.any():
         raise LabelFileError(f"{path}: no label has a 3-D box, so it tells no distances; KITTI tracking labels wanted.")
@@ -70,6 +121,7 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
         class_id=np.where(np.isin(labels.kitti_type, KITTI_IGNORED), -1, road),
         xyxy_px=labels.xyxy_px,
         distance_m=distance_m,
+        closing_mps=np.full(len(labels), np.nan),
     )
 
 

@@ -60,7 +60,6 @@ class DriveAlignment:
         self._stretches: list[Stretch] = []
         self._reasons: list[str] = []
         self._rows_px: list[FloatArray] = []
-        self._last_s, self._tracks = -math.inf, FeatureTracks()
         self._seen: list[PairPoints] = []
         self._begin_drive()
 

@@ -55,7 +55,7 @@ DOORS = {
         "track_range/cli_simulation.py",
         "track_range/cli_tracking.py",
         "track_range/cli_training.py",
-        "track_range/tables.py",
+        "track_range/terminal_tables.py",
         "track_range/commands/",
     },
 }

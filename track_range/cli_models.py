@@ -159,7 +159,7 @@ def _stereo(
         typer.Option(
             metavar="DIR",
             help="KITTI 2015's image_2, image_3, disp_occ_0, obj_map and calib.txt, or a drive's left.mp4, right.mp4, "
-            "rig.yaml and truth.txt.",
+            "rig.yaml and truth.csv or truth.txt.",
         ),
     ],
     rig: Annotated[Path | None, typer.Option(help="Rig file (default: the folder's own).")] = None,

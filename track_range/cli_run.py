@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from detection.classes import ROAD_CLASSES
+from detection.csv_labels import NEEDED, OPTIONAL
 from detection.input_format import LETTERBOXES
 from track_range.commands.run import run as run_video
 from track_range.config import settings_from
@@ -87,7 +88,13 @@ def run(
         ),
     ] = None,
     truth: Annotated[
-        Path | None, typer.Option(help="KITTI tracking labels to measure against.", rich_help_panel=_INPUT)
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="What to measure against: KITTI tracking labels, or a CSV (of lidar or radar, say) with the columns "
+            f"{','.join(NEEDED)}, and, if known, {','.join(OPTIONAL)}; others are passed over.",
+            rich_help_panel=_INPUT,
+        ),
     ] = None,
     settings: Annotated[
         Path | None,

@@ -1,9 +1,10 @@
 """A drive with labels as stereo pairs with a truth: what `simulate` and the demo write, or real videos laid out alike.
 
-    left.mp4  right.mp4  rig.yaml (or calib.txt)  truth.txt (or label.txt: KITTI tracking labels)
+    left.mp4  right.mp4  rig.yaml (or calib.txt)  truth.csv (or truth.txt, label.txt: KITTI tracking labels)
 
 Objects are the labels that `ranging.truth` scores (not truncated, at most partly hidden, of a road class), their true
-disparity f B / distance, the distance that of the visible surface on the ray through the box's middle.
+disparity f B / distance, the distance that of the visible surface on the ray through the box's middle: what truth.csv
+says; else that of the label's 3-D box.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from track_range.pairing import StereoVideo
 from track_range.video import VideoReader
 
 LEFT, RIGHT = "left.mp4", "right.mp4"
-LABELS = ("truth.txt", "label.txt")
+LABELS = ("truth.csv", "truth.txt", "label.txt")
+"""The best first."""
 
 
 def is_drive(folder: Path) -> bool:
@@ -77,5 +79,5 @@ def _counts(truth: Truth) -> BoolArray:
 def _labels(folder: Path) -> Path:
     found = next((folder / name for name in LABELS if (folder / name).is_file()), None)
     if found is None:
-        raise PairFileError(f"{folder}: no {' or '.join(LABELS)} in it; KITTI tracking labels with 3-D boxes wanted.")
+        raise PairFileError(f"{folder}: no {' or '.join(LABELS)} in it: its objects are not known.")
     return found

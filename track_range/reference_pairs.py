@@ -1,6 +1,6 @@
 """Pairs with objects whose distance or disparity the user knows: what the alignment of a rig is fitted on.
 
-    DIR          KITTI 2015's layout, or a drive's left.mp4, right.mp4, rig.yaml and truth.txt (KITTI: label.txt)
+    DIR          KITTI 2015's layout, or a drive's left.mp4, right.mp4, rig.yaml and truth.csv (KITTI: label.txt)
     LABELS.txt   KITTI tracking labels of two videos
     FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown), of two videos, frames
                  counted from 0

@@ -39,6 +39,7 @@ def accuracy_grids(summary: Mapping[str, Any]) -> list[Grid]:
         tables.method_grid(measured, methods),
         tables.method_grid(f"Distance error, on the {n_common:.0f} track-frames that all methods measured", common),
         class_grid(methods),
+        tables.closing_grid(summary.get("closing") or {}),
     ]
     return [grid for grid in found if grid.rows]
 

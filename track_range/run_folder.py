@@ -22,16 +22,15 @@ from stereo.rig import RigError
 from stereo.rig_files import left_from_reference_m
 from track_range.report_series import Columns, methods_measured
 from track_range.report_truth import with_truth
-from track_range.results import COLUMNS, read_tracks_csv
-from track_range.summary import TRUTH_PROTOCOL, range_scores, track_scores
+from track_range.run_rows import no_rows, read_run_rows
+from track_range.summary import range_scores, track_scores
+from track_range.summary_shape import fitting_summary
 from track_range.written import OutputError
 
 Sections = Mapping[str, Any]
 
+_MOST_NAMED = 5
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
-
-_NEEDED = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
-"""Columns without which nothing can be told; an earlier version's file may lack others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +66,7 @@ def read_run_folder(folder: Path) -> RunFolder:
     if summary is None and columns is None:
         raise OutputError(f"{folder}: neither tracks.csv nor summary.json is in it, so it is no run's folder.")
     run, found = _section(settings, "run"), _section(settings, "found")
-    rows = _no_rows() if columns is None else columns
+    rows = no_rows() if columns is None else columns
     truth = _truth_of(run, found, missing)
     if truth is not None:
         rows = with_truth(rows, truth)
@@ -110,16 +109,9 @@ def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
 def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     path = folder / "tracks.csv"
     if path.is_file():
-        columns = read_tracks_csv(path)
-        if not columns.keys() >= _NEEDED:
-            raise OutputError(f"{path}: not a tracks.csv (no {', '.join(sorted(_NEEDED - columns.keys()))}).")
-        return columns
+        return read_run_rows(path, missing)
     missing.append("tracks.csv is missing: there are no charts of tracks.")
     return None
-
-
-def _no_rows() -> dict[str, Any]:
-    return {name: np.zeros(0, np.str_ if name == "class" else np.float64) for name in COLUMNS}
 
 
 def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | None:
@@ -149,16 +141,17 @@ def _camera(found: Sections) -> PinholeCamera:
 def _rebuilt(columns: Columns, truth: Truth | None, run: Sections) -> dict[str, Any]:
     """What of a summary the rows alone tell."""
     frame = columns["frame"].astype(np.int64)
-    seen = np.arange(frame.min(), frame.max() + 1) if len(frame) else frame
+    first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
+    labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
     methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
     inputs = {key: run[key] for key in _INPUTS if key in run}
     if isinstance(run.get("stereo"), list) and len(run["stereo"]) == 2:
         inputs = {"left": run["stereo"][0], "right": run["stereo"][1], **inputs}
     return {
-        "frames": len(seen),
+        "frames": last - first + 1,
         **range_scores(columns, truth, methods),
-        "tracks": track_scores(columns, truth, seen),
-        "truth": TRUTH_PROTOCOL if truth is not None else None,
+        "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
+        "truth": truth.protocol if truth is not None else None,
         "inputs": inputs,
         "files": {"overlay": "overlay.mp4"} if run.get("overlay", True) else {},
     }
@@ -172,11 +165,13 @@ def _with_what_is_there(folder: Path, summary: Sections, settings: Sections, mis
     found = _section(settings, "found")
     camera = {key: found[key] for key in ("focal_px", "baseline_m", "versions") if found.get(key) is not None}
     run = {key: value for key, value in _section(settings, "run").items() if value not in ([], {})}
-    return {
-        **camera,
-        "settings": run,
-        "starts_s": run.get("start_s", 0.0),
-        **summary,
-        "files": {key: name for key, name in files.items() if name not in gone},
-        "notes": [*missing, *(summary.get("notes") or [])],
-    }
+    told = {**camera, "settings": run, "starts_s": run.get("start_s", 0.0), **summary}
+    told["files"] = {key: name for key, name in files.items() if name not in gone}
+    fitting, misfits = fitting_summary(told)
+    if misfits:
+        more = "" if len(misfits) <= _MOST_NAMED else f" and {len(misfits) - _MOST_NAMED} more"
+        missing.append(
+            f"summary.json and settings.yaml say what no run writes, which is left out: "
+            f"{', '.join(misfits[:_MOST_NAMED])}{more}."
+        )
+    return {**fitting, "notes": [*missing, *(fitting.get("notes") or [])]}

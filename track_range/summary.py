@@ -16,21 +16,14 @@ import numpy.typing as npt
 
 from detection.classes import ROAD_CLASSES, road_class_of_each
 from detection.detections import IntArray
-from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_methods
-from ranging.truth import MAX_OCCLUDED, Truth
+from ranging.evaluation import BANDS_M, MethodColumn, coverage_only, match_truth, score_closing, score_methods
+from ranging.truth import Truth
 from track_range.results import FILTERED_METHODS, MEASURED_METHODS
 from track_range.written import write_text
 from tracking.evaluation import evaluate_tracks
 from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 Columns = Mapping[str, npt.NDArray[Any]]
-
-TRUTH_PROTOCOL = (
-    "the z at which the ray through a label's box centre first meets its 3-D box (tracks matched to labels one to one "
-    f"at IoU 0.5; labels at 5-100 m, not truncated, occluded <= {MAX_OCCLUDED}; coverage: measured track-frames over "
-    "those with truth)"
-)
-"""What errors are measured against."""
 
 
 def matched_truth(columns: Columns, truth: Truth) -> tuple[IntArray, npt.NDArray[np.float64]]:
@@ -41,7 +34,7 @@ def matched_truth(columns: Columns, truth: Truth) -> tuple[IntArray, npt.NDArray
 
 
 def range_scores(columns: Columns, truth: Truth | None, methods: tuple[str, ...]) -> dict[str, Any]:
-    """The `methods` and `common` sections for the methods that ran."""
+    """The `methods` and `common` sections for the methods that ran; `closing` where the truth knows speeds."""
     by_name = {
         name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
         for name in (*MEASURED_METHODS, *FILTERED_METHODS)
@@ -51,13 +44,14 @@ def range_scores(columns: Columns, truth: Truth | None, methods: tuple[str, ...]
         return {"methods": coverage_only(by_name), "common": {}}
     row, true_m = matched_truth(columns, truth)
     labelled = row >= 0
-    mine, common = score_methods(
-        by_name,
-        true_m,
-        is_road_class=labelled & (truth.class_id[row] >= 0),
-        kitti_type=np.where(labelled, truth.kitti_type[row], ""),
+    is_road_class = labelled & (truth.class_id[row] >= 0)
+    kitti_type = np.where(labelled, truth.kitti_type[row], "")
+    mine, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
+    in_span = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
+    closing = score_closing(
+        columns["closing_mps"], columns["closing_sigma_mps"], np.where(in_span, truth.closing_mps[row], np.nan)
     )
-    return {"methods": mine, "common": common}
+    return {"methods": mine, "common": common, **({} if closing is None else {"closing": closing})}
 
 
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The side-by-side tables of a run's summary: for the terminal, as Markdown, and as plain grids for the report.
+"""The side-by-side tables of a run's summary: plain grids for the terminal and the report, and as Markdown.
 
 A summary is what `summary.json` holds. Figures without `_pct` are fractions 0..1, shown per cent here; MOT metrics are
 per cent already; None (or a missing key, or NaN) was not measured and shows as "-". A column that nobody measured
@@ -12,10 +12,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-from rich import box
-from rich.table import Table
-from rich.text import Text
 
 NOTHING = "-"
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
@@ -97,6 +93,7 @@ def grids(summary: Mapping[str, Any]) -> list[Grid]:
     found = [
         method_grid("Distance error, each method where it measured" if common else "Coverage of each method", methods),
         method_grid(f"Distance error, on the {n_common:.0f} track-frames that all methods measured", common),
+        closing_grid(summary.get("closing") or {}),
         claim_grid(summary),
         speed_grid(summary),
         track_grid(summary.get("tracks") or {}),
@@ -115,6 +112,21 @@ def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
     for band in sorted(bands):
         columns.append(Column(f"{band[0]:g}-{band[1]:g} m", [band_error_pct(row, band) for row in rows], cost=abs))
     return grid_of(title, "method", list(methods), columns)
+
+
+def closing_grid(closing: Mapping[str, Any]) -> Grid:
+    """One row: how far closing speeds are from the truth, in m/s, where it knows them."""
+    columns = [
+        Column("cover %", [figure(closing, "coverage")], "{:.0f}", 100.0),
+        Column("n", [figure(closing, "n")], "{:.0f}"),
+        Column("mean m/s", [figure(closing, "mean_error_mps")], "{:.2f}"),
+        Column("median m/s", [figure(closing, "median_error_mps")], "{:.2f}"),
+        Column("bias m/s", [figure(closing, "bias_mps")], "{:+.2f}"),
+        Column(f"in 1{SIGMA} %", [figure(closing, "within_1_sigma")], "{:.0f}", 100.0),
+        Column(f"in 2{SIGMA} %", [figure(closing, "within_2_sigma")], "{:.0f}", 100.0),
+        Column(f"{SIGMA} m/s", [figure(closing, "median_sigma_mps")], "{:.2f}"),
+    ]
+    return grid_of("Error of the closing speed", "of", ["fused_kf"] if closing else [], columns)
 
 
 def claim_grid(summary: Mapping[str, Any]) -> Grid:
@@ -170,24 +182,6 @@ def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Col
     cells = [[Cell(name) for name in names], *(column.cells() for column in kept)]
     headings = (corner, *(column.heading for column in kept))
     return Grid(title, headings, tuple(zip(*cells, strict=True)) if kept else ())
-
-
-def summary_tables(summary: Mapping[str, Any]) -> list[Table]:
-    """The summary's grids as Rich tables, the best figures bold and green."""
-    return [rich_table(grid) for grid in grids(summary)]
-
-
-def rich_table(grid: Grid) -> Table:
-    """A grid for the terminal; nothing in it is read as Rich markup."""
-    table = Table(title=Text(grid.title), box=box.SIMPLE_HEAD, title_justify="left", padding=0)
-    for i, heading in enumerate(grid.columns):
-        # Two lines of heading keep a table with five bands of distance within 80 columns.
-        table.add_column(
-            Text(heading.replace(" ", "\n", 1)), justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold"
-        )
-    for row in grid.rows:
-        table.add_row(*(Text(cell.text, "bold green" if cell.best else "") for cell in row))
-    return table
 
 
 def markdown(summary: Mapping[str, Any]) -> str:

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from detection.kitti_format import LabelFileError, read_kitti
-from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_methods
-from ranging.truth import Truth, read_truth
+from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_closing, score_methods
+from ranging.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
 from stereo.camera import PinholeCamera
 
 NAN = np.nan
@@ -18,6 +18,7 @@ def truth_of(frame, boxes, distance_m):
         np.full(n, 2),
         np.array(boxes, float),
         np.array(distance_m),
+        np.full(n, NAN),
     )
 
 
@@ -90,6 +91,8 @@ def test_truth_from_labels(tmp_path):
     file.write_text("\n".join(rows))
     camera = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)
     truth = read_truth(file, camera, np.array([0.0, 0.0, 1.0]))  # the left camera stands a metre behind the reference
+    assert truth.protocol == KITTI_PROTOCOL
+    assert np.isnan(truth.closing_mps).all()
     assert truth.class_id.tolist() == [2, -1, 2, -1]
     assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)  # rear at 18 m, a metre further from the left camera
     assert np.isnan(truth.distance_m[1:]).all()
@@ -102,6 +105,72 @@ def test_truth_from_labels(tmp_path):
     file.write_text(rows[-1])
     with pytest.raises(LabelFileError, match="no label has a 3-D box"):
         read_truth(file, camera, np.zeros(3))
+
+
+def test_closing_speeds_by_hand():
+    told = score_closing(
+        np.array([1.0, -3.0, 5.0, NAN]), np.array([1.0, 0.6, NAN, NAN]), np.array([0.5, -2.0, 3.0, 7.0])
+    )
+    assert told is not None
+    assert (told["coverage"], told["n"]) == (0.75, 3)  # errors +0.5, -1, +2
+    assert (told["median_error_mps"], told["bias_mps"]) == (1.0, 0.5)
+    assert told["mean_error_mps"] == pytest.approx(3.5 / 3, abs=1e-4)
+    assert (told["within_1_sigma"], told["within_2_sigma"]) == (0.5, 1.0)  # the third claims nothing
+
+
+def test_closing_speeds_that_nobody_knows_or_nobody_measured():
+    nothing = np.full(2, NAN)
+    assert score_closing(np.ones(2), np.ones(2), nothing) is None
+    told = score_closing(nothing, nothing, np.ones(2))
+    assert told is not None
+    assert (told["coverage"], told["n"], told["median_error_mps"], told["within_1_sigma"]) == (0.0, 0, None, None)
+
+
+CAMERA = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)
+
+
+def csv_truth(path, *rows, header="frame,id,class,x1,y1,x2,y2,distance_m,visible_share,closing_mps"):
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return read_truth(path, CAMERA, np.array([0.0, 0.0, 1.0]))
+
+
+def test_truth_from_a_csv(tmp_path):
+    truth = csv_truth(
+        tmp_path / "radar.csv",
+        "0,1,car,295,240,345,265,18.25,0.5,2.5",
+        "0,2,van,295,240,345,265,30,0.49,",  # hidden by more than half
+        "1,1,dontcare,295,240,345,265,,,",
+        "1,1,person,295,240,345,265,,1,0",
+    )
+    assert truth.frame.tolist() == [0, 0, 1, 1]
+    assert truth.track_id.tolist() == [1, 2, -1, 1]
+    assert truth.class_id.tolist() == [2, 2, -1, 0]
+    assert truth.kitti_type.tolist() == ["car", "van", "dontcare", "person"]
+    np.testing.assert_equal(truth.distance_m, [18.25, NAN, NAN, NAN])  # as they are: they are the left camera's already
+    np.testing.assert_equal(truth.closing_mps, [2.5, NAN, NAN, 0.0])
+    assert truth.protocol == CSV_PROTOCOL
+    assert truth.select(np.array([3, 0])).closing_mps.tolist() == [0.0, 2.5]
+    assert truth.select(truth.frame == 1).protocol == CSV_PROTOCOL
+
+
+@pytest.mark.parametrize(
+    ("box", "is_cut"),
+    [
+        ("1.1,1.1,637.9,477.9", False),
+        ("1,9,99,99", True),
+        ("9,0,99,99", True),
+        ("9,9,638,99", True),
+        ("9,9,99,480", True),
+    ],
+)
+def test_boxes_that_the_border_cuts_are_not_scored(tmp_path, box, is_cut):
+    truth = csv_truth(tmp_path / "t.csv", f"0,1,car,{box},20,1,")
+    assert bool(np.isnan(truth.distance_m[0])) == is_cut
+
+
+def test_a_csv_without_any_distance_is_no_truth(tmp_path):
+    with pytest.raises(LabelFileError, match=r"no row has a distance_m, so it tells no distances\."):
+        csv_truth(tmp_path / "t.csv", "0,1,car,9,9,99,99,,1,3")
 
 
 def test_real_labels_meet_their_boxes(shared_data):

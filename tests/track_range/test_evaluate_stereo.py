@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import numpy as np
@@ -92,16 +93,37 @@ def test_a_simulated_drive(drive, cli, tmp_path):
 
 def test_objects_of_a_drive_are_those_that_count(drive):
     pairs = list(read_drive(drive))
-    labels = [line.split() for line in (drive / "truth.txt").read_text().splitlines()]
-    seen = [row for row in labels if row[2] not in ("DontCare", "Van", "Tram") and row[3] == "0" and int(row[4]) <= 1]
+    with (drive / "truth.csv").open(newline="") as file:
+        seen = [row for row in csv.DictReader(file) if float(row["visible_share"]) >= 0.5]
     assert 0 < sum(len(pair.true_px) for pair in pairs) <= len(seen)
     for number, pair in enumerate(pairs):
         assert pair.name == f"{number:06d}"
-        mine = {int(row[1]): [float(edge) for edge in row[6:10]] for row in seen if int(row[0]) == number}
-        for track_id, box in zip(pair.track_id.tolist(), pair.xyxy_px.tolist(), strict=True):
-            assert box == pytest.approx(mine[track_id])
+        mine = {int(row["id"]): row for row in seen if row["frame"] == str(number)}
         distance_m = pair.rig.distance_m(pair.true_px)
         assert ((distance_m >= 5) & (distance_m <= 100)).all()
+        for track_id, box, far_m in zip(
+            pair.track_id.tolist(), pair.xyxy_px.tolist(), distance_m.tolist(), strict=True
+        ):
+            assert box == [float(mine[track_id][edge]) for edge in ("x1", "y1", "x2", "y2")]
+            assert far_m == pytest.approx(float(mine[track_id]["distance_m"]))
+
+
+def test_a_drive_without_a_table_has_its_labels(drive, tmp_path):
+    for file in drive.iterdir():
+        if file.name != "truth.csv":
+            (tmp_path / file.name).symlink_to(file)
+    exact, boxed = (
+        {
+            (pair.name, number): far_m
+            for pair in read_drive(folder)
+            for number, far_m in zip(pair.track_id.tolist(), pair.rig.distance_m(pair.true_px).tolist(), strict=True)
+        }
+        for folder in (drive, tmp_path)
+    )
+    ratio = np.array([boxed[key] / exact[key] for key in exact.keys() & boxed.keys()])
+    assert len(ratio) > 10
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
+    assert np.abs(ratio - 1).max() > 1e-5  # a body does not fill its 3-D box
 
 
 @pytest.mark.parametrize(
@@ -146,11 +168,12 @@ def test_wrong_usage(cli, tmp_path, options, said):
 def test_wrong_drives(drive, cli, tmp_path):
     status, _, complaint = cli("evaluate", "stereo", "--pairs", drive, "--align", "leave-two-out")
     assert (status, "is for sets of single pairs" in complaint) == (2, True)
-    for missing, said in (("right.mp4", "there is no such file"), ("truth.txt", "no truth.txt or label.txt in it")):
+    without = (("right.mp4", "there is no such file"), ("truth", "no truth.csv or truth.txt or label.txt in it"))
+    for missing, said in without:
         folder = tmp_path / missing
         folder.mkdir()
         for file in drive.iterdir():
-            if file.name != missing:
+            if missing not in (file.name, file.stem):
                 (folder / file.name).symlink_to(file)
         status, _, complaint = cli("evaluate", "stereo", "--pairs", folder, "--matcher", "patch")
         assert (status, said in complaint) == (1, True), complaint

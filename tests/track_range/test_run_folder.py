@@ -85,8 +85,27 @@ def test_truth_that_is_not_scored_is_drawn_all_the_same(run: Path, old: str, new
 
 def test_a_truth_of_no_label_matches_nothing(run: Path) -> None:
     columns = read_run_folder(run).columns
-    nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(6)))
+    nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(7)))
     assert bool(np.isnan(with_truth(columns, nothing)["scored_truth_m"]).all())
+
+
+def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:
+    rows = "".join(f"{frame},1,car,280,140,360,220,18.0,2.0\n" for frame in range(N_FRAMES))
+    (run / "truth.txt").write_text("frame,id,class,x1,y1,x2,y2,distance_m,closing_mps\n" + rows)
+    lines = (run / "tracks.csv").read_text().splitlines()
+    place = {name: COLUMNS.index(name) for name in ("closing_mps", "closing_sigma_mps")}
+    cells = [line.split(",") for line in lines[1:]]
+    for row in cells:
+        row[place["closing_mps"]], row[place["closing_sigma_mps"]] = "2.5", "0.4"
+    (run / "tracks.csv").write_text("\n".join([lines[0], *(",".join(row) for row in cells)]) + "\n")
+    (run / "summary.json").unlink()
+    page = report([run], None, Console(file=io.StringIO())).read_text()
+    summary = read_run_folder(run).summary
+    assert summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
+    assert summary["closing"]["median_error_mps"] == pytest.approx(0.5)
+    assert summary["truth"].startswith("the distance and closing speed that a row of the CSV gives")
+    assert "Error of the closing speed" in page
+    assert "closing speed that a row of the CSV gives" in page
 
 
 def test_a_killed_run_is_counted_from_its_rows(run: Path) -> None:

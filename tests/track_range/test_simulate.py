@@ -42,7 +42,8 @@ def test_a_drive_is_written_and_can_be_run_on(cli, rig, tmp_path):
     assert {row["frame"] for row in rows} == {"0", "1", "2"}
     assert {row["class"] for row in rows} >= {"car", "person"}
     arguments = ["--stereo", drive / "left.mp4", drive / "right.mp4", "--rig", drive / "rig.yaml", "--no-sgbm"]
-    inputs = ["--truth", drive / "truth.txt", "--detections", drive / "detections.txt"]
+    assert f"--truth {drive / 'truth.csv'}" in printed
+    inputs = ["--truth", drive / "truth.csv", "--detections", drive / "detections.txt"]
     status, _, complaint = cli(*arguments, *inputs, "--ego-speed", drive / "ego_speed.csv", "--out", tmp_path / "run")
     assert status == 0, complaint
     assert (tmp_path / "run" / "tracks.csv").stat().st_size > 100

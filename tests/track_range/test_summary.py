@@ -19,10 +19,10 @@ def columns_of(n=10, *, fused=20.0, name="car"):
     return columns | {"mono_m": np.where(np.arange(n) % 2, np.nan, 22.0)}
 
 
-def truth_of(n=10, *, kitti_type="Car", class_id=2):
-    metres = np.full(n, 20.0)
+def truth_of(n=10, *, kitti_type="Car", class_id=2, distance_m=20.0, closing_mps=np.nan):
+    metres, speeds = np.full(n, distance_m), np.full(n, closing_mps)
     ones = np.ones(n, np.int64)
-    return Truth(np.arange(n), ones, np.full(n, kitti_type), class_id * ones, np.tile(BOX, (n, 1)), metres)
+    return Truth(np.arange(n), ones, np.full(n, kitti_type), class_id * ones, np.tile(BOX, (n, 1)), metres, speeds)
 
 
 def test_methods_and_common_coverage():
@@ -33,6 +33,28 @@ def test_methods_and_common_coverage():
     assert fused["bias_pct"] == pytest.approx(5.0)
     assert scores["common"]["fused"]["n"] == 5
     assert set(scores["methods"]) == {"mono", "fused"}
+
+
+def test_closing_speed_against_a_truth_that_knows_it():
+    columns = columns_of() | {"closing_mps": np.full(10, 3.0), "closing_sigma_mps": np.full(10, 0.4)}
+    columns["closing_mps"][:5] = np.nan
+    closing = range_scores(columns, truth_of(closing_mps=2.5), ("fused",))["closing"]
+    assert (closing["coverage"], closing["n"]) == (0.5, 5)
+    assert (closing["median_error_mps"], closing["bias_mps"]) == (0.5, 0.5)
+    assert (closing["within_1_sigma"], closing["within_2_sigma"]) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        truth_of(),  # knows no speeds
+        truth_of(closing_mps=2.5, class_id=-1),  # of no road class
+        truth_of(closing_mps=2.5, distance_m=4.0),  # too near for distances to be scored, so for speeds too
+        truth_of(closing_mps=2.5, distance_m=np.nan),
+    ],
+)
+def test_no_closing_speed_where_nothing_is_scored(truth):
+    assert "closing" not in range_scores(columns_of(), truth, ("fused",))
 
 
 def test_without_truth_coverage_alone():

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from track_range.tables import Cell, frames_per_s, grids, markdown, method_grid, summary_tables
+from track_range.tables import SIGMA, Cell, Grid, frames_per_s, grids, markdown, method_grid
+from track_range.terminal_tables import tell_grid, tell_summary
 
 STEREO = {
     "coverage": 0.984,
@@ -53,6 +54,32 @@ def texts(rows: tuple[tuple[Cell, ...], ...]) -> list[list[str]]:
 
 def bests(rows: tuple[tuple[Cell, ...], ...]) -> list[list[str]]:
     return [[cell.text for cell in row if cell.best] for row in rows]
+
+
+def test_closing_speed_is_a_table_where_the_truth_knows_it() -> None:
+    closing = {
+        "coverage": 0.694,
+        "n": 308,
+        "mean_error_mps": 0.4025,
+        "median_error_mps": 0.217,
+        "bias_mps": 0.0145,
+        "within_1_sigma": 0.9026,
+        "within_2_sigma": None,
+        "median_sigma_mps": 0.7,
+    }
+    found = [grid for grid in grids({**SUMMARY, "closing": closing}) if grid.title == "Error of the closing speed"]
+    assert found[0].columns == (
+        "of",
+        "cover %",
+        "n",
+        "mean m/s",
+        "median m/s",
+        "bias m/s",
+        f"in 1{SIGMA} %",
+        f"{SIGMA} m/s",
+    )
+    assert texts(found[0].rows) == [["fused_kf", "69", "308", "0.40", "0.22", "+0.01", "90", "0.70"]]
+    assert not any(grid.title == "Error of the closing speed" for grid in grids(SUMMARY))
 
 
 def test_method_rows_by_hand() -> None:
@@ -128,7 +155,7 @@ def test_titles_say_what_is_compared() -> None:
 @pytest.mark.parametrize("empty", [{}, {"methods": {}, "common": None, "tracks": None, "stages_ms": {}}])
 def test_an_empty_summary_has_no_tables(empty: dict[str, Any]) -> None:
     assert grids(empty) == []
-    assert summary_tables(empty) == []
+    assert printed(empty, width=80) == ""
     assert markdown(empty) == ""
 
 
@@ -146,8 +173,7 @@ def test_markdown_keeps_a_pipe_in_a_name() -> None:
 
 def printed(summary: dict[str, Any], *, width: int) -> str:
     console = Console(file=io.StringIO(), width=width, force_terminal=False)
-    for table in summary_tables(summary):
-        console.print(table)
+    tell_summary(console, summary)
     file = console.file
     assert isinstance(file, io.StringIO)
     return file.getvalue()
@@ -166,3 +192,21 @@ def test_five_bands_fit_on_eighty_columns() -> None:
 
 def test_rich_markup_in_a_name_is_shown_as_it_is() -> None:
     assert "[red]x[/]" in printed({"methods": {"[red]x[/]": {"coverage": 1.0}}}, width=80)
+
+
+def wide_grid(n_columns: int) -> Grid:
+    columns = tuple(f"figure{i:02d}" for i in range(n_columns))
+    return Grid("Many", ("method", *columns), ((Cell("mono"), *(Cell(f"{i}.12345") for i in range(n_columns))),))
+
+
+@pytest.mark.parametrize(("width", "n_parts"), [(30, 6), (80, 2), (200, 1)])
+def test_a_grid_wider_than_the_console_goes_on_below_and_breaks_no_figure(width: int, n_parts: int) -> None:
+    console = Console(file=io.StringIO(), width=width, force_terminal=False)
+    tell_grid(console, wide_grid(12))
+    assert isinstance(console.file, io.StringIO)
+    shown = console.file.getvalue()
+    figures = [word for word in shown.split() if word.endswith(".12345")]
+    assert figures == [f"{i}.12345" for i in range(12)]
+    assert max(map(len, shown.splitlines())) <= width
+    assert shown.count("method") == n_parts
+    assert shown.count("Many") == 1

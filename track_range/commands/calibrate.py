@@ -24,7 +24,8 @@ from track_range.calibration_figures import mono_figures, pair_figures, tilt_deg
 from track_range.calibration_picture import calibration_picture
 from track_range.commands.progress import say, step_progress
 from track_range.config import UsageError
-from track_range.tables import Column, grid_of, rich_table
+from track_range.tables import Column, grid_of
+from track_range.terminal_tables import tell_grid
 from track_range.written import check_outputs, write_bytes, write_text
 
 _BOARD_M = (0.1, 20.0)
@@ -147,7 +148,7 @@ def _tell_views(fits: Sequence[ViewFit] | Sequence[PairFit], console: Console) -
         Column("size %", [100 * float(view_shape(fit.view)[2]) for fit in lefts], "{:.0f}"),
         Column("edge px", [fit.view.edge_px for fit in lefts], "{:.1f}"),
     ]
-    console.print(rich_table(grid_of("Views used", "view", [fit.view.name for fit in lefts], columns)))
+    tell_grid(console, grid_of("Views used", "view", [fit.view.name for fit in lefts], columns))
 
 
 def _tell_cameras(eyes: Mapping[str, CameraCalibration], console: Console) -> None:

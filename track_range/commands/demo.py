@@ -40,7 +40,7 @@ def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0, is
         stereo=(drive.left, drive.right),
         rig=drive.rig,
         detections=drive.detections if is_played_back else None,
-        truth=drive.truth,
+        truth=drive.table,
         out=out,
     )
     run(settings, console)

@@ -28,7 +28,7 @@ from track_range.commands.ready_model import ready_model
 from track_range.detection_tables import accuracy_grid, class_grid, speed_grid
 from track_range.detector_options import DetectorOptions, open_detector, thresholds
 from track_range.labelled_source import LabelledFrames, LabelledSource
-from track_range.tables import rich_table
+from track_range.terminal_tables import tell_grid
 from track_range.written import write_text
 
 LOWEST_SCORE = 0.001
@@ -178,7 +178,7 @@ def _input(detector: YoloDetector) -> str:
 def tell_figures(figures: dict[str, Any], console: Console) -> None:
     """Print the tables and notes."""
     for grid in (accuracy_grid(figures), class_grid(figures), speed_grid(figures)):
-        console.print(rich_table(grid))
+        tell_grid(console, grid)
     for note in figures["notes"]:
         console.print(f"- {note}", style="dim", highlight=False, markup=False)
 

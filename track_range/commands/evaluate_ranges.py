@@ -16,6 +16,7 @@ from ranging.box_methods import METHODS, MethodOptions, measured_by
 from ranging.labelled_boxes import BoxSet, box_set
 from track_range import tables
 from track_range.config import UsageError
+from track_range.terminal_tables import tell_grid
 from track_range.written import write_text
 
 FitOn = Literal["labels", "boxes"]
@@ -81,7 +82,7 @@ def evaluate_ranges(test: RangesTest, *, console: Console) -> dict[str, Any]:
         methods[name] = {kind: {**score, **closing.get(kind, {})} for kind, score in scores.items()}
     told = _told(test, boxes, methods)
     for grid in grids(told):
-        console.print(tables.rich_table(grid))
+        tell_grid(console, grid)
     for note in told["notes"]:
         console.print(f"- {note}", highlight=False, markup=False, soft_wrap=True)
     return told

@@ -20,6 +20,7 @@ from track_range import tables
 from track_range.commands.progress import say, step_progress
 from track_range.config import UsageError
 from track_range.drive_pairs import is_drive, read_drive
+from track_range.terminal_tables import tell_grid
 
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"
 DEFAULT_MATCHERS = "patch,sgbm,sgbm-centre,sgbm-hh"
@@ -88,7 +89,7 @@ def _expected(test: StereoTest) -> int | None:
     if not (is_kitti_2015(test.pairs) or is_drive(test.pairs)):
         raise PairFileError(
             f"{test.pairs}: neither a set like KITTI 2015 (image_2, image_3, disp_occ_0, obj_map) nor a drive "
-            "(left.mp4, right.mp4 and truth.txt) is there."
+            "(left.mp4, right.mp4 and truth.csv or truth.txt) is there."
         )
     if not is_kitti_2015(test.pairs):
         if test.align == LEAVE_TWO_OUT:
@@ -165,14 +166,14 @@ _INTERVALS = (
 def _tell(figures: Mapping[str, Any], console: Console) -> None:
     title = f"{figures['n_objects']} objects in {figures['n_pairs']} pairs, alignment {figures['align']}"
     matchers = figures["matchers"]
-    console.print(tables.rich_table(_grid(title, matchers, _COLUMNS)))
-    console.print(tables.rich_table(_more_grid(matchers)))
-    console.print(tables.rich_table(_interval_grid(matchers)))
+    tell_grid(console, _grid(title, matchers, _COLUMNS))
+    tell_grid(console, _more_grid(matchers))
+    tell_grid(console, _interval_grid(matchers))
     common = figures["common"]
     if common:
         n_common = next(iter(common.values()))["n"]
         title = f"On the {n_common} objects that all matchers measured"
-        console.print(tables.rich_table(_grid(title, common, _COLUMNS[1:])))
+        tell_grid(console, _grid(title, common, _COLUMNS[1:]))
     for note in figures["notes"]:
         say(console, note)
 

@@ -26,7 +26,8 @@ from track_range.sequences import (
     passed_over,
     without_truth,
 )
-from track_range.tables import Column, Grid, figure, grid_of, rich_table
+from track_range.tables import Column, Grid, figure, grid_of
+from track_range.terminal_tables import tell_grid
 from track_range.written import write_text
 from tracking.evaluation import TrackingCounts, TrackingScores
 from tracking.mot_format import read_mot
@@ -76,7 +77,7 @@ def evaluate_track_files(
     }
     for note in notes:
         say(console, f"- {note}")
-    console.print(rich_table(_grid(figures)))
+    tell_grid(console, _grid(figures))
     return figures
 
 

@@ -19,6 +19,7 @@ from ranging.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_
 from ranging.table_sizes import TableSizes
 from track_range import tables
 from track_range.config import UsageError
+from track_range.terminal_tables import tell_grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +68,7 @@ def fit_size_curves(job: FitJob, console: Console) -> None:
         name = job.curve or (CUBOIDS if job.labels else LOG_LINEAR)
         model = fit_model(usable.boxes, name, source=_source(job, usable.boxes))
         model.save(job.out)
-        console.print(tables.rich_table(_grid(name, model)))
+        tell_grid(console, _grid(name, model))
         console.print(f"Written to {job.out}", highlight=False)
     for note in (*notes, *(f"No curve of its own for {words}." for words in usable.refused)):
         console.print(f"- {note}", highlight=False, markup=False, soft_wrap=True)
@@ -111,7 +112,7 @@ def _compare(boxes: BoxSet, job: FitJob, console: Console) -> None:
     names = [str(name) for name in np.unique(boxes.class_name)]
     found = {name: compare_curves(boxes, name) for name in names}
     for fits in found.values():
-        console.print(tables.rich_table(comparison_grid(fits)))
+        tell_grid(console, comparison_grid(fits))
     if job.picture is not None:
         points = {name: boxes.select(boxes.class_name == name) for name in names}
         from track_range.charts import curve_picture  # matplotlib takes a third of a second to load

@@ -12,7 +12,8 @@ from track_range.commands.progress import say
 from track_range.report import write_comparison, write_report
 from track_range.report_comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.run_folder import RunFolder, read_run_folder
-from track_range.tables import rich_table
+from track_range.terminal_tables import tell_grid
+from track_range.written import RESULT_NAMES, check_outputs
 
 
 def report(folders: Sequence[Path], out: Path | None, console: Console) -> Path:
@@ -24,9 +25,13 @@ def report(folders: Sequence[Path], out: Path | None, console: Console) -> Path:
         console: where to tell.
 
     Raises:
-        OutputError: a folder is no run's, or a page cannot be written.
+        OutputError: a folder is no run's, or a page cannot be written, or would overwrite what it is made from.
     """
     runs = [read_run_folder(folder) for folder in {each.resolve(): each for each in folders}.values()]
+    pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
+    if out is not None:
+        inputs = (run.folder / name for run in runs for name in RESULT_NAMES if name != "report.html")
+        check_outputs([*pages, out], inputs)
     for run in runs:
         for sentence in run.missing:
             say(console, f"{run.folder}: {sentence}")
@@ -65,7 +70,7 @@ def _compare(runs: Sequence[RunFolder], path: Path, console: Console) -> Path:
     write_comparison(path, compared)
     for grid in [*comparison_grids(compared), settings_grid(compared)]:
         if grid.rows:
-            console.print(rich_table(grid))
+            tell_grid(console, grid)
     for note in comparison_notes(compared):
         say(console, f"- {note}")
     say(console, f"Open {path} in a browser; each run's own report.html was written anew.")

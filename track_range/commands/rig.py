@@ -16,7 +16,8 @@ from stereo.rig_files import left_from_reference_m, load_calibration
 from stereo.rig_writing import save_camera, save_opencv, save_rig
 from track_range.commands.progress import say
 from track_range.config import UsageError
-from track_range.tables import Column, grid_of, rich_table
+from track_range.tables import Column, grid_of
+from track_range.terminal_tables import tell_grid
 
 RigFormat = Literal["ours", "opencv"]
 
@@ -69,7 +70,7 @@ def show_rig(source: Path, *, size: str | None, console: Console) -> None:
     """
     found, notes = load_calibration(source, size_px=_size_of(size))
     cameras = {"left": found.left, "right": found.right} if isinstance(found, StereoRig) else {"camera": found}
-    console.print(rich_table(grid_of(str(source), "camera", list(cameras), _camera_columns(list(cameras.values())))))
+    tell_grid(console, grid_of(str(source), "camera", list(cameras), _camera_columns(list(cameras.values()))))
     for name, camera in cameras.items():
         say(console, f"{name}: lens terms {', '.join(f'{term:.5g}' for term in camera.distortion) or 'none'}.")
     if isinstance(found, StereoRig):
@@ -120,7 +121,7 @@ def _show_pair(rig: StereoRig, console: Console) -> None:
     ]
     names = [f"{distance:.0f} m" for distance in _SHOWN_M]
     say(console, f"rectified: focal length {rectified.left.fx_px:.2f} px, baseline {rectified.baseline_m:.4f} m.")
-    console.print(rich_table(grid_of("What a disparity means", "distance", names, columns)))
+    tell_grid(console, grid_of("What a disparity means", "distance", names, columns))
 
 
 def _angles_deg(rig: StereoRig) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from ranging.truth import read_truth
 from track_range.box_source import open_box_source
 from track_range.commands.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
-from track_range.config import RunSettings, save_settings
+from track_range.config import RunSettings, absolute_settings, save_settings
 from track_range.frame_meter import FrameMeter
 from track_range.interrupts import deaf_to_interrupts, interrupts_put_off, termination_as_interrupt
 from track_range.live_view import LiveView
@@ -33,7 +33,8 @@ from track_range.source import open_source
 from track_range.summary import (
     write_summary,
 )
-from track_range.tables import markdown, summary_tables
+from track_range.tables import markdown
+from track_range.terminal_tables import tell_summary
 from track_range.written import check_outputs, clear_results, make_folder, write_text
 
 
@@ -94,8 +95,7 @@ def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path
 
 def _tell_tables(console: Console, summary: dict[str, Any]) -> None:
     with _nobody_may_listen():
-        for table in summary_tables(summary):
-            console.print(table)
+        tell_summary(console, summary)
 
 
 def _tell_files(console: Console, this: RunRecord, folder: Path) -> None:
@@ -172,7 +172,8 @@ def _keep(this: RunRecord, summary: dict[str, Any], columns: dict[str, npt.NDArr
         write_text(this.settings.table, markdown(summary))
     if this.truth is not None:
         columns = with_truth(columns, this.truth)
-    write_report(folder / "report.html", summary, columns)
+    settings = {key: value for key, value in absolute_settings(this.settings).items() if value not in ([], {})}
+    write_report(folder / "report.html", {**summary, "settings": settings}, columns)
 
 
 def _tell_notes(console: Console, notes: Sequence[str]) -> None:

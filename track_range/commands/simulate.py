@@ -165,5 +165,5 @@ def _tell(drive: Drive, out: Path, fps: float, console: Console) -> None:
     say(console, f"Written: {out}. To run on it:")
     say(
         console,
-        f"  track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.truth}{rate}",
+        f"  track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.table}{rate}",
     )

@@ -25,7 +25,8 @@ from track_range.sequences import (
     listed,
     passed_over,
 )
-from track_range.tables import Column, Grid, grid_of, rich_table
+from track_range.tables import Column, Grid, grid_of
+from track_range.terminal_tables import tell_grid
 from track_range.track_files import write_kitti, write_mot
 from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.video import VideoError
@@ -113,7 +114,7 @@ def track(options: TrackOptions, console: Console) -> None:
             say(console, f"- {sequence.name}: {error}")
             failed.append(sequence.name)
     if done:
-        console.print(rich_table(_grid(done)))
+        tell_grid(console, _grid(done))
         say(console, f"Written: {options.out / MOT_FOLDER}")
     if failed:
         told = f"{len(failed)} of {len(sequences)} sequences could not be tracked, see above: {listed(failed)}."

@@ -32,7 +32,7 @@ from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images
 from track_range.detection_tables import class_grid
 from track_range.interrupts import termination_as_interrupt
-from track_range.tables import rich_table
+from track_range.terminal_tables import tell_grid
 from track_range.written import OutputError, make_folder
 
 CURVES = "curves.png"
@@ -242,7 +242,7 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData, conso
     model = options.out / f"{options.model}.onnx"
     export_onnx(training.average.network, model, _metadata(options, data, training))
     figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
-    console.print(rich_table(class_grid(figures)))
+    tell_grid(console, class_grid(figures))
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
     say(console, f"Written: {model}, and {', '.join(names)} beside it.")
     say(console, f"Use it: track-range --mono VIDEO --focal-px F --detector {model}")

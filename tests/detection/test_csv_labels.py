@@ -1,0 +1,153 @@
+"""Labels as CSV: what they say, and everything that can be wrong with them, told by the line."""
+
+import numpy as np
+import pytest
+
+from detection.csv_labels import is_label_csv, read_csv_labels
+from detection.kitti_format import LabelFileError
+
+HEADER = "frame,id,class,x1,y1,x2,y2,distance_m"
+FULL = HEADER + ",visible_share,closing_mps"
+
+
+def written(path, *lines):
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_columns_in_any_order_others_passed_over(tmp_path):
+    file = written(
+        tmp_path / "t.csv",
+        "lane,Class, distance_m,y2,x2,y1,x1,ID,frame,time_s,closing_mps",
+        "0,Car,12.5,40,30,20,10,7,3,0.3,-1.5",
+        "",
+        ",Pedestrian,,4,3,2,1,8,3,0.3,",
+    )
+    labels = read_csv_labels(file)
+    assert labels.frame.tolist() == [3, 3]
+    assert labels.track_id.tolist() == [7, 8]
+    assert labels.word.tolist() == ["car", "pedestrian"]
+    assert labels.class_id.tolist() == [2, 0]
+    assert labels.xyxy_px.tolist() == [[10, 20, 30, 40], [1, 2, 3, 4]]
+    np.testing.assert_equal(labels.distance_m, [12.5, np.nan])
+    np.testing.assert_equal(labels.closing_mps, [-1.5, np.nan])
+    assert labels.visible_share.tolist() == [1.0, 1.0]
+
+
+def test_what_is_not_known_may_be_empty_or_nan(tmp_path):
+    labels = read_csv_labels(written(tmp_path / "t.csv", FULL, "0,1,bus,1,2,3,4,NaN,,nan", "0,2,bus,1,2,3,4,9,0.5,0"))
+    np.testing.assert_equal(labels.distance_m, [np.nan, 9.0])
+    np.testing.assert_equal(labels.closing_mps, [np.nan, 0.0])
+    assert labels.visible_share.tolist() == [1.0, 0.5]
+
+
+def test_regions_have_no_identity(tmp_path):
+    rows = ("0,,DontCare,1,2,3,4,,,", "0,-1,dontcare,5,6,7,8,-1,-1,x", "0,1,dontcare,5,6,7,8,3,1,4")
+    labels = read_csv_labels(written(tmp_path / "t.csv", FULL, *rows))
+    assert labels.track_id.tolist() == [-1, -1, -1]
+    assert labels.class_id.tolist() == [-1, -1, -1]
+    assert np.isnan(labels.distance_m).all()
+    assert np.isnan(labels.closing_mps).all()
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("0,1,car,10,20,30,40", r"line 3: 8 cells, as in the header, wanted; found 7\."),
+        ("0,1,car,10,20,30,40,5,6", r"line 3: 8 cells, as in the header, wanted; found 9\."),
+        ("-1,1,car,10,20,30,40,5", r"line 3: a whole number from 0 wanted for frame, not '-1'\."),
+        ("1.5,1,car,10,20,30,40,5", "a whole number from 0 wanted for frame, not '1.5'"),
+        ("1e7,1,car,10,20,30,40,5", "a whole number from 0 wanted for frame, not '1e7'"),
+        (",1,car,10,20,30,40,5", "a whole number from 0 wanted for frame, not ''"),
+        ("0,-1,car,10,20,30,40,5", "a whole number from 0 wanted for id, not '-1'"),
+        ("0,,car,10,20,30,40,5", "a whole number from 0 wanted for id, not ''"),
+        ("0,a,car,10,20,30,40,5", "a whole number from 0 wanted for id, not 'a'"),
+        (
+            "0,1,tractor,10,20,30,40,5",
+            r"line 3: class 'tractor' is unknown; it must be person, .*traffic sign, or dontcare",
+        ),
+        ("0,1,,10,20,30,40,5", "class '' is unknown"),
+        ("0,1,car,nan,20,30,40,5", "a number of pixels wanted for x1, not 'nan'"),
+        ("0,1,car,10,inf,30,40,5", "a number of pixels wanted for y1, not 'inf'"),
+        ("0,1,car,10,20,30,,5", "a number of pixels wanted for y2, not ''"),
+        ("0,1,car,30,20,10,40,5", "line 3: a box with x1 < x2 and y1 < y2 wanted"),
+        ("0,1,dontcare,10,40,30,40,", "a box with x1 < x2 and y1 < y2 wanted"),
+        ("0,1,car,10,20,30,40,-5", r"a positive number, or an empty cell .* wanted for distance_m, not '-5'\."),
+        ("0,1,car,10,20,30,40,0", "wanted for distance_m, not '0'"),
+        ("0,1,car,10,20,30,40,inf", "wanted for distance_m, not 'inf'"),
+        ("0,1,car,10,20,30,40,far", "wanted for distance_m, not 'far'"),
+        ("0,9,car,10,20,30,40,5", r"line 3: id 9 stands twice in frame 0; an object can be in one place only\."),
+    ],
+)
+def test_a_wrong_row_is_told_by_its_line(tmp_path, row, message):
+    file = written(tmp_path / "t.csv", HEADER, "0,9,car,10,20,30,40,5", row)
+    with pytest.raises(LabelFileError, match=message):
+        read_csv_labels(file)
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        ("1.01,", r"0 \.\. 1, or an empty cell, wanted for visible_share, not '1\.01'"),
+        ("-0.1,", "wanted for visible_share, not '-0.1'"),
+        (",fast", "a speed in m/s, or an empty cell where it is not known, wanted for closing_mps, not 'fast'"),
+        (",1e4", "wanted for closing_mps, not '1e4'"),
+    ],
+)
+def test_what_may_be_left_out_must_be_right_where_it_is(tmp_path, cells, message):
+    with pytest.raises(LabelFileError, match=message):
+        read_csv_labels(written(tmp_path / "t.csv", FULL, f"0,1,car,10,20,30,40,5,{cells}"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", r"the file is empty; a first line with the columns frame,id,class,x1,y1,x2,y2,distance_m wanted"),
+        (b"\n \n", "the file is empty"),
+        (b"\xff\xfe\x00\x01", r"cannot be read as CSV \(UnicodeDecodeError\)"),
+        (HEADER.replace(",distance_m", "").replace("id,", "").encode(), "no column id, distance_m; a first line"),
+        (f"{HEADER},id\n".encode(), "two columns are called id"),
+        (b"1,1,10,20,30,40,1,1,1\n", "no header with commas between names: a first line with"),
+        (HEADER.replace(",", ";").encode(), "no header with commas between names"),
+    ],
+)
+def test_what_is_no_file_of_labels_is_said(tmp_path, content, message):
+    file = tmp_path / "labels.csv"
+    file.write_bytes(content)
+    with pytest.raises(LabelFileError, match=message):
+        read_csv_labels(file)
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(LabelFileError, match=r"cannot be read as CSV \(FileNotFoundError\)"):
+        read_csv_labels(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "is_csv"),
+    [
+        ("truth.txt", f"\ufeff\n{HEADER}\n", True),
+        ("truth.txt", HEADER.replace(",", ";"), True),
+        ("gt.txt", "1,1,10,20,30,40,1\n", True),
+        ("label.txt", "0 1 Car 0 0 0 1 2 3 4 1.5 1.6 4.0 0 0.75 20.0 -1.5\n", False),
+        ("label.csv", "0 1 Car 0 0 0 1 2 3 4 1.5 1.6 4.0 0 0.75 20.0 -1.5\n", False),
+        ("empty.csv", "\n", True),
+        ("empty.txt", "\n", False),
+    ],
+)
+def test_a_csv_is_known_by_its_first_line(tmp_path, name, content, is_csv):
+    (tmp_path / name).write_text(content, encoding="utf-8")
+    assert is_label_csv(tmp_path / name) == is_csv
+
+
+def test_folders_missing_files_and_binaries_are_no_csv(tmp_path):
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    assert [is_label_csv(tmp_path / name) for name in ("", "none.csv", "binary.csv")] == [False, False, False]
+
+
+def test_a_header_alone_says_that_nothing_was_there(tmp_path):
+    path = tmp_path / "truth.csv"
+    path.write_text(HEADER)
+    labels = read_csv_labels(path)
+    assert len(labels.frame) == len(labels.track_id) == 0
+    assert labels.xyxy_px.shape == (0, 4)

@@ -1,0 +1,139 @@
+"""--truth with a CSV: what the simulation writes, and files of a user's own, good and bad."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ranging.truth import CSV_PROTOCOL, read_truth
+from stereo.rig_files import load_rig
+from track_range.simulation.drive import Drive, write_drive
+
+N_FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    return write_drive(tmp_path_factory.mktemp("drive"), seed=5, seconds=N_FRAMES / 10)
+
+
+@pytest.fixture
+def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
+    """`against(truth)`: run on the drive; status, summary (None where it failed), what it printed, complaint."""
+
+    def run(truth: Path) -> tuple[int, Any, str, str]:
+        eyes = ("--stereo", drive.left, drive.right, "--rig", drive.rig, "--detections", drive.detections)
+        quick = ("--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off")
+        out = tmp_path / "out"
+        status, printed, complaint = cli(*eyes, *quick, "--truth", truth, "--out", out)
+        summary = json.loads((out / "summary.json").read_text()) if status == 0 else None
+        return status, summary, printed, complaint
+
+    return run
+
+
+def rewritten(drive: Drive, path: Path, change: Any) -> Path:
+    """truth.csv with its rows (dicts) changed; a row that `change` gives back as None is left out."""
+    with drive.table.open(newline="") as file:
+        rows = [row for row in map(change, csv.DictReader(file)) if row is not None]
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def test_the_simulations_table_is_a_truth_that_is_exact(against: Any, drive: Drive) -> None:
+    status, summary, printed, complaint = against(drive.table)
+    assert status == 0, complaint
+    assert summary["truth"] == CSV_PROTOCOL
+    assert 0.05 < summary["methods"]["stereo"]["median_relative_error_pct"] < 2.0
+    assert summary["tracks"]["mota"] > 30
+    closing = summary["closing"]
+    assert closing["n"] > 10
+    assert 0.01 < closing["median_error_mps"] < 2.0
+    assert 0 <= closing["within_1_sigma"] <= closing["within_2_sigma"] <= 1
+    assert "Error of the closing speed" in printed
+
+
+def test_both_truths_of_a_drive_say_about_the_same_of_cars(drive: Drive) -> None:
+    """Boxes are the same; distances agree where a body fills its 3-D box: cars and trucks, not riders."""
+    rig, _ = load_rig(drive.rig, size_px=(1240, 376), is_grey=False)
+    exact, kitti = (read_truth(path, rig.left, np.zeros(3)) for path in (drive.table, drive.truth))
+    by_key = {key: row for row, key in enumerate(zip(kitti.frame.tolist(), kitti.track_id.tolist(), strict=True))}
+    row = np.array([by_key[key] for key in zip(exact.frame.tolist(), exact.track_id.tolist(), strict=True)])
+    both = np.isfinite(exact.distance_m) & np.isfinite(kitti.distance_m[row])
+    assert both.sum() > 30
+    np.testing.assert_allclose(exact.xyxy_px, kitti.xyxy_px[row], atol=0.01)
+    gap = kitti.distance_m[row][both] / exact.distance_m[both] - 1
+    assert abs(np.median(gap)) < 0.01
+    # which are scored is the same but for a box on the border that lies outside by less than KITTI minds
+    assert np.mean(np.isfinite(exact.distance_m) == np.isfinite(kitti.distance_m[row])) > 0.95
+
+
+def test_a_file_of_ones_own_with_the_needed_columns(against: Any, drive: Drive, tmp_path: Path) -> None:
+    needed = ("class", "id", "frame", "distance_m", "x1", "y1", "x2", "y2")
+    status, summary, printed, complaint = against(
+        rewritten(drive, tmp_path / "lidar.csv", lambda row: {name: row[name] for name in needed})
+    )
+    assert status == 0, complaint
+    assert summary["methods"]["stereo"]["n"] > 10
+    assert "closing" not in summary
+    assert "closing speed" not in printed
+
+
+def test_frames_beyond_the_video_do_not_count_and_another_videos_are_told(
+    against: Any, drive: Drive, tmp_path: Path
+) -> None:
+    _, plain, _, _ = against(drive.table)
+    more = tmp_path / "more.csv"
+    rows = drive.table.read_text().splitlines()
+    later = [f"{int(row.split(',', 1)[0]) + N_FRAMES},{row.split(',', 1)[1]}" for row in rows[1:]]
+    more.write_text("\n".join([*rows, *later]) + "\n")
+    _, longer, printed, _ = against(more)
+    assert (longer["methods"], longer["tracks"]) == (plain["methods"], plain["tracks"])
+    assert "is it of another video" not in printed
+    more.write_text("\n".join([rows[0], *later]) + "\n")
+    status, _, printed, _ = against(more)
+    assert status == 0
+    last = 2 * N_FRAMES - 1
+    assert f"--truth has boxes for frames {N_FRAMES} to {last}, but none for those of the video, 0 to 11" in printed
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        (
+            "distance_m",
+            "-3",
+            "line 2: a positive number, or an empty cell where it is not known, wanted for distance_m",
+        ),
+        ("class", "ufo", "line 2: class 'ufo' is unknown"),
+        ("x1", "nan", "line 2: a number of pixels wanted for x1, not 'nan'"),
+        ("id", "7", "line 3: id 7 stands twice in frame 0"),
+        ("distance_m", "", "no row has a distance_m, so it tells no distances"),
+    ],
+)
+def test_a_bad_truth_is_one_sentence(
+    against: Any, drive: Drive, tmp_path: Path, column: str, value: str, message: str
+) -> None:
+    status, _, _, complaint = against(rewritten(drive, tmp_path / "bad.csv", lambda row: {**row, column: value}))
+    assert status == 1
+    assert message in complaint
+    assert complaint.count("\n") == 1
+
+
+def test_a_truth_without_a_column_or_with_nothing_in_it_is_one_sentence(
+    against: Any, drive: Drive, tmp_path: Path
+) -> None:
+    bad = rewritten(drive, tmp_path / "bad.csv", lambda row: {k: v for k, v in row.items() if k != "distance_m"})
+    for message in ("no column distance_m; a first line with the columns", "the file is empty"):
+        status, _, _, complaint = against(bad)
+        assert (status, complaint.count("\n")) == (1, 1)
+        assert message in complaint
+        bad.write_text("")
