@@ -97,12 +97,25 @@ class _Table:
 
 def is_label_csv(path: Path) -> bool:
     """Whether a file is meant as CSV: its first line has commas or names `distance_m`, or it is an empty .csv."""
+    first = _first_line(path)
+    return first is not None and (
+        "," in first or "distance_m" in first.lower() or (not first and path.suffix.lower() == ".csv")
+    )
+
+
+def is_whole_label_csv(path: Path) -> bool:
+    """Whether a file's first line names all the columns that labels need."""
+    names = (_first_line(path) or "").strip().lower().split(",")
+    return set(NEEDED) <= {name.strip() for name in names}
+
+
+def _first_line(path: Path) -> str | None:
+    """The first line that is not blank; "" = none, None = unreadable."""
     try:
         with path.open(encoding="utf-8-sig") as file:
-            first = next((line for line in file if line.strip()), "")
+            return next((line for line in file if line.strip()), "")
     except (OSError, UnicodeDecodeError):
-        return False
-    return "," in first or "distance_m" in first.lower() or (not first and path.suffix.lower() == ".csv")
+        return None
 
 
 def read_csv_labels(path: Path) -> CsvLabels:

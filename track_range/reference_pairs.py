@@ -1,7 +1,7 @@
 """Pairs with objects whose distance or disparity the user knows: what the alignment of a rig is fitted on.
 
     DIR          KITTI 2015's layout, or a drive's left.mp4, right.mp4, rig.yaml and truth.csv (KITTI: label.txt)
-    LABELS.txt   KITTI tracking labels of two videos
+    LABELS       KITTI tracking labels of two videos, or a CSV as `--truth` takes
     FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown), of two videos, frames
                  counted from 0
 
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from detection.csv_labels import is_whole_label_csv
 from detection.detections import BoolArray, FloatArray, IntArray
 from detection.kitti_format import LabelFileError
 from ranging.truth import read_truth
@@ -104,8 +105,8 @@ def _folder_pairs(folder: Path, rig: Path | None) -> Iterator[StereoPair]:
 
 def _video_pairs(reference: Path, pair: OpenedPair) -> Iterator[StereoPair]:
     rectified = pair.rectifier.rig
-    is_csv = reference.suffix.lower() == ".csv"
-    known = _of_csv(reference, rectified) if is_csv else _of_labels(reference, pair)
+    is_table = reference.suffix.lower() == ".csv" and not is_whole_label_csv(reference)
+    known = _of_table(reference, rectified) if is_table else _of_labels(reference, pair)
     last = int(known.frame.max())
     with closing(pair.frames.rectified(pair.rectifier)) as frames:
         for frame in frames:
@@ -142,7 +143,7 @@ def _of_labels(path: Path, pair: OpenedPair) -> _Known:
     return _Known(truth.frame, truth.track_id, truth.xyxy_px, rig.left.fx_px * rig.baseline_m / truth.distance_m)
 
 
-def _of_csv(path: Path, rig: StereoRig) -> _Known:
+def _of_table(path: Path, rig: StereoRig) -> _Known:
     rows = _rows(path)
     given = [column for column in _KNOWN if rows and column in rows[0]]
     if len(given) != 1 or not {"frame", *_BOX} <= set(rows[0]):

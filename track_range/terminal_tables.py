@@ -22,6 +22,9 @@ def tell_summary(console: Console, summary: Mapping[str, Any]) -> None:
 
 def tell_grid(console: Console, grid: Grid) -> None:
     """Print a grid, the best figures bold and green; columns beyond the console's width follow below, named anew."""
+    if grid.title and grid.columns:
+        # A line of its own: as the table's title it would be broken at the table's width.
+        console.print(Text(grid.title, "italic"))
     for part in _fitting(grid, console.width):
         console.print(_table(part))
 
@@ -38,7 +41,7 @@ def _fitting(grid: Grid, width: int) -> Iterator[Grid]:
             used += needed[last]
             last += 1
         rows = tuple((row[0], *row[first:last]) for row in grid.rows)
-        yield Grid(grid.title if first == 1 else "", (grid.columns[0], *grid.columns[first:last]), rows)
+        yield Grid(grid.title, (grid.columns[0], *grid.columns[first:last]), rows)
         if last >= len(needed):
             return
         first = last
@@ -57,8 +60,7 @@ def _heading(words: str) -> str:
 
 def _table(grid: Grid) -> Table:
     """A grid for Rich; nothing in it is read as markup."""
-    title = Text(grid.title) if grid.title else None
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left", padding=0)
+    table = Table(box=box.SIMPLE_HEAD, padding=0)
     for i, heading in enumerate(grid.columns):
         table.add_column(
             Text(_heading(heading)), justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold"

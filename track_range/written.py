@@ -21,13 +21,16 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """As `write_text`, for anything.
+    """As `write_text`, for anything; a device or a pipe is written to, not replaced.
 
     Raises:
         OutputError: the folder cannot be written to.
     """
     partial = path.with_name(path.name + ".part")
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_bytes(content)
+            return
         partial.write_bytes(content)
         partial.replace(path)
     except OSError as error:

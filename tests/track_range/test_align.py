@@ -62,7 +62,7 @@ def test_two_drives_are_put_together(drive, tmp_path, cli):
 def test_labels_of_a_drive_and_of_its_folder_say_the_same(drive, videos, tmp_path, cli):
     by_folder, by_file = tmp_path / "folder.yaml", tmp_path / "file.yaml"
     assert cli("align", "--reference", drive, "--out", by_folder)[0] == 0
-    assert cli("align", "--reference", drive / "truth.txt", *videos, "--out", by_file)[0] == 0
+    assert cli("align", "--reference", drive / "truth.csv", *videos, "--out", by_file)[0] == 0
     folder, file = load_alignment(by_folder), load_alignment(by_file)
     assert abs(folder.offset_px) < 0.1
     assert file.offset_px == pytest.approx(folder.offset_px, abs=0.1)  # they differ in the range of distances
