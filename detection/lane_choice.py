@@ -17,6 +17,7 @@ _MAX_SIGMAS = 3.0
 _OFFSET_SIGMA = 0.25  # of the camera from the lane's middle, in lane widths
 _CENTRE_SIGMA = 0.15  # of the vanishing point from the image's middle, in image widths
 _COST = 0.2  # of one sigma squared, in units of support
+_MIN_SCORE = 0.3  # of a pair to be believed: two strong lines (2) may be 3 sigmas from a usual lane, all told
 _FOLLOWED_SIGMA = 0.12  # lane widths
 _MAX_DEPARTURE = 1.5  # sigma^2 that any jump costs at most: a lane that was wrong is left when a better one is seen
 
@@ -29,6 +30,7 @@ def own_pair(proposed: Proposals, image_hw: tuple[int, int], followed: LaneState
     strong = proposed.support >= _MIN_SUPPORT
     possible = (sigmas < _MAX_SIGMAS).all(axis=0) & strong[:, None] & strong
     score = proposed.support[:, None] + proposed.support[None, :] - _COST * (sigmas**2).sum(axis=0)
+    possible &= score >= _MIN_SCORE
     if followed is not None:
         score = score - _COST * _departure(proposed, followed)
     score = np.where(possible, score, -np.inf)

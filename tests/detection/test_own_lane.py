@@ -191,6 +191,14 @@ def test_proposals_bridge_dashes_and_know_their_support():
     assert found.support[near].max() == pytest.approx(np.sqrt(len(dashes) / len(line_pixels(0.0))), abs=0.1)
 
 
+@pytest.mark.parametrize(("horizon_px", "is_lane"), [(170.0, True), (235.0, True), (285.0, False)])
+def test_two_lines_that_are_unlike_a_lane_in_several_ways_at_once_are_none(horizon_px, is_lane):
+    """Alone, a vanishing point at the side is passable; with a horizon far down it is not."""
+    slope = np.array([-0.9, 1.6])
+    lines = Proposals(420.0 - slope * horizon_px, slope, np.array([0.9, 1.0]), np.array([-1, -1]))
+    assert (own_pair(lines, HW, None) is not None) == is_lane
+
+
 def test_no_pair_of_nothing_or_of_one():
     nothing = Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
     assert own_pair(nothing, HW, None) is None
