@@ -21,6 +21,8 @@ Image = npt.NDArray[np.uint8]
 
 def check_shape(name: str, array: npt.NDArray[Any], wanted: tuple[int | None, ...]) -> None:
     """Raise ValueError unless `array` has the shape `wanted` (None matches any length)."""
+    if array.shape == wanted:
+        return
     fits = array.ndim == len(wanted) and all(w is None or w == g for w, g in zip(wanted, array.shape, strict=True))
     if not fits:
         text = ", ".join("*" if w is None else str(w) for w in wanted)

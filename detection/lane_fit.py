@@ -55,7 +55,7 @@ def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (
     """
     state = expected
     seen: list[BoolArray] = []
-    prior = np.linalg.inv(expected.covariance)
+    prior = np.asarray(np.linalg.inv(expected.covariance), np.float64)
     for gate in np.geomspace(_FIRST_GATE, _LAST_GATE, _ROUNDS).tolist():
         seen = [_pixels(markings, state, side, number, gate) for side, number in zip(SIDES, lines, strict=True)]
         state = _updated(markings, expected, prior, about=state, seen=seen)
@@ -91,7 +91,7 @@ def _updated(
         weight = np.maximum(1 - (off / _TUKEY) ** 2, 0.0) ** 2 / sigma_px**2 * min(1.0, _INDEPENDENT / mine.sum())
         information = information + (rows * weight[:, None]).T @ rows
         pull = pull + rows.T @ (weight * x)
-    covariance = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), np.float64)
     return LaneState(covariance @ pull, covariance, expected.image_hw)
 
 

@@ -28,7 +28,8 @@ SOLD_AS: Mapping[str, Mapping[str, float]] = {
 }
 """What a class's name may mean, with shares: detectors call vans cars, and KITTI calls lorries of 3 m height vans."""
 
-_MIDDLE_68 = (0.158655, 0.5, 0.841345)
+_MIDDLE_68 = np.array([[0.158655], [0.5], [0.841345]])
+_BEST_RELATIVE = np.array([[False], [True], [False]])  # the middle: of the smallest expected relative error
 _MIN_SIGMA = 0.01
 
 
@@ -56,19 +57,19 @@ class CuboidSizes:
 
     def _measured(self, boxes: MeasuredBoxes) -> tuple[FloatArray, FloatArray, FloatArray]:
         sold_as = boxes.size_class
-        by_size = mixture_by_size(self._tables, boxes, self._kinds[:, sold_as], self._log_shares[:, sold_as])
+        kinds, log_shares = self._kinds.take(sold_as, axis=1), self._log_shares.take(sold_as, axis=1)
+        by_size = mixture_by_size(self._tables, boxes, kinds, log_shares)
         grid = on_grid(by_size)
-        low, middle, high = grid.quantiles(*_MIDDLE_68)  # moments would mind the van that a car hardly ever is
+        low, middle, high = grid.quantiles(_MIDDLE_68)  # moments would mind the van that a car hardly ever is
         size_sigma = (high - low) / 2
         stands = self._stands[sold_as] & boxes.uses_bottom
         if stands.any():
             stand = Stand(boxes.bottom, np.exp(by_size.nearer - middle), size_sigma, boxes.edge_sigma[:, 1], stands)
             grid = grid.times(ground_likelihood(grid.log_m, by_size.nearer, stand=stand, prior=self.ground))
-            low, _, high = grid.quantiles(*_MIDDLE_68)
-        (best,) = grid.quantiles(0.5, tilt=1.0)
+        low, best, high = grid.quantiles(_MIDDLE_68, is_relative=_BEST_RELATIVE)
         sigma = np.maximum((high - low) / 2, _MIN_SIGMA)
         # the ground shrinks the kept and the new part alike: by size alone they can be told apart
-        kept = sigma * np.sqrt(np.clip(1.0 - by_size.frame_variance / size_sigma**2, 0.0, 1.0))
+        kept = sigma * np.sqrt(np.maximum(1.0 - by_size.frame_variance / size_sigma**2, 0.0))
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * kept
 

@@ -1,59 +1,66 @@
 """Fusion: one distance from several methods, weighted by variance, with what each track's past says of their biases.
 
     z_i = log d + k_i u_i + n_i         for method i, with z_i the logarithm of its distance
-    d  from   w = A^-1 1 / (1' A^-1 1),   log d = w' (z - K u),   var = 1 / (1' A^-1 1),   A = K C K' + N
 
 A method's relative sigma has a part that a track keeps, k (a tall car stays a tall car; a rig that is askew stays
 askew), and a part n that is new in every frame. u, of variance 1, is how wrong a method is about this very track, in
 units of k. It cannot be seen from one method, but differences between methods tell: stereo teaches mono the track's
 true size while it sees, and mono carries on with it where stereo is blind. It is a Kalman filter whose state is log d,
-about which every frame begins knowing nothing, and u, which forgets slowly:
+about which every frame begins knowing nothing, and u, which forgets slowly. At most two methods count for a track in a
+frame (`_ONLY_WITHOUT`), one by the looks of the box, i, and one by a pair of eyes or of lines, j. With h = k_i e_i -
+k_j e_j, which takes from u what their difference has of it, and A = K C K' + N of u's covariance C:
 
-    u' = u + G (z - K u),   G = C K' B without its row for stereo,   B = A^-1 - A^-1 1 1' A^-1 / (1' A^-1 1)
+    nu = z_i - z_j - h' u,   S = h' C h + var(n_i - n_j) = A_ii - 2 A_ij + A_jj,   s = (A_ii - A_ij) / S
+    log d = (1 - s) (z_i - k_i u_i) + s (z_j - k_j u_j),    its variance (1 - s)^2 A_ii + 2 s (1 - s) A_ij + s^2 A_jj
+    u' = u + g nu,   C' = C - g (C h)' - (C h) g' + S g g',   g = C h / S without its row for stereo
 
 Stereo's own u is reckoned with but not learnt (Schmidt's filter): the others know its metres from nobody else, and a
 match can be wrong in one frame by more than any bias.
 
-N is not diagonal: mono, ground and lane read the same bottom edge of the same box. Where methods contradict each other
-by more than their sigmas allow sigma is widened (Birge's ratio, chi^2 per degree of freedom), what has been learnt of
-the track is doubted, and, if they have long agreed before, the one is left out that is farthest from where the track
-has just been. A track without a past goes by size: where stereo and mono are apart by more than a factor of 2.5 stereo
-is left out. An object that is partly hidden can look half as large as it is, but none of its class is that much larger
-or smaller, while a match on what stands in front of it, or on the background, can be anywhere.
+N is not diagonal: mono, ground and lane read the same bottom edge of the same box. Where the two contradict each other
+by more than their sigmas allow sigma is widened (Birge's ratio, chi^2 = nu^2 / S), what has been learnt of the track is
+doubted, and, if they have long agreed before, the one is left out that is farther from where the track has just been. A
+track without a past goes by size: where stereo and mono are apart by more than a factor of 2.5 stereo is left out. An
+object that is partly hidden can look half as large as it is, but none of its class is that much larger or smaller,
+while a match on what stands in front of it, or on the background, can be anywhere.
 Dense and patch matching look at the same pixels of the same pair and share their errors, so dense matching only stands
 in where patch matching has no answer.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from detection.detections import BoolArray, FloatArray, IntArray
 from ranging.ranges import Ranges
-from ranging.remembered import TrackRows
+from ranging.remembered import TrackMemory
+from ranging.track_biases import TrackBiases, blank_track
 
 FUSED_METHODS = ("mono", "ground", "lane", "stereo")
 """In the order of all arrays here; "sgbm" stands in for "stereo"."""
 
-_STEREO = FUSED_METHODS.index("stereo")
+_M = len(FUSED_METHODS)
+_MONO, _GROUND, _LANE, _STEREO = range(_M)
 _STANDS_IN_FOR = {"stereo": "sgbm"}
 
-_ONLY_WITHOUT = (("ground", "mono"), ("lane", "stereo"))
+_ONLY_WITHOUT = ((_GROUND, _MONO), (_LANE, _STEREO))
 """The first counts only where the second is silent: mono's sizes have the frame's ground in them already (a mean of
 both is no better on KITTI, and too sure), and stereo has taught the lane its width."""
 
-_NOISE_SHARE = np.array([0.6, 0.6, 0.6, 0.3])
+_NOISE_SHARE = np.array([[0.6], [0.6], [0.6], [0.3]])
 """Part of each method's sigma that is new in every frame."""
+
+_KEPT_SHARE = np.sqrt(1 - _NOISE_SHARE**2)
 
 _SHARED_NOISE = np.array([[1.0, 0.5, 0.4, 0.0], [0.5, 1.0, 0.7, 0.0], [0.4, 0.7, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Correlation of that part: half of a height's noise is its bottom edge's, and nearly all of ground's and lane's."""
 
-_MAX_SIZE_FACTOR = 2.5
-_UNMEASURED = 1e9
-"""Variance of a measurement that is not there."""
+_LOG_MAX_SIZE = math.log(2.5)
 
 _MEMORY_LOG = 5.0
 """What a track keeps is another thing after its distance changed by e^5: mono's errors along KITTI's labelled tracks
@@ -76,12 +83,18 @@ _LARGEST_BIAS = 2.5
 _IS_LEARNT = np.array([[1.0], [1.0], [1.0], [0.0]])
 """Rows of u: of all but stereo."""
 
+_SIGN = np.array([[1.0], [1.0], [-1.0], [-1.0]])
+"""Of methods in the difference of two."""
+
 _ODD_SIGMA = 3.0
 _MAX_SPEED_MPS = 20.0
 """How fast distances change, for what is plainly elsewhere."""
 
 _TAUGHT_S, _TAUGHT_VARIANCE = 0.5, 0.3
 """For so long after stereo's last word distances count as stereo's, and while mono's u is as well known as that."""
+
+
+_Rows = TypeVar("_Rows", FloatArray, BoolArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,62 +112,48 @@ class Fused:
     way: IntArray
 
 
-@dataclass(slots=True)
-class _Biases(TrackRows):
-    """What is known of each track: u (N, M), its covariance (N, M, M), and (N,) each of the rest."""
-
-    mean: FloatArray
-    covariance: FloatArray
-    log_m: FloatArray
-    variance: FloatArray
-    time_s: FloatArray
-    trust: IntArray  # frames in which methods have agreed
-    n_upsets: IntArray  # frames of contradiction that no past decided
-    stereo_s: FloatArray  # when stereo counted last
-
-    @classmethod
-    def blank(cls, track_id: IntArray) -> _Biases:
-        n, m = len(track_id), len(FUSED_METHODS)
-        log_m, variance, time_s, stereo_s = np.full((4, n), np.nan)
-        identity = np.tile(np.eye(m), (n, 1, 1))
-        trust, n_upsets = np.zeros((2, n), np.int64)
-        return cls(track_id, np.zeros((n, m)), identity, log_m, variance, time_s, trust, n_upsets, stereo_s)
-
-
 @dataclass(frozen=True, slots=True)
 class _Readings:
-    """A frame's measurements: (N, M) log distances (0 where there is none), relative sigmas, and which there are."""
+    """A frame's measurements: (M, N) log distances and relative sigmas (0 where there is none), and which there are."""
 
     log_m: FloatArray
     sigma: FloatArray
     there: BoolArray
 
     def without(self, left_out: BoolArray) -> _Readings:
-        return _Readings(self.log_m, self.sigma, self.there & ~left_out)
+        there = self.there & ~left_out
+        return _Readings(self.log_m * there, self.sigma * there, there)
 
     @property
     def kept(self) -> FloatArray:
-        """(N, M) the part k of sigma."""
-        return np.asarray(self.sigma * np.sqrt(1 - _NOISE_SHARE**2))
+        """(M, N) the part k of sigma."""
+        return np.asarray(self.sigma * _KEPT_SHARE)
 
     @property
     def noise(self) -> FloatArray:
-        """(N, M, M) covariance of the part n; beyond all bounds where there is no measurement."""
-        one = np.where(self.there, self.sigma * _NOISE_SHARE, 0.0)
-        absent = np.where(self.there, 0.0, _UNMEASURED)
-        shared = one[:, :, None] * one[:, None, :] * _SHARED_NOISE
-        return np.asarray(shared + absent[:, :, None] * np.eye(len(FUSED_METHODS)))
+        """(M, N) the part n of sigma."""
+        return np.asarray(self.sigma * _NOISE_SHARE)
 
 
 @dataclass(frozen=True, slots=True)
 class _Estimate:
-    """(N,) log distance, its variance, chi^2 per degree of freedom; (N, M, M) G, and (N, M) what it is to be put on."""
+    """What readings say, given biases.
+
+    Attributes:
+        log_m: (N,) log distance,
+        variance: and its variance.
+        difference: (N,) nu,
+        spread: and its variance S; infinite where fewer than two methods measure.
+        chi2: (N,) of that.
+        pull: (M, N) C h.
+    """
 
     log_m: FloatArray
     variance: FloatArray
+    difference: FloatArray
+    spread: FloatArray
     chi2: FloatArray
-    gain: FloatArray
-    told: FloatArray
+    pull: FloatArray
 
 
 class Fusion:
@@ -162,126 +161,124 @@ class Fusion:
 
     def __init__(self) -> None:
         """Start without tracks."""
-        self._known = _Biases.blank(np.zeros(0, np.int64))
+        self._memory = TrackMemory(blank_track(_M))
 
     def fuse(self, by_method: Mapping[str, Ranges], track_id: IntArray, time_s: float) -> Fused:
         """The fused ranges of `track_id` from those of `FUSED_METHODS` and sgbm that are there, all in its order."""
+        columns = self._memory.recall(track_id)
+        biases = TrackBiases.in_columns(columns, _M)
+        biases.forget(np.exp(np.fmax(time_s - biases.time_s, 0.0) / -_MEMORY_S))
         readings = _readings(by_method, len(track_id))
-        biases = _Biases.blank(track_id).recalling(self._known)
-        _forget(biases, np.exp(-np.nan_to_num(time_s - biases.time_s) / _MEMORY_S))
         readings = readings.without(_impossible(readings, biases))
         estimate = _estimate(readings, biases)
-        odd = _odd(readings, biases, estimate, time_s)
-        readings = readings.without(odd)
-        estimate = _estimate(readings, biases)
-        _learn(biases, readings, estimate, contradicts=odd.any(axis=1) | (estimate.chi2 > _CONTRADICTION))
+        contradicts = estimate.chi2 > _CONTRADICTION
+        if contradicts.any():
+            odd = _odd(readings, biases, contradicts, time_s)
+            readings = readings.without(odd)
+            estimate = _estimate(readings, biases)
+            contradicts = odd.any(axis=0) | (estimate.chi2 > _CONTRADICTION)
+        _learn(biases, readings, estimate, contradicts=contradicts)
         _place(biases, readings, estimate, time_s)
-        is_recent = time_s - self._known.time_s <= _MAX_GAP_S
-        self._known = biases.with_absent(self._known, is_recent=is_recent)
-        distance_m = np.where(readings.there.any(axis=1), np.exp(estimate.log_m), np.nan)
-        widened = estimate.variance * np.maximum(1.0, estimate.chi2)
-        by_stereo = (time_s - biases.stereo_s <= _TAUGHT_S) | (biases.covariance[:, 0, 0] < _TAUGHT_VARIANCE)
-        way = 2 * biases.n_upsets + by_stereo
-        return Fused(Ranges(track_id, distance_m, distance_m * np.sqrt(widened)), way)
+        is_recent = time_s - TrackBiases.in_columns(self._memory.known, _M).time_s <= _MAX_GAP_S
+        self._memory.remember(track_id, columns, is_recent=is_recent)
+        distance_m = np.where(readings.there.any(axis=0), np.exp(estimate.log_m), np.nan)
+        sigma_m = distance_m * np.sqrt(estimate.variance * np.maximum(1.0, estimate.chi2))
+        by_stereo = (time_s - biases.stereo_s <= _TAUGHT_S) | (biases.own_variance[_MONO] < _TAUGHT_VARIANCE)
+        return Fused(Ranges(track_id, distance_m, sigma_m), (2 * biases.n_upsets + by_stereo).astype(np.int64))
 
 
-def _learn(biases: _Biases, readings: _Readings, estimate: _Estimate, *, contradicts: BoolArray) -> None:
+def _learn(biases: TrackBiases, readings: _Readings, estimate: _Estimate, *, contradicts: BoolArray) -> None:
     """Take in what the differences between methods tell."""
-    identity = np.eye(len(FUSED_METHODS))
     caution = np.sqrt(_CONTRADICTION / np.maximum(estimate.chi2, _CONTRADICTION))
-    gain = (caution * ~_is_implausible(readings))[:, None, None] * estimate.gain
-    biases.mean += np.einsum("nij,nj->ni", gain, estimate.told)
-    left = identity - gain * readings.kept[:, None, :]
-    biases.covariance = left @ biases.covariance @ left.transpose(0, 2, 1)
-    biases.covariance += gain @ readings.noise @ gain.transpose(0, 2, 1)
-    biases.covariance[contradicts] += _DOUBT * _IS_LEARNT * identity
-    agrees = (readings.there.sum(axis=1) > 1) & ~contradicts
-    biases.n_upsets += contradicts & (biases.trust < _TRUSTED_FRAMES)
-    biases.trust = np.clip(biases.trust + agrees - 2 * contradicts, 0, _MOST_TRUSTED_FRAMES)
+    taken = _IS_LEARNT * estimate.pull * (caution * ~_is_implausible(readings))
+    gain = taken / estimate.spread
+    biases.mean[:] += gain * estimate.difference
+    step = gain[:, None] * (taken / 2 - estimate.pull)  # half of what C changes by: that is symmetric
+    biases.covariance[:] += step + step.transpose(1, 0, 2)
+    biases.own_variance[:] += _DOUBT * _IS_LEARNT * contradicts
+    agrees = (estimate.spread < np.inf) & ~contradicts
+    biases.n_upsets[:] += contradicts & (biases.trust < _TRUSTED_FRAMES)
+    biases.trust[:] = (biases.trust + agrees - 2.0 * contradicts).clip(0, _MOST_TRUSTED_FRAMES)
 
 
-def _place(biases: _Biases, readings: _Readings, estimate: _Estimate, time_s: float) -> None:
+def _place(biases: TrackBiases, readings: _Readings, estimate: _Estimate, time_s: float) -> None:
     """Remember where the tracks are."""
-    measured = np.asarray(readings.there.any(axis=1))
-    moved = np.where(measured, np.abs(np.nan_to_num(estimate.log_m - biases.log_m)), 0.0)
-    _forget(biases, np.exp(-moved / _MEMORY_LOG))
-    biases.log_m = np.where(measured, estimate.log_m, biases.log_m)
-    biases.variance = np.where(measured, estimate.variance, biases.variance)
-    biases.time_s = np.where(measured, time_s, biases.time_s)
-    biases.stereo_s = np.where(readings.there[:, _STEREO], time_s, biases.stereo_s)
+    measured = readings.there.any(axis=0)
+    moved = np.fmax(np.abs(estimate.log_m - biases.log_m), 0.0) * measured  # a new track has not moved
+    biases.forget(np.exp(moved / -_MEMORY_LOG))
+    np.copyto(biases.log_m, estimate.log_m, where=measured)
+    np.copyto(biases.variance, estimate.variance, where=measured)
+    np.copyto(biases.time_s, time_s, where=measured)
+    np.copyto(biases.stereo_s, time_s, where=readings.there[_STEREO])
 
 
-def _forget(biases: _Biases, left: FloatArray) -> None:
-    """Back towards u = 0 of variance 1; `left` (N,) is the share that stays."""
-    biases.mean *= left[:, None]
-    squared = left[:, None, None] ** 2
-    biases.covariance = squared * biases.covariance + (1 - squared) * np.eye(len(FUSED_METHODS))
-
-
-def _estimate(readings: _Readings, biases: _Biases) -> _Estimate:
-    """Generalised least squares for log d, and what the differences between methods say of u."""
-    kept = readings.kept
-    reach = biases.covariance * kept[:, None, :]  # C K'
-    total = kept[:, :, None] * reach + readings.noise
-    inverse = np.linalg.inv(total)
-    column = inverse.sum(axis=2)
-    precision = column.sum(axis=1)
-    told = np.where(readings.there, readings.log_m - kept * biases.mean, 0.0)
-    log_m = (column * told).sum(axis=1) / precision
-    contrast = inverse - column[:, :, None] * column[:, None, :] / precision[:, None, None]
-    pull = np.einsum("nij,nj->ni", contrast, told)
-    freedom = np.maximum(readings.there.sum(axis=1) - 1, 1)
+def _estimate(readings: _Readings, biases: TrackBiases) -> _Estimate:
+    """Log d by generalised least squares, and by how much the two methods differ."""
+    kept, noise = readings.kept, readings.noise
+    differs, scatters = _SIGN * kept, _SIGN * noise
+    pull = (biases.covariance * differs).sum(axis=1)
+    apart = _by_pair(differs * pull + scatters * (_SHARED_NOISE @ scatters))  # A_ii - A_ij, A_jj - A_ij
+    alone = _by_pair(kept * kept * biases.own_variance + noise * noise)  # A_ii, A_jj
+    told = _by_pair(readings.log_m - kept * biases.mean)
+    is_there = _by_pair(readings.there)
+    spread = np.where(is_there[0] & is_there[1], apart[0] + apart[1], np.inf)
+    share = apart[0] / spread + (is_there[1] & ~is_there[0])
+    rest, together = 1.0 - share, alone[0] - apart[0]
+    difference = told[0] - told[1]
     return _Estimate(
-        log_m,
-        1 / precision,
-        (told * pull).sum(axis=1) / freedom,
-        _IS_LEARNT * (reach @ contrast),
-        told,
+        log_m=rest * told[0] + share * told[1],
+        variance=rest * (rest * alone[0] + 2.0 * share * together) + share * share * alone[1],
+        difference=difference,
+        spread=spread,
+        chi2=difference * difference / spread,
+        pull=pull,
     )
 
 
-def _impossible(readings: _Readings, biases: _Biases) -> BoolArray:
-    """(N, M) stereo that no object's size explains, of tracks without much of a past."""
-    apart = np.abs(readings.log_m[:, _STEREO] - readings.log_m[:, 0]) > np.log(_MAX_SIZE_FACTOR)
+def _by_pair(rows: _Rows) -> tuple[_Rows, _Rows]:
+    """(N,) of the first method, mono or ground, and of the second, lane or stereo, from (M, N), 0 = not there."""
+    mono, ground, lane, stereo = rows
+    return mono + ground, lane + stereo
+
+
+def _impossible(readings: _Readings, biases: TrackBiases) -> BoolArray:
+    """(M, N) stereo that no object's size explains, of tracks without much of a past."""
+    mono, stereo = readings.there[_MONO], readings.there[_STEREO]
+    apart = np.abs(readings.log_m[_STEREO] - readings.log_m[_MONO]) > _LOG_MAX_SIZE
     left_out = np.zeros_like(readings.there)
-    left_out[:, _STEREO] = apart & readings.there[:, 0] & readings.there[:, _STEREO] & (biases.trust < _TRUSTED_FRAMES)
+    left_out[_STEREO] = apart & mono & stereo & (biases.trust < _TRUSTED_FRAMES)
     return left_out
 
 
 def _is_implausible(readings: _Readings) -> BoolArray:
     """(N,) whether stereo and mono differ by more than sizes do: such a frame teaches nothing."""
-    apart = np.abs(readings.log_m[:, _STEREO] - readings.log_m[:, 0])
-    expected = np.hypot(readings.sigma[:, 0], readings.sigma[:, _STEREO])
-    both = readings.there[:, 0] & readings.there[:, _STEREO]
-    return np.asarray(both & (apart > _LARGEST_BIAS * expected))
+    apart = np.abs(readings.log_m[_STEREO] - readings.log_m[_MONO])
+    expected = np.hypot(readings.sigma[_MONO], readings.sigma[_STEREO])
+    return np.asarray(readings.there[_MONO] & readings.there[_STEREO] & (apart > _LARGEST_BIAS * expected))
 
 
-def _odd(readings: _Readings, biases: _Biases, estimate: _Estimate, time_s: float) -> BoolArray:
-    """(N, M) of contradicting methods the one farthest from where the track has just been, if another is near."""
-    kept, noise = readings.kept, np.diagonal(readings.noise, axis1=1, axis2=2)
+def _odd(readings: _Readings, biases: TrackBiases, contradicts: BoolArray, time_s: float) -> BoolArray:
+    """(M, N) of contradicting methods the one farther from where the track has just been, if the other is near."""
+    kept, noise = readings.kept, readings.noise
     moved = _MAX_SPEED_MPS * (time_s - biases.time_s) / np.exp(biases.log_m)
-    expected = (
-        kept**2 * np.diagonal(biases.covariance, axis1=1, axis2=2) + noise + (biases.variance + moved**2)[:, None]
-    )
-    away = np.abs(readings.log_m - kept * biases.mean - biases.log_m[:, None]) / np.sqrt(expected)
+    expected = kept * kept * biases.own_variance + noise * noise + biases.variance + moved * moved
+    away = np.abs(readings.log_m - kept * biases.mean - biases.log_m) / np.sqrt(expected)
     away = np.where(readings.there & np.isfinite(away), away, 0.0)
-    near = (readings.there & (away < _ODD_SIGMA)).any(axis=1)
-    is_farthest = away == away.max(axis=1, keepdims=True)
-    contradicts = (estimate.chi2 > _CONTRADICTION) & near & (biases.trust >= _TRUSTED_FRAMES)
-    return np.asarray(contradicts[:, None] & is_farthest & (away > _ODD_SIGMA))
+    near = (readings.there & (away < _ODD_SIGMA)).any(axis=0)
+    is_farther = away == away.max(axis=0)
+    return np.asarray(contradicts & near & (biases.trust >= _TRUSTED_FRAMES) & is_farther & (away > _ODD_SIGMA))
 
 
 def _readings(by_method: Mapping[str, Ranges], n: int) -> _Readings:
-    shape = (n, len(FUSED_METHODS))
-    distance_m, sigma_m = np.full(shape, np.nan), np.full(shape, np.nan)
+    distance_m, sigma_m = np.full((2, _M, n), np.nan)
     for i, name in enumerate(FUSED_METHODS):
         for source in (name, _STANDS_IN_FOR.get(name, "")):
             if source in by_method:
-                missing = np.isnan(distance_m[:, i])
-                distance_m[missing, i] = by_method[source].distance_m[missing]
-                sigma_m[missing, i] = by_method[source].sigma_m[missing]
+                missing = np.isnan(distance_m[i])
+                np.copyto(distance_m[i], by_method[source].distance_m, where=missing)
+                np.copyto(sigma_m[i], by_method[source].sigma_m, where=missing)
     there = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
     for silent, heard in _ONLY_WITHOUT:
-        there[:, FUSED_METHODS.index(silent)] &= ~there[:, FUSED_METHODS.index(heard)]
+        there[silent] &= ~there[heard]
     distance_m = np.where(there, distance_m, 1.0)
     return _Readings(np.log(distance_m), np.where(there, sigma_m, 0.0) / distance_m, there)

@@ -23,8 +23,9 @@ box's centre meets the object: a car seen from its side is met up to half a metr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,16 +38,13 @@ from stereo.camera import PinholeCamera
 from stereo.frames import Frame
 from tracking.tracks import Tracks
 
-KITTI_HEIGHT_M = 1.65
-"""Height of KITTI's cameras above the road."""
-
 STANDING_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")
 """What stands on the ground."""
 
 _STANDS = np.array([name in STANDING_CLASSES for name in SIZE_CLASSES])
 _BORDER_PX = 1.5  # a box this near the image's border is taken as cut off by it
 _HUBER_SIGMA = 2.0
-_HINT_IDS = {"lanes": -1, "stereo": -2}  # beside the tracks' own, which are positive
+_HINT_ID = -1  # beside the tracks' own, which are positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +76,7 @@ class GroundSettings:
     max_sigma: float = 0.5
 
     @classmethod
-    def of_known_height(cls, height_m: float = KITTI_HEIGHT_M) -> GroundSettings:
+    def of_known_height(cls, height_m: float) -> GroundSettings:
         """For a camera whose height was measured."""
         return cls(height_m=height_m, height_sigma_m=0.05)
 
@@ -124,7 +122,8 @@ class _Seen:
         bottom_px: row of the bottom edge below the camera's axis.
         offset_m: from the point on the ground to the surface that is measured to.
         slope_px: fy / d by size: what a metre of the camera's height is in px; 1 where the size tells nothing.
-        size_sigma: relative, of d by size.
+        slope_variance: of that.
+        stray_px2: variance of the bottom edge about the plane.
         is_standing: whether the bottom edge is seen and stands on the ground.
         tells: whether the size also tells something of the horizon.
     """
@@ -132,7 +131,8 @@ class _Seen:
     bottom_px: FloatArray
     offset_m: FloatArray
     slope_px: FloatArray
-    size_sigma: FloatArray
+    slope_variance: FloatArray
+    stray_px2: FloatArray
     is_standing: BoolArray
     tells: BoolArray
 
@@ -145,7 +145,7 @@ class GroundPlane:
         self._camera = camera
         self._settings = settings or GroundSettings()
         self._ids = np.zeros(0, np.int64)
-        self._terms = np.zeros((0, _N_TERMS))
+        self._terms = np.zeros((_N_TERMS, 0))
         self._variance_px2 = (self._settings.roughness_rad * camera.fy_px) ** 2
         self._time_s: float | None = None
         self._prior = _information(self._settings, camera)
@@ -153,16 +153,21 @@ class GroundPlane:
     @property
     def horizon(self) -> Horizon:
         """What is known now."""
-        found = _solved(self._prior + self._terms.sum(axis=0))
+        found = _solved(self._information)
         return Horizon(
             float(self._camera.cy_px + found.horizon_px), float(np.sqrt(found.horizon_variance)), float(found.height_m)
         )
 
-    def hint(self, y_px: float, sigma_px: float, *, source: Literal["lanes", "stereo"]) -> None:
-        """Take in a horizon seen otherwise: where lane lines meet, or the road by stereo; forgotten as a track's is."""
+    @property
+    def _information(self) -> FloatArray:
+        """(5,) all that is known."""
+        return np.asarray(self._prior + self._terms.sum(axis=1))
+
+    def hint(self, y_px: float, sigma_px: float) -> None:
+        """Take in a horizon seen otherwise: where lane lines meet; forgotten as a track's is."""
         weight = 1.0 / (sigma_px**2 + self._variance_px2)
-        row = self._rows_of(np.array([_HINT_IDS[source]]))
-        self._terms[row] = [weight, 0.0, 0.0, weight * (y_px - self._camera.cy_px), 0.0]
+        (place,) = self._places_of(np.array([_HINT_ID]))
+        self._terms[:, place] = [weight, 0.0, 0.0, weight * (y_px - self._camera.cy_px), 0.0]
 
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
         """Distances of what stands on the ground; takes in what the tracks' sizes say of the horizon.
@@ -171,60 +176,60 @@ class GroundPlane:
         """
         step_s = 0.0 if self._time_s is None else max(frame.time_s - self._time_s, 0.0)
         self._time_s = frame.time_s
-        self._terms *= np.exp(-step_s / self._settings.memory_s)
+        self._terms *= math.exp(-step_s / self._settings.memory_s)
         if not len(tracks):
             return Ranges.unmeasured(tracks.track_id)
         seen = self._seen(tracks, by_size, frame)
-        rows = self._rows_of(tracks.track_id)
-        self._take_in(seen, rows, step_s=step_s)
-        others = _solved(self._prior + self._terms.sum(axis=0) - self._terms[rows])
+        places = self._places_of(tracks.track_id)
+        told = self._taken_in(seen, places, step_s=step_s)
+        others = _solved(self._information[:, None] - told)
         self._learn_roughness(seen, others, step_s=step_s)
         return self._ranges(tracks.track_id, seen, others)
 
     def _seen(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> _Seen:
+        bottom_px = tracks.xyxy_px[:, 3]
         last_px = frame.left.shape[0] - 0.5 - _BORDER_PX
-        is_standing = tracks.observed & _STANDS[tracks.class_id] & (tracks.xyxy_px[:, 3] <= last_px)
+        is_standing = tracks.observed & _STANDS[tracks.class_id] & (bottom_px <= last_px)
         offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id)
         tells = is_standing & (by_size.distance_m > 2 * offset_m)  # NaN tells nothing
-        size_m = np.where(tells, by_size.distance_m, self._camera.fy_px)
+        slope_px = self._camera.fy_px / np.where(tells, by_size.distance_m - offset_m, self._camera.fy_px)
+        slope_sigma_px = slope_px * np.where(tells, by_size.sigma_m / by_size.distance_m, 1.0)
         return _Seen(
-            bottom_px=tracks.xyxy_px[:, 3] - self._camera.cy_px,
+            bottom_px=bottom_px - self._camera.cy_px,
             offset_m=offset_m,
-            slope_px=self._camera.fy_px / (size_m - np.where(tells, offset_m, 0.0)),
-            size_sigma=np.where(tells, by_size.sigma_m, 1.0) / size_m,
+            slope_px=slope_px,
+            slope_variance=slope_sigma_px * slope_sigma_px,
+            stray_px2=self._stray_px2(slope_px),
             is_standing=is_standing,
             tells=tells,
         )
 
-    def _rows_of(self, track_id: IntArray) -> IntArray:
-        """(N,) row of each track in the memory; faded ones make room, new ones get a row that says nothing."""
+    def _places_of(self, track_id: IntArray) -> IntArray:
+        """(N,) place of each track in the memory; faded ones make room, new ones get a place that says nothing."""
         same = track_id[:, None] == self._ids
         is_known, is_here = same.any(axis=1), same.any(axis=0)
-        keep = is_here | (self._terms[:, 0] * self._variance_px2 > _LEAST_INFORMATION)
+        keep = is_here | (self._terms[0] * self._variance_px2 > _LEAST_INFORMATION)
         if is_known.all() and keep.all():
             return np.asarray(same.argmax(axis=1))
         fresh = track_id[~is_known]
         self._ids = np.concatenate([self._ids[keep], fresh])
-        self._terms = np.concatenate([self._terms[keep], np.zeros((len(fresh), _N_TERMS))])
+        self._terms = np.concatenate([self._terms[:, keep], np.zeros((_N_TERMS, len(fresh)))], axis=1)
         return np.asarray((track_id[:, None] == self._ids).argmax(axis=1))
 
-    def _take_in(self, seen: _Seen, rows: IntArray, *, step_s: float) -> None:
-        """Average what the tracks say now into what they said of late."""
-        plane = _solved(self._prior + self._terms.sum(axis=0))
+    def _taken_in(self, seen: _Seen, places: IntArray, *, step_s: float) -> FloatArray:
+        """(5, N) what the tracks say now averaged into what they said of late."""
+        plane = _solved(self._information)
         slope_px, bottom_px = seen.slope_px, seen.bottom_px
-        variance = (plane.height_m * slope_px * seen.size_sigma) ** 2 + self._stray_px2(slope_px)
+        variance = plane.height_m**2 * seen.slope_variance + seen.stray_px2
         excess = np.abs(bottom_px - plane.horizon_px - plane.height_m * slope_px)
         excess /= _HUBER_SIGMA * np.sqrt(variance + plane.variance(slope_px))
-        weight = seen.tells / (variance * np.maximum(1.0, excess))
-        share = np.where(self._terms[rows, 0] == 0, 1.0, 1.0 - np.exp(-step_s / self._settings.average_s))
-        share = np.where(seen.tells, share, 0.0)
-        terms = np.empty((len(rows), _N_TERMS))
-        terms[:, 0] = share * weight
-        terms[:, 1] = terms[:, 0] * slope_px
-        terms[:, 2] = terms[:, 1] * slope_px
-        terms[:, 3] = terms[:, 0] * bottom_px
-        terms[:, 4] = terms[:, 1] * bottom_px
-        self._terms[rows] = terms + (1.0 - share)[:, None] * self._terms[rows]
+        weight = 1.0 / (variance * np.maximum(1.0, excess))
+        before = self._terms.take(places, axis=1)
+        share = seen.tells * np.where(before[0] == 0, 1.0, 1.0 - math.exp(-step_s / self._settings.average_s))
+        now = np.array([np.ones_like(slope_px), slope_px, slope_px * slope_px, bottom_px, slope_px * bottom_px])
+        told = share * weight * now + (1.0 - share) * before
+        self._terms[:, places] = told
+        return np.asarray(told)
 
     def _learn_roughness(self, seen: _Seen, plane: _Plane, *, step_s: float) -> None:
         """Move the roughness to where the squares of the tracks' residuals are as large as expected."""
@@ -232,19 +237,18 @@ class GroundPlane:
             return
         slope_px, now = seen.slope_px, self._variance_px2
         residual = seen.bottom_px - plane.horizon_px - plane.height_m * slope_px
-        expected = (plane.height_m * slope_px * seen.size_sigma) ** 2 + plane.variance(slope_px)
-        expected += self._stray_px2(slope_px)
+        expected = plane.height_m**2 * seen.slope_variance + plane.variance(slope_px) + seen.stray_px2
         surprise = np.minimum(residual**2, 10 * expected) - expected
         trust = seen.tells * (now / expected) ** 2  # what is unsure for other reasons tells little
-        share = 1.0 - np.exp(-step_s / self._settings.roughness_memory_s)
-        now += share * float((trust * surprise).sum() / (1.0 + trust.sum()))
+        share = 1.0 - math.exp(-step_s / self._settings.roughness_memory_s)
+        now += share * float(trust @ surprise) / (1.0 + float(trust.sum()))
         start = (self._settings.roughness_rad * self._camera.fy_px) ** 2
         self._variance_px2 = min(max(now, start / 16), 9 * start)
 
     def _ranges(self, track_id: IntArray, seen: _Seen, plane: _Plane) -> Ranges:
         below_px = seen.bottom_px - plane.horizon_px
         is_below = seen.is_standing & (below_px > 1.0) & (plane.height_m > 0.1)
-        below_px, height_m = np.where(is_below, below_px, 1.0), np.where(is_below, plane.height_m, 1.0)
+        below_px, height_m = np.where(is_below, (below_px, plane.height_m), 1.0)
         slope_px = below_px / height_m
         sigma = np.sqrt(plane.variance(slope_px) + self._stray_px2(slope_px)) / below_px
         good = is_below & (sigma < self._settings.max_sigma)
@@ -278,7 +282,7 @@ def _information(settings: GroundSettings, camera: PinholeCamera) -> FloatArray:
 
 
 def _solved(terms: FloatArray) -> _Plane:
-    """The planes that (..., 5) information tells."""
-    a, b, c, u, v = terms.T
+    """The planes that (5, ...) information tells."""
+    a, b, c, u, v = terms
     scale = 1.0 / (a * c - b * b)
     return _Plane((c * u - b * v) * scale, (a * v - b * u) * scale, c * scale, -b * scale, a * scale)

@@ -13,6 +13,7 @@ edge is where the object begins, so d is the distance of its surface where that 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +46,9 @@ _SHAKEN = 1.4
 _GATE = 3.0
 _FORGETTING_S = 60.0
 _ROAD_SIGMA = 0.01  # relative: roads are not planes, lanes not of one width
+
+_Widths = tuple[FloatArray, FloatArray, BoolArray]
+"""(N,) lane's width in the rows of the bottom edges, px, its relative error with theirs, and whom it serves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +113,12 @@ class LaneWidthRanger:
         self._box_sigma_px = box_sigma_px
         self.lane = LaneWidth(width_m, width_sigma)
         self._lines, self._of_frame = LaneLines(), -1
+        self._last: tuple[Tracks, _Widths | None] | None = None  # what `measure` saw is what `learn` needs
         self._taught_s = np.nan
 
     def see(self, lines: LaneLines, frame_index: int) -> None:
         """Take the lane's lines of a frame, before it is measured."""
-        self._lines, self._of_frame = lines, frame_index
+        self._lines, self._of_frame, self._last = lines, frame_index, None
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the tracks; NaN where this frame's lines are not known.
@@ -121,7 +126,7 @@ class LaneWidthRanger:
         NaN also for boxes that are predicted, cut off at the bottom, of lights and signs, farther aside than the
         neighbouring lanes, or far outside the rows in which the lines were seen.
         """
-        seen = self._widths(tracks, frame)
+        seen = self._seen(tracks, frame)
         if seen is None:
             return Ranges.unmeasured(tracks.track_id)
         width_px, sigma_w, good = seen
@@ -136,7 +141,7 @@ class LaneWidthRanger:
 
         From then on `measure` is no longer independent of that method.
         """
-        seen = self._widths(tracks, frame)
+        seen = self._seen(tracks, frame)
         if seen is None:
             return
         width_px, sigma_w, good = seen
@@ -150,34 +155,45 @@ class LaneWidthRanger:
             width_px[usable] * distance_m / self._camera.fx_px, np.hypot(sigma_w[usable], sigma_m / distance_m)
         )
 
-    def _widths(self, tracks: Tracks, frame: Frame) -> tuple[FloatArray, FloatArray, BoolArray] | None:
-        """(N,) width in the rows of the bottom edges, px, its relative error with theirs, and whom it serves."""
-        left, right = self._lines.left, self._lines.right
-        if left is None or right is None or self._of_frame != frame.index or not len(tracks):
+    def _seen(self, tracks: Tracks, frame: Frame) -> _Widths | None:
+        """`_widths`, worked out once for the same tracks."""
+        if self._of_frame != frame.index:
             return None
-        y_px = tracks.xyxy_px[:, 3]
-        left_px = left.x_px(y_px)
-        width_px = right.x_px(y_px) - left_px
+        if self._last is None or self._last[0] is not tracks:
+            self._last = tracks, self._widths(tracks, frame.left.shape[0])
+        return self._last[1]
+
+    def _widths(self, tracks: Tracks, height_px: int) -> _Widths | None:
+        left, right = self._lines.left, self._lines.right
+        if left is None or right is None or not len(tracks):
+            return None
+        x1_px, _, x2_px, y_px = tracks.xyxy_px.T
+        powers = np.array([np.ones_like(y_px), y_px, y_px * y_px])
+        width = right.coefficients - left.coefficients  # of a polynomial of the row, as the lines are
+        left_px, width_px = left.coefficients @ powers, width @ powers
         wide = np.maximum(width_px, 1.0)
-        across = (tracks.xyxy_px[:, [0, 2]].mean(axis=1) - left_px) / wide
+        across = ((x1_px + x2_px) / 2 - left_px) / wide
+        nearest_px, farthest_px = _reached_px(left, right, width)
         good = (
             tracks.observed
             & _ON_THE_ROAD[tracks.class_id]
-            & (y_px < frame.left.shape[0] - 0.5 - _BORDER_PX)
-            & (width_px >= _MIN_WIDTH_PX)
+            & (y_px < height_px - 0.5 - _BORDER_PX)
+            & (width_px >= max(_MIN_WIDTH_PX, farthest_px))
+            & (width_px <= nearest_px)
             & (across > _REACH[0])
             & (across < _REACH[1])
-            & _are_reached(left, right, y_px, width_px=width_px)
         )
-        opening = right.slope(y_px) - left.slope(y_px)
-        sigma_px = np.sqrt(left.sigma_px(y_px) ** 2 + right.sigma_px(y_px) ** 2 + (opening * self._box_sigma_px) ** 2)
-        return width_px, np.hypot(sigma_px / wide, _ROAD_SIGMA), np.asarray(good)
+        opening = width[1] + 2.0 * width[2] * y_px
+        of_lines = ((left.covariance + right.covariance) @ powers * powers).sum(axis=0)
+        sigma_px = np.sqrt(np.maximum(of_lines, 0.0) + (self._box_sigma_px * opening) ** 2)
+        return width_px, np.hypot(sigma_px / wide, _ROAD_SIGMA), good
 
 
-def _are_reached(left: LaneLine, right: LaneLine, y_px: FloatArray, *, width_px: FloatArray) -> BoolArray:
-    """Whether rows are not much farther, or nearer, than those in which both lines were seen."""
-    rows = np.array([max(left.y_top_px, right.y_top_px), min(left.y_bottom_px, right.y_bottom_px)])
-    top_px, bottom_px = right.x_px(rows) - left.x_px(rows)
-    return np.asarray(
-        (rows[0] < rows[1]) & (width_px * _FARTHEST_SEEN >= top_px) & (width_px * _NEAREST_SEEN <= bottom_px)
-    )
+def _reached_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tuple[float, float]:
+    """Lane widths as near and as far as is not much beyond the rows in which both lines were seen."""
+    top, bottom = max(left.y_top_px, right.y_top_px), min(left.y_bottom_px, right.y_bottom_px)
+    if top >= bottom:
+        return -math.inf, math.inf  # in no row
+    constant, slope, bend = width.tolist()
+    top_px, bottom_px = (constant + y_px * (slope + y_px * bend) for y_px in (top, bottom))
+    return bottom_px / _NEAREST_SEEN, top_px / _FARTHEST_SEEN

@@ -36,8 +36,9 @@ class BoxNoise:
 
     def sigma_px(self, size_px: FloatArray, size_class: IntArray) -> FloatArray:
         """(N, 2) standard deviation of the edges of boxes of (N, 2) width and height."""
-        share = np.where(_IS_SOFT[size_class], self.relative_soft, self.relative)
-        return np.asarray(np.hypot(self.px, share[:, None] * size_px))
+        share = np.where(_IS_SOFT, self.relative_soft, self.relative)[size_class]
+        relative_px = share[:, None] * size_px
+        return np.asarray(np.sqrt(self.px**2 + relative_px * relative_px))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""How noisy a method really is from frame to frame, learnt from how far its measurements are from their predictions.
+"""How noisy methods really are from frame to frame, learnt from how far their measurements are from their predictions.
 
     nu = z - z_predicted,   E nu^2 = S = P + lambda R   ->   lambda' = lambda weighted mean of nu^2 / S
 
@@ -8,6 +8,8 @@ two, and nobody tells which; one number for all tracks of a method is soon known
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from detection.detections import BoolArray, FloatArray
 
@@ -25,21 +27,24 @@ _LARGEST = 9.0
 
 
 class NoiseScale:
-    """The factor on a method's variance; 1 until measurements say otherwise."""
+    """The factors on methods' variances, each learnt alone; 1 until measurements say otherwise.
 
-    def __init__(self) -> None:
-        """Believe the method."""
-        self.factor = 1.0
-        self._ratios = self._weights = _PRIOR_SAMPLES
+    Attributes:
+        factor: (M, 1).
+    """
+
+    def __init__(self, n_methods: int = 1) -> None:
+        """Believe the methods."""
+        self.factor = np.ones((n_methods, 1))
+        self._ratios, self._weights = np.full((2, n_methods, 1), _PRIOR_SAMPLES)
 
     def learn(self, squared: FloatArray, predicted: FloatArray, *, noise: FloatArray, use: BoolArray) -> None:
-        """Take in a frame: (N,) squared innovations, the predictions' variances, the noise's (times `factor`)."""
-        if not use.any():
-            return
-        total = predicted[use] + noise[use]
-        weight = noise[use] / total
-        ratio = (squared[use] / total).clip(max=_LARGEST)
-        fades = 0.5 ** (float(use.sum()) / _MEMORY_SAMPLES)
-        self._ratios = self._ratios * fades + self.factor * float((weight * ratio).sum())
-        self._weights = self._weights * fades + float(weight.sum())
-        self.factor = min(max(self._ratios / self._weights, _LIMITS[0]), _LIMITS[1])
+        """Take in a frame: (M, N) squared innovations, the predictions' variances, the noise's (times `factor`)."""
+        total = predicted + noise
+        weight = np.where(use, noise / total, 0.0)
+        ratio = np.where(use, squared / total, 0.0)
+        fades = 0.5 ** (use.sum(axis=1, keepdims=True) / _MEMORY_SAMPLES)
+        told = (weight * np.minimum(ratio, _LARGEST)).sum(axis=1, keepdims=True)
+        self._ratios = self._ratios * fades + self.factor * told
+        self._weights = self._weights * fades + weight.sum(axis=1, keepdims=True)
+        self.factor = (self._ratios / self._weights).clip(*_LIMITS)

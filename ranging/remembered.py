@@ -1,34 +1,36 @@
-"""What is remembered of tracks from frame to frame: parallel arrays, one row per track."""
+"""What is remembered of tracks from frame to frame: numbers in columns, one per track, found by the track's id."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Self
-
 import numpy as np
 
-from detection.detections import BoolArray, IntArray
+from detection.detections import BoolArray, FloatArray, IntArray
 
 
-@dataclass(slots=True)
-class TrackRows:
-    """Arrays with one row per track; what is remembered of it comes with the subclass.
+class TrackMemory:
+    """Numbers of every track: arrays (..., N) whose last axis are tracks; what they mean is the caller's."""
 
-    Attributes:
-        track_id: (N,) unique.
-    """
+    def __init__(self, blank: FloatArray) -> None:
+        """Know no track; `blank` (...) is what is said of a new one."""
+        self._columns = blank[..., None]  # the last one is always the blank
+        self._place: dict[int, int] = {}
 
-    track_id: IntArray
+    @property
+    def known(self) -> FloatArray:
+        """(..., K) of all tracks remembered, in any order."""
+        return self._columns[..., :-1]
 
-    def recalling(self, known: Self) -> Self:
-        """These rows, those of tracks that are known replaced by what is known of them; in place."""
-        _, here, there = np.intersect1d(self.track_id, known.track_id, assume_unique=True, return_indices=True)
-        for field in fields(self):
-            getattr(self, field.name)[here] = getattr(known, field.name)[there]
-        return self
+    def recall(self, track_id: IntArray) -> FloatArray:
+        """(..., N) a copy of what is known of these tracks."""
+        places = [self._place.get(one, -1) for one in track_id.tolist()]
+        return self._columns.take(places, axis=-1)
 
-    def with_absent(self, known: Self, *, is_recent: BoolArray) -> Self:
-        """These rows, and the recent ones of `known` that are not here: what the next frame may ask for."""
-        absent = np.flatnonzero(is_recent & ~np.isin(known.track_id, self.track_id))
-        names = [field.name for field in fields(self)]
-        return type(self)(*(np.concatenate([getattr(self, name), getattr(known, name)[absent]]) for name in names))
+    def remember(self, track_id: IntArray, columns: FloatArray, *, is_recent: BoolArray) -> None:
+        """Know (..., N) of these tracks from now on, and of the (K,) recent ones of `known` that are not among them."""
+        here = track_id.tolist()
+        absent = {one: place for one, place in self._place.items() if is_recent[place]}
+        for one in here:
+            absent.pop(one, None)
+        kept = self._columns[..., [*absent.values(), -1]]
+        self._columns = np.concatenate([columns, kept], axis=-1)
+        self._place = {one: place for place, one in enumerate((*here, *absent))}

@@ -91,22 +91,22 @@ class SeenGround:
 def seen_by_others(stand: Stand, prior: GroundPrior) -> SeenGround:
     """Robust least squares over all objects of a frame, each told what the others say."""
     x, y = stand.nearness, stand.bottom
-    basis = np.stack([np.ones_like(x), x, x * x, y, x * y])  # what information about (horizon, height) is made of
+    basis = np.array([np.ones_like(x), x, x * x, y, x * y])  # what information about (horizon, height) is made of
     by_size = prior.camera_height_m * x * stand.sigma
     variance = (prior.kerb_m[0] * x) ** 2 + stand.edge_sigma**2 + by_size**2
-    horizon, height, shared = prior.horizon, prior.camera_height_m, np.full_like(x, prior.horizon_sigma**2)
+    sure = stand.tells / variance
+    horizon, height, shared = prior.horizon, prior.camera_height_m, np.asarray(prior.horizon_sigma**2)
     for _ in range(_ROUNDS):
         away = y - horizon - height * x
-        surprise = away * away / (variance + shared)
-        weight = stand.tells / (variance * (1.0 + surprise / _TAIL**2))
+        weight = sure / (1.0 + away * away / (_TAIL**2 * (variance + shared)))
         known = [a + b for a, b in zip(_prior_information(prior, horizon), (basis @ weight).tolist(), strict=True)]
         horizon, height, a, b, c = _solved(*known)
         shared = a + x * (2 * b + x * c)
-    by_others: list[FloatArray] = [all_of_it - own for all_of_it, own in zip(known, basis * weight, strict=True)]
+    by_others: FloatArray = np.array(known)[:, None] - basis * weight
     horizons, heights, *covariance = _solved(*by_others)
     variances = covariance[0] + x * (2 * covariance[1] + x * covariance[2])
-    others = stand.tells.sum() - stand.tells.astype(np.int64)
-    return SeenGround(horizons, heights, variances, np.asarray(others == 0))
+    is_alone = stand.tells == np.count_nonzero(stand.tells)  # of one that tells itself, of none all
+    return SeenGround(horizons, heights, variances, is_alone)
 
 
 def _prior_information(prior: GroundPrior, horizon: float) -> tuple[float, ...]:

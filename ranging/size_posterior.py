@@ -16,13 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import FloatArray, IntArray
+from detection.detections import BoolArray, FloatArray, IntArray
 from ranging.measured_boxes import MeasuredBoxes
 from ranging.shared_ground import GroundPrior, Stand, seen_by_others
 from ranging.size_prior import NODE_RANGE, ShapeTables
 
 NO_CHANCE = -1e9  # log weight of the turns of a kind that a box cannot be of
 _UNSEEN = 1e4  # variance of the log width of a box that is cut off at a side
+_MOST_NOISE = np.array([np.inf, 1.0], np.float32).reshape(2, 1, 1, 1)  # a width that is not seen is no noise
 N_TERMS = 9  # turns kept per box: the likeliest
 _N_GRID = 37
 _REACH = 4.5  # of the grid, in sigma by size
@@ -71,47 +72,86 @@ def mixture_by_size(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray, 
     """
     terms = _terms(tables, boxes, kinds, log_shares)
     best = np.argpartition(-terms[0], N_TERMS, axis=0)[:N_TERMS]
-    log_weight, mean, variance, by_noise, nearer = terms[:, best, np.arange(len(boxes))].astype(np.float64)
+    places = best * len(boxes) + np.arange(len(boxes))
+    log_weight, mean, variance, by_noise, nearer = terms.reshape(5, -1).take(places, axis=1).astype(np.float64)
     weight = np.exp(log_weight - log_weight.max(axis=0))
     weight /= weight.sum(axis=0)
     return SizeMixture(mean, variance, weight, (weight * by_noise).sum(axis=0), (weight * nearer).sum(axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class _AtNodes:
+    """Boxes at the nodes nearest to them, in single precision: (K, M, N) for K turns and M kinds, or broadcast to that.
+
+    Attributes:
+        nodes: (11, K, M, N), see `ShapeTables.at`.
+        log_m: the nodes' log distance,
+        away: what is expected of log distance before looking, from there,
+        trust: and 1 / variance of that.
+        error: (2, K, M, N) log height and width beyond the node's.
+        noise: (2, 1, 1, N) variances of what is measured of them.
+    """
+
+    nodes: _Single
+    log_m: _Single
+    away: _Single
+    trust: _Single
+    error: _Single
+    noise: _Single
+
+
+def _at_nodes(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray) -> _AtNodes:
+    log_hw = np.log(boxes.wh_over_f.T[::-1])
+    log_height, mean_log_m, trust = tables.typical.take(kinds, axis=1)
+    guess = log_height - log_hw[0]
+    inside = np.minimum(np.maximum(guess, NODE_RANGE[0]), NODE_RANGE[1])
+    off, step, nodes = tables.at(kinds, np.abs(boxes.bearing), inside)
+    seen = log_hw[:, None] + (guess - inside)  # beyond the nodes half the size is twice the distance
+    noise = boxes.log_variance.T[::-1]
+    noise[1] += np.where(boxes.uses_width, 0.0, _UNSEEN)
+    log_m = guess - step
+    return _AtNodes(
+        nodes=nodes,
+        log_m=_single(log_m),
+        away=_single(mean_log_m - log_m),
+        trust=_single(trust),
+        error=_single(seen)[:, None] - nodes[:2] - _single(off) * nodes[4:6],
+        noise=_single(noise)[:, None, None],
+    )
 
 
 def _terms(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray, log_shares: FloatArray) -> _Single:
     """(5, all turns of all kinds, N): log weight, mean, variance, variance by the box's noise, nearer.
 
     With x = log d - node, the node's values and slopes s: log size = value + s x + error, error ~ N(0, S + noise), and
-    x ~ N(away, sigma^2): one Gaussian for x, by completing the square. In single precision, which takes half the time.
+    x ~ N(away, sigma^2): one Gaussian for x, by completing the square. a, c are the diagonal of (S + noise)^-1 turned
+    round, -b is what is beside it, and g = (S + noise)^-1 s.
     """
-    n_kinds, n = kinds.shape
-    kind = kinds.reshape(-1)
-    noise_w = boxes.log_variance[:, 0] + np.where(boxes.uses_width, 0.0, _UNSEEN)
-    measured = np.stack([*np.log(boxes.wh_over_f).T, noise_w, boxes.log_variance[:, 1], np.abs(boxes.bearing)])
-    log_w, log_h, noise_w, noise_h, bearing = np.concatenate([measured] * n_kinds, axis=1)
-    guess = tables.log_height[kind] - log_h
-    beyond = guess - guess.clip(*NODE_RANGE)  # of the nodes: there, half the size is twice the distance
-    off, step, nodes = tables.at(kind, bearing, guess - beyond)
-    mean_log_m, trust = tables.log_distance[:, kind]
-    node_log = guess - step
-    columns = [log_h + beyond, log_w + beyond, noise_h, noise_w, off, node_log, mean_log_m - node_log, trust]
-    log_h, log_w, noise_h, noise_w, off, node_log, away, trust = np.stack(columns).astype(np.float32)
-    h, w, s_h, s_w, b_h, b_w, a, c, b, nearer, log_weight = nodes
-    e_h, e_w = log_h - h - off * b_h, log_w - w - off * b_w
-    a, c = a + noise_h, c + noise_w
-    scale = 1.0 / (a * c - b * b)
-    a, b, c = a * scale, b * scale, c * scale
-    g_h, g_w = c * s_h - b * s_w, a * s_w - b * s_h
-    precision = g_h * s_h + g_w * s_w + trust
-    shift = (g_h * e_h + g_w * e_w + away * trust) / precision
+    at = _at_nodes(tables, boxes, kinds)
+    away, trust, s, (b, nearer, log_weight) = at.away, at.trust, at.nodes[2:4], at.nodes[8:]
+    variance = at.nodes[6:8] + at.noise
+    scale = 1.0 / (variance[0] * variance[1] - b * b)
+    variance *= scale
+    b = b * scale
+    g = variance[::-1] * s - b * s[::-1]
+    gs, ge = g * s, g * at.error
+    precision = gs[0] + gs[1] + trust
+    shift = (ge[0] + ge[1] + away * trust) / precision
+    (a, c), (e_h, e_w) = variance, at.error
     misfit = (c * e_h - 2 * b * e_w) * e_h + a * e_w * e_w + away * away * trust - precision * shift * shift
-    terms = np.empty((5, *nodes.shape[1:]), np.float32)
+    by_noise = g * g * np.minimum(at.noise, _MOST_NOISE)
+    terms = np.empty((5, *b.shape), np.float32)
     terms[0] = log_weight - 0.5 * (misfit + np.log(precision / (scale * trust)))
-    terms[0] += log_shares.reshape(-1)
-    terms[1] = node_log + shift
+    terms[0] += log_shares
+    terms[1] = at.log_m + shift
     terms[2] = 1.0 / precision
-    terms[3] = (g_h * g_h * noise_h + g_w * g_w * np.minimum(noise_w, 1.0)) / (precision * precision)
+    terms[3] = (by_noise[0] + by_noise[1]) / (precision * precision)
     terms[4] = nearer
-    return terms.reshape(5, -1, n)
+    return terms.reshape(5, -1, len(boxes))
+
+
+def _single(values: FloatArray) -> _Single:
+    return values.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,16 +171,19 @@ class LogGrid:
         density = self.density * likelihood
         return LogGrid(self.log_m, density / np.maximum(density.max(axis=0), 1e-300))
 
-    def quantiles(self, *levels: float, tilt: float = 0.0) -> FloatArray:
-        """(levels, N) log metres of the density times d^-tilt."""
-        weight = self.density * np.exp(-tilt * (self.log_m - self.log_m[0])) if tilt else self.density
-        cumulated = _TRAPEZES @ weight
-        wanted = np.multiply.outer(np.array(levels), cumulated[-1])
-        box = np.arange(weight.shape[1])
-        after = (cumulated >= wanted[:, None]).argmax(axis=1).clip(1)
-        low, high = cumulated[after - 1, box], cumulated[after, box]
+    def quantiles(self, levels: FloatArray, *, is_relative: BoolArray | None = None) -> FloatArray:
+        """(L, N) log metres at (L, 1) levels of the density; where `is_relative` (L, 1), of the density over d."""
+        weight = self.density[None]
+        if is_relative is not None:
+            weight = weight * np.where(is_relative[:, None], np.exp(self.log_m[0] - self.log_m), 1.0)
+        cumulated = _TRAPEZES @ weight  # one for all levels, or one each
+        n_each, n = cumulated[0].size, cumulated.shape[2]
+        wanted = levels * cumulated[:, -1]
+        before = np.maximum((cumulated >= wanted[:, None]).argmax(axis=1) - 1, 0)
+        places = before * n + np.arange(n) + n_each * np.arange(len(cumulated))[:, None]
+        low, high = cumulated.take(places), cumulated.take(places + n)
         share = (wanted - low) / np.maximum(high - low, 1e-300)
-        return np.asarray(self.log_m[0] + (after - 1 + share) * (self.log_m[1] - self.log_m[0]))
+        return np.asarray(self.log_m[0] + (before + share) * (self.log_m[1] - self.log_m[0]))
 
 
 def on_grid(mixture: SizeMixture) -> LogGrid:
@@ -148,10 +191,13 @@ def on_grid(mixture: SizeMixture) -> LogGrid:
     mean, sigma = mixture.moments
     log_m = mean + sigma * _STEPS
     height = mixture.weight / np.sqrt(mixture.variance)
-    columns = np.stack([height, mixture.mean, -0.5 / mixture.variance])
-    height, middle, precision = columns.astype(np.float32)[:, :, None]  # half the time: exponentials are what costs
-    away = log_m.astype(np.float32) - middle
-    density = (height * np.exp(away * away * precision)).sum(axis=0).astype(np.float64)
+    # in single precision, which takes half the time: exponentials are what costs
+    terms = _single(log_m) - _single(mixture.mean)[:, None]
+    terms *= terms
+    terms *= _single(-0.5 / mixture.variance)[:, None]
+    np.exp(terms, out=terms)
+    terms *= _single(height)[:, None]
+    density = terms.sum(axis=0).astype(np.float64)
     return LogGrid(log_m, density / density.max(axis=0))
 
 
@@ -181,11 +227,12 @@ def ground_likelihood(log_m: FloatArray, nearer: FloatArray, *, stand: Stand, pr
 
 def _rough(residual2: FloatArray, variance: FloatArray, nearness: FloatArray, prior: GroundPrior) -> FloatArray:
     """Likelihood on a road that is smooth for most and rough for some."""
+    half, squared = -0.5 * residual2, nearness * nearness
     smooth, rough = (
-        share * np.exp(-0.5 * residual2 / spread) / np.sqrt(spread)
+        share * np.exp(half / spread) / np.sqrt(spread)
         for share, spread in (
-            (1 - prior.rough_share, variance + (prior.kerb_m[0] * nearness) ** 2),
-            (prior.rough_share, variance + (prior.kerb_m[1] * nearness) ** 2),
+            (1 - prior.rough_share, variance + prior.kerb_m[0] ** 2 * squared),
+            (prior.rough_share, variance + prior.kerb_m[1] ** 2 * squared),
         )
     )
     return np.asarray(smooth + rough)

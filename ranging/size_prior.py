@@ -92,35 +92,44 @@ class SizePrior:
 
 
 class ShapeTables:
-    """Boxes of all classes by turn, bearing and log distance: nodes with values and slopes, one look-up for a frame."""
+    """Boxes of all classes by turn, bearing and log distance: nodes with values and slopes, one look-up for a frame.
+
+    Attributes:
+        typical: (3, classes) log height, and log distance's mean and 1 / variance.
+    """
 
     def __init__(self, priors: Mapping[str, SizePrior]) -> None:
         """Work out the nodes of every class, some 15 ms each."""
         n = len(SIZE_CLASSES)
         n_cells = len(_BEARINGS) * len(_LOG_M)
         self._nodes = np.full((n * n_cells, N_NUMBERS * len(_TURN_RAD)), np.nan, np.float32)
-        self.log_height, self.log_distance = np.zeros(n), np.ones((2, n))  # of the latter mean and 1 / variance
+        self.typical = np.ones((3, n))
         for name, prior in priors.items():
             k = SIZE_CLASSES.index(name)
             self._nodes[k * n_cells : (k + 1) * n_cells] = _nodes(prior).reshape(n_cells, -1)
-            self.log_height[k] = np.log(prior.hwl_m[0])
-            self.log_distance[:, k] = prior.log_distance[0], prior.log_distance[1] ** -2
+            self.typical[:, k] = np.log(prior.hwl_m[0]), prior.log_distance[0], prior.log_distance[1] ** -2
 
     def at(
         self, size_class: IntArray, bearing: FloatArray, log_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
-        """The nodes nearest to |bearing| and log distance of (N,) boxes.
+        """The nodes nearest to |bearing| and log distance of boxes (N,), each perhaps of M classes.
+
+        Args:
+            size_class: (M, N).
+            bearing: (N,) not negative.
+            log_m: (M, N).
 
         Returns:
-            (N,) steps of bearing and of log distance from the node to what was asked, and (11, K, N) of K turns:
-            log height and width, their slopes by log distance, their slopes by bearing, their variances and their
-            covariance (sizes and scatter), log(distance / nearest ground point), and the turn's log weight.
+            Steps (N,) of bearing and (M, N) of log distance from the node to what was asked, and (11, K, M, N) of K
+            turns: log height and width, their slopes by log distance, their slopes by bearing, their variances and
+            their covariance (sizes and scatter), log(distance / nearest ground point), and the turn's log weight.
         """
         b = np.minimum((bearing / _BEARING_STEP + 0.5).astype(np.int64), len(_BEARINGS) - 1)
-        d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64).clip(0, len(_LOG_M) - 1)
+        d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64)
         off = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
         nodes = self._nodes.take((size_class * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
-        return off, log_m - _LOG_M[d], np.ascontiguousarray(nodes.T).reshape(N_NUMBERS, len(_TURN_RAD), -1)
+        nodes = np.ascontiguousarray(nodes.reshape(log_m.size, -1).T)
+        return off, log_m - _LOG_M[d], nodes.reshape(N_NUMBERS, len(_TURN_RAD), *log_m.shape)
 
 
 def _nodes(prior: SizePrior) -> Floats:

@@ -42,18 +42,18 @@ class SizeRegressionRanger:
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances by size; NaN for predicted boxes, for boxes cut at top or bottom, for classes without a curve."""
         height_px, width_px = frame.left.shape[:2]
-        xyxy_px = tracks.xyxy_px
-        size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
-        last = np.array([width_px, height_px]) - 0.5 - _BORDER_PX
-        cut = (xyxy_px[:, :2] < _BORDER_PX - 0.5) | (xyxy_px[:, 2:] > last)
-        usable = tracks.observed & ~cut[:, 1] & (size_px[:, 1] >= _MIN_HEIGHT_PX) & (size_px[:, 0] > 0)
+        x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
+        first_px, last_x_px, last_y_px = _BORDER_PX - 0.5, width_px - 0.5 - _BORDER_PX, height_px - 0.5 - _BORDER_PX
+        usable = tracks.observed & (y1_px >= first_px) & (y2_px <= last_y_px)
+        usable &= (y2_px - y1_px >= _MIN_HEIGHT_PX) & (x2_px > x1_px)
         rows = np.flatnonzero(usable)
+        uses_width = (x1_px >= first_px) & (x2_px <= last_x_px)
         boxes = measured_boxes(
-            xyxy_px[rows],
+            tracks.xyxy_px[rows],
             tracks.class_id[rows],
             camera=self._camera,
             noise=self._noise,
-            uses_width_bottom=(~cut[rows, 0], np.ones(len(rows), np.bool_)),
+            uses_width_bottom=(uses_width[rows], np.ones(len(rows), np.bool_)),
         )
         found = self._curves.measure(boxes)
         columns = np.full((3, len(tracks)), np.nan)

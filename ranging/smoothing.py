@@ -19,17 +19,17 @@ proportion (Huber); three in a row mean that the filter is wrong, and it starts 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from detection.detections import BoolArray, FloatArray, IntArray
+from ranging.filtered_ranges import FilteredRanges, time_to_collision
 from ranging.noise_scale import NoiseScale
 from ranging.ranges import Ranges
-from ranging.remembered import TrackRows
-
-MIN_CLOSING_MPS = 0.3
-"""Slower than this is not closing: the time to collision would be minutes of noise."""
+from ranging.remembered import TrackMemory
 
 _LEAST_NOISE_SHARE = 0.1
 """No measurement is quite free of noise, even where its method says so."""
@@ -70,216 +70,215 @@ class FilterSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class FilteredRanges:
-    """Filtered ranges, their rate, and what follows from both.
+class _State:
+    """What each method's filter knows of each track: (M, N) views of (12, M, N) columns, which change with them."""
 
-    Attributes:
-        ranges: distance and sigma, NaN = no recent measurement.
-        rate_mps: (N,) change of distance per second, negative = closing; NaN while unknown.
-        rate_sigma_mps: (N,) its standard deviation, and so that of the closing speed, `-rate_mps`.
-        ttc_s: (N,) time to collision, distance / closing speed; NaN where it does not close, or the rate is unknown.
-        ttc_sigma_s: (N,) its standard deviation, to first order.
-    """
-
-    ranges: Ranges
+    distance_m: FloatArray
     rate_mps: FloatArray
-    rate_sigma_mps: FloatArray
-    ttc_s: FloatArray
-    ttc_sigma_s: FloatArray
-
-
-@dataclass(slots=True)
-class _State(TrackRows):
-    """Parallel arrays over the tracks remembered: mean (N, 2), covariance (N, 2, 2), and (N,) each of the rest."""
-
-    mean: FloatArray
-    covariance: FloatArray
+    variance: FloatArray  # of the distance,
+    covariance: FloatArray  # of both,
+    rate_variance: FloatArray  # and of the rate
     kept_variance: FloatArray  # relative to the squared distance
     time_s: FloatArray
     measured_s: FloatArray
     ego_mps: FloatArray
-    n_outliers: IntArray
-    way: IntArray
+    n_outliers: FloatArray
+    way: FloatArray
     steady_since_s: FloatArray
 
-    @classmethod
-    def blank(cls, track_id: IntArray) -> _State:
-        n = len(track_id)
-        kept_variance, time_s, measured_s, ego_mps, steady_since_s = np.full((5, n), np.nan)
-        n_outliers, way = np.zeros((2, n), np.int64)
-        return cls(
-            track_id=track_id,
-            mean=np.full((n, 2), np.nan),
-            covariance=np.zeros((n, 2, 2)),
-            kept_variance=kept_variance,
-            time_s=time_s,
-            measured_s=measured_s,
-            ego_mps=ego_mps,
-            n_outliers=n_outliers,
-            way=way,
-            steady_since_s=steady_since_s,
-        )
+
+_BLANK = np.array([np.nan, np.nan, 0.0, 0.0, 0.0, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, np.nan])
+"""The state of a new track."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """A frame's measurements as the filter sees them: (N,) log distance, variances of it, and which there are."""
+    """A frame's measurements as the filters see them, (M, N): variances are of the logarithm."""
 
-    log_m: FloatArray
+    distance_m: FloatArray
     noise: FloatArray
     kept: FloatArray
     there: BoolArray
 
 
+@dataclass(frozen=True, slots=True)
+class _Innovation:
+    """(M, N) how far measurements are from their predictions, in metres: d (z - log d); NaN = no filter or measure.
+
+    `excess` is its size in units of the largest one that counts fully.
+    """
+
+    step_m: FloatArray
+    noise_m2: FloatArray
+    excess: FloatArray
+
+
+class DistanceFilters:
+    """The filters of several methods for all tracks of a video; a track is remembered through short absences."""
+
+    def __init__(self, noise_shares: Mapping[str, float], settings: FilterSettings | None = None) -> None:
+        """Start without tracks; `noise_shares` has the methods' names, and `FilterSettings.noise_share` for each."""
+        self._settings = settings or FilterSettings()
+        self._methods = tuple(noise_shares)
+        self._shares = np.array(list(noise_shares.values()))[:, None] ** 2
+        self._noise = NoiseScale(len(self._methods))
+        self._memory = TrackMemory(np.repeat(_BLANK[:, None], len(self._methods), axis=1))
+
+    @property
+    def noise_shares(self) -> dict[str, float]:
+        """As at the start, as far as they are known by now."""
+        shares = np.sqrt(self._shares * self._noise.factor)[:, 0]
+        return dict(zip(self._methods, shares.tolist(), strict=True))
+
+    def update(
+        self,
+        by_method: Mapping[str, Ranges],
+        time_s: float,
+        *,
+        ways: Mapping[str, IntArray] | None = None,
+        ego_speed_mps: float = math.nan,
+    ) -> dict[str, FilteredRanges]:
+        """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered ranges.
+
+        Args:
+            by_method: distances and their whole sigmas, of the same tracks in the same order; others are ignored.
+            time_s: of the frame; never earlier than the last one.
+            ways: of methods that have several, (N,) a number for how each measurement came about.
+            ego_speed_mps: of the camera along its axis, now; NaN = unknown.
+        """
+        given = [name for name in self._methods if name in by_method]
+        if not given:
+            return {}
+        track_id = by_method[given[0]].track_id
+        columns = self._memory.recall(track_id)
+        state, seen = _State(*columns), self._seen(by_method, len(track_id))
+        self._predict(state, time_s, ego_speed_mps)
+        self._take_ways(state, seen, ways or {})
+        found = self._innovation(state, seen)
+        self._count_outliers(state, seen, found)
+        is_lost = np.isnan(state.distance_m) | (state.n_outliers >= self._settings.max_outliers)
+        known, fresh = seen.there & ~is_lost, seen.there & is_lost
+        self._learn(state, found, use=known)
+        self._correct(state, found, known)
+        if fresh.any():
+            self._start(state, seen, fresh)
+        np.copyto(state.measured_s, time_s, where=seen.there)
+        np.copyto(state.kept_variance, seen.kept, where=seen.there)
+        is_recent = time_s - _State(*self._memory.known).measured_s <= self._settings.max_gap_s
+        self._memory.remember(track_id, columns, is_recent=np.logical_or.reduce(is_recent))
+        results = self._results(state, track_id)
+        return {name: results[name] for name in given}
+
+    def _seen(self, by_method: Mapping[str, Ranges], n: int) -> _Measured:
+        distance_m, sigma_m = np.full((2, len(self._methods), n), np.nan)
+        share = np.repeat(self._shares, n, axis=1)  # of the variance: what is new in every frame
+        for i, name in enumerate(self._methods):
+            if name in by_method:
+                one = by_method[name]
+                distance_m[i], sigma_m[i] = one.distance_m, one.sigma_m
+                if one.sigma_kept_m is not None:
+                    share[i] = np.maximum(1.0 - (one.sigma_kept_m / one.sigma_m) ** 2, _LEAST_NOISE_SHARE**2)
+        there = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
+        distance_m = np.where(there, distance_m, np.nan)
+        variance, factor = (sigma_m / distance_m) ** 2, self._noise.factor
+        kept = 1 - share * np.minimum(factor, 1.0)  # noise that is not there was not told as noise, but as doubt
+        return _Measured(distance_m, share * factor * variance, kept * variance, there)
+
+    def _predict(self, state: _State, time_s: float, ego_speed_mps: float) -> None:
+        dt = np.fmax(time_s - state.time_s, 0.0)  # NaN: a new track
+        faster_mps = ego_speed_mps - state.ego_mps
+        faster_mps[np.isnan(faster_mps)] = 0.0  # unknown before or now
+        state.distance_m[:] += dt * (state.rate_mps - faster_mps / 2)
+        state.rate_mps[:] -= faster_mps
+        is_over = (time_s - state.measured_s > self._settings.max_gap_s) | (state.distance_m < _NEAREST_M)
+        state.distance_m[is_over] = state.rate_mps[is_over] = np.nan
+        wander = self._settings.acceleration_noise**2 * dt
+        reached = state.covariance + dt * state.rate_variance
+        state.variance[:] += dt * (state.covariance + reached + wander * dt / 3)
+        state.covariance[:] = reached + wander * dt / 2
+        state.rate_variance[:] += wander
+        state.time_s[:] = time_s
+        state.ego_mps[:] = ego_speed_mps
+
+    def _take_ways(self, state: _State, seen: _Measured, ways: Mapping[str, IntArray]) -> None:
+        """Where the way is another one, what the old and the new one keep may be the step between them."""
+        for name, way in ways.items():
+            i = self._methods.index(name)
+            is_another = seen.there[i] & (way != state.way[i]) & np.isfinite(state.distance_m[i])
+            kept = (state.kept_variance[i] + seen.kept[i])[is_another]
+            state.variance[i, is_another] += state.distance_m[i, is_another] ** 2 * kept
+            state.steady_since_s[i, is_another] = state.time_s[i, is_another]
+            np.copyto(state.way[i], way, where=seen.there[i])
+
+    def _innovation(self, state: _State, seen: _Measured) -> _Innovation:
+        step_m = state.distance_m * np.log(seen.distance_m / state.distance_m)
+        noise_m2 = state.distance_m * state.distance_m * seen.noise
+        largest_m = self._settings.outlier_sigma * np.sqrt(state.variance + noise_m2)
+        return _Innovation(step_m, noise_m2, np.abs(step_m) / largest_m)
+
+    def _count_outliers(self, state: _State, seen: _Measured, found: _Innovation) -> None:
+        """A measurement that fits ends the row."""
+        np.copyto(state.n_outliers, (found.excess > 1) * (state.n_outliers + 1), where=seen.there)
+
+    def _is_steady(self, state: _State) -> BoolArray:
+        return np.asarray(state.time_s - state.steady_since_s >= self._settings.min_steady_s)  # NaN: not yet begun
+
+    def _learn(self, state: _State, found: _Innovation, *, use: BoolArray) -> None:
+        if self._settings.learns_noise:
+            steady = use & self._is_steady(state)
+            self._noise.learn(found.step_m * found.step_m, state.variance, noise=found.noise_m2, use=steady)
+
+    def _correct(self, state: _State, found: _Innovation, known: BoolArray) -> None:
+        total_m2 = state.variance + found.noise_m2 * np.maximum(1.0, found.excess) ** 2
+        weight, step_m = np.where(known, (1.0 / total_m2, found.step_m), 0.0)
+        of_distance, of_rate = weight * state.variance, weight * state.covariance
+        state.distance_m[:] = np.maximum(state.distance_m + of_distance * step_m, _NEAREST_M)
+        state.rate_mps[:] += of_rate * step_m
+        state.rate_variance[:] -= of_rate * state.covariance
+        state.covariance[:] -= of_distance * state.covariance
+        state.variance[:] -= of_distance * state.variance
+
+    def _start(self, state: _State, seen: _Measured, fresh: BoolArray) -> None:
+        is_known = np.isfinite(state.ego_mps[fresh])
+        sigma_mps = np.where(is_known, self._settings.target_speed_sigma_mps, self._settings.initial_rate_sigma_mps)
+        state.n_outliers[fresh] = 0.0
+        state.steady_since_s[fresh] = state.time_s[fresh]
+        state.distance_m[fresh] = seen.distance_m[fresh]
+        state.rate_mps[fresh] = np.where(is_known, -state.ego_mps[fresh], 0.0)
+        state.variance[fresh] = seen.distance_m[fresh] ** 2 * seen.noise[fresh]
+        state.covariance[fresh] = 0.0
+        state.rate_variance[fresh] = sigma_mps**2
+
+    def _results(self, state: _State, track_id: IntArray) -> dict[str, FilteredRanges]:
+        sigma_m = np.sqrt(state.variance + state.kept_variance * state.distance_m**2)
+        certain = (state.rate_variance <= self._settings.max_rate_sigma_mps**2) & self._is_steady(state)
+        rate_mps = np.where(certain, state.rate_mps, np.nan)
+        rate_sigma_mps = np.sqrt(state.rate_variance + state.kept_variance * rate_mps**2)
+        variances = (state.variance, state.covariance, state.rate_variance)
+        ttc_s, ttc_sigma_s = time_to_collision(state.distance_m, rate_mps, variances=variances)
+        columns = zip(state.distance_m, sigma_m, rate_mps, rate_sigma_mps, ttc_s, ttc_sigma_s, strict=True)
+        return {
+            name: FilteredRanges(Ranges(track_id, distance_m, sigma_m), *motion)
+            for name, (distance_m, sigma_m, *motion) in zip(self._methods, columns, strict=True)
+        }
+
+
 class DistanceFilter:
-    """The filter of one method for all tracks of a video; a track is remembered through short absences."""
+    """The filter of one method, see `DistanceFilters`."""
 
     def __init__(self, settings: FilterSettings | None = None) -> None:
         """Start without tracks."""
-        self._settings = settings or FilterSettings()
-        self._state = _State.blank(np.zeros(0, np.int64))
-        self._noise = NoiseScale()
+        settings = settings or FilterSettings()
+        self._filters = DistanceFilters({"": settings.noise_share}, settings)
 
     @property
     def noise_share(self) -> float:
         """As in the settings, as far as it is known by now."""
-        return float(self._settings.noise_share * np.sqrt(self._noise.factor))
+        return self._filters.noise_shares[""]
 
     def update(
-        self, measured: Ranges, time_s: float, *, way: IntArray | None = None, ego_speed_mps: float = np.nan
+        self, measured: Ranges, time_s: float, *, way: IntArray | None = None, ego_speed_mps: float = math.nan
     ) -> FilteredRanges:
-        """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered range.
-
-        Args:
-            measured: distances and their whole sigmas.
-            time_s: of the frame; never earlier than the last one.
-            way: (N,) a number for how each measurement came about; None = always in the same way.
-            ego_speed_mps: of the camera along its axis, now; NaN = unknown.
-        """
-        state = self._predicted(_State.blank(measured.track_id).recalling(self._state), time_s, ego_speed_mps)
-        seen = self._seen(measured)
-        self._take_way(state, seen, np.zeros(len(measured), np.int64) if way is None else way)
-        excess = self._excess(state, seen)
-        fresh = seen.there & (np.isnan(state.mean[:, 0]) | self._is_lost(state, seen, excess))
-        self._learn(state, seen, ~fresh)
-        self._correct(state, seen, excess, known=seen.there & ~fresh)
-        self._start(state, seen, fresh)
-        state.measured_s[seen.there] = time_s
-        state.kept_variance[seen.there] = seen.kept[seen.there]
-        is_recent = time_s - self._state.measured_s <= self._settings.max_gap_s
-        self._state = state.with_absent(self._state, is_recent=is_recent)
-        return self._result(state)
-
-    def _seen(self, measured: Ranges) -> _Measured:
-        there = np.isfinite(measured.distance_m) & (measured.distance_m > 0) & (measured.sigma_m > 0)
-        distance_m = np.where(there, measured.distance_m, np.nan)
-        variance = (measured.sigma_m / distance_m) ** 2
-        share, factor = self._noise_part(measured), self._noise.factor
-        kept = 1 - share * min(factor, 1.0)  # noise that is not there was not told as noise, but as doubt
-        return _Measured(np.log(distance_m), share * factor * variance, kept * variance, there)
-
-    def _noise_part(self, measured: Ranges) -> FloatArray | float:
-        """Of the variance: what is new in every frame."""
-        if measured.sigma_kept_m is None:
-            return self._settings.noise_share**2
-        told = 1.0 - (measured.sigma_kept_m / measured.sigma_m) ** 2
-        return np.asarray(np.maximum(told, _LEAST_NOISE_SHARE**2))
-
-    def _predicted(self, state: _State, time_s: float, ego_speed_mps: float) -> _State:
-        dt = np.where(np.isnan(state.time_s), 0.0, time_s - state.time_s)
-        faster_mps = np.nan_to_num(ego_speed_mps - state.ego_mps)  # NaN: unknown before or now
-        state.mean[:, 0] += dt * (state.mean[:, 1] - faster_mps / 2)
-        state.mean[:, 1] -= faster_mps
-        is_over = (time_s - state.measured_s > self._settings.max_gap_s) | (state.mean[:, 0] < _NEAREST_M)
-        state.mean[is_over] = np.nan
-        transition = np.tile(np.eye(2), (len(dt), 1, 1))
-        transition[:, 0, 1] = dt
-        q = self._settings.acceleration_noise**2
-        noise = q * np.stack([dt**3 / 3, dt**2 / 2, dt**2 / 2, dt], axis=1).reshape(-1, 2, 2)
-        state.covariance = transition @ state.covariance @ transition.transpose(0, 2, 1) + noise
-        state.time_s = np.full(len(dt), time_s)
-        state.ego_mps = np.full(len(dt), ego_speed_mps)
-        return state
-
-    def _take_way(self, state: _State, seen: _Measured, way: IntArray) -> None:
-        """Where the way is another one, what the old and the new one keep may be the step between them."""
-        is_another = seen.there & (way != state.way) & np.isfinite(state.mean[:, 0])
-        step = state.mean[:, 0] ** 2 * (state.kept_variance + seen.kept)
-        state.covariance[is_another, 0, 0] += step[is_another]
-        state.steady_since_s[is_another] = state.time_s[is_another]
-        state.way = np.where(seen.there, way, state.way)
-
-    def _excess(self, state: _State, seen: _Measured) -> FloatArray:
-        """(N,) size of the innovation in units of the largest one that counts fully; NaN = no filter or no measure."""
-        predicted = state.covariance[:, 0, 0] / state.mean[:, 0] ** 2
-        innovation = np.abs(seen.log_m - np.log(state.mean[:, 0]))
-        return innovation / np.sqrt(predicted + seen.noise) / self._settings.outlier_sigma
-
-    def _is_lost(self, state: _State, seen: _Measured, excess: FloatArray) -> BoolArray:
-        """(N,) whether this measurement completes a row of outliers; one that fits ends the row instead."""
-        state.n_outliers = np.where(seen.there, (excess > 1) * (state.n_outliers + 1), state.n_outliers)
-        return np.asarray(state.n_outliers >= self._settings.max_outliers)
-
-    def _learn(self, state: _State, seen: _Measured, is_old: BoolArray) -> None:
-        if not self._settings.learns_noise:
-            return
-        is_steady = state.time_s - state.steady_since_s >= self._settings.min_steady_s  # NaN: not yet begun
-        squared = (seen.log_m - np.log(state.mean[:, 0])) ** 2
-        predicted = state.covariance[:, 0, 0] / state.mean[:, 0] ** 2
-        self._noise.learn(squared, predicted, noise=seen.noise, use=seen.there & is_old & is_steady)
-
-    def _correct(self, state: _State, seen: _Measured, excess: FloatArray, *, known: BoolArray) -> None:
-        mean, covariance = state.mean[known], state.covariance[known]
-        per_m = 1 / mean[:, 0]
-        noise = seen.noise[known] * np.maximum(1.0, excess[known]) ** 2
-        innovation = seen.log_m[known] - np.log(mean[:, 0])
-        gain = covariance[:, :, 0] * (per_m / (covariance[:, 0, 0] * per_m**2 + noise))[:, None]
-        mean = mean + gain * innovation[:, None]
-        mean[:, 0] = np.maximum(mean[:, 0], _NEAREST_M)
-        state.mean[known] = mean
-        state.covariance[known] = covariance - gain[:, :, None] * (per_m[:, None] * covariance[:, 0, :])[:, None, :]
-
-    def _start(self, state: _State, seen: _Measured, fresh: BoolArray) -> None:
-        distance_m = np.exp(seen.log_m[fresh])
-        rate_mps = -np.nan_to_num(state.ego_mps[fresh])
-        is_known = np.isfinite(state.ego_mps[fresh])
-        sigma_mps = np.where(is_known, self._settings.target_speed_sigma_mps, self._settings.initial_rate_sigma_mps)
-        variance = distance_m**2 * seen.noise[fresh]
-        state.n_outliers[fresh] = 0
-        state.steady_since_s[fresh] = state.time_s[fresh]
-        state.mean[fresh] = np.stack([distance_m, rate_mps], axis=1)
-        state.covariance[fresh] = 0.0
-        state.covariance[fresh, 0, 0] = variance
-        state.covariance[fresh, 1, 1] = sigma_mps**2
-
-    def _result(self, state: _State) -> FilteredRanges:
-        distance_m, rate_mps = state.mean.T.copy()
-        of_distance, of_rate = state.covariance[:, 0, 0], state.covariance[:, 1, 1]
-        sigma_m = np.sqrt(of_distance + state.kept_variance * distance_m**2)
-        certain = np.sqrt(of_rate) <= self._settings.max_rate_sigma_mps
-        certain &= state.time_s - state.steady_since_s >= self._settings.min_steady_s
-        rate_mps = np.where(certain, rate_mps, np.nan)
-        variances = np.stack([of_distance, state.covariance[:, 0, 1], of_rate])
-        return FilteredRanges(
-            Ranges(state.track_id, distance_m, sigma_m),
-            rate_mps,
-            np.sqrt(of_rate + state.kept_variance * rate_mps**2),
-            *time_to_collision(distance_m, rate_mps, variances=variances),
-        )
-
-
-def time_to_collision(
-    distance_m: FloatArray, rate_mps: FloatArray, *, variances: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(N,) seconds until the distance is 0 at this rate, and their sigma to first order; NaN where it does not close.
-
-    Args:
-        distance_m: (N,) distance.
-        rate_mps: (N,) its rate, negative = closing.
-        variances: (3, N) variance of the distance, its covariance with the rate, variance of the rate.
-    """
-    closes_mps = np.where(-rate_mps > MIN_CLOSING_MPS, -rate_mps, np.nan)
-    ttc_s = distance_m / closes_mps
-    of_distance, of_both, of_rate = variances
-    relative = of_distance / distance_m**2 + 2 * of_both / (distance_m * closes_mps) + of_rate / closes_mps**2
-    return ttc_s, ttc_s * np.sqrt(np.maximum(relative, 0.0))
+        """The filtered ranges of every track at `time_s`; `way` None = always in the same way."""
+        ways = None if way is None else {"": way}
+        return self._filters.update({"": measured}, time_s, ways=ways, ego_speed_mps=ego_speed_mps)[""]

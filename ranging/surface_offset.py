@@ -23,6 +23,7 @@ _NARROW_M = _by_class(
 _WIDE_M = _by_class(
     {"person": 0.05, "bicycle": 0.3, "motorcycle": 0.3, "car": 0.45, "van": 0.55, "truck": 1.5, "bus": 1.5}
 )
+_MORE_M = _WIDE_M - _NARROW_M
 
 
 def surface_offset_m(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
@@ -34,4 +35,4 @@ def surface_offset_m(xyxy_px: FloatArray, class_id: IntArray) -> FloatArray:
     size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
     aspect = size_px[:, 0] / np.maximum(size_px[:, 1], 1.0)
     wide = np.minimum(np.maximum((aspect - 1.5) / 0.7, 0.0), 1.0)
-    return np.asarray(_NARROW_M[class_id] + wide * (_WIDE_M - _NARROW_M)[class_id])
+    return np.asarray(_NARROW_M[class_id] + wide * _MORE_M[class_id])

@@ -61,6 +61,7 @@ class DriveAlignment:
         self._reasons: list[str] = []
         self._rows_px: list[FloatArray] = []
         self._seen: list[PairPoints] = []
+        self._last_s: float
         self._begin_drive()
 
     @property

@@ -18,13 +18,15 @@ import numpy as np
 
 from detection.detections import Detections, FloatArray
 from detection.lanes import LaneFinder, LaneLines
+from ranging.collision_course import CollisionCourse
 from ranging.ego_speed import EgoSpeed
+from ranging.filtered_ranges import FilteredRanges
 from ranging.fusion import Fusion
 from ranging.ground_plane import GroundPlane
 from ranging.lane_width import LaneWidthRanger
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilter, FilteredRanges, FilterSettings
+from ranging.smoothing import DistanceFilters
 from ranging.triangulation import DenseRanger
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -43,6 +45,7 @@ Where the filter starts; it learns the share from its innovations. Mono tells it
 
 _READ_AHEAD = 4
 _DETECT_AHEAD = 2
+_LANES_EVERY_S = 0.09  # a lane hardly moves in between, and finders take time: of 30 frames/s, every third is looked at
 _BY_THE_WALL = ("detect",)  # stages whose time is the wall's, since they have threads of their own
 
 
@@ -102,7 +105,12 @@ class Pipeline:
     is_live: bool = False
     clock: StageClock = field(default_factory=StageClock)
     _fusion: Fusion = field(default_factory=Fusion)
-    _filters: dict[str, DistanceFilter] = field(default_factory=dict)
+    _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(NOISE_SHARES))
+    _hinted: LaneLines | None = None
+    _course: CollisionCourse = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._course = CollisionCourse(self.camera)
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """The results of each frame in order; closing the generator ends the threads."""
@@ -124,9 +132,13 @@ class Pipeline:
             self.clock.busy_s["sgbm"] = self.dense.busy_s
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, LaneLines | None]]:
+        """Frames with the lane's lines, looked for ten times a second; between, those of the last look."""
+        lanes, due_s = None, -math.inf
         for frame in frames:
-            with self.clock.stage("lanes"):
-                lanes = None if self.lane_finder is None else self.lane_finder.find(frame.left, frame.time_s)
+            if self.lane_finder is not None and frame.time_s >= due_s:
+                with self.clock.stage("lanes"):
+                    lanes = self.lane_finder.find(frame.left, frame.time_s)
+                due_s = frame.time_s + _LANES_EVERY_S
             yield frame, lanes
 
     def _detected(
@@ -142,8 +154,8 @@ class Pipeline:
     def _result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
         with self.clock.stage("track"):
             tracks = self.tracker.update(detections, frame.time_s, frame.left)
-        if self.ground is not None and lanes is not None and (horizon := lanes.horizon_px()) is not None:
-            self.ground.hint(*horizon, source="lanes")
+        if lanes is not self._hinted:
+            self._hint(lanes)
         ranges: dict[str, Ranges] = {}
         for name, ranger in self.rangers.items():
             with self.clock.stage(name):
@@ -155,6 +167,12 @@ class Pipeline:
                 ranges["lane"] = self._by_lane(self.lane, lanes, tracks, frame, ranges.get("stereo"))
         with self.clock.stage("fuse"):
             return self._fused(frame, tracks, ranges, lanes)
+
+    def _hint(self, lanes: LaneLines | None) -> None:
+        """Tell the ground where the lines of a new look meet: once, since the same look is no new evidence."""
+        self._hinted = lanes
+        if self.ground is not None and lanes is not None and (horizon := lanes.horizon_px()) is not None:
+            self.ground.hint(*horizon)
 
     def _by_lane(
         self, lane: LaneWidthRanger, lanes: LaneLines, tracks: Tracks, frame: Frame, stereo: Ranges | None
@@ -169,13 +187,7 @@ class Pipeline:
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         ego_mps = math.nan if self.ego_speed is None else self.ego_speed.at(frame.time_s)
-        filtered = {
-            name: self._filter(name).update(
-                ranges[name], frame.time_s, way=fused.way if name == "fused" else None, ego_speed_mps=ego_mps
-            )
-            for name in NOISE_SHARES
-            if name in ranges
-        }
+        filtered = self._filters.update(ranges, frame.time_s, ways={"fused": fused.way}, ego_speed_mps=ego_mps)
         ranges |= {f"{name}_kf": each.ranges for name, each in filtered.items()}
         motion = self._with_shared_rate_error(filtered["fused"])
         return FrameResult(
@@ -189,6 +201,7 @@ class Pipeline:
             xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
             disparity=None if self.dense is None else self.dense.disparity,
             lanes=lanes,
+            misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
         )
 
     def _with_shared_rate_error(self, motion: FilteredRanges) -> FilteredRanges:
@@ -204,11 +217,6 @@ class Pipeline:
             name: replace(found, sigma_m=np.hypot(found.sigma_m, self.shared_sigma * found.distance_m))
             for name, found in ranges.items()
         }
-
-    def _filter(self, name: str) -> DistanceFilter:
-        if name not in self._filters:
-            self._filters[name] = DistanceFilter(FilterSettings(noise_share=NOISE_SHARES[name]))
-        return self._filters[name]
 
     def _points_m(self, tracks: Tracks, distance_m: FloatArray) -> FloatArray:
         """(N, 3) points at these depths on the rays through the boxes' centres."""

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from detection.classes import ROAD_CLASSES
 from detection.detections import FloatArray
 from detection.lanes import LaneLines
+from ranging.collision_course import Misses
 from ranging.ranges import Ranges
 from stereo.frames import Frame
 from track_range.written import OutputError
@@ -64,6 +65,7 @@ class FrameResult:
         xyz_m: (N, 3) ranged point in the left camera's frame, from the fused distance; NaN = unknown.
         disparity: (H, W) px, NaN = unknown, where dense stereo ran.
         lanes: the own lane's lines, where they were looked for.
+        misses: where each track will be sideways at that time, where this was looked at.
     """
 
     frame: Frame
@@ -76,6 +78,11 @@ class FrameResult:
     xyz_m: FloatArray
     disparity: npt.NDArray[np.float32] | None = None
     lanes: LaneLines | None = None
+    misses: Misses | None = None
+
+    def may_hit(self, row: int) -> bool:
+        """False where this track is known to pass beside."""
+        return self.misses is None or bool(self.misses.may_hit[row])
 
 
 class ResultRows:
@@ -134,10 +141,10 @@ def _cells(result: FrameResult) -> list[list[str]]:
     columns = [
         [str(result.frame.index)] * n,
         [f"{result.frame.time_s:.6f}"] * n,
-        [str(i) for i in tracks.track_id],
-        [ROAD_CLASSES[c] for c in tracks.class_id],
+        [str(i) for i in tracks.track_id.tolist()],
+        [ROAD_CLASSES[c] for c in tracks.class_id.tolist()],
         _text(tracks.score, decimals=4),
-        ["1" if o else "0" for o in tracks.observed],
+        ["1" if o else "0" for o in tracks.observed.tolist()],
         *(_text(tracks.xyxy_px[:, edge]) for edge in range(4)),
         *(_text(of(method, what)) for method in _COLUMN_PAIRS for what in ("distance_m", "sigma_m")),
         _text(result.closing_mps),
@@ -155,7 +162,7 @@ def _cells(result: FrameResult) -> list[list[str]]:
 
 
 def _text(values: FloatArray, *, decimals: int = 3) -> list[str]:
-    return ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in values]
+    return ["" if math.isnan(value) else f"{value:.{decimals}f}" for value in values.tolist()]
 
 
 def read_tracks_csv(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -170,11 +177,13 @@ def read_tracks_csv(path: Path) -> dict[str, npt.NDArray[Any]]:
         with path.open(encoding="utf-8", newline="") as file:
             rows = csv.reader(file)
             header = next(rows)
+            if len(set(header)) < len(header):
+                raise ValueError("a column twice")
             numbers = {name: array("d") for name in header if name != "class"}
             classes: list[str] = []
             for row in rows:
                 _take(row, header, numbers, classes)
-    except (OSError, ValueError, StopIteration) as error:
+    except (OSError, ValueError, StopIteration, csv.Error) as error:
         raise OutputError(f"{path}: not a readable tracks.csv.") from error
     columns: dict[str, npt.NDArray[Any]] = {name: np.array(column) for name, column in numbers.items()}
     return {name: np.array(classes, np.str_) if name == "class" else columns[name] for name in header}

@@ -89,7 +89,7 @@ def test_what_was_seen_is_forgotten():
 
 def test_a_horizon_seen_otherwise_helps():
     plane = GroundPlane(CAMERA, SMOOTH)
-    plane.hint(200.0, 1.0, source="lanes")
+    plane.hint(200.0, 1.0)
     assert plane.horizon.y_px == pytest.approx(200.0, abs=3.0)
     tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)  # alone: nobody else tells of the horizon
     with_lanes = plane.measure(tracks, by_size, at(0.0))
@@ -98,10 +98,8 @@ def test_a_horizon_seen_otherwise_helps():
     assert not (with_lanes.sigma_m[0] >= without.sigma_m[0])
     other = GroundPlane(CAMERA, SMOOTH)
     for y_px in (200.0, 160.0):  # what is said anew replaces what was said before
-        other.hint(y_px, 1.0, source="lanes")
+        other.hint(y_px, 1.0)
     assert other.horizon.y_px == pytest.approx(160.0, abs=3.0)
-    other.hint(180.0, 1.0, source="stereo")
-    assert other.horizon.y_px == pytest.approx(170.0, abs=3.0)
 
 
 def test_what_cannot_be_measured_is_nan():

@@ -105,6 +105,15 @@ def test_lines_of_another_frame_are_not_used():
     assert np.isnan(ranger.measure(standing_at(15.0), FRAME).distance_m).all()
 
 
+def test_lines_and_tracks_that_are_other_ones_are_looked_at_anew():
+    ranger, tracks = LaneWidthRanger(CAMERA), standing_at(15.0)
+    for seen in (lines(), LaneLines(), lines()):
+        ranger.see(seen, FRAME.index)
+        expected = measured(tracks, seen).distance_m
+        assert ranger.measure(tracks, FRAME).distance_m == pytest.approx(expected, nan_ok=True)
+    assert ranger.measure(standing_at(12.0, 20.0), FRAME).distance_m == pytest.approx([12.0, 20.0], rel=0.01)
+
+
 def learn(ranger, lane_m, n_frames, *, noise=0.02, first=0):
     rng = np.random.default_rng(2)
     for i in range(first, first + n_frames):

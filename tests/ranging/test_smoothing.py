@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilter, FilterSettings, time_to_collision
+from ranging.smoothing import DistanceFilter, DistanceFilters, FilterSettings
 
 SETTINGS = FilterSettings(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
 
@@ -105,16 +105,6 @@ def test_a_new_track_may_stand_still_beside_a_moving_camera():
     assert tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1).rate_mps == pytest.approx([-12.0, 0.0])  # unknown now
     again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # and a jump while unknown is no braking
     assert (again.rate_mps[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
-
-
-def test_time_to_collision_by_hand():
-    ttc_s, sigma_s = time_to_collision(
-        np.array([30.0, 30.0, 30.0, 30.0]),
-        np.array([-10.0, -0.2, 5.0, np.nan]),
-        variances=np.array([[9.0], [0.0], [1.0]]) * np.ones(4),
-    )
-    assert ttc_s == pytest.approx([3.0, np.nan, np.nan, np.nan], nan_ok=True)
-    assert sigma_s == pytest.approx([3 * np.sqrt(0.1**2 + 0.1**2), np.nan, np.nan, np.nan], nan_ok=True)
 
 
 def test_time_to_collision_is_as_uncertain_as_it_says_and_knows_no_size():
@@ -227,6 +217,49 @@ def test_two_filters_share_nothing():
     first, second = DistanceFilter(), DistanceFilter()
     first.update(measured([1], [30.0]), 0.0)
     assert np.isnan(second.update(measured([1], [np.nan]), 0.1).ranges.distance_m).all()
+
+
+def test_filters_of_several_methods_are_those_of_each_alone():
+    """Whatever one method measures, or says of its noise and its ways, is nothing to the others."""
+    rng, shares = np.random.default_rng(12), {"a": 0.6, "b": 0.3, "c": 0.35}
+    together, alone = (
+        DistanceFilters(shares),
+        {n: DistanceFilter(FilterSettings(noise_share=s)) for n, s in shares.items()},
+    )
+    ids, last = np.arange(6), {}
+    for step in range(40):
+        here = rng.permutation(ids)[: 5 if step % 3 else 4]
+        by_method = {
+            name: measured(here, np.where(rng.random(len(here)) < 0.2, np.nan, (30 + here) * rng.normal(1.0, 0.05)))
+            for name in shares
+        }
+        by_method["b"] = replace(by_method["b"], sigma_kept_m=0.8 * by_method["b"].sigma_m)
+        way = rng.integers(0, 2, len(here))
+        found = together.update({**by_method, "other": by_method["a"]}, step * 0.1, ways={"c": way}, ego_speed_mps=3.0)
+        assert list(found) == ["a", "b", "c"]
+        for name, tracker in alone.items():
+            last[name] = tracker.update(
+                by_method[name], step * 0.1, way=way if name == "c" else None, ego_speed_mps=3.0
+            )
+            for ours, theirs in (
+                (found[name].ranges.distance_m, last[name].ranges.distance_m),
+                (found[name].ranges.sigma_m, last[name].ranges.sigma_m),
+                (found[name].rate_mps, last[name].rate_mps),
+                (found[name].ttc_sigma_s, last[name].ttc_sigma_s),
+            ):
+                assert ours == pytest.approx(theirs, nan_ok=True)
+    assert together.noise_shares == pytest.approx({name: tracker.noise_share for name, tracker in alone.items()})
+    assert len(set(together.noise_shares.values())) == 3
+
+
+def test_a_method_that_is_not_given_has_measured_nothing():
+    tracker = DistanceFilters({"a": 0.6, "b": 0.6})
+    assert tracker.update({}, 0.0) == {}
+    for step in range(10):
+        tracker.update({"a": measured([1], [40.0 - step]), "b": measured([1], [40.0 - step])}, step * 0.1)
+    assert list(tracker.update({"a": measured([1], [30.0])}, 1.0)) == ["a"]
+    carried_on = tracker.update({"a": measured([1], [29.0]), "b": measured([1], [np.nan])}, 1.1)["b"]
+    assert carried_on.ranges.distance_m == pytest.approx([29.0], abs=0.3)
 
 
 @settings(deadline=None)

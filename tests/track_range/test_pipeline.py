@@ -71,8 +71,10 @@ class LinesTo:
 
     def __init__(self, y_px):
         self.y_px = y_px
+        self.looked_s = []
 
     def find(self, image, time_s):
+        self.looked_s.append(time_s)
         left, right = (
             LaneLine(np.array([49.5 - slope * self.y_px, slope, 0.0]), np.diag([0.01, 0.0, 0.0]), 50.0, 79.0)
             for slope in (-1.0, 1.0)
@@ -86,6 +88,18 @@ def test_the_grounds_horizon_is_where_lane_lines_meet(y_px):
     loop.lane_finder, loop.ground = LinesTo(y_px), plane
     assert len(list(loop.run(frames(3)))) == 3
     assert plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
+
+
+def test_lanes_are_looked_for_ten_times_a_second_and_told_to_the_ground_once_a_look():
+    loop, plane = pipeline(), GroundPlane(CAMERA)
+    loop.lane_finder, loop.ground = LinesTo(40.0), plane
+    results = list(loop.run(frames(7, dt_s=1 / 30)))
+    assert loop.lane_finder.looked_s == pytest.approx([0.0, 0.1, 0.2])
+    assert [r.lanes is results[0].lanes for r in results] == [True] * 3 + [False] * 4
+    sparse, other = pipeline(), GroundPlane(CAMERA)
+    sparse.lane_finder, sparse.ground = LinesTo(40.0), other
+    list(sparse.run(frames(3, dt_s=0.1)))
+    assert plane.horizon.sigma_px == pytest.approx(other.horizon.sigma_px, rel=0.05)
 
 
 def test_a_frame_without_boxes_is_a_result_without_rows():
