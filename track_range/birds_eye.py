@@ -10,17 +10,21 @@ r"""BirdsEye: an inset that shows the road from above, to scale: where each trac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from detection.detections import FloatArray, Image
 from stereo.camera import PinholeCamera
 from track_range.overlay_colours import BLACK, GREY, WHITE, alarm_colour, track_colour
 from track_range.results import FrameResult
 
-RANGES_M = (30.0, 60.0, 120.0)
+Point = tuple[int, int]
+
+RANGES_M = (30.0, 60.0, 90.0, 120.0)
 """How far the inset may show."""
 
 _CALM_S = 3.0  # so long must all tracks be nearer before the scale changes
@@ -60,6 +64,7 @@ class BirdsEye:
         self.camera = camera
         self._scale = Scale()
         self._font = cv2.FontFace("sans")
+        self._grids: dict[tuple[int, int, float], Image] = {}
 
     def place(self, image_px: tuple[int, int]) -> FloatArray:
         """(4,) where the inset stands in an image (W, H): at the lower left; empty in an image too small for one."""
@@ -78,10 +83,10 @@ class BirdsEye:
         if not inset.size:
             return
         np.right_shift(inset, 2, out=inset)
-        self._draw_grid(inset)
-        for row in np.flatnonzero(known)[np.argsort(-ground_m[known, 1])].tolist():
-            self._draw_track(inset, result, row, ground_m[row])
-        cv2.rectangle(inset, (0, 0), (inset.shape[1] - 1, inset.shape[0] - 1), _FAINT, 1)
+        cv2.max(inset, self._grid((bottom - top, right - left)), dst=inset)
+        far_first = np.flatnonzero(known)[np.argsort(-ground_m[known, 1])]
+        for row, (at, *bar) in zip(far_first.tolist(), self._marks(ground_m[far_first], inset), strict=True):
+            self._draw_track(inset, result, row, at=at, bar=bar)
 
     def ground_m(self, result: FrameResult) -> FloatArray:
         """(N, 3) x, z and sigma of z of each track, from the fused distance, else the filtered one; NaN = unknown."""
@@ -104,38 +109,62 @@ class BirdsEye:
         px_per_m = (1 - _EGO_ROOM) * height / self._scale.range_m
         return np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_ROOM) * height - z_m * px_per_m], axis=-1)
 
-    def _draw_grid(self, inset: Image) -> None:
-        hw = (inset.shape[0], inset.shape[1])
+    def _grid(self, hw: tuple[int, int]) -> Image:
+        """What is under the tracks, on black; the same until the scale changes."""
+        key = (*hw, self._scale.range_m)
+        if key not in self._grids:
+            self._grids[key] = self._new_grid(hw)
+        return self._grids[key]
+
+    def _new_grid(self, hw: tuple[int, int]) -> Image:
+        grid = np.zeros((*hw, 3), np.uint8)
         range_m, size_px = self._scale.range_m, max(9, hw[0] // 18)
-        ego = self._point(0.0, 0.0, hw)
-        if self.camera is not None:
-            for u_px in (0.0, self.camera.width_px - 1.0):
-                x = (u_px - self.camera.cx_px) / self.camera.fx_px
-                cv2.line(inset, ego, self._point(2 * range_m * x, 2 * range_m, hw), _FAINT, 1, cv2.LINE_AA)
+        ego, *far_ends = self._points(
+            [(0.0, 0.0)] + [(2 * range_m * slope, 2 * range_m) for slope in self._slopes()], hw
+        )
+        for end in far_ends:
+            cv2.line(grid, ego, end, _FAINT, 1, cv2.LINE_AA)
         for number in range(1, _N_LINES + 1):
             z_m = range_m * number / _N_LINES
-            y = self._point(0.0, z_m, hw)[1]
-            cv2.line(inset, (0, y), (hw[1], y), _FAINT, 1)
+            y = self._points([(0.0, z_m)], hw)[0][1]
+            cv2.line(grid, (0, y), (hw[1], y), _FAINT, 1)
             text = f"{z_m:.0f} m" if number == _N_LINES else f"{z_m:.0f}"
-            cv2.putText(inset, text, (3, y + size_px), GREY, self._font, size_px, 450)
+            cv2.putText(grid, text, (3, y + size_px), GREY, self._font, size_px, 450)
         half = max(2, hw[0] // 60)
-        cv2.fillConvexPoly(
-            inset, np.array([(ego[0] - half, ego[1] + 2 * half), (ego[0] + half, ego[1] + 2 * half), ego]), WHITE
+        foot = ego[1] + 2 * half
+        cv2.fillConvexPoly(grid, np.array([(ego[0] - half, foot), (ego[0] + half, foot), ego]), WHITE)
+        cv2.rectangle(grid, (0, 0), (hw[1] - 1, hw[0] - 1), _FAINT, 1)
+        return grid
+
+    def _slopes(self) -> list[float]:
+        """How x / z is at the left and the right edge of the camera's view; none where it is not known."""
+        if self.camera is None:
+            return []
+        return [(u_px - self.camera.cx_px) / self.camera.fx_px for u_px in (0.0, self.camera.width_px - 1.0)]
+
+    def _marks(self, ground_m: FloatArray, inset: Image) -> list[list[Point]]:
+        """Of each track: its place, and the ends of its bar."""
+        z_m, sigma_m = ground_m[:, 1], ground_m[:, 2]
+        share = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
+        points_m = (ground_m[:, None, :2] * share[:, :, None]).reshape(-1, 2)
+        points = self._points(points_m, (inset.shape[0], inset.shape[1]))
+        return [points[first : first + 3] for first in range(0, len(points), 3)]
+
+    def _draw_track(self, inset: Image, result: FrameResult, row: int, *, at: Point, bar: Sequence[Point]) -> None:
+        colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))
+        alarm, seen = (
+            alarm_colour(float(result.ttc_s[row]), may_hit=result.may_hit(row)),
+            bool(result.tracks.observed[row]),
         )
-
-    def _draw_track(self, inset: Image, result: FrameResult, row: int, ground_m: FloatArray) -> None:
-        hw = (inset.shape[0], inset.shape[1])
-        x_m, z_m, sigma_m = ground_m.tolist()
-        colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(hw[0] / 60))
-        alarm, at = alarm_colour(float(result.ttc_s[row])), self._point(x_m, z_m, hw)
         cv2.circle(inset, at, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
-        if not result.tracks.observed[row]:
+        if not seen:
             cv2.circle(inset, at, radius, BLACK, -1, cv2.LINE_AA)
-        cv2.circle(inset, at, radius, colour, -1 if result.tracks.observed[row] else 1, cv2.LINE_AA)
-        ends = [self._point(x_m * share, z_m * share, hw) for share in (1 - sigma_m / z_m, 1 + sigma_m / z_m)]
-        cv2.line(inset, ends[0], ends[1], colour, 1, cv2.LINE_AA)
+        cv2.circle(inset, at, radius, colour, -1 if seen else 1, cv2.LINE_AA)
+        cv2.line(inset, bar[0], bar[1], colour, 1, cv2.LINE_AA)
 
-    def _point(self, x_m: float, z_m: float, hw: tuple[int, int]) -> tuple[int, int]:
-        """A pixel of the inset; points far outside are brought near its edge, since drawing takes 16-bit pixels."""
-        pixel = np.clip(self.pixels(np.array(x_m), np.array(z_m), hw), -5.0 * max(hw), 5.0 * max(hw))
-        return int(np.rint(pixel[0])), int(np.rint(pixel[1]))
+    def _points(self, points_m: npt.ArrayLike, hw: tuple[int, int]) -> list[Point]:
+        """Pixels of x, z (N, 2) in the inset; those far outside are brought near it, since drawing takes 16 bits."""
+        x_m, z_m = np.asarray(points_m, np.float64).T
+        limit = 5.0 * max(hw)
+        pixels = np.rint(np.clip(self.pixels(x_m, z_m, hw), -limit, limit)).astype(int)
+        return [(x, y) for x, y in pixels.tolist()]

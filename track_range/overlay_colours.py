@@ -42,8 +42,10 @@ def track_colour(track_id: int) -> Bgr:
     return PALETTE[track_id % len(PALETTE)]
 
 
-def alarm_colour(ttc_s: float) -> Bgr | None:
-    """Red below 2 s to collision, amber below 4 s, else none (NaN: none)."""
+def alarm_colour(ttc_s: float, *, may_hit: bool = True) -> Bgr | None:
+    """Red below 2 s to collision, amber below 4 s, else none (NaN: none); none for what passes beside."""
+    if not may_hit:
+        return None
     if ttc_s < TTC_RED_S:
         return RED
     return AMBER if ttc_s < TTC_AMBER_S else None

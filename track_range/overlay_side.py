@@ -10,7 +10,7 @@ from stereo.rig import StereoRig
 from stereo.sgbm import disparity_picture
 from track_range.overlay import Overlay
 from track_range.overlay_colours import GREY, WHITE, track_colour
-from track_range.overlay_marks import draw_box, draw_inner_window
+from track_range.overlay_marks import draw_box, draw_inner_windows
 from track_range.overlay_text import BOLD, REGULAR, Span, text_sizes_px
 from track_range.overlay_writing import Pen
 from track_range.results import FrameResult
@@ -40,17 +40,18 @@ class DisparityPicture:
         """The same with the tracks' boxes and inner windows, and a scale in metres at the lower edge."""
         canvas = self.draw(result)
         boxes = np.clip(result.tracks.xyxy_px, -20.0, np.tile(canvas.shape[1::-1], 2) + 20.0)
-        for row in np.flatnonzero(np.isfinite(boxes).all(axis=1)).tolist():
-            seen, bgr = bool(result.tracks.observed[row]), track_colour(int(result.tracks.track_id[row]))
+        whole = np.isfinite(boxes).all(axis=1)
+        for row in np.flatnonzero(whole).tolist():
+            bgr, seen = track_colour(int(result.tracks.track_id[row])), bool(result.tracks.observed[row])
             draw_box(canvas, boxes[row], bgr=bgr, line_px=1, dashed=not seen)
-            if seen:
-                draw_inner_window(canvas, boxes[row], bgr=WHITE)
+        looked_in = boxes[whole & result.tracks.observed]
+        draw_inner_windows(canvas, looked_in, [WHITE] * len(looked_in))
         self._draw_scale(canvas)
         return canvas
 
     def _draw_scale(self, canvas: Image) -> None:
         """A swatch beside each distance, at the lower right."""
-        size_px = text_sizes_px(len(canvas))[1]
+        size_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[1]
         level = np.rint(255 * REDDEST_M / np.array(SCALE_M)).astype(np.uint8)
         swatches = cv2.applyColorMap(level[:, None], cv2.COLORMAP_TURBO)[:, 0].tolist()
         line = [Span("dense stereo, m", size_px, BOLD, WHITE)]

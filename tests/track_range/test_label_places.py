@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from detection.detections import FloatArray
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH
-from track_range.label_places import PLACES, free_place, label_places, place_costs, shared_areas
+from track_range.label_places import PLACES, LabelPlacer, covered, free_place, label_places, place_costs, shared_areas
 
 
 def test_shared_areas_by_hand() -> None:
@@ -67,3 +67,33 @@ def test_labels_stay_inside_and_never_cover_each_other(boxes: list[tuple[float, 
             assert shared_areas(places[i, number][None], taken)[0] == 0
             taken = np.vstack([taken, places[i, number]])
     assert len(taken) >= 1
+
+
+def placed(boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] = (WIDTH, HEIGHT)) -> list[int | None]:
+    """Which size (0 = full) each label takes, of 130 x 46 and 90 x 20 px."""
+    n = len(boxes)
+    sizes_px = np.array([[[130.0, 46.0]] * n, [[90.0, 20.0]] * n])
+    found = LabelPlacer().place(
+        range(n), np.array(boxes), sizes_px, taken=np.zeros((0, 4)), image_px=image_px, urgent=[urgent] * n
+    )
+    return [None if one is None else one[0] for one in found]
+
+
+def test_a_label_is_cut_short_where_it_would_hide_boxes_unless_it_is_urgent() -> None:
+    assert placed([BOX], urgent=False) == [0]
+    wall = [[x, 0.0, x + 40.0, float(HEIGHT)] for x in range(0, WIDTH, 40)]  # cars wherever one looks
+    assert placed([*wall, BOX], urgent=False)[0] == 1
+    assert placed([*wall, BOX], urgent=True)[0] == 0
+
+
+def test_a_label_that_the_image_cannot_hold_is_cut_short_or_left_out() -> None:
+    assert placed([[10.0, 10.0, 40.0, 30.0]], urgent=True, image_px=(100, 60)) == [1]
+    assert placed([[10.0, 10.0, 40.0, 30.0]], urgent=True, image_px=(80, 60)) == [None]
+
+
+def test_a_place_that_only_touches_is_free() -> None:
+    places = np.array([[0.0, 0, 10, 10], [20, 20, 30, 30]])
+    assert covered(places, np.array([[10.0, 0, 20, 10]])).tolist() == [False, False]
+    assert covered(places, np.array([[9.0, 9, 20, 21]])).tolist() == [True, False]
+    assert covered(places, np.array([[0.0, 0, 40, 40]])).tolist() == [True, True]
+    assert covered(places, np.zeros((0, 4))).tolist() == [False, False]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,25 +10,14 @@ import numpy as np
 import pytest
 
 from detection.lanes import LaneLine, LaneLines
+from ranging.collision_course import Misses
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
 from track_range.overlay import Overlay
-from track_range.overlay_colours import AMBER, CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
+from track_range.overlay_colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
 from track_range.overlay_text import (
-    Span,
     closing_span,
-    corner_lines,
-    distance_text,
-    label_lines,
-    shown_distance,
-    text_sizes_px,
+    shown_name,
 )
-from track_range.overlay_writing import Pen
-from track_range.results import FrameResult
-
-
-def words(found: FrameResult, row: int = 0) -> list[list[str]]:
-    lines = label_lines(found, row, class_names=["person", "bicycle", "car"], sizes_px=(15, 11))
-    return [[span.text for span in line] for line in lines]
 
 
 def test_the_frame_is_copied_and_never_written_to() -> None:
@@ -104,61 +94,23 @@ def test_with_no_tracks_only_the_corners_and_the_inset_are_drawn_on() -> None:
     assert changed[300, 60]  # the road from above
 
 
-def test_corners_say_frame_time_methods_and_strokes() -> None:
-    clock, legend = corner_lines(result([BOX]), 11)
-    assert [span.text for span in clock[0]] == ["frame 7", "0.72 s"]
-    more, _ = corner_lines(result([BOX]), 11, status=("9.8 fps", "85 ms behind"), warning="uncalibrated")
-    assert [span.text for span in more[0]] == ["frame 7", "0.72 s", "9.8 fps", "85 ms behind", "uncalibrated"]
-    assert more[0][-1].bgr == AMBER
-    assert legend[0][0].text == "large: fused ±1 sigma   M mono   S stereo   dashed: predicted"
+def passing(*may_hit: bool) -> Misses:
+    nan = np.full(len(may_hit), np.nan)
+    return Misses(nan, nan, nan, np.array(may_hit))
 
 
-def test_a_label_says_fused_identity_and_the_methods_side_by_side() -> None:
-    assert words(result([BOX])) == [["22.5 m", "±0.5", "car 1"], ["M 23.1  S 22.4"]]
-    both = {"sgbm": (np.nan, np.nan), "lane": (104.2, 9.0), "mono": (99.96, 3.0), "fused": (7.04, 0.1)}
-    assert words(result([BOX], ranges=both)) == [["7.0 m", "±0.1", "car 1"], ["M 100  L 104"]]
-
-
-def test_a_track_without_any_range_still_has_its_name() -> None:
-    assert words(result([BOX], ranges={})) == [["- m", "car 1"]]
-    assert words(result([BOX], ranges={"fused": (np.nan, np.nan)})) == [["- m", "car 1"]]
-
-
-def test_a_predicted_track_shows_its_filtered_distance() -> None:
-    carried = result([BOX], observed=False, ranges={"fused": (np.nan, np.nan), "fused_kf": (31.0, 2.0)})
-    assert shown_distance(carried, 0) == (31.0, 2.0)
-    assert words(carried) == [["31.0 m", "±2.0", "car 1"]]
-
-
-def test_closing_is_said_only_when_the_gap_shrinks_on_a_bar_that_turns_amber_and_red() -> None:
-    spans = [closing_span(6.2, ttc_s, 11) for ttc_s in (1.9, 3.6, 6.0, 12.0)]
-    texts = [f"TTC {ttc_s:.1f} s  closing 6.2 m/s" for ttc_s in (1.9, 3.6, 6.0, 12.0)]
-    assert [span.text for span in spans if span] == texts
-    assert [span.fill for span in spans if span] == [RED, AMBER, CALM, CALM]
-    assert [span.filled for span in spans if span] == pytest.approx([1 - 1.9 / 8, 1 - 3.6 / 8, 0.25, 0])
-    assert closing_span(-3.0, np.nan, 11) is None
-    assert closing_span(np.nan, np.nan, 11) is None
-    slow = closing_span(0.6, 80.0, 11)
-    assert slow is not None
-    assert (slow.text, slow.filled) == ("closing 0.6 m/s", 0.0)
-
-
-def test_a_bar_is_as_long_as_it_says_and_its_text_is_read_on_either_part() -> None:
-    place = np.array([10.0, 10.0, 213.0, 30.0])  # 200 px behind the stripe
-    for filled in (0.0, 0.25, 0.75, 1.0):
-        canvas = grey(60, 300)
-        Pen().write(canvas, [[Span("TTC 3.0 s  closing 6.2 m/s", 14, 700, (255, 255, 255), AMBER, filled)]], place)
-        columns = np.flatnonzero(painted(canvas, AMBER)[11])
-        assert len(columns) == round(200 * filled)
-        if filled:
-            assert (columns[0], columns[-1]) == (13, 12 + round(200 * filled))
-        unfilled = canvas[11:27, 13 + round(200 * filled) : 213]
-        assert filled == 1.0 or unfilled.max() > 200  # white letters
-        assert not filled or (canvas[11:27, 13 : 13 + round(200 * filled)].max(axis=2) < 60).any()  # black ones
-
-
-def test_warnings_start_below_four_and_two_seconds() -> None:
-    assert [alarm_colour(ttc_s) for ttc_s in (1.99, 2.0, 3.99, 4.0, np.nan)] == [RED, AMBER, AMBER, None, None]
+def test_what_passes_beside_is_said_to_and_never_red() -> None:
+    beside = closing_span(20.5, 0.7, 11, may_hit=False)
+    assert beside is not None
+    assert (beside.text, beside.filled, beside.fill) == ("passes in 0.7 s  closing 20.5 m/s", 0.0, CALM)
+    assert alarm_colour(0.7, may_hit=False) is None
+    urgent = {"closing": (20.5, 0.7), "xyz_m": np.array([[0.0, 0.0, 14.0]])}
+    n_red = [
+        painted(Overlay().draw(result([BOX], misses=misses, **urgent)), RED).sum()
+        for misses in (None, passing(True), passing(False))
+    ]
+    assert n_red[0] == n_red[1] > 500
+    assert n_red[2] == 0
 
 
 def test_an_urgent_track_shows_red_and_a_calm_one_does_not() -> None:
@@ -167,15 +119,12 @@ def test_an_urgent_track_shows_red_and_a_calm_one_does_not() -> None:
     assert n_red[1:] == [0, 0]
 
 
-@pytest.mark.parametrize(("metres", "text"), [(7.04, "7.0"), (99.94, "99.9"), (99.96, "100"), (np.nan, "-")])
-def test_distances_are_as_long_as_they_are_useful(metres: float, text: str) -> None:
-    assert distance_text(metres) == text
-
-
-def test_text_grows_with_the_image() -> None:
-    assert text_sizes_px(374) == (15, 11, 2)
-    assert text_sizes_px(720) == (26, 18, 3)
-    assert text_sizes_px(100)[1] == 11
+def test_names_of_classes_are_cut_and_kept_on_one_line() -> None:
+    assert shown_name("小汽车 <b>&\"'") == "小汽车 <b>&\"'"
+    assert shown_name("two\nlines\tof it") == "two lines of it"
+    assert shown_name("x" * 300) == "x" * 23 + "…"
+    for names in (("person", "bicycle", "x" * 300), ("", "", "\n"), ("a", "b", "<script>")):
+        assert Overlay(names).draw(result([BOX])).shape == (HEIGHT, WIDTH, 3)
 
 
 HOSTILE = [
@@ -191,7 +140,7 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("observed", [True, False])
-@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (24, 32), (1, 1)])
+@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (24, 32), (1, 1), (2160, 3840), (1280, 720)])
 def test_boxes_of_any_kind_on_images_of_any_size_are_drawn(observed: bool, size: tuple[int, int]) -> None:
     ranges = {"fused": (np.nan, np.nan), "mono": (np.inf, np.nan)}
     found = result(HOSTILE, image=grey(*size), observed=observed, ranges=ranges, closing=(9.0, 1.0))
@@ -216,6 +165,27 @@ def test_a_crowd_is_drawn_near_ones_first() -> None:
     boxes = np.hstack([corner, corner + 40]).tolist()
     drawn = Overlay().draw(result(boxes))
     assert (drawn != 128).any(axis=2).mean() > 0.3
+
+
+def test_of_a_thousand_the_nearest_have_labels() -> None:
+    """Whoever reaches lowest is nearest; what a farther one is called makes no difference."""
+    column, row = np.divmod(np.arange(1000), 20)
+    boxes = np.stack([70.0 * column, 100.0 * row + 50, 70.0 * column + 20, 100.0 * row + 70 + column / 100], axis=1)
+    found = result(boxes.tolist(), image=grey(2160, 3840))
+    pictures = []
+    for changed in (np.argmax(boxes[:, 3]), np.argmin(boxes[:, 3]), None):
+        tracks = found.tracks
+        class_id = np.where(np.arange(1000) == changed, 1, tracks.class_id)
+        pictures.append(Overlay().draw(replace(found, tracks=replace(tracks, class_id=class_id))))
+    assert not np.array_equal(pictures[0], pictures[2])
+    assert np.array_equal(pictures[1], pictures[2])
+
+
+def test_an_image_too_small_for_text_has_none() -> None:
+    tiny = Overlay().draw(result([[4.0, 4.0, 20.0, 16.0]], image=grey(24, 32)))
+    assert painted(tiny, track_colour(1)).any()
+    assert (tiny[0] == 128).all()
+    assert (tiny[20:] == 128).all()
 
 
 def test_real_frames_keep_their_picture_under_the_marks(shared_data: Path) -> None:

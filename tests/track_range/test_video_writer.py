@@ -58,6 +58,16 @@ def test_odd_sizes_get_a_pixel_more(tmp_path: Path, width_px: int, height_px: in
     assert frame.image[-1].min() > 190 or height_px == 48
 
 
+def test_one_quantizer_for_all_frames_is_coarser_when_it_is_larger(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    images = [rng.integers(0, 255, (64, 64, 3), np.uint8) for _ in range(3)]
+    sizes = []
+    for quantizer in (10, 28, 45):
+        write(tmp_path / "out.mp4", images, [0.0, 0.1, 0.2], quantizer=quantizer)
+        sizes.append((tmp_path / "out.mp4").stat().st_size)
+    assert sizes[0] > 1.5 * sizes[1] > 3 * sizes[2]
+
+
 def test_the_file_is_h264_with_a_keyframe_each_second_and_no_delay(
     tmp_path: Path, level: Callable[..., np.ndarray]
 ) -> None:
