@@ -222,7 +222,13 @@ def _option(place: tuple[int | str, ...]) -> str:
 
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
-    run = settings.model_dump(mode="json", exclude_none=True)
+    run = absolute_settings(settings)
+    write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
+
+
+def absolute_settings(settings: RunSettings) -> dict[str, Any]:
+    """The settings as settings.yaml keeps them: plain values, with absolute paths."""
+    run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     for key in ("rig", "detections", "curves", "truth", "table", "out", "reid"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
@@ -233,7 +239,7 @@ def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -
         run["stereo"] = [_absolute(video) for video in settings.stereo]
     if settings.mono:
         run["mono"] = _absolute(settings.mono)
-    write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
+    return run
 
 
 def _absolute(video: VideoName) -> str:

@@ -23,6 +23,32 @@ def termination_as_interrupt() -> Iterator[None]:
 
 
 @contextmanager
+def first_interrupt_only() -> Iterator[None]:
+    """While inside, the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored.
+
+    What the first one lets end in order (threads, videos, the summary), an impatient second one would tear apart.
+    """
+    heeded = _heeded()
+
+    def interrupt(number: int, at: FrameType | None) -> None:
+        for each in heeded:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in heeded}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _heeded() -> list[signal.Signals]:
+    """Those that are not ignored already, as in the background of a shell or under nohup."""
+    return [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
+
+
+@contextmanager
 def interrupts_put_off() -> Iterator[None]:
     """While inside, Ctrl-C and SIGTERM wait: what belongs together (a frame's rows, pictures and count) is done first.
 
@@ -34,14 +60,16 @@ def interrupts_put_off() -> Iterator[None]:
     def note(number: int, at: FrameType | None) -> None:
         came.append(number)
 
-    heeded = [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
-    before = {number: signal.signal(number, note) for number in heeded}
+    before = {number: signal.signal(number, note) for number in _heeded()}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
     if came:
+        handler = signal.getsignal(came[0])
+        if callable(handler):
+            handler(came[0], None)  # so that it knows
         raise KeyboardInterrupt
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import urlsplit, urlunsplit
 
 _SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
+_SECRETS = re.compile(r"://[^/?#]*@")
 _NUMBER = re.compile(r"\d{1,3}")
 
 _SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
@@ -25,10 +25,7 @@ class LiveAddress:
     url: str
 
     def __str__(self) -> str:
-        if self.is_camera:
-            return self.url
-        parts = urlsplit(self.url)
-        return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))
+        return self.url if self.is_camera else _SECRETS.sub("://", self.url, count=1)
 
     @property
     def is_camera(self) -> bool:

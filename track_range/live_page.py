@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import threading
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from ipaddress import ip_address
-from socket import AF_INET6, socket
+from socket import AF_INET6, gaierror, gethostname, socket
 from socketserver import TCPServer
 
 from track_range.config import ConfigError
@@ -25,6 +26,7 @@ _PATIENCE_S = 5.0  # a viewer who takes nothing for so long is gone
 _POLL_S = 0.1  # how soon the server notices that it is to end
 _BOUNDARY = "picture"
 LOOPBACK = "127.0.0.1"
+_HERE = {"0.0.0.0": LOOPBACK, "::": "[::1]"}  # noqa: S104 - all addresses of this machine, and one to call it by
 
 
 class PageError(ConfigError):
@@ -58,7 +60,8 @@ class LivePage:
         host: the address to listen on; 127.0.0.1 = this machine alone.
 
     Attributes:
-        url: where the page is.
+        url: where the page is, as this machine sees it.
+        url_elsewhere: as other machines probably see it, where it is served on all of this one's addresses; else None.
         is_private: whether it is for this machine alone.
 
     Raises:
@@ -74,9 +77,11 @@ class LivePage:
             self._server = kind((host, port), partial(_Viewer, self))
         except OSError as error:
             raise PageError(
-                f"--serve {shown}:{port}: cannot be served there ({error.strerror or error}); choose another port."
+                f"--serve {shown}:{port}: cannot be served there ({error.strerror or error}); {_advice(error)}."
             ) from error
-        self.url = f"http://{shown}:{self._server.server_address[1]}/"
+        port = self._server.server_address[1]
+        self.url = f"http://{_HERE.get(host, shown)}:{port}/"
+        self.url_elsewhere = f"http://{gethostname()}:{port}/" if host in _HERE else None
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(_POLL_S,), name="live page", daemon=True
         )
@@ -159,6 +164,12 @@ class _Viewer(BaseHTTPRequestHandler):
         if length is not None:
             self.send_header("Content-Length", str(length))
         self.end_headers()
+
+
+def _advice(error: OSError) -> str:
+    if isinstance(error, gaierror) or error.errno == errno.EADDRNOTAVAIL:
+        return "give an address of this machine, such as 0.0.0.0 for all of them"
+    return "choose a port from 1024 on" if error.errno == errno.EACCES else "choose another port"
 
 
 def _name_of_host(header: str) -> str:

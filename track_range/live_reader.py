@@ -47,10 +47,15 @@ class LiveReader:
     def notes(self) -> tuple[str, ...]:
         """What the user should know, once it is over."""
         stream = self.stream
-        if not self.is_closed or stream.n_received == stream.n_taken:
+        if not self.is_closed:
             return ()
+        came = counted(stream.n_received, "frame")
+        ended = (f"{self.path}: the stream ended by itself after {came}.",) if stream.has_ended else ()
+        if stream.n_received == stream.n_taken:
+            return ended
         return (
-            f"{self.path}: {counted(stream.n_received, 'frame')} came, {stream.n_taken} were used; the others came "
+            *ended,
+            f"{self.path}: {came} came, {stream.n_taken} were used; the others came "
             "while older ones were worked on, or had no partner.",
         )
 

@@ -49,6 +49,7 @@ class LiveStream:
         n_received: images decoded so far.
         n_taken: images handed on.
         ended_by: why the stream is over, as FFmpeg says; empty = it ended as a file does, or runs still.
+        has_ended: whether it ended as a file does, and not because nobody wanted more.
 
     Raises:
         VideoError: it cannot be opened, holds no video, or no image comes.
@@ -58,7 +59,7 @@ class LiveStream:
         self.address = address
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
-        self.ended_by, self._is_over = "", False
+        self.ended_by, self.has_ended, self._is_over = "", False, False
         self._held: deque[_Held] = deque(maxlen=_HELD)
         self._lock = threading.Lock()
         self._news: list[threading.Event] = []
@@ -137,6 +138,7 @@ class LiveStream:
         try:
             with container:
                 self._receive(container, stream)
+            self.has_ended = not self._is_unwanted.is_set()
         except av.FFmpegError as error:
             self.ended_by = "" if self._is_unwanted.is_set() else _reason(error)
         self._is_over = True
@@ -173,14 +175,15 @@ def _opened(address: LiveAddress) -> InputContainer:
         )
     except (av.FFmpegError, ValueError) as error:
         what = "camera" if address.is_camera else "stream"
-        raise VideoError(f"{address}: this {what} cannot be opened ({_reason(error)}).") from error
+        reason = _reason(error, silence_s=_OPEN_S)
+        raise VideoError(f"{address}: this {what} cannot be opened ({reason}).") from error
     if not container.streams.video:
         container.close()
         raise VideoError(f"{address}: holds no video.")
     return container
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: Exception, *, silence_s: float = SILENCE_S) -> str:
     if isinstance(error, av.error.ExitError):
-        return f"no answer for {SILENCE_S:.0f} s"
+        return f"no answer for {silence_s:.0f} s"
     return getattr(error, "strerror", None) or str(error)

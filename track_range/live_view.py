@@ -63,7 +63,9 @@ class LiveView:
         self._picture = draw
         if self._wants_browser and has_screen() and webbrowser.open(self.page.url):
             return f"Live view in your browser: {self.page.url}"
-        return f"Live view: open {self.page.url} in a browser."
+        elsewhere = self.page.url_elsewhere
+        others = f", or {elsewhere} on other machines; whoever reaches this port sees it" if elsewhere else ""
+        return f"Live view: open {self.page.url} in a browser{others}."
 
     def offer(self, result: FrameResult) -> None:
         """Take a result in place of the last one offered, drawn or not."""

@@ -516,7 +516,7 @@
 
   const metres = (track, row) => {
     const { m } = series(track);
-    const known = [m.fused_kf, m.fused, ...Object.values(m)].find((values) => values && Number.isFinite(values[row]));
+    const known = [m.fused, m.fused_kf, ...Object.values(m)].find((values) => values && Number.isFinite(values[row]));
     return known ? known[row] : NaN;
   };
 
@@ -552,7 +552,29 @@
     setTimeout(() => figure.classList.remove("lit"), 1500);
   }
 
+  // The player's own controls would lie on the picture, over the view from above: they come when the mouse does.
+  function startPlayer() {
+    const [player, play, when] = [byId("player"), byId("play"), byId("when")];
+    const tell = () => {
+      if (!Number.isFinite(video.duration)) return;
+      player.hidden = video.hidden;
+      when.max = video.duration;
+      when.value = video.currentTime;
+      when.setAttribute("aria-valuetext", `${(video.currentTime + starts_s).toFixed(2)} s`);
+      play.textContent = video.paused ? "Play" : "Pause";
+    };
+    play.addEventListener("click", () => (video.paused ? video.play() : video.pause()));
+    when.addEventListener("input", () => { video.currentTime = Number(when.value); });
+    for (const name of ["loadedmetadata", "seeked", "timeupdate", "play", "pause", "ended"]) video.addEventListener(name, tell);
+    tell();
+    if (!matchMedia("(hover: hover)").matches) return;
+    video.controls = false;
+    video.addEventListener("pointerenter", () => { video.controls = true; });
+    video.addEventListener("pointerleave", () => { video.controls = false; });
+  }
+
   function startVideo() {
+    startPlayer();
     const follow = () => {
       now_s = video.currentTime + starts_s;
       showMoment();
@@ -565,7 +587,7 @@
     video.addEventListener("play", run);
     for (const name of ["seeked", "timeupdate", "pause"]) video.addEventListener(name, follow);
     const fail = () => {
-      video.hidden = true;
+      video.hidden = byId("player").hidden = true;
       byId("video-missing").hidden = false;
     };
     if (video.error) fail();

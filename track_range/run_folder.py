@@ -123,7 +123,8 @@ def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | Non
         shift_m = left_from_reference_m(Path(found["rig"]), is_grey=False) if found.get("rig") else np.zeros(3)
         return read_truth(Path(run["truth"]), camera, shift_m)
     except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
-        missing.append(f"The truth could not be read again, so charts show none ({error}).")
+        reason = f"settings.yaml does not say {error.args[0]}" if isinstance(error, KeyError) else error
+        missing.append(f"The truth could not be read again, so charts show none ({reason}).")
         return None
 
 

@@ -4,7 +4,12 @@ import signal
 
 import pytest
 
-from track_range.interrupts import deaf_to_interrupts, interrupts_put_off, termination_as_interrupt
+from track_range.interrupts import (
+    deaf_to_interrupts,
+    first_interrupt_only,
+    interrupts_put_off,
+    termination_as_interrupt,
+)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -23,6 +28,31 @@ def test_an_interrupt_waits_for_the_end_of_the_frame(number):
         frame()
     assert done == ["rows", "pictures"]
     assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("is_put_off", [False, True])
+def test_only_the_first_interrupt_counts(first, is_put_off):
+    done = []
+
+    def run():
+        with first_interrupt_only():
+            try:
+                if is_put_off:
+                    with interrupts_put_off():
+                        signal.raise_signal(first)
+                else:
+                    signal.raise_signal(first)
+            finally:
+                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(signal.SIGTERM)
+                done.append("closed")
+
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert done == ["closed"]
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
 def test_an_error_of_the_frame_is_told_rather_than_the_interrupt():

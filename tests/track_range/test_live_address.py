@@ -55,6 +55,12 @@ def test_results_are_named_after_it(url: str, stem: str) -> None:
     assert LiveAddress(url).stem == stem
 
 
+def test_an_address_that_is_none_can_be_told_all_the_same() -> None:
+    for url in ("http://[::1/x", "rtsp://me:secret@[", "tcp://@"):
+        assert "secret" not in str(LiveAddress(url))
+        assert LiveAddress(url).stem
+
+
 def test_how_ffmpeg_is_to_read_it() -> None:
     assert (LiveAddress("/dev/video0").format, LiveAddress("/dev/video0").options) == ("v4l2", {})
     assert LiveAddress("rtsps://h/s").options["rtsp_transport"] == "tcp"

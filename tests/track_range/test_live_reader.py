@@ -66,6 +66,12 @@ def test_a_stream_that_ends_is_read_to_its_end() -> None:
     assert number_of(frames[-1].image) == 119 % N_LEVELS
     assert reader.stream.is_over
     assert reader.is_closed
+    assert reader.notes[0] == f"{camera.url}: the stream ended by itself after {reader.stream.n_received} frames."
+
+
+def test_an_address_that_is_none_is_one_sentence() -> None:
+    with pytest.raises(VideoError, match=r"^http://\[::1/x: this stream cannot be opened \("):
+        LiveReader(LiveAddress("http://[::1/x"))
 
 
 def test_a_camera_that_is_unplugged_is_one_sentence_after_what_came() -> None:

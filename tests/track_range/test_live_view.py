@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import socket
 import threading
 from collections.abc import Iterator
 
@@ -126,6 +127,10 @@ def test_only_this_machines_names_are_answered(view: LiveView) -> None:
 def test_all_names_are_answered_where_others_are_to_see_it() -> None:
     with LiveView("0.0.0.0", 0) as view:  # noqa: S104 - what the test is about
         assert told(view, "/state", host="car.example")[0] == 200
+        port = view.page.url.rstrip("/").rpartition(":")[2]
+        words = view.begin(lambda _: grey())
+    assert view.page.url == f"http://127.0.0.1:{port}/"  # nobody can open 0.0.0.0
+    assert f"or http://{socket.gethostname()}:{port}/ on other machines; whoever reaches this port sees it" in words
 
 
 def test_a_port_in_use_is_one_sentence(view: LiveView) -> None:
@@ -135,8 +140,13 @@ def test_a_port_in_use_is_one_sentence(view: LiveView) -> None:
 
 
 def test_an_address_that_is_not_this_machines_is_one_sentence() -> None:
-    with pytest.raises(PageError, match=r"^--serve 192\.0\.2\.1:8000: cannot be served there"):
+    with pytest.raises(PageError, match=r"^--serve 192\.0\.2\.1:8000: cannot be served there .*; give an address of"):
         LiveView("192.0.2.1", 8000)
+
+
+def test_a_name_that_nobody_knows_is_one_sentence() -> None:
+    with pytest.raises(PageError, match=r"cannot be served there .*; give an address of this machine"):
+        LiveView("no such name", 8000)
 
 
 @pytest.mark.parametrize(

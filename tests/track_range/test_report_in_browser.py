@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.method_colours import METHOD_COLOURS
 from track_range.report import write_comparison, write_report
 from track_range.report_comparison import ComparedRun
 from track_range.results import COLUMNS
@@ -201,6 +202,40 @@ def test_keys_step_through_a_chart_and_start_the_video(page_of: Callable[..., An
     page.wait_for_function("() => document.getElementById('video').currentTime > 0.15")
 
 
+def test_the_bar_below_the_video_moves_it_and_leaves_the_picture_free(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    wait_for_video(page)
+    video, when = page.locator("#video"), page.get_by_role("slider", name="Time in the video")
+    has_controls = lambda: video.evaluate("video => video.controls")  # noqa: E731
+    video.scroll_into_view_if_needed()
+    assert not has_controls()
+    video.hover()
+    assert has_controls()
+    page.mouse.move(2, 2)
+    assert not has_controls()
+    first_chart(page)
+    when.fill("1.2")
+    page.wait_for_function("() => Math.abs(document.getElementById('video').currentTime - 1.2) < 0.01")
+    page.wait_for_function("() => document.querySelector('.readout').textContent.startsWith('1.20 s')")
+    click_at(page, 0.5)
+    page.wait_for_function("() => Math.abs(document.getElementById('when').value - 0.5) < 0.03")
+    assert str(when.get_attribute("aria-valuetext")).startswith("0.50")
+    play = page.locator("#play")
+    play.press("Enter")
+    page.wait_for_function("() => document.getElementById('play').textContent === 'Pause'")
+    play.press("Enter")
+    page.wait_for_function("() => document.getElementById('play').textContent === 'Play'")
+    assert float(when.input_value()) >= 0.5
+
+
+def test_what_is_not_needed_is_not_shown(page_of: Callable[..., Any], run: Path) -> None:
+    page = page_of(run / "report.html")
+    first_chart(page)
+    assert page.locator("#count").inner_text() == "2 of 2 tracks"
+    assert not page.get_by_role("button", name="Show more").is_visible()
+    assert not page.locator("#video-missing").is_visible()
+
+
 def test_a_name_under_the_video_leads_to_its_chart(page_of: Callable[..., Any], run: Path) -> None:
     write_report(run / "many.html", summary(), rows(*([N_FRAMES] * 30), 9))
     page = page_of(run / "many.html")
@@ -250,9 +285,9 @@ def test_methods_are_switched_everywhere_at_once(page_of: Callable[..., Any], ru
         "() => [...document.querySelector('#track-list .chart').querySelectorAll('path[stroke]')]"
         ".map((path) => path.getAttribute('stroke'))"
     )
-    assert "#e08214" in page.evaluate(strokes)
+    assert METHOD_COLOURS["mono"] in page.evaluate(strokes)
     page.locator("#legend").get_by_role("button", name="mono", exact=True).click()
-    assert "#e08214" not in page.evaluate(strokes)
+    assert METHOD_COLOURS["mono"] not in page.evaluate(strokes)
     pressed = page.locator(".legend button[data-method=mono]").evaluate_all("all => all.map((b) => b.ariaPressed)")
     assert pressed == ["false"] * 3
     assert "mono" not in page.locator(".readout").first.inner_text()
@@ -312,6 +347,8 @@ def test_a_missing_video_is_said(page_of: Callable[..., Any], tmp_path: Path) ->
     write_report(tmp_path / "report.html", summary(), rows(9))
     page = page_of(tmp_path / "report.html")
     page.get_by_text("The overlay cannot be played").wait_for()
+    assert not page.locator("#video").is_visible()
+    assert not page.locator("#player").is_visible()
     click_at(page, 0.4, last_s=0.8)
     assert "0.40 s" in page.locator(".readout").first.inner_text()
 

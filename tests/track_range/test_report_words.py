@@ -42,6 +42,24 @@ def test_cards_say_what_is_known() -> None:
     ]
 
 
+def test_what_is_said_of_errors_is_of_the_fused_distance() -> None:
+    found = {"methods": {"fused": row(2.0), "stereo": row(1.5)}}
+    assert [card["detail"] for card in cards(found)][-1] == (
+        "fused in 41 track-frames; best: stereo 1.5 % where it measured"
+    )
+    assert [card["value"] for card in cards(found)][-1] == "2.0 %"
+    found["methods"]["fused"] = row(1.0)
+    assert [card["detail"] for card in cards(found)][-1] == "fused, the best where it measured"
+
+
+def test_few_errors_cannot_tell_a_sigma_wrong() -> None:
+    told = [sigma_words({"methods": {"a": row(1.0, within_1_sigma=0.86) | {"n": n}}})[0] for n in (7, 70)]
+    assert told == [
+        "a: about right (86 % of its 7 errors within one sigma, 68 % expected)",
+        "a: too wide (86 % of its 70 errors within one sigma, 68 % expected)",
+    ]
+
+
 def test_common_coverage_decides_which_method_is_best() -> None:
     methods = {"mono": row(7.9), "stereo": row(3.4)}
     assert best_method({"methods": methods, "common": {"mono": row(2.5), "stereo": row(2.6)}}) == (
@@ -62,6 +80,7 @@ def test_common_coverage_decides_which_method_is_best() -> None:
         ({"bow_px": -0.5}, "0.20 px too small, and by 0.50 px less at the side edges"),
         ({"offset_px": 0.0}, "The disparities' own error: this drive."),
         ({"row_offset_px": 0.1}, "Left and right agree in their rows (+0.10 px)"),
+        ({"row_offset_px": -0.001}, "Left and right agree in their rows (+0.00 px)"),
         ({"row_offset_px": -1.5}, "Left and right are -1.50 px apart in their rows"),
         ({"residual_px": 0.1}, "A doubt of 0.10 px is left; it is part of every sigma."),
     ],

@@ -197,6 +197,37 @@ def test_a_page_elsewhere_points_to_the_overlay(run: Path, tmp_path: Path) -> No
     assert not (run / "report.html").exists()
 
 
+def test_a_page_never_takes_the_place_of_what_it_is_made_from(run: Path, tmp_path: Path) -> None:
+    other = write_run(tmp_path / "other")
+    for folders, out, words in (
+        ([run], run / "tracks.csv", "is an input and would be overwritten"),
+        ([run], run, "it is a folder; name a file in it"),
+        ([run, other], other / "report.html", "is to be written twice"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            report(folders, out, Console(file=io.StringIO()))
+    assert len(read_run_folder(run).columns["frame"]) == N_FRAMES
+    assert report([run], run / "report.html", Console(file=io.StringIO())).is_file()
+    assert report([run], tmp_path / "new" / "page.html", Console(file=io.StringIO())).is_file()
+
+
+def test_a_row_far_beyond_the_others_does_not_fill_the_memory(run: Path) -> None:
+    (run / "summary.json").unlink()
+    text = (run / "tracks.csv").read_text()
+    (run / "tracks.csv").write_text(text.replace("\n5,0.5", "\n99999999999,0.5"))
+    assert read_run_folder(run).summary["tracks"]["n"] == 1
+
+
+@pytest.mark.parametrize(("part", "name"), [({"start_s": "x"}, "starts_s"), ({"found": 3}, None)])
+def test_settings_of_another_shape_are_left_out(run: Path, part: dict[str, Any], name: str | None) -> None:
+    settings = yaml.safe_load((run / "settings.yaml").read_text())
+    settings["run"] |= part
+    (run / "settings.yaml").write_text(yaml.safe_dump(settings))
+    found = read_run_folder(run)
+    told = [sentence for sentence in found.missing if "what no run writes" in sentence]
+    assert [sentence.rpartition(": ")[2] for sentence in told] == ([] if name is None else [f"{name}."])
+
+
 def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
     other = write_run(tmp_path / "more" / "run", sgbm=False)
     (other / "summary.json").unlink()

@@ -19,7 +19,7 @@ from track_range.commands.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
 from track_range.config import RunSettings, absolute_settings, save_settings
 from track_range.frame_meter import FrameMeter
-from track_range.interrupts import deaf_to_interrupts, interrupts_put_off, termination_as_interrupt
+from track_range.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
 from track_range.live_view import LiveView
 from track_range.overlap import short_switch_interval
 from track_range.report import write_report
@@ -51,7 +51,7 @@ def run(settings: RunSettings, console: Console, view: LiveView | None = None) -
         RunStoppedError: the user stopped it.
         Exception: the error of an input that cannot be used, one of `track_range.cli.USER_ERRORS`.
     """
-    with termination_as_interrupt():
+    with first_interrupt_only():
         try:
             return _run(settings, console, view)
         except KeyboardInterrupt:

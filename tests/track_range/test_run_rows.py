@@ -1,0 +1,84 @@
+"""tracks.csv of runs that were killed, damaged, or made by an earlier version."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from track_range.run_rows import read_run_rows, whole_rows
+from track_range.written import OutputError
+
+HEADER = "frame,time_s,track_id,class,x1_px,y1_px,x2_px,y2_px,fused_m"
+
+
+def row(frame: str = "0", time_s: str = "0.0", track_id: str = "1", x1_px: str = "10") -> str:
+    return f"{frame},{time_s},{track_id},car,{x1_px},10,20,20,18.5"
+
+
+def write(folder: Path, *lines: str, end: str = "\n") -> Path:
+    path = folder / "tracks.csv"
+    path.write_text("\n".join([HEADER, *lines]) + end)
+    return path
+
+
+def test_whole_rows_are_read_as_they_are_and_columns_of_later_versions_are_empty(tmp_path: Path) -> None:
+    missing: list[str] = []
+    found = read_run_rows(write(tmp_path, row("0"), row("1", "0.1")), missing)
+    assert missing == []
+    assert found["fused_m"].tolist() == [18.5, 18.5]
+    assert found["class"].tolist() == ["car", "car"]
+    assert np.isnan(found["closing_mps"]).all()
+    assert len(found["closing_sigma_mps"]) == 2
+    assert "fused_sigma_m" not in found  # methods without sigmas are not judged
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        *(row(frame) for frame in ("nan", "inf", "-1", "1.5", "1e400", "1e300", "")),
+        *(row("1", time_s) for time_s in ("nan", "inf", "")),
+        *(row("1", track_id=track_id) for track_id in ("0", "-3", "nan", "2.5", "")),
+        *(row("1", x1_px=x1_px) for x1_px in ("inf", "")),
+        row("0", "0.5"),
+    ],
+)
+def test_rows_that_no_run_writes_are_left_out_and_counted(tmp_path: Path, broken: str) -> None:
+    missing: list[str] = []
+    found = read_run_rows(write(tmp_path, row("0"), broken, row("2", "0.2")), missing)
+    assert found["frame"].tolist() == [0.0, 2.0]
+    assert missing == ["1 of 3 rows of tracks.csv are damaged and left out."]
+
+
+def test_a_file_that_ends_within_a_row_is_said_to(tmp_path: Path) -> None:
+    missing: list[str] = []
+    found = read_run_rows(write(tmp_path, row("0"), "1,0.1,1,ca", end=""), missing)
+    assert found["frame"].tolist() == [0.0]
+    assert missing == ["tracks.csv ends in the middle of a row: what should come after it is not shown."]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ['1,0.1,1,"car' + 200_000 * "x"],  # a quote that swallows more than the csv module takes
+        ["a,b,c,d,e,f,g,h,i"],
+    ],
+    ids=["quote", "words"],
+)
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path, lines: list[str]) -> None:
+    with pytest.raises(OutputError, match=r"not a readable tracks\.csv"):
+        read_run_rows(write(tmp_path, *lines), [])
+
+
+def test_a_column_twice_is_no_table(tmp_path: Path) -> None:
+    (tmp_path / "tracks.csv").write_text(f"{HEADER},frame\n{row()},0\n")
+    with pytest.raises(OutputError, match=r"not a readable tracks\.csv"):
+        read_run_rows(tmp_path / "tracks.csv", [])
+
+
+def test_the_first_row_of_an_identity_in_a_frame_counts() -> None:
+    whole = np.ones(4)
+    box = dict.fromkeys(("x1_px", "y1_px", "x2_px", "y2_px"), whole)
+    columns = {"frame": np.array([0.0, 0, 0, 1]), "track_id": np.array([2.0, 1, 2, 2]), "time_s": whole, **box}
+    assert whole_rows(columns).tolist() == [True, True, False, True]

@@ -1,0 +1,71 @@
+"""What of a summary that was damaged, edited or written by another version is still told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from track_range.report import report_page
+from track_range.run_rows import no_rows
+from track_range.summary_shape import fitting_summary
+
+WHOLE: dict[str, Any] = {
+    "frames": 3,
+    "wall_s": 1.5,
+    "stages_ms": {"read": 2.0},
+    "methods": {"mono": {"n": 3, "bands": [{"from_m": 5.0, "to_m": 10.0, "n": 1}], "by_class": {"Car": {"n": 3}}}},
+    "common": {},
+    "tracks": {"n": 1, "mota": None, "classes": ["car"]},
+    "alignment": {"offset_px": 0.1, "source": "this drive", "is_applied": True},
+    "learnt_scale": {"n_tracks": 3, "baseline_m": 0.5, "focal_px": 700.0, "relative_sigma": 0.2},
+    "inputs": {"left": "a.mp4"},
+    "files": {"overlay": "overlay.mp4"},
+    "versions": {"python": "3"},
+    "notes": ["one"],
+    "truth": None,
+    "of tomorrow": [1, {"a": 2}],
+}
+
+
+def test_a_whole_summary_stays_as_it_is() -> None:
+    assert fitting_summary(WHOLE) == (WHOLE, [])
+
+
+@pytest.mark.parametrize(
+    ("part", "told"),
+    [
+        ({"frames": "x"}, "frames"),
+        ({"wall_s": float("inf")}, "wall_s"),
+        ({"starts_s": float("nan")}, "starts_s"),
+        ({"stages_ms": 7}, "stages_ms"),
+        ({"stages_ms": {"read": "slow", "detect": 3.0}}, "stages_ms.read"),
+        ({"methods": 3}, "methods"),
+        ({"methods": {"mono": None}}, "methods.mono"),
+        ({"methods": {"mono": {"n": [1]}}}, "methods.mono.n"),
+        ({"methods": {"mono": {"bands": [1]}}}, "methods.mono.bands.0"),
+        ({"methods": {"mono": {"bands": [{"from_m": 5.0}]}}}, "methods.mono.bands.0"),
+        ({"methods": {"mono": {"by_class": 3}}}, "methods.mono.by_class"),
+        ({"common": []}, "common"),
+        ({"tracks": [1]}, "tracks"),
+        ({"tracks": {"classes": "car"}}, "tracks.classes"),
+        ({"alignment": {"offset_px": "a", "row_offset_px": 0.1}}, "alignment.offset_px"),
+        ({"learnt_scale": {"n_tracks": 3}}, "learnt_scale"),
+        ({"inputs": "left"}, "inputs"),
+        ({"versions": 3}, "versions"),
+        ({"files": {"overlay": 3}}, "files.overlay"),
+        ({"notes": "one"}, "notes"),
+        ({"notes": ["one", 2]}, "notes.1"),
+        ({"truth": {"a": 1}}, "truth"),
+        ({"closing": "fast"}, "closing"),
+    ],
+)
+def test_what_does_not_fit_is_named_left_out_and_harms_no_page(part: dict[str, Any], told: str) -> None:
+    found, misfits = fitting_summary(WHOLE | part)
+    assert misfits == [told]
+    assert "<h2>Accuracy</h2>" in report_page(found, no_rows())
+
+
+def test_the_rest_of_a_section_is_kept() -> None:
+    found, _ = fitting_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": ["one", 2, "three"]})
+    assert found == {"stages_ms": {"detect": 3.0}, "notes": ["one", "three"]}
