@@ -30,6 +30,9 @@ MIN_VISIBLE_SHARE = 0.5
 _CUT_PX = 1.0
 """Boxes this near to the border are taken as cut by it; labels are clipped to the image."""
 
+_HIDDEN_SHARE = 0.2
+"""What is visible by less nobody can be asked to find: KITTI's "largely occluded" ends there."""
+
 _SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
 
 KITTI_PROTOCOL = (
@@ -98,7 +101,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
         frame=labels.frame,
         track_id=labels.track_id,
         kitti_type=labels.word,
-        class_id=labels.class_id,
+        class_id=np.where(labels.visible_share < _HIDDEN_SHARE, -1, labels.class_id),
         xyxy_px=box_px,
         distance_m=np.where(scored, labels.distance_m, np.nan),
         closing_mps=labels.closing_mps,

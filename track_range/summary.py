@@ -21,6 +21,7 @@ from ranging.truth import Truth
 from track_range.results import FILTERED_METHODS, MEASURED_METHODS
 from track_range.written import write_text
 from tracking.evaluation import evaluate_tracks
+from tracking.official_rules import MIN_HEIGHT_PX
 from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 Columns = Mapping[str, npt.NDArray[Any]]
@@ -55,13 +56,16 @@ def range_scores(columns: Columns, truth: Truth | None, methods: tuple[str, ...]
 
 
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
-    """The `tracks` section: how many, and with truth the MOT metrics over the classes that the truth labels."""
+    """The `tracks` section: how many, and with truth the MOT metrics over the classes that the truth labels.
+
+    As on KITTI, labels under 25 px high count neither way.
+    """
     track_id = columns["track_id"].astype(np.int64)
     counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
     if truth is None:
         return counts
     truth = truth.select(np.isin(truth.frame, frames))
-    named = truth.class_id >= 0
+    named = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
     class_id = road_class_of_each([str(name) for name in columns["class"]])
     wanted, got = truth.select(named), _tracked(columns, class_id)
     scores = evaluate_tracks(

@@ -35,7 +35,10 @@ KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """By road class: KITTI's type, and its neighbours. KITTI itself ranks cars and pedestrians only."""
 
-_MAX_OCCLUDED, _MAX_TRUNCATED, _MIN_HEIGHT_PX = 2, 0.0, 25.0
+_MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0
+
+MIN_HEIGHT_PX = 25.0
+"""KITTI: what is lower in the image counts neither as found nor as missed."""
 
 _MOT_PEDESTRIAN = 1
 _MOT_DISTRACTORS = (2, 7, 8, 12)
@@ -56,7 +59,7 @@ def kitti_cleaned(labels: KittiLabels, results: TrackedBoxes, road_class: str) -
         void = is_neighbour[near[wanted]] | ~is_clear[near[wanted]]
         boxes = results.xyxy_px[rows[unmatched]]
         regions = labels.xyxy_px[here & (labels.kitti_type == "DontCare")]
-        low = boxes[:, 3] - boxes[:, 1] <= _MIN_HEIGHT_PX + _EPSILON
+        low = boxes[:, 3] - boxes[:, 1] <= MIN_HEIGHT_PX + _EPSILON
         inside = share_inside(boxes, regions).max(axis=1, initial=0.0) > _MIN_SHARE_IGNORED + _EPSILON
         keep[rows[got[void]]] = False
         keep[rows[unmatched[low | inside]]] = False

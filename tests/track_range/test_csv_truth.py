@@ -137,3 +137,11 @@ def test_a_truth_without_a_column_or_with_nothing_in_it_is_one_sentence(
         assert (status, complaint.count("\n")) == (1, 1)
         assert message in complaint
         bad.write_text("")
+
+
+def test_what_hardly_shows_is_neither_found_nor_missed(drive: Drive, tmp_path: Path) -> None:
+    rig, _ = load_rig(drive.rig, size_px=(1240, 376), is_grey=False)
+    faint = rewritten(drive, tmp_path / "faint.csv", lambda row: row | {"visible_share": "0.19"})
+    half = rewritten(drive, tmp_path / "half.csv", lambda row: row | {"visible_share": "0.21"})
+    assert (read_truth(faint, rig.left, np.zeros(3)).class_id == -1).all()
+    assert (read_truth(half, rig.left, np.zeros(3)).class_id >= 0).all()

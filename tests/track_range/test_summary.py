@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,7 @@ from ranging.truth import Truth
 from track_range.results import COLUMNS
 from track_range.summary import range_scores, stage_times_ms, track_scores, write_summary
 
-BOX = np.array([10.0, 10.0, 30.0, 30.0])
+BOX = np.array([10.0, 10.0, 40.0, 40.0])
 
 
 def columns_of(n=10, *, fused=20.0, name="car"):
@@ -71,6 +72,12 @@ def test_mot_metrics_and_ignored_classes():
     van = track_scores(columns_of(), truth_of(kitti_type="Van", class_id=-1), frames)
     assert van["fp"] == 0  # a van is neither right nor wrong to track
     assert track_scores(columns_of(), None, frames)["mota"] is None
+
+
+def test_what_is_lower_than_25_px_is_neither_found_nor_missed():
+    low = replace(truth_of(), xyxy_px=np.tile([10.0, 10.0, 40.0, 34.9], (10, 1)))
+    tracked = track_scores(columns_of(), low, np.arange(10))
+    assert (tracked["n_truth_boxes"], tracked["fn"], tracked["fp"]) == (0, 0, 0)
 
 
 def test_truth_beyond_the_frames_that_ran_is_not_missed():
