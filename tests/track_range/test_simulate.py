@@ -62,7 +62,7 @@ def test_the_same_seed_gives_the_same_truth_and_another_another(cli, rig, tmp_pa
 def test_faults_reach_the_files(cli, rig, tmp_path):
     plain, faulty = tmp_path / "plain", tmp_path / "faulty"
     assert cli("simulate", "--out", plain, "--seconds", 0.2, "--rig", rig, "--noise", 0)[0] == 0
-    faults = ["--gain", 1.3, "--rain", 0.2, "--blur", 1, "--row-offset", 2, "--disparity-offset", 1, "--late", 0.05]
+    faults = ["--gain", 1.3, "--rain", 0.2, "--blur", 1, "--row-offset", 2, "--disparity-offset", 1, "--late", -0.05]
     more = ["--noise", 6, "--wrong-rig", "baseline", "--drop-frames", 0]
     status, _, complaint = cli("simulate", "--out", faulty, "--seconds", 0.2, "--rig", rig, *faults, *more)
     assert status == 0, complaint

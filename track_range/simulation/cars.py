@@ -41,6 +41,9 @@ PAINT_CONTRAST = 5.0
 LEAN_M = 0.29
 """How far the cabin's sides lean in up to the roof: with less, detectors of real cars take these for trucks."""
 
+SHOULDER_M = 0.03
+"""How far the cabin stands in from the sides."""
+
 WHEEL_M = 0.32
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
 """Of the corners seen from above: along, across."""
@@ -67,7 +70,8 @@ def car(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
     """A car of one of the builds and paints."""
     build = BUILDS[int(rng.integers(len(BUILDS)))]
     paint = PAINTS[int(rng.integers(len(PAINTS)))]
-    return [shadow(size_hwl_m), *_hull(rng, size_hwl_m, build, paint), *_cabin(rng, size_hwl_m, build, paint)]
+    body = [shadow(size_hwl_m), *_hull(rng, size_hwl_m, build, paint), *_cabin(rng, size_hwl_m, build, paint)]
+    return [*body, *_shoulders(rng, size_hwl_m, build, paint)]
 
 
 def _hull(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
@@ -202,7 +206,7 @@ def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], bui
     low = build.deck * height
     x0, x1 = (share * length - length / 2 for share in build.cabin)
     roof0, roof1 = (share * length - length / 2 for share in build.roof)
-    z, top_z = width / 2 - 0.03, width / 2 - LEAN_M
+    z, top_z = width / 2 - SHOULDER_M, width / 2 - LEAN_M
     rise, lean = height - low, z - top_z
     inset = lean / (2 * z)
     places: dict[str, tuple[Vector, Vector, Vector]] = {
@@ -223,6 +227,19 @@ def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], bui
     _side_windows(faces["right"], behind, ahead)
     _side_windows(faces["left"], ahead, behind)
     return list(faces.values())
+
+
+def _shoulders(
+    rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour
+) -> list[Face]:
+    """The narrow ledges between cabin and sides, without which one looks through the car there."""
+    height, width, length = size_hwl_m
+    x0, x1 = (share * length - length / 2 for share in build.cabin)
+    x0 = max(x0, BACK_CHAMFER_M[0] - length / 2)
+    along, across, high = (x1 - x0, 0.0, 0.0), (0.0, 0.0, -SHOULDER_M), -build.deck * height
+    lefts = (width / 2, SHOULDER_M - width / 2)
+    bgr = shaded(paint, 1.12)
+    return [coloured_face(rng, ((x0, high, z), along, across), bgr, contrast=PAINT_CONTRAST) for z in lefts]
 
 
 def _screen(face: Face, inset: float, *, is_back: bool) -> None:

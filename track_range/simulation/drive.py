@@ -11,16 +11,20 @@ Frames are numbered as the left eye's file has them: lost ones have no number an
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from detection.detections import FloatArray
+from detection.detections import FloatArray, Image
 from detection.kitti_format import KittiLabels
+from stereo.box_matchers import one_thread
 from stereo.rig import StereoRig
 from stereo.rig_files import save_rig
 from track_range.simulation.drive_files import (
@@ -43,6 +47,12 @@ from track_range.written import make_folder, write_text
 __all__ = ["Drive", "DriveOptions", "kitti_text", "write_drive"]
 
 DEFAULT_SCENARIO = "town"
+
+N_DRAWING = min(4, os.cpu_count() or 1)
+"""Threads that draw; what they draw does not depend on how many there are."""
+
+N_AHEAD = N_DRAWING
+"""Frames being drawn, or waiting to be written."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,9 +143,10 @@ def write_drive(
     with (
         closing(eye_writer(drive.left, camera, fps)) as left,
         closing(eye_writer(drive.right, camera, fps)) as right,
-        ThreadPoolExecutor(1) as other_eye,
+        ThreadPoolExecutor(N_DRAWING) as drawing,
+        one_thread(),  # OpenCV's own threads would only be in the way of these
     ):
-        writing.both(left, right, other_eye, progress)
+        writing.both(left, right, drawing, progress)
     truth = joined(writing.labels)
     detections = play_back(truth, seed=seed, image_size_px=(camera.width_px, camera.height_px))
     write_text(drive.truth, kitti_text(truth))
@@ -145,9 +156,19 @@ def write_drive(
     return drive
 
 
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """A frame whose images are being drawn; None = lost."""
+
+    number: int
+    time_s: float
+    left: Future[tuple[Image, FloatArray]] | None
+    right: Future[Image] | None
+
+
 @dataclass(slots=True)
 class _Writing:
-    """A drive being drawn: the left eye here, the right one in a thread of its own."""
+    """A drive being drawn: images by several threads, ahead of the one that writes them in order."""
 
     renderer: Renderer
     times_s: FloatArray
@@ -164,43 +185,50 @@ class _Writing:
         self,
         left: EyeWriter,
         right: EyeWriter,
-        other_eye: ThreadPoolExecutor,
+        drawing: ThreadPoolExecutor,
         progress: Callable[[int, int], None] | None,
     ) -> None:
         """Draw and write every frame that is not lost."""
-        faults, seed = self.renderer.faults, self.renderer.scene.seed
-        kept_left = set(self.kept_left)
-        kept_right = set(faults.kept_frames(len(self.times_s), seed, is_right=True))
-        for number, time_s in enumerate(self.times_s.tolist()):
-            right_done: Future[None] | None = None
-            if number in kept_right:
-                right_done = other_eye.submit(self._right, right, time_s, number)
-            if number in kept_left:
-                self._left(left, time_s, number)
-            if right_done is not None:
-                right_done.result()
+        frames = self._begun(drawing)
+        waiting = deque(islice(frames, N_AHEAD))
+        while waiting:
+            frame = waiting.popleft()
+            waiting.extend(islice(frames, 1))
+            if frame.left is not None:
+                self._left(left, frame, *frame.left.result())
+            if frame.right is not None:
+                self._right(right, frame, frame.right.result())
             if progress is not None:
-                progress(number + 1, len(self.times_s))
+                progress(frame.number + 1, len(self.times_s))
 
-    def _left(self, writer: EyeWriter, time_s: float, number: int) -> None:
-        image, inverse_depth = self.renderer.render_with_depth(time_s)
-        writer.write(image, time_s)
+    def _begun(self, drawing: ThreadPoolExecutor) -> Iterator[_Frame]:
+        """Frames in order, their drawing begun as they are asked for."""
+        renderer, faults = self.renderer, self.renderer.faults
+        kept_left = set(self.kept_left)
+        kept_right = set(faults.kept_frames(len(self.times_s), renderer.scene.seed, is_right=True))
+        for number, time_s in enumerate(self.times_s.tolist()):
+            left = drawing.submit(renderer.render_with_depth, time_s) if number in kept_left else None
+            right_s = time_s + faults.late_s
+            right = drawing.submit(renderer.render, right_s, eye="right") if number in kept_right else None
+            yield _Frame(number, time_s, left, right)
+
+    def _left(self, writer: EyeWriter, frame: _Frame, image: Image, inverse_depth: FloatArray) -> None:
+        writer.write(image, frame.time_s)
         scene, camera = self.renderer.scene, self.renderer.rig.left
-        seen = seen_at(scene, time_s, frame=len(self.labels), camera=camera, inverse_depth=inverse_depth)
+        seen = seen_at(scene, frame.time_s, frame=len(self.labels), camera=camera, inverse_depth=inverse_depth)
         self.labels.append(seen.labels)
-        self.rows.append(truth_rows(self.renderer, time_s, seen))
+        self.rows.append(truth_rows(self.renderer, frame.time_s, seen))
         if self.disparity_folder is not None:
-            write_png(_in_kitti(self.disparity_folder, "image_2", number), image)
+            write_png(_in_kitti(self.disparity_folder, "image_2", frame.number), image)
             truth = disparity_map(inverse_depth, self.renderer.rig)
-            write_png(_in_kitti(self.disparity_folder, "disp_occ_0", number), truth)
-            objects = object_map(inverse_depth, self.renderer.rig, seen, scene.turns(time_s))
-            write_png(_in_kitti(self.disparity_folder, "obj_map", number), objects)
+            write_png(_in_kitti(self.disparity_folder, "disp_occ_0", frame.number), truth)
+            objects = object_map(inverse_depth, self.renderer.rig, seen, scene.turns(frame.time_s))
+            write_png(_in_kitti(self.disparity_folder, "obj_map", frame.number), objects)
 
-    def _right(self, writer: EyeWriter, time_s: float, number: int) -> None:
-        image = self.renderer.render(time_s + self.renderer.faults.late_s, eye="right")
-        writer.write(image, time_s)
+    def _right(self, writer: EyeWriter, frame: _Frame, image: Image) -> None:
+        writer.write(image, frame.time_s)  # the time that the camera tells
         if self.disparity_folder is not None:
-            write_png(_in_kitti(self.disparity_folder, "image_3", number), image)
+            write_png(_in_kitti(self.disparity_folder, "image_3", frame.number), image)
 
 
 def _in_kitti(folder: Path, name: str, number: int) -> Path:

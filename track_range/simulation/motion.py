@@ -38,8 +38,10 @@ def speed_at_mps(changes: SpeedChanges, time_s: float) -> float:
 
 def travelled_m(changes: SpeedChanges, time_s: float) -> float:
     """How far one comes from time 0 to `time_s` (negative before 0)."""
+    if len(changes) == 1:
+        return changes[0][1] * time_s
     low_s, high_s = sorted((0.0, time_s))
     times_s = np.array([low_s, *(at_s for at_s, _ in changes if low_s < at_s < high_s), high_s])
-    speeds_mps = np.array([speed_at_mps(changes, at_s) for at_s in times_s.tolist()])
+    speeds_mps = np.interp(times_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes])
     way_m = float(((speeds_mps[1:] + speeds_mps[:-1]) / 2 * np.diff(times_s)).sum())
     return way_m if time_s >= 0 else -way_m

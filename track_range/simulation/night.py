@@ -7,7 +7,9 @@ and every lamp that nothing hides is added as a glow:  the lamp itself, and the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from detection.detections import FloatArray, Image
@@ -18,7 +20,9 @@ AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)
 """Of a town's sky and distant lamps; blue, green, red."""
 
 BEAM = np.array([0.80, 0.92, 1.0], np.float32)
-REACH_M = 12.0
+REACH_M, FADING = 12.0, 1.3
+"""Nearer than this light has its full strength; beyond, it falls with this power of the distance."""
+
 HIDDEN_M = 0.6
 """A lamp is hidden by what is this much nearer."""
 
@@ -79,19 +83,26 @@ def lit(image: Image, inverse_depth: FloatArray, camera: PinholeCamera, lamps: L
         camera: of this image.
         lamps: in this eye's frame.
     """
-    height, width = image.shape[:2]
-    x = ((np.arange(width) - camera.cx_px) / camera.fx_px).astype(np.float32)[None, :]
-    y = ((np.arange(height) - camera.cy_px) / camera.fy_px).astype(np.float32)[:, None]
-    below = 1 / (1 + np.exp(-np.clip((y + 0.03) / 0.015, -30, 30)))
-    beam = np.exp(-((x / 0.55) ** 2) - (np.maximum(y - 0.1, 0) / 0.5) ** 2) * (0.08 + 0.92 * below)
-    strength = (beam * np.minimum(1, (REACH_M * inverse_depth) ** 1.3)).astype(np.float32)
-    light = AMBIENT + strength[:, :, None] * BEAM
+    near = cv2.pow(np.minimum(inverse_depth * np.float32(REACH_M), np.float32(1)), FADING)
+    strength = headlights(camera) * near
+    light = cv2.merge([strength * beam + ambient for beam, ambient in zip(BEAM, AMBIENT, strict=True)])
     light[inverse_depth <= 0] = 1.0
     shown = image * light
     for place, colour, radius_m in zip(lamps.at_m, lamps.bgr, lamps.radius_m.tolist(), strict=True):
         if place[2] > 1.0:
             _add_glow(shown, inverse_depth, camera, (place, colour, radius_m))
-    return np.asarray(np.clip(shown + 0.5, 0, 255), np.uint8)
+    return np.asarray(cv2.convertScaleAbs(shown), np.uint8)
+
+
+@lru_cache(maxsize=4)
+def headlights(camera: PinholeCamera) -> FloatArray:
+    """(H, W) 0..1: how much of the own beam goes along each pixel's ray."""
+    x = ((np.arange(camera.width_px) - camera.cx_px) / camera.fx_px).astype(np.float32)[None, :]
+    y = ((np.arange(camera.height_px) - camera.cy_px) / camera.fy_px).astype(np.float32)[:, None]
+    below = 1 / (1 + np.exp(-np.clip((y + 0.03) / 0.015, -30, 30)))
+    beam = np.exp(-((x / 0.55) ** 2) - (np.maximum(y - 0.1, 0) / 0.5) ** 2) * (0.08 + 0.92 * below)
+    beam.flags.writeable = False
+    return np.asarray(beam, np.float32)
 
 
 def _add_glow(

@@ -16,6 +16,9 @@ TYRE: Colour = (28, 28, 30)
 ALLOY: Colour = (168, 170, 170)
 SEAM: Colour = (24, 24, 26)
 
+_REACH = 4
+"""Texels from which a pane takes its dirt."""
+
 
 def shade_rows(picture: Image, lights: tuple[tuple[float, float], ...]) -> None:
     """Make rows lighter or darker: (share from the top, factor) pairs with straight lines between."""
@@ -43,15 +46,17 @@ def polygon(picture: Image, corners: list[tuple[float, float]], bgr: Colour) -> 
 def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.0, bottom: float = 34.0) -> None:
     """Glass: the sky's reflection above fades into the dark inside."""
     height, width = picture.shape[:2]
-    mask = np.zeros((height, width), np.uint8)
     at = np.rint(np.array(corners) * (width, height)).astype(np.int32)
-    cv2.fillPoly(mask, [at], 255)
+    first, last = np.maximum(at.min(axis=0) - _REACH, 0), at.max(axis=0) + 1 + _REACH
+    part = picture[first[1] : last[1], first[0] : last[0], :3]
+    mask = np.zeros(part.shape[:2], np.uint8)
+    cv2.fillPoly(mask, [at - first], 255, cv2.LINE_AA)
     low, high = float(min(y for _, y in corners)), float(max(y for _, y in corners))
-    share = np.clip((np.linspace(0, 1, height) - low) / max(high - low, 1e-6), 0, 1)
-    grey = (top + (bottom - top) * share**0.6)[:, None, None] * np.array([1.06, 1.0, 0.93])
-    dirt = (picture[:, :, :3].astype(np.float32) - cv2.blur(picture[:, :, :3], (9, 9))) * 0.7
-    glass = np.clip(grey + dirt, 0, 255).astype(np.uint8)
-    np.copyto(picture[:, :, :3], glass, where=(mask > 0)[:, :, None])
+    rows = np.linspace(0, 1, height)[first[1] : last[1]]
+    grey = (top + (bottom - top) * np.clip((rows - low) / max(high - low, 1e-6), 0, 1) ** 0.6).astype(np.float32)
+    dirt = (part.astype(np.float32) - cv2.blur(part, (2 * _REACH + 1, 2 * _REACH + 1))) * np.float32(0.7)
+    glass = np.clip(grey[:, None, None] * np.array([1.06, 1.0, 0.93], np.float32) + dirt, 0, 255)
+    part[:] = part + (glass - part) * (mask / np.float32(255))[:, :, None]
 
 
 def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: float = 1.22) -> None:

@@ -5,27 +5,30 @@ faces of street and road users -> canvas -> lens -> headlights, at night -> faul
 
 from __future__ import annotations
 
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import repeat
+from statistics import NormalDist
 from typing import Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from detection.detections import FloatArray, Image
 from stereo.camera import PinholeCamera
 from stereo.rig import StereoRig
 from track_range.simulation.bodies import body_of
-from track_range.simulation.canvas import NEAR_M, Canvas
-from track_range.simulation.faces import Face
+from track_range.simulation.canvas import Canvas
+from track_range.simulation.crowd import Crowd
 from track_range.simulation.faults import NO_FAULTS, Faults, rained
 from track_range.simulation.night import lamps_of, lit
 from track_range.simulation.road_shape import CameraPose
 from track_range.simulation.scene import Scene
 from track_range.simulation.scenery import sky_picture
 from track_range.simulation.street import FAR_M, Street
-from track_range.simulation.textures import TEXELS_PER_M
+from track_range.simulation.surface import Surface
+from track_range.simulation.texture_store import TextureStore
 from track_range.simulation.truth import corners_m
 
 Eye = Literal["left", "right"]
@@ -33,7 +36,6 @@ Eye = Literal["left", "right"]
 SAMPLES = 2
 """Per pixel and axis."""
 
-N_HALVINGS = 3
 LONGEST_HALF_M = 8.0
 """No body reaches farther than this towards the camera from its centre."""
 
@@ -52,6 +54,10 @@ def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: fl
     focal_px = 721.5 * width_px / 1240
     camera = PinholeCamera(focal_px, focal_px, 0.492 * width_px, 0.46 * height_px, width_px, height_px)
     return StereoRig.rectified(camera, baseline_m)
+
+
+_FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+"""Pixels of a picture of half the size -> pixels."""
 
 
 class Renderer:
@@ -76,10 +82,17 @@ class Renderer:
         self.rig = rig
         self.noise_grey = noise_grey
         self.faults = faults
+        self._store = TextureStore()
         rng = np.random.default_rng([scene.seed, 3])
-        self.bodies = [body_of(user, scene.seed) for user in scene.road_users]
-        self._bodies = [_by_distance(body) for body in self.bodies]
-        self._street = Street(rng, scene.surroundings, scene.road)
+        with ThreadPoolExecutor(1) as other:
+            bodies = other.submit(lambda: [body_of(user, scene.seed) for user in scene.road_users])
+            self._street = Street(rng, self._store, scene.surroundings, road=scene.road)
+            self.bodies = bodies.result()
+        self._surfaces: dict[int, Surface] = {}
+        self._shadows, self._solids = (
+            Crowd([[face for face in body if face.is_shadow == is_shadow] for body in self.bodies], self._store)
+            for is_shadow in (True, False)
+        )
         self._cameras = {"left": _finer(rig.left), "right": _finer(faults.right_camera(rig.left))}
         self._turns = not scene.road.is_straight or scene.wobble.pitch_rad > 0 or scene.wobble.roll_rad > 0
         self._sky = self._sky_picture(rng)
@@ -98,6 +111,12 @@ class Renderer:
         inverse = self._in_pixels(self._drawn(time_s, eye))
         return np.asarray(1.0 / np.where(inverse > 0, inverse, np.nan), np.float64)
 
+    def surface(self, row: int) -> Surface:
+        """What a ray can meet of a road user, in its own axes."""
+        if row not in self._surfaces:
+            self._surfaces[row] = Surface.of(self.bodies[row])
+        return self._surfaces[row]
+
     @property
     def _size_px(self) -> tuple[int, int]:
         return self.rig.left.width_px, self.rig.left.height_px
@@ -109,75 +128,77 @@ class Renderer:
     def _exposed(self, canvas: Canvas, time_s: float, eye: Eye) -> Image:
         """What lens, sensor and their faults make of a drawing."""
         lens = cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES)
-        image = np.asarray(cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)[:, :, :3], np.uint8)
+        small = cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGRA2BGR), np.uint8)
         if self.scene.is_night:
             camera = self.rig.left if eye == "left" else self.faults.right_camera(self.rig.left)
             lamps = lamps_of(self.scene, time_s, lamp_heads_m=self._street.lamp_heads_m(self.scene.ego_z_m(time_s)))
             shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
             image = lit(image, self._in_pixels(canvas), camera, lamps.moved(shift_m))
         if self.faults.rain > 0:
-            image = rained(image, self.rig, [self.scene.seed, 7, round(time_s * 1e6)], (self.faults.rain, eye))
+            image = rained(image, self.rig, [self.scene.seed, 7, round(time_s * 1e6) % 2**32], (self.faults.rain, eye))
         return self._with_noise(self.faults.seen(image, is_right=eye == "right"), time_s, eye)
 
     def _drawn(self, time_s: float, eye: Eye) -> Canvas:
         pose = self.scene.pose(time_s)
-        canvas = Canvas(self._cameras[eye], self._background(pose, self._cameras[eye]))
+        canvas = Canvas(self._cameras[eye], self._store)
         shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
         turn = pose.camera_from_world
-        street_m = shift_m - turn @ pose.place_m
-        for face in self._street.faces(self.scene.ego_z_m(time_s)):
-            canvas.draw(face.turned(turn) if self._turns else face, street_m)
-        places_m, turns = self.scene.location_m(time_s) + shift_m, self.scene.turns(time_s)
-        boxes_m = corners_m(places_m, self.scene.size_hwl_m(), turns)
-        in_reach = np.flatnonzero((places_m[:, 2] > -LONGEST_HALF_M) & (places_m[:, 2] < FAR_M))
-        nearest_first = in_reach[np.argsort(places_m[in_reach, 2], kind="stable")].tolist()
-        for is_shadow in (True, False):  # shadows lie on the road alone
-            for row in nearest_first:
-                body = self._bodies[row][self._coarseness(float(places_m[row, 2]))]
-                if is_shadow or self.scene.road_users[row].raised_m > 0 or canvas.could_show(boxes_m[row]):
-                    for face in body:
-                        if face.is_shadow == is_shadow:
-                            canvas.draw(face.turned(turns[row]), places_m[row])
+        street = self._street.faces(self.scene.ego_z_m(time_s))
+        canvas.draw(street.turned(turn).moved(shift_m - turn @ pose.place_m))
+        self._draw_road_users(canvas, time_s, shift_m)
+        if n_rows := canvas.sky_until():
+            canvas.fill_sky(self._background(pose, canvas.camera, n_rows))
         return canvas
 
+    def _draw_road_users(self, canvas: Canvas, time_s: float, shift_m: FloatArray) -> None:
+        places_m, turns = self.scene.location_m(time_s) + shift_m, self.scene.turns(time_s)
+        in_reach = np.flatnonzero((places_m[:, 2] > -LONGEST_HALF_M) & (places_m[:, 2] < FAR_M))
+        nearest_first = in_reach[np.argsort(places_m[in_reach, 2], kind="stable")]
+        boxes_m = corners_m(places_m, self.scene.size_hwl_m(), turns)[nearest_first]
+        could_show = canvas.could_show(boxes_m)
+        stands_on_pole = [self.scene.road_users[row].raised_m > 0 for row in nearest_first.tolist()]
+        shown = (could or poled for could, poled in zip(could_show, stands_on_pole, strict=True))
+        self._shadows.draw(canvas, nearest_first, (places_m, turns), repeat(True))  # these lie on the road alone
+        self._solids.draw(canvas, nearest_first, (places_m, turns), shown)
+
     def _sky_picture(self, rng: np.random.Generator) -> Image:
-        """As large as the image, larger where the camera turns."""
+        """Half as many samples as the canvas has, either way, or more where the camera turns."""
         wide, high = SKY_SIZE if self._turns else (1.0, 1.0)
         camera = self._cameras["left"]
         size_px = (round(wide * camera.width_px), round(high * camera.height_px))
         horizon_px = camera.cy_px + (size_px[1] - camera.height_px) / 2
         return sky_picture(rng, size_px=size_px, horizon_px=horizon_px, is_night=self.scene.is_night)
 
-    def _background(self, pose: CameraPose, camera: PinholeCamera) -> Image:
-        """The sky as this camera sees it, wherever it is: only its turn, and the place of its centre, count."""
+    def _background(self, pose: CameraPose, camera: PinholeCamera, n_rows: int) -> Image:
+        """The upper rows of the sky as this camera sees it: only its turn, and the place of its centre, count."""
         left = self._cameras["left"]
-        if not self._turns and camera == left:
-            return self._sky
         at_px, of_sky_px = camera.matrix, left.matrix
-        of_sky_px[:2, 2] += (np.array(self._sky.shape[1::-1]) - (camera.width_px, camera.height_px)) / 2
+        sky_size_px = 2 * np.array(self._sky.shape[1::-1])
+        of_sky_px[:2, 2] += (sky_size_px - (camera.width_px, camera.height_px)) / 2
         to_sky = of_sky_px @ pose.camera_from_world.T @ np.linalg.inv(at_px)
+        to_half_sky = np.linalg.inv(_FROM_HALF) @ to_sky @ _FROM_HALF
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        size_px = (camera.width_px, camera.height_px)
-        turned = cv2.warpPerspective(self._sky, to_sky, size_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(turned, np.uint8)
-
-    def _coarseness(self, z_m: float) -> int:
-        """How often the textures of a body at that depth may be halved and still have a texel per sample."""
-        texels_per_sample = TEXELS_PER_M * max(z_m - LONGEST_HALF_M, NEAR_M) / self._cameras["left"].fx_px
-        return int(np.clip(np.log2(texels_per_sample), 0, N_HALVINGS))
+        size_px = (camera.width_px // 2, (n_rows + 1) // 2)
+        turned = cv2.warpPerspective(self._sky, to_half_sky, size_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        whole = cv2.resize(turned, (2 * size_px[0], 2 * size_px[1]), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(whole[:n_rows], np.uint8)
 
     def _with_noise(self, image: Image, time_s: float, eye: Eye) -> Image:
         if self.noise_grey <= 0:
             return image
-        stream = [self.scene.seed, 4, round(time_s * 1e6), int(eye == "right")]
+        stream = [self.scene.seed, 4, round(time_s * 1e6) % 2**32, int(eye == "right")]
         drawn = np.frombuffer(np.random.default_rng(stream).bytes(image.size), np.uint8).reshape(image.shape)
-        noise = cv2.LUT(drawn, noise_steps(self.noise_grey))
-        return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8)
+        steps = noise_steps(self.noise_grey).astype(np.int16)
+        lighter, darker = (np.clip(sign * steps, 0, 128).astype(np.uint8) for sign in (1, -1))
+        brightened = cv2.add(image, cv2.LUT(drawn, lighter))  # saturates, as sensors do
+        return np.asarray(cv2.subtract(brightened, cv2.LUT(drawn, darker)), np.uint8)
 
 
+@cache
 def noise_steps(sigma_grey: float) -> npt.NDArray[np.int8]:
     """(256,) whole grey levels, each as likely: a byte's worth of the normal distribution."""
-    steps = sigma_grey * ndtri((np.arange(256) + 0.5) / 256)
+    steps = [sigma_grey * NormalDist().inv_cdf((k + 0.5) / 256) for k in range(256)]
     return np.asarray(np.clip(np.rint(steps), -128, 127), np.int8)
 
 
@@ -196,16 +217,3 @@ def _finer(camera: PinholeCamera) -> PinholeCamera:
         camera.width_px * SAMPLES,
         camera.height_px * SAMPLES,
     )
-
-
-def _by_distance(body: list[Face]) -> list[list[Face]]:
-    """The body, then the same with textures of half, a quarter ... of the texels per metre, for greater distances."""
-    bodies = [body]
-    for _ in range(N_HALVINGS):
-        bodies.append([_halved(face) for face in bodies[-1]])
-    return bodies
-
-
-def _halved(face: Face) -> Face:
-    size_px = (max(1, face.texture.shape[1] // 2), max(1, face.texture.shape[0] // 2))
-    return replace(face, texture=np.asarray(cv2.resize(face.texture, size_px, interpolation=cv2.INTER_AREA), np.uint8))

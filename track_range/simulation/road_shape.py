@@ -114,16 +114,23 @@ def pose_on_road(road: RoadShape, z_m: float, *, height_m: float, pitch_roll_rad
     return CameraPose(place, world_from_camera.T, yaw_rad)
 
 
-def turned_on_slope(climb_rad: float) -> FloatArray:
-    """(3, 3) turn that lifts what looks along z by an angle."""
+def turned_on_slope(climb_rad: FloatArray | float) -> FloatArray:
+    """(..., 3, 3) turns that lift what looks along z by angles (...)."""
     cos, sin = np.cos(climb_rad), np.sin(climb_rad)
-    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+    zero, one = np.zeros_like(cos), np.ones_like(cos)
+    return _rows((one, zero, zero), (zero, cos, -sin), (zero, sin, cos))
 
 
-def turned_about_y(yaw_rad: float) -> FloatArray:
-    """(3, 3) turn from a body's own axes by KITTI's rotation_y."""
+def turned_about_y(yaw_rad: FloatArray | float) -> FloatArray:
+    """(..., 3, 3) turns from a body's own axes by KITTI's rotation_y (...)."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    zero, one = np.zeros_like(cos), np.ones_like(cos)
+    return _rows((cos, zero, sin), (zero, one, zero), (-sin, zero, cos))
+
+
+def _rows(*rows: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
+    """Matrices from their rows."""
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _wave(z_m: FloatArray, height_m: float, length_m: float, phase_rad: float) -> FloatArray:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import cache
 
 import cv2
 import numpy as np
 
-from detection.detections import FloatArray, Image
-from track_range.simulation.faces import Face
+from detection.detections import FloatArray, Image, IntArray
+from track_range.simulation.face_table import FaceTable
 from track_range.simulation.road_shape import RoadShape
 from track_range.simulation.scenery import tree_picture
 from track_range.simulation.surroundings import Row, Surroundings
-from track_range.simulation.textures import plain
+from track_range.simulation.texture_store import TextureStore
+from track_range.simulation.textures import plain, value_noise
 
 SEEN_M = 130.0
 """Farther ones are not drawn."""
 
 N_TREES = 3
+TREE_M = np.array([4.5, 6.5])
+"""Width and height, on average."""
+
 LAMP_M = (2.2, 7.5)
 """Width and height; the head hangs over the road."""
 
@@ -28,59 +32,83 @@ _STEEL = (96.0, 98.0, 96.0)
 class Roadside:
     """The rows of one street."""
 
-    def __init__(self, rng: np.random.Generator, kind: Surroundings, road: RoadShape) -> None:
+    def __init__(self, rng: np.random.Generator, store: TextureStore, kind: Surroundings, road: RoadShape) -> None:
         self._rows, self._road = kind.rows, road
         kinds = {row.kind for row in kind.rows}
-        self._trees = [_halvings(tree_picture(rng)) for _ in range(N_TREES)] if "tree" in kinds else []
-        self._lamp = _halvings(_lamp_picture(rng))
-        self._post = _halvings(_post_picture(rng))
+        trees = [tree_picture(rng) for _ in range(N_TREES)] if "tree" in kinds else []
+        lamp, post = _lamp_picture(rng), _post_picture(rng)
+        pictures = {"tree": trees, "lamp": [lamp[:, ::-1], lamp], "post": [post]}
+        self._shade = store.add(_leaf_shadow())
+        self._numbers = {name: np.array([store.add(one) for one in some]) for name, some in pictures.items()}
+        self._texels = {name: some[0].shape[:2] for name, some in pictures.items() if some}
 
-    def faces(self, ego_z_m: float) -> Iterator[Face]:
-        """What stands before the camera, in the world's axes."""
-        for row in self._rows:
-            first = int(np.ceil((ego_z_m + 1.0 - row.first_m) / row.every_m))
-            last = int(np.floor((ego_z_m + SEEN_M - row.first_m) / row.every_m))
-            for number in range(first, last + 1):
-                z_m = row.first_m + number * row.every_m
-                yield self._face(row, number, z_m, coarseness=int(np.clip(np.log2((z_m - ego_z_m) / 20 + 1), 0, 2)))
+    def faces(self, ego_z_m: float) -> list[FaceTable]:
+        """What stands before the camera, in the world's axes: first the trees' shadows, then all else."""
+        shadows = [self._shadows(row, ego_z_m) for row in self._rows if row.kind == "tree"]
+        return [*shadows, *(self._row(row, ego_z_m) for row in self._rows)]
+
+    def _shadows(self, row: Row, ego_z_m: float) -> FaceTable:
+        """As broad as the crowns, on the ground to their left, away from the sun."""
+        numbers = _numbers(row, ego_z_m)
+        reach = TREE_M[0] * _growth(row, numbers)
+        z_m = row.first_m + numbers.astype(np.float64) * row.every_m
+        far, near = (self._on_ground_m(row.x_m - 0.3 * reach, z_m + half) for half in (reach / 2, -reach / 2))
+        along, above = np.zeros_like(far), np.array([0.0, -0.02, 0.0])
+        along[:, 0] = 1.3 * reach
+        no, texels = np.zeros(len(numbers), np.bool_), np.tile(_leaf_shadow().shape, (len(numbers), 1))
+        number = np.full(len(numbers), self._shade)
+        return FaceTable(far - along / 2 + above, along, near - far, number, texels, no, ~no)
 
     def lamp_heads_m(self, ego_z_m: float) -> FloatArray:
         """(N, 3) where the lamps shine from, in the world's axes."""
         heads = [
-            self._foot_m(row, z_m) + np.array([-np.sign(row.x_m) * 1.6, -LAMP_M[1] + 0.25, 0])
+            self._feet_m(row, _numbers(row, ego_z_m)) + np.array([-np.sign(row.x_m) * 1.6, -LAMP_M[1] + 0.25, 0])
             for row in self._rows
             if row.kind == "lamp"
-            for z_m in np.arange(row.first_m, ego_z_m + SEEN_M, row.every_m)
-            if z_m > ego_z_m + 1.0
         ]
-        return np.array(heads, np.float64).reshape(-1, 3)
+        return np.concatenate([np.zeros((0, 3)), *heads])
 
-    def _foot_m(self, row: Row, z_m: float) -> FloatArray:
-        at = np.array(z_m)
-        return np.array([self._road.x_m(at) + row.x_m, self._road.y_m(at), z_m], np.float64)
+    def _feet_m(self, row: Row, numbers: IntArray) -> FloatArray:
+        return self._on_ground_m(np.array(row.x_m), row.first_m + numbers.astype(np.float64) * row.every_m)
 
-    def _face(self, row: Row, number: int, z_m: float, *, coarseness: int) -> Face:
-        foot = self._foot_m(row, z_m)
+    def _on_ground_m(self, across_m: FloatArray, z_m: FloatArray) -> FloatArray:
+        return np.stack([self._road.x_m(z_m) + across_m, self._road.y_m(z_m), z_m], axis=1)
+
+    def _row(self, row: Row, ego_z_m: float) -> FaceTable:
+        numbers = _numbers(row, ego_z_m)
+        foot, size_m, which = self._feet_m(row, numbers), np.array(POST_M)[None], 0 * numbers
         if row.kind == "tree":
-            place = (number * 7 + round(row.x_m)) % 11 / 10  # no two neighbours alike
-            width, height = 4.5 * (0.85 + 0.4 * place), 6.5 * (0.85 + 0.4 * place)
-            return _upright(foot, (width, height), self._trees[number % N_TREES][coarseness])
-        if row.kind == "lamp":
-            picture = self._lamp[coarseness]
-            side = -np.sign(row.x_m) * (LAMP_M[0] / 2 - 0.1)
-            return _upright(foot + np.array([side, 0, 0]), LAMP_M, picture if row.x_m > 0 else picture[:, ::-1])
-        return _upright(foot, POST_M, self._post[coarseness])
+            size_m, which = TREE_M * _growth(row, numbers)[:, None], numbers % N_TREES
+        elif row.kind == "lamp":
+            foot[:, 0] -= np.sign(row.x_m) * (LAMP_M[0] / 2 - 0.1)
+            size_m, which = np.array(LAMP_M)[None], which + int(row.x_m > 0)
+        along, down = np.zeros_like(foot), np.zeros_like(foot)
+        along[:, 0], down[:, 1] = size_m[:, 0], size_m[:, 1]
+        flat = np.zeros(len(numbers), np.bool_)
+        texels = np.tile(np.array(self._texels[row.kind], np.int64), (len(numbers), 1))
+        return FaceTable(foot - along / 2 - down, along, down, self._numbers[row.kind][which], texels, flat, flat)
 
 
-def _upright(foot: FloatArray, size_m: tuple[float, float], picture: Image) -> Face:
-    width, height = size_m
-    return Face(foot + np.array([-width / 2, -height, 0]), np.array([width, 0, 0]), np.array([0, height, 0]), picture)
+def _numbers(row: Row, ego_z_m: float) -> IntArray:
+    """Which things of a row are ahead."""
+    first = int(np.ceil((ego_z_m + 1.0 - row.first_m) / row.every_m))
+    last = int(np.floor((ego_z_m + SEEN_M - row.first_m) / row.every_m))
+    return np.arange(first, last + 1)
 
 
-def _halvings(picture: Image) -> list[Image]:
-    """The picture, then half and a quarter of its texels per side."""
-    sizes = [(max(2, picture.shape[1] >> k), max(2, picture.shape[0] >> k)) for k in range(3)]
-    return [np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8) for size in sizes]
+def _growth(row: Row, numbers: IntArray) -> FloatArray:
+    """Sizes of a row's trees, 1 = `TREE_M`; no two neighbours are alike."""
+    return np.asarray(0.85 + 0.4 * ((numbers * 7 + round(row.x_m)) % 11 / 10))
+
+
+@cache
+def _leaf_shadow() -> Image:
+    """(h, w) darkness under a crown: soft, with spots of sun in it."""
+    rng, shape = np.random.default_rng(10), (96, 128)
+    y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
+    spots = value_noise(rng, shape, cells=(4, 8, 16))
+    dark = 105 * np.clip(1.9 - 2.0 * np.hypot(x, y) - 0.16 * spots, 0, 1) * (1 - 0.12 * np.clip(spots, 0, 2))
+    return np.asarray(np.clip(dark, 0, 255), np.uint8)
 
 
 def _lamp_picture(rng: np.random.Generator) -> Image:

@@ -147,7 +147,7 @@ class Scene:
     def location_m(self, time_s: float) -> FloatArray:
         """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at that time."""
         pose = self.pose(time_s)
-        across, z = np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
+        across, z = self._on_road_m(time_s)
         raised_m = np.array([user.raised_m for user in self.road_users])
         world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
         return np.asarray((world - pose.place_m) @ pose.camera_from_world.T)
@@ -158,20 +158,21 @@ class Scene:
 
     def rotation_y_rad(self, time_s: float = 0.0) -> FloatArray:
         """(N,) headings in the left camera's frame, as far as a turn about y tells them."""
-        z = np.array([user.on_road_m(time_s)[1] for user in self.road_users], np.float64)
+        _, z = self._on_road_m(time_s)
         own = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
         ego_yaw_rad = self.road.yaw_rad(np.array(self.ego_z_m(time_s)))
         return np.asarray(own + self.road.yaw_rad(z) - ego_yaw_rad)
 
     def turns(self, time_s: float) -> FloatArray:
         """(N, 3, 3) turns from the road users' own axes to the left camera's: heading, slope, and the camera's own."""
-        camera_from_world = self.pose(time_s).camera_from_world
-        turns = np.empty((len(self.road_users), 3, 3))
-        for row, user in enumerate(self.road_users):
-            z = np.array(user.on_road_m(time_s)[1])
-            upright = turned_about_y(user.heading_rad(time_s) + float(self.road.yaw_rad(z)))
-            turns[row] = camera_from_world @ turned_on_slope(float(self.road.climb_rad(z))) @ upright
-        return turns
+        _, z = self._on_road_m(time_s)
+        headings = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
+        upright = turned_about_y(headings + self.road.yaw_rad(z))
+        return np.asarray(self.pose(time_s).camera_from_world @ turned_on_slope(self.road.climb_rad(z)) @ upright)
+
+    def _on_road_m(self, time_s: float) -> FloatArray:
+        """(2, N) across and along the road."""
+        return np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
 
 
 Placing = tuple[str, float, float, float, float]

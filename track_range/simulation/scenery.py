@@ -151,8 +151,12 @@ def tree_picture(rng: np.random.Generator) -> Image:
 
 
 def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_px: float, is_night: bool) -> Image:
-    """(H, W, 4) what is behind everything, without parallax: clouds, a far line of trees, haze below the horizon."""
-    width, height = size_px[0] // 2, size_px[1] // 2  # painted at half the size: nothing in it is sharp
+    """What is behind everything, without parallax: clouds, a far line of trees, haze below the horizon.
+
+    Returns:
+        (H / 2, W / 2, 4) for a picture of `size_px`: nothing in it is sharp.
+    """
+    width, height = size_px[0] // 2, size_px[1] // 2
     horizon = horizon_px / 2
     y = np.arange(height, dtype=np.float32)[:, None]
     share = np.clip(y / max(horizon, 1.0), 0, 1)[:, :, None]
@@ -163,8 +167,7 @@ def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_p
     grain = value_noise(rng, (height, width), cells=(2, 4, 8)).astype(np.float32)[:, :, None]
     trees = np.array([112.0, 122.0, 112.0], np.float32) + 6.0 * grain
     picture = np.where((y >= ridge[None, :])[:, :, None], trees, sky)
-    painted = opaque(picture * np.array([0.07, 0.055, 0.05], np.float32) if is_night else picture)
-    return np.asarray(cv2.resize(painted, size_px, interpolation=cv2.INTER_LINEAR), np.uint8)
+    return opaque(picture * np.array([0.07, 0.055, 0.05], np.float32) if is_night else picture)
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int]) -> FloatArray:

@@ -13,11 +13,12 @@ import cv2
 import numpy as np
 
 from detection.detections import FloatArray, Image
-from track_range.simulation.faces import Face
+from track_range.simulation.face_table import FaceTable, joined_tables
 from track_range.simulation.road_shape import STRAIGHT, RoadShape
 from track_range.simulation.roadside import Roadside
 from track_range.simulation.scenery import ground_picture, houses_picture, rail_picture, woods_picture
 from track_range.simulation.surroundings import PERIOD_M, SURROUNDINGS
+from track_range.simulation.texture_store import TextureStore
 
 FAR_M = 260.0
 SIDE_HEIGHT_M = 9.0
@@ -31,18 +32,49 @@ WINDING_STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 12))
 
 
 class Street:
-    """The textures of one street, made once; places are in the world's axes."""
+    """The textures of one street, made once; places are in the world's axes.
 
-    def __init__(self, rng: np.random.Generator, surroundings: str = "town", road: RoadShape = STRAIGHT) -> None:
+    Args:
+        rng: of the textures.
+        store: takes them.
+        surroundings: what kind of road.
+        road: its shape.
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, store: TextureStore, surroundings: str = "town", *, road: RoadShape = STRAIGHT
+    ) -> None:
         self._kind, self._road = SURROUNDINGS[surroundings], road
         self._stretches_m = STRETCHES_M if road.is_straight else WINDING_STRETCHES_M
         side_picture = houses_picture if self._kind.side == "houses" else woods_picture
         sides = [side_picture(rng, height_m=SIDE_HEIGHT_M) for _ in range(2)]
-        self._grounds = self._by_length(ground_picture(rng, self._kind)[::-1], axis=0)  # far rows first
-        self._lefts = self._by_length(sides[0], axis=1)
-        self._rights = self._by_length(sides[1][:, ::-1], axis=1)  # seen with far columns first
-        self._rails = self._by_length(rail_picture(rng), axis=1) if self._kind.rails_m else {}
-        self._roadside = Roadside(rng, self._kind, road)
+        parts = [
+            self._parts(ground_picture(rng, self._kind)[::-1], axis=0, is_reversed=True),  # far rows first
+            self._parts(sides[0], axis=1, is_reversed=False),
+            self._parts(sides[1][:, ::-1], axis=1, is_reversed=True),  # seen with far columns first
+        ]
+        if self._kind.rails_m:
+            parts.append(self._parts(rail_picture(rng), axis=1, is_reversed=False))
+        which = [0, 1, 2, *([3] * len(self._kind.rails_m))]
+        numbers = np.array([[store.add(part) for part in one] for one in zip(*parts, strict=True)], np.int64)
+        self._textures = numbers[:, which]
+        self._texels = np.array([[part.shape[:2] for part in one] for one in zip(*parts, strict=True)])[:, which]
+        self._row_of = {place: row for row, place in enumerate(self._places())}
+        self._roadside = Roadside(rng, store, self._kind, road)
+
+    def _places(self) -> list[tuple[float, int]]:
+        """All stretches (start, length) of one period."""
+        return [(at_m, length) for _, length in self._stretches_m for at_m in np.arange(0, PERIOD_M, length).tolist()]
+
+    def _parts(self, picture: Image, *, axis: int, is_reversed: bool) -> list[Image]:
+        """What a picture of the whole period, stored the other way round or not, shows of each stretch."""
+        by_length, parts = self._by_length(picture, axis=axis), []
+        for start_m, length in self._places():
+            whole = by_length[length]
+            span = _span(whole.shape[axis], start_m, length)
+            span = _from_the_end(span, whole.shape[axis]) if is_reversed else span
+            parts.append(whole[span] if axis == 0 else whole[:, span])
+        return parts
 
     def _by_length(self, picture: Image, *, axis: int) -> dict[int, Image]:
         shortest = self._stretches_m[0][1]
@@ -50,39 +82,34 @@ class Street:
         farthest = self._stretches_m[-1][1]  # at 72 m a sample covers two texels of the other axis too
         return by_length | {farthest: _shortened(by_length[farthest], 1 - axis, 2)}
 
-    def faces(self, ego_z_m: float) -> Iterator[Face]:
-        """Pieces of ground and sides from the camera on."""
-        for start_m, length in stretches(ego_z_m, self._stretches_m):
-            near, far = (self._middle_m(start_m), self._middle_m(start_m + length))
-            yield self._ground(near, far, start_m, length)
-            yield from self._sides(near, far, start_m, length)
-        yield from self._roadside.faces(ego_z_m)
+    def faces(self, ego_z_m: float) -> FaceTable:
+        """Pieces of ground and sides from the camera on, stretch by stretch, then what stands beside the road."""
+        found = list(stretches(ego_z_m, self._stretches_m))
+        start_m, length_m = np.array(found, np.float64).T
+        near, far = self._middle_m(start_m), self._middle_m(start_m + length_m)
+        ahead, zero = far - near, np.zeros_like(near)
+        half_m = np.array([self._kind.half_width_m, 0.0, 0.0])
+        up, rail_up = np.array([0.0, SIDE_HEIGHT_M, 0.0]), np.array([0.0, RAIL_HEIGHT_M, 0.0])
+        rails = [near + np.array([x_m, 0.0, 0.0]) - rail_up for x_m in self._kind.rails_m]
+        n_rails = len(rails)
+        rows = [self._row_of[at_m % PERIOD_M, length] for at_m, length in found]
+        table = FaceTable(
+            np.stack([far - half_m, near - half_m - up, far + half_m - up, *rails], axis=1).reshape(-1, 3),
+            np.stack([zero + 2 * half_m, ahead, -ahead, *([ahead] * n_rails)], axis=1).reshape(-1, 3),
+            np.stack([-ahead, zero + up, zero + up, *([zero + rail_up] * n_rails)], axis=1).reshape(-1, 3),
+            self._textures[rows].ravel(),
+            self._texels[rows].reshape(-1, 2),
+            np.tile(np.arange(3 + n_rails) >= 3, len(found)),
+            np.zeros((3 + n_rails) * len(found), np.bool_),
+        )
+        return joined_tables([table, *self._roadside.faces(ego_z_m)])
 
     def lamp_heads_m(self, ego_z_m: float) -> FloatArray:
         """(N, 3) where street lamps shine from."""
         return self._roadside.lamp_heads_m(ego_z_m)
 
-    def _middle_m(self, z_m: float) -> FloatArray:
-        at = np.array(z_m)
-        return np.array([self._road.x_m(at), self._road.y_m(at), z_m], np.float64)
-
-    def _ground(self, near: FloatArray, far: FloatArray, start_m: float, length: int) -> Face:
-        picture, half_m = self._grounds[length], self._kind.half_width_m
-        rows = _from_the_end(_span(picture.shape[0], start_m, length), picture.shape[0])
-        return Face(far + np.array([-half_m, 0, 0]), np.array([2 * half_m, 0, 0]), near - far, picture[rows])
-
-    def _sides(self, near: FloatArray, far: FloatArray, start_m: float, length: int) -> Iterator[Face]:
-        half_m, left, right = self._kind.half_width_m, self._lefts[length], self._rights[length]
-        columns = _span(left.shape[1], start_m, length)
-        down = np.array([0.0, SIDE_HEIGHT_M, 0.0])
-        yield Face(near + np.array([-half_m, -SIDE_HEIGHT_M, 0]), far - near, down, left[:, columns])
-        columns = _from_the_end(columns, right.shape[1])
-        yield Face(far + np.array([half_m, -SIDE_HEIGHT_M, 0]), near - far, down, right[:, columns])
-        for x_m in self._kind.rails_m:
-            picture = self._rails[length]
-            corner = near + np.array([x_m, -RAIL_HEIGHT_M, 0])
-            part = picture[:, _span(picture.shape[1], start_m, length)]
-            yield Face(corner, far - near, np.array([0.0, RAIL_HEIGHT_M, 0.0]), part, two_sided=True)
+    def _middle_m(self, z_m: FloatArray) -> FloatArray:
+        return np.stack([self._road.x_m(z_m), self._road.y_m(z_m), z_m], axis=1)
 
 
 def stretches(ego_m: float, lengths_m: tuple[tuple[float, int], ...] = STRETCHES_M) -> Iterator[tuple[float, int]]:

@@ -44,9 +44,8 @@ def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tupl
 
 def opaque(bgr: npt.NDArray[np.floating[Any]]) -> Image:
     """(H, W, 3) colours, rounded and clipped, as BGRA."""
-    picture = np.full((*bgr.shape[:2], 4), 255, np.uint8)
-    picture[:, :, :3] = np.clip(bgr + 0.5, 0, 255)  # cut to whole numbers: rounded by the half
-    return picture
+    positive = np.maximum(np.asarray(bgr, np.float32), 0)
+    return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(positive), cv2.COLOR_BGR2BGRA), np.uint8)
 
 
 @cache
@@ -67,7 +66,9 @@ def plain(
     else:
         top, left = (int(rng.integers(room + 1)) for room in np.subtract(DIRT_SHAPE, (height, width)))
         noise = _dirt()[top : top + height, left : left + width]
-    return opaque(np.array(bgr, np.float32) + contrast * noise[:, :, None])
+    scaled = contrast * noise
+    channels = [cv2.convertScaleAbs(np.maximum(scaled, -one), beta=float(one)) for one in bgr]
+    return np.asarray(cv2.merge([*channels, np.full_like(channels[0], 255)]), np.uint8)
 
 
 def paint_box(picture: Image, box: tuple[float, float, float, float], bgr: tuple[float, ...]) -> None:

@@ -71,8 +71,7 @@ def joined(frames: Sequence[KittiLabels]) -> KittiLabels:
 
 def box_corners_m(location_m: FloatArray, *, size_hwl_m: FloatArray, rotation_y_rad: FloatArray) -> FloatArray:
     """(N, 8, 3) corners of 3-D boxes: four on the road, then the four above them in the same order."""
-    turns = np.array([turned_about_y(yaw) for yaw in rotation_y_rad.tolist()], np.float64).reshape(-1, 3, 3)
-    return corners_m(location_m, size_hwl_m, turns)
+    return corners_m(location_m, size_hwl_m, turned_about_y(rotation_y_rad))
 
 
 def corners_m(location_m: FloatArray, size_hwl_m: FloatArray, turns: FloatArray) -> FloatArray:

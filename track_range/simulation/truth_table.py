@@ -29,7 +29,7 @@ def truth_rows(renderer: Renderer, time_s: float, seen: SeenObjects) -> str:
     lines = []
     for number in np.flatnonzero(seen.labels.track_id >= 0).tolist():
         row, box = int(seen.row[number]), seen.labels.xyxy_px[number]
-        body = [face.turned(turns[row]).moved(location_m[row]) for face in renderer.bodies[row]]
+        body = renderer.surface(row).placed(turns[row], location_m[row])
         words = [
             f"{seen.labels.frame[number]},{time_s:.6f},{seen.labels.track_id[number]}",
             ROAD_CLASS_OF[str(seen.labels.kitti_type[number]).lower()],

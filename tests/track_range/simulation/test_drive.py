@@ -11,7 +11,7 @@ from detection.kitti_format import read_kitti
 from ranging.ego_speed import open_ego_speed
 from stereo.kitti_2015 import read_pair
 from stereo.rig_files import load_rig
-from track_range.simulation.drive import DriveOptions, kitti_text, write_drive
+from track_range.simulation.drive import N_DRAWING, DriveOptions, kitti_text, write_drive
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.scene import make_scene
@@ -86,6 +86,13 @@ def test_the_same_seed_writes_the_same_bytes(drive, tmp_path):
         assert getattr(again, name).read_bytes() == getattr(drive[0], name).read_bytes(), name
     other = label_scene(make_scene(4, seconds=0.4), [0.0], camera=SMALL.left)
     assert kitti_text(other) not in drive[0].truth.read_text()
+
+
+def test_how_many_threads_draw_changes_nothing(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("track_range.simulation.drive.N_DRAWING", 1 if N_DRAWING > 1 else 3)
+    again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
+    for one in ("left", "right", "truth", "table"):
+        assert getattr(again, one).read_bytes() == getattr(drive[0], one).read_bytes()
 
 
 def test_alpha_is_the_heading_less_the_bearing():

@@ -9,8 +9,9 @@ from stereo.camera import PinholeCamera
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.faces import Face
 from track_range.simulation.render import Renderer, kitti_like_rig
+from track_range.simulation.road_shape import turned_about_y, turned_on_slope
 from track_range.simulation.scenarios import make_scenario
-from track_range.simulation.surface import centre_depth_m, first_depths_m
+from track_range.simulation.surface import Surface, centre_depth_m, first_depths_m
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 500.0, 200.0, 1000, 400)
 RIG = kitti_like_rig()
@@ -26,27 +27,41 @@ def plate(z, *, x=(-1.0, 1.0), hole=False, two_sided=False, is_shadow=False, tur
     return Face(corner, along, np.array([0.0, 2.0, 0.0]), texture, two_sided, is_shadow)
 
 
+def first_depth_m(faces, ray=(0.0, 0.0, 1.0)):
+    return first_depths_m(Surface.of(faces), np.array([ray]))[0]
+
+
 def test_the_nearest_face_counts_and_holes_shadows_and_backs_do_not():
-    ahead = np.array([[0.0, 0.0, 1.0]])
-    assert first_depths_m([plate(10.0), plate(7.0)], ahead)[0] == pytest.approx(7.0)
-    assert first_depths_m([plate(10.0), plate(7.0, hole=True)], ahead)[0] == pytest.approx(10.0)
-    assert first_depths_m([plate(10.0), plate(7.0, is_shadow=True)], ahead)[0] == pytest.approx(10.0)
-    assert first_depths_m([plate(10.0), plate(7.0, turned=True)], ahead)[0] == pytest.approx(10.0)
-    assert first_depths_m([plate(10.0), plate(7.0, turned=True, two_sided=True)], ahead)[0] == pytest.approx(7.0)
-    assert np.isnan(first_depths_m([plate(10.0, x=(0.5, 1.0))], ahead)[0])
+    assert first_depth_m([plate(10.0), plate(7.0)]) == pytest.approx(7.0)
+    assert first_depth_m([plate(10.0), plate(7.0, hole=True)]) == pytest.approx(10.0)
+    assert first_depth_m([plate(10.0), plate(7.0, is_shadow=True)]) == pytest.approx(10.0)
+    assert first_depth_m([plate(10.0), plate(7.0, turned=True)]) == pytest.approx(10.0)
+    assert first_depth_m([plate(10.0), plate(7.0, turned=True, two_sided=True)]) == pytest.approx(7.0)
+    assert np.isnan(first_depth_m([plate(10.0, x=(0.5, 1.0))]))
 
 
 def test_a_sloping_face_is_met_where_it_is():
     # From (-1, ., 8) to (1, ., 12): straight ahead at 10 m, at x = z / 20 where 10 + 2 x = z, z = 10 / 0.9.
     face = Face(np.array([-1.0, -1.0, 8.0]), np.array([2.0, 0, 4.0]), np.array([0, 2.0, 0]), plate(1.0).texture)
-    depths = first_depths_m([face], np.array([[0, 0, 1.0], [0.05, 0, 1.0]]))
+    depths = first_depths_m(Surface.of([face]), np.array([[0, 0, 1.0], [0.05, 0, 1.0]]))
     np.testing.assert_allclose(depths, [10.0, 10 / 0.9])
+
+
+def test_a_placed_surface_is_what_its_turned_and_moved_faces_are():
+    turn, place = turned_about_y(0.4) @ turned_on_slope(-0.1), np.array([0.3, 0.2, 5.0])
+    faces = [plate(6.0), plate(3.0, hole=True)]
+    placed = Surface.of(faces).placed(turn, place)
+    one_by_one = Surface.of([face.turned(turn).moved(place) for face in faces])
+    rays = np.stack([*np.meshgrid(np.linspace(-0.3, 0.5, 9), np.linspace(-0.2, 0.2, 5)), np.ones((5, 9))], axis=2)
+    depths = first_depths_m(placed, rays.reshape(-1, 3))
+    np.testing.assert_allclose(depths, first_depths_m(one_by_one, rays.reshape(-1, 3)))
+    assert 0 < np.isfinite(depths).sum() < 45
 
 
 def test_a_ray_through_a_hole_gives_way_to_the_nearest_that_meets_the_body():
     box = np.array([400.0, 100.0, 600.0, 300.0])  # the plate at 10 m
-    assert centre_depth_m([plate(10.0, hole=True)], CAMERA, box) == pytest.approx(10.0)
-    assert np.isnan(centre_depth_m([plate(10.0, x=(5.0, 6.0))], CAMERA, box))
+    assert centre_depth_m(Surface.of([plate(10.0, hole=True)]), CAMERA, box) == pytest.approx(10.0)
+    assert np.isnan(centre_depth_m(Surface.of([plate(10.0, x=(5.0, 6.0))]), CAMERA, box))
 
 
 @pytest.fixture(scope="module")
