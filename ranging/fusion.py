@@ -22,7 +22,8 @@ by more than their sigmas allow sigma is widened (Birge's ratio, chi^2 = nu^2 / 
 doubted, and, if they have long agreed before, the one is left out that is farther from where the track has just been. A
 track without a past goes by size: where stereo and mono are apart by more than a factor of 2.5 stereo is left out. An
 object that is partly hidden can look half as large as it is, but none of its class is that much larger or smaller,
-while a match on what stands in front of it, or on the background, can be anywhere.
+while a match on what stands in front of it, or on the background, can be anywhere. But if the foot of the box, which
+asks for no class, stands by stereo, mono is left out.
 Dense and patch matching look at the same pixels of the same pair and share their errors, so dense matching only stands
 in where patch matching has no answer.
 """
@@ -92,7 +93,6 @@ _MAX_SPEED_MPS = 20.0
 
 _TAUGHT_S, _TAUGHT_VARIANCE = 0.5, 0.3
 """For so long after stereo's last word distances count as stereo's, and while mono's u is as well known as that."""
-
 
 _Rows = TypeVar("_Rows", FloatArray, BoolArray)
 
@@ -168,8 +168,8 @@ class Fusion:
         columns = self._memory.recall(track_id)
         biases = TrackBiases.in_columns(columns, _M)
         biases.forget(np.exp(np.fmax(time_s - biases.time_s, 0.0) / -_MEMORY_S))
-        readings = _readings(by_method, len(track_id))
-        readings = readings.without(_impossible(readings, biases))
+        heard = _readings(by_method, len(track_id))
+        readings = heard.without(_silent(heard) | _impossible(heard, biases))
         estimate = _estimate(readings, biases)
         contradicts = estimate.chi2 > _CONTRADICTION
         if contradicts.any():
@@ -241,12 +241,31 @@ def _by_pair(rows: _Rows) -> tuple[_Rows, _Rows]:
     return mono + ground, lane + stereo
 
 
-def _impossible(readings: _Readings, biases: TrackBiases) -> BoolArray:
-    """(M, N) stereo that no object's size explains, of tracks without much of a past."""
-    mono, stereo = readings.there[_MONO], readings.there[_STEREO]
-    apart = np.abs(readings.log_m[_STEREO] - readings.log_m[_MONO]) > _LOG_MAX_SIZE
+def _silent(readings: _Readings) -> BoolArray:
+    """(M, N) what does not count beside another method."""
     left_out = np.zeros_like(readings.there)
-    left_out[_STEREO] = apart & mono & stereo & (biases.trust < _TRUSTED_FRAMES)
+    for silent, heard in _ONLY_WITHOUT:
+        left_out[silent] = readings.there[heard]
+    return left_out
+
+
+def _impossible(readings: _Readings, biases: TrackBiases) -> BoolArray:
+    """(M, N) of stereo and mono that no object's size reconciles, of tracks without much of a past, which to leave out.
+
+    Stereo, unless the foot of the box, by ground or lane, stands by it: then it is a car taken for a truck, say.
+    """
+    there, log_m, sigma = readings.there, readings.log_m, readings.sigma
+    is_new = there[_MONO] & there[_STEREO] & (biases.trust < _TRUSTED_FRAMES)
+    apart = is_new & (np.abs(log_m[_STEREO] - log_m[_MONO]) > _LOG_MAX_SIZE)
+    left_out = np.zeros_like(there)
+    if apart.any():
+        foot = [_GROUND, _LANE]
+        off = np.abs(log_m[foot] - log_m[_STEREO])
+        by_stereo = (off < _ODD_SIGMA * np.hypot(sigma[foot], sigma[_STEREO])) & (
+            off < np.abs(log_m[foot] - log_m[_MONO])
+        )
+        is_other_class = (there[foot] & by_stereo).any(axis=0)
+        left_out[_MONO], left_out[_STEREO] = apart & is_other_class, apart & ~is_other_class
     return left_out
 
 
@@ -278,7 +297,5 @@ def _readings(by_method: Mapping[str, Ranges], n: int) -> _Readings:
                 np.copyto(distance_m[i], by_method[source].distance_m, where=missing)
                 np.copyto(sigma_m[i], by_method[source].sigma_m, where=missing)
     there = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
-    for silent, heard in _ONLY_WITHOUT:
-        there[silent] &= ~there[heard]
     distance_m = np.where(there, distance_m, 1.0)
     return _Readings(np.log(distance_m), np.where(there, sigma_m, 0.0) / distance_m, there)

@@ -62,6 +62,17 @@ def test_a_match_that_no_size_can_explain_is_left_out():
     assert half_hidden.ranges.distance_m[0] < 17
 
 
+@pytest.mark.parametrize("foot", ["ground", "lane"])
+def test_where_the_foot_stands_by_stereo_it_is_the_size_that_is_another_class(foot):
+    """A car at 38 m that the detector takes for a truck: by its size at 98 m."""
+    truck = {"mono": ranges(98.0, 13.0), "stereo": ranges(38.0, 0.6)}
+    assert alone(truck).ranges.distance_m[0] == pytest.approx(98.0)
+    found = alone(truck | {foot: ranges(45.0, 4.0)}).ranges
+    assert (found.distance_m[0], found.sigma_m[0]) == pytest.approx((38.0, 0.6))
+    assert alone(truck | {foot: ranges(90.0, 9.0)}).ranges.distance_m[0] == pytest.approx(98.0)
+    assert alone(truck | {foot: ranges(60.0, 2.0)}).ranges.distance_m[0] == pytest.approx(98.0)  # for neither
+
+
 def test_dense_stands_in_for_patches_only_where_they_are_silent():
     dense = ranges(30.0, 1.0)
     for by_method, expected_m in (
