@@ -6,14 +6,31 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import ablation, detection, history, looks, memory, pipeline, ranging, recall, stereo, tracking
+from benchmarks import (
+    ablation,
+    alignment,
+    detection,
+    fusion,
+    history,
+    lanes,
+    looks,
+    memory,
+    pipeline,
+    ranging,
+    recall,
+    stereo,
+    tracking,
+)
 
 WORKLOADS = {
     "pipeline": pipeline,
     "memory": memory,
     "detection": detection,
     "ablation": ablation,
+    "alignment": alignment,
+    "fusion": fusion,
     "history": history,
+    "lanes": lanes,
     "looks": looks,
     "tracking": tracking,
     "ranging": ranging,

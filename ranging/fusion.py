@@ -23,9 +23,8 @@ doubted, and, if they have long agreed before, the one is left out that is farth
 track without a past goes by size: where stereo and mono are apart by more than a factor of 2.5 stereo is left out. An
 object that is partly hidden can look half as large as it is, but none of its class is that much larger or smaller,
 while a match on what stands in front of it, or on the background, can be anywhere. But if the foot of the box, which
-asks for no class, stands by stereo, mono is left out.
-Dense and patch matching look at the same pixels of the same pair and share their errors, so dense matching only stands
-in where patch matching has no answer.
+asks for no class, stands by stereo, mono is left out. Dense and patch matching look at the same pixels of the same pair
+and share their errors, so dense matching only stands in where patch matching has no answer.
 """
 
 from __future__ import annotations
