@@ -7,7 +7,7 @@ askew), and a part n that is new in every frame. u, of variance 1, is how wrong 
 units of k. It cannot be seen from one method, but differences between methods tell: stereo teaches mono the track's
 true size while it sees, and mono carries on with it where stereo is blind. It is a Kalman filter whose state is log d,
 about which every frame begins knowing nothing, and u, which forgets slowly. At most two methods count for a track in a
-frame (`_ONLY_WITHOUT`), one by the looks of the box, i, and one by a pair of eyes or of lines, j. With h = k_i e_i -
+frame (`odd_readings`), one by the looks of the box, i, and one by a pair of eyes or of lines, j. With h = k_i e_i -
 k_j e_j, which takes from u what their difference has of it, and A = K C K' + N of u's covariance C:
 
     nu = z_i - z_j - h' u,   S = h' C h + var(n_i - n_j) = A_ii - 2 A_ij + A_jj,   s = (A_ii - A_ij) / S
@@ -19,17 +19,12 @@ match can be wrong in one frame by more than any bias.
 
 N is not diagonal: mono, ground and lane read the same bottom edge of the same box. Where the two contradict each other
 by more than their sigmas allow sigma is widened (Birge's ratio, chi^2 = nu^2 / S), what has been learnt of the track is
-doubted, and, if they have long agreed before, the one is left out that is farther from where the track has just been. A
-track without a past goes by size: where stereo and mono are apart by more than a factor of 2.5 stereo is left out. An
-object that is partly hidden can look half as large as it is, but none of its class is that much larger or smaller,
-while a match on what stands in front of it, or on the background, can be anywhere. But if the foot of the box, which
-asks for no class, stands by stereo, mono is left out. Dense and patch matching look at the same pixels of the same pair
-and share their errors, so dense matching only stands in where patch matching has no answer.
+doubted, and one of them may be left out (`odd_readings`). Dense and patch matching look at the same pixels of the same
+pair and share their errors, so dense matching only stands in where patch matching has no answer.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -37,30 +32,15 @@ from typing import TypeVar
 import numpy as np
 
 from detection.detections import BoolArray, FloatArray, IntArray
+from ranging.odd_readings import TRUSTED_FRAMES, impossible, odd, other_lane, silent
 from ranging.ranges import Ranges
+from ranging.readings import FUSED_METHODS, MONO, STEREO, Readings, readings_of
 from ranging.remembered import TrackMemory
 from ranging.track_biases import TrackBiases, blank_track
 
-FUSED_METHODS = ("mono", "ground", "lane", "stereo")
-"""In the order of all arrays here; "sgbm" stands in for "stereo"."""
-
 _M = len(FUSED_METHODS)
-_MONO, _GROUND, _LANE, _STEREO = range(_M)
-_STANDS_IN_FOR = {"stereo": "sgbm"}
-
-_ONLY_WITHOUT = ((_GROUND, _MONO), (_LANE, _STEREO))
-"""The first counts only where the second is silent: mono's sizes have the frame's ground in them already (a mean of
-both is no better on KITTI, and too sure), and stereo has taught the lane its width."""
-
-_NOISE_SHARE = np.array([[0.6], [0.6], [0.6], [0.3]])
-"""Part of each method's sigma that is new in every frame."""
-
-_KEPT_SHARE = np.sqrt(1 - _NOISE_SHARE**2)
-
 _SHARED_NOISE = np.array([[1.0, 0.5, 0.4, 0.0], [0.5, 1.0, 0.7, 0.0], [0.4, 0.7, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Correlation of that part: half of a height's noise is its bottom edge's, and nearly all of ground's and lane's."""
-
-_LOG_MAX_SIZE = math.log(2.5)
 
 _MEMORY_LOG = 5.0
 """What a track keeps is another thing after its distance changed by e^5: mono's errors along KITTI's labelled tracks
@@ -71,11 +51,9 @@ _MAX_GAP_S = 3.0
 _CONTRADICTION = 9.0
 """chi^2 per degree of freedom from which methods contradict each other."""
 
+_MOST_TRUSTED_FRAMES = 2 * TRUSTED_FRAMES  # a contradiction weighs as much as two agreements
 _DOUBT = 0.5
 """Variance that u gains in a frame of contradiction."""
-
-_TRUSTED_FRAMES, _MOST_TRUSTED_FRAMES = 5, 10
-"""After so many frames of agreement a contradiction is one method's slip; two of them weigh as much as four."""
 
 _LARGEST_BIAS = 2.5
 """In sigmas: what differs by more is no object's size, but a match on another one, or a box that it cuts."""
@@ -85,10 +63,6 @@ _IS_LEARNT = np.array([[1.0], [1.0], [1.0], [0.0]])
 
 _SIGN = np.array([[1.0], [1.0], [-1.0], [-1.0]])
 """Of methods in the difference of two."""
-
-_ODD_SIGMA = 3.0
-_MAX_SPEED_MPS = 20.0
-"""How fast distances change, for what is plainly elsewhere."""
 
 _TAUGHT_S, _TAUGHT_VARIANCE = 0.5, 0.3
 """For so long after stereo's last word distances count as stereo's, and while mono's u is as well known as that."""
@@ -109,29 +83,6 @@ class Fused:
 
     ranges: Ranges
     way: IntArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Readings:
-    """A frame's measurements: (M, N) log distances and relative sigmas (0 where there is none), and which there are."""
-
-    log_m: FloatArray
-    sigma: FloatArray
-    there: BoolArray
-
-    def without(self, left_out: BoolArray) -> _Readings:
-        there = self.there & ~left_out
-        return _Readings(self.log_m * there, self.sigma * there, there)
-
-    @property
-    def kept(self) -> FloatArray:
-        """(M, N) the part k of sigma."""
-        return np.asarray(self.sigma * _KEPT_SHARE)
-
-    @property
-    def noise(self) -> FloatArray:
-        """(M, N) the part n of sigma."""
-        return np.asarray(self.sigma * _NOISE_SHARE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,26 +118,27 @@ class Fusion:
         columns = self._memory.recall(track_id)
         biases = TrackBiases.in_columns(columns, _M)
         biases.forget(np.exp(np.fmax(time_s - biases.time_s, 0.0) / -_MEMORY_S))
-        heard = _readings(by_method, len(track_id))
-        readings = heard.without(_silent(heard) | _impossible(heard, biases))
+        heard = readings_of(by_method, len(track_id))
+        readings = heard.without(silent(heard) | impossible(heard, biases))
         estimate = _estimate(readings, biases)
         contradicts = estimate.chi2 > _CONTRADICTION
         if contradicts.any():
-            odd = _odd(readings, biases, contradicts, time_s)
-            readings = readings.without(odd)
+            wrong = odd(readings, biases, contradicts, time_s)
+            wrong |= other_lane(heard, readings, contradicts & ~wrong.any(axis=0))
+            readings = readings.without(wrong)
             estimate = _estimate(readings, biases)
-            contradicts = odd.any(axis=0) | (estimate.chi2 > _CONTRADICTION)
+            contradicts = wrong.any(axis=0) | (estimate.chi2 > _CONTRADICTION)
         _learn(biases, readings, estimate, contradicts=contradicts)
         _place(biases, readings, estimate, time_s)
         is_recent = time_s - TrackBiases.in_columns(self._memory.known, _M).time_s <= _MAX_GAP_S
         self._memory.remember(track_id, columns, is_recent=is_recent)
         distance_m = np.where(readings.there.any(axis=0), np.exp(estimate.log_m), np.nan)
         sigma_m = distance_m * np.sqrt(estimate.variance * np.maximum(1.0, estimate.chi2))
-        by_stereo = (time_s - biases.stereo_s <= _TAUGHT_S) | (biases.own_variance[_MONO] < _TAUGHT_VARIANCE)
+        by_stereo = (time_s - biases.stereo_s <= _TAUGHT_S) | (biases.own_variance[MONO] < _TAUGHT_VARIANCE)
         return Fused(Ranges(track_id, distance_m, sigma_m), (2 * biases.n_upsets + by_stereo).astype(np.int64))
 
 
-def _learn(biases: TrackBiases, readings: _Readings, estimate: _Estimate, *, contradicts: BoolArray) -> None:
+def _learn(biases: TrackBiases, readings: Readings, estimate: _Estimate, *, contradicts: BoolArray) -> None:
     """Take in what the differences between methods tell."""
     caution = np.sqrt(_CONTRADICTION / np.maximum(estimate.chi2, _CONTRADICTION))
     taken = _IS_LEARNT * estimate.pull * (caution * ~_is_implausible(readings))
@@ -196,11 +148,11 @@ def _learn(biases: TrackBiases, readings: _Readings, estimate: _Estimate, *, con
     biases.covariance[:] += step + step.transpose(1, 0, 2)
     biases.own_variance[:] += _DOUBT * _IS_LEARNT * contradicts
     agrees = (estimate.spread < np.inf) & ~contradicts
-    biases.n_upsets[:] += contradicts & (biases.trust < _TRUSTED_FRAMES)
+    biases.n_upsets[:] += contradicts & (biases.trust < TRUSTED_FRAMES)
     biases.trust[:] = (biases.trust + agrees - 2.0 * contradicts).clip(0, _MOST_TRUSTED_FRAMES)
 
 
-def _place(biases: TrackBiases, readings: _Readings, estimate: _Estimate, time_s: float) -> None:
+def _place(biases: TrackBiases, readings: Readings, estimate: _Estimate, time_s: float) -> None:
     """Remember where the tracks are."""
     measured = readings.there.any(axis=0)
     moved = np.fmax(np.abs(estimate.log_m - biases.log_m), 0.0) * measured  # a new track has not moved
@@ -208,10 +160,10 @@ def _place(biases: TrackBiases, readings: _Readings, estimate: _Estimate, time_s
     np.copyto(biases.log_m, estimate.log_m, where=measured)
     np.copyto(biases.variance, estimate.variance, where=measured)
     np.copyto(biases.time_s, time_s, where=measured)
-    np.copyto(biases.stereo_s, time_s, where=readings.there[_STEREO])
+    np.copyto(biases.stereo_s, time_s, where=readings.there[STEREO])
 
 
-def _estimate(readings: _Readings, biases: TrackBiases) -> _Estimate:
+def _estimate(readings: Readings, biases: TrackBiases) -> _Estimate:
     """Log d by generalised least squares, and by how much the two methods differ."""
     kept, noise = readings.kept, readings.noise
     differs, scatters = _SIGN * kept, _SIGN * noise
@@ -240,61 +192,8 @@ def _by_pair(rows: _Rows) -> tuple[_Rows, _Rows]:
     return mono + ground, lane + stereo
 
 
-def _silent(readings: _Readings) -> BoolArray:
-    """(M, N) what does not count beside another method."""
-    left_out = np.zeros_like(readings.there)
-    for silent, heard in _ONLY_WITHOUT:
-        left_out[silent] = readings.there[heard]
-    return left_out
-
-
-def _impossible(readings: _Readings, biases: TrackBiases) -> BoolArray:
-    """(M, N) of stereo and mono that no object's size reconciles, of tracks without much of a past, which to leave out.
-
-    Stereo, unless the foot of the box, by ground or lane, stands by it: then it is a car taken for a truck, say.
-    """
-    there, log_m, sigma = readings.there, readings.log_m, readings.sigma
-    is_new = there[_MONO] & there[_STEREO] & (biases.trust < _TRUSTED_FRAMES)
-    apart = is_new & (np.abs(log_m[_STEREO] - log_m[_MONO]) > _LOG_MAX_SIZE)
-    left_out = np.zeros_like(there)
-    if apart.any():
-        foot = [_GROUND, _LANE]
-        off = np.abs(log_m[foot] - log_m[_STEREO])
-        by_stereo = (off < _ODD_SIGMA * np.hypot(sigma[foot], sigma[_STEREO])) & (
-            off < np.abs(log_m[foot] - log_m[_MONO])
-        )
-        is_other_class = (there[foot] & by_stereo).any(axis=0)
-        left_out[_MONO], left_out[_STEREO] = apart & is_other_class, apart & ~is_other_class
-    return left_out
-
-
-def _is_implausible(readings: _Readings) -> BoolArray:
+def _is_implausible(readings: Readings) -> BoolArray:
     """(N,) whether stereo and mono differ by more than sizes do: such a frame teaches nothing."""
-    apart = np.abs(readings.log_m[_STEREO] - readings.log_m[_MONO])
-    expected = np.hypot(readings.sigma[_MONO], readings.sigma[_STEREO])
-    return np.asarray(readings.there[_MONO] & readings.there[_STEREO] & (apart > _LARGEST_BIAS * expected))
-
-
-def _odd(readings: _Readings, biases: TrackBiases, contradicts: BoolArray, time_s: float) -> BoolArray:
-    """(M, N) of contradicting methods the one farther from where the track has just been, if the other is near."""
-    kept, noise = readings.kept, readings.noise
-    moved = _MAX_SPEED_MPS * (time_s - biases.time_s) / np.exp(biases.log_m)
-    expected = kept * kept * biases.own_variance + noise * noise + biases.variance + moved * moved
-    away = np.abs(readings.log_m - kept * biases.mean - biases.log_m) / np.sqrt(expected)
-    away = np.where(readings.there & np.isfinite(away), away, 0.0)
-    near = (readings.there & (away < _ODD_SIGMA)).any(axis=0)
-    is_farther = away == away.max(axis=0)
-    return np.asarray(contradicts & near & (biases.trust >= _TRUSTED_FRAMES) & is_farther & (away > _ODD_SIGMA))
-
-
-def _readings(by_method: Mapping[str, Ranges], n: int) -> _Readings:
-    distance_m, sigma_m = np.full((2, _M, n), np.nan)
-    for i, name in enumerate(FUSED_METHODS):
-        for source in (name, _STANDS_IN_FOR.get(name, "")):
-            if source in by_method:
-                missing = np.isnan(distance_m[i])
-                np.copyto(distance_m[i], by_method[source].distance_m, where=missing)
-                np.copyto(sigma_m[i], by_method[source].sigma_m, where=missing)
-    there = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
-    distance_m = np.where(there, distance_m, 1.0)
-    return _Readings(np.log(distance_m), np.where(there, sigma_m, 0.0) / distance_m, there)
+    apart = np.abs(readings.log_m[STEREO] - readings.log_m[MONO])
+    expected = np.hypot(readings.sigma[MONO], readings.sigma[STEREO])
+    return np.asarray(readings.there[MONO] & readings.there[STEREO] & (apart > _LARGEST_BIAS * expected))

@@ -14,6 +14,7 @@ edge is where the object begins, so d is the distance of its surface where that 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,6 +188,31 @@ class LaneWidthRanger:
         of_lines = ((left.covariance + right.covariance) @ powers * powers).sum(axis=0)
         sigma_px = np.sqrt(np.maximum(of_lines, 0.0) + (self._box_sigma_px * opening) ** 2)
         return width_px, np.hypot(sigma_px / wide, _ROAD_SIGMA), good
+
+
+def doubted(found: Ranges, others: Sequence[Ranges]) -> Ranges:
+    """Distances by lane whose sigmas know what they are all off by together, as other methods see it.
+
+    The lines may be those of another lane, or of none: then all distances of a frame are wrong by one factor, which
+    no sigma of a line's pixels tells. With e_i the logarithm of the surest other distance of track i over lane's, of
+    sigma s_i together, |median e| is taken for such a factor as far as it is more than its own standard error,
+
+        1.25 (sum 1 / s_i^2)^-1/2
+
+    Args:
+        found: N tracks, by lane.
+        others: the same tracks, by other methods; those that see with two eyes or by size.
+    """
+    told = [(found.sigma_m / found.distance_m) ** 2 + (other.sigma_m / other.distance_m) ** 2 for other in others]
+    apart = [np.log(other.distance_m / found.distance_m) for other in others]
+    variance, off = np.array(told), np.array(apart)
+    both = np.isfinite(variance).any(axis=0)
+    if not both.any():
+        return found
+    surest = np.nanargmin(variance[:, both], axis=0), np.arange(both.sum())
+    error = 1.25 / math.sqrt(float((1.0 / variance[:, both][surest]).sum()))
+    shared = max(abs(float(np.median(off[:, both][surest]))) - error, 0.0)
+    return replace(found, sigma_m=np.hypot(found.sigma_m, shared * found.distance_m))
 
 
 def _reached_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tuple[float, float]:

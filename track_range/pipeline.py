@@ -23,7 +23,7 @@ from ranging.ego_speed import EgoSpeed
 from ranging.filtered_ranges import FilteredRanges
 from ranging.fusion import Fusion
 from ranging.ground_plane import GroundPlane
-from ranging.lane_width import LaneWidthRanger
+from ranging.lane_width import LaneWidthRanger, doubted
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
 from ranging.smoothing import DistanceFilters
@@ -164,7 +164,7 @@ class Pipeline:
             ranges["sgbm"] = self.dense.measure(tracks, frame)
         if self.lane is not None and lanes is not None:
             with self.clock.stage("lane"):
-                ranges["lane"] = self._by_lane(self.lane, lanes, tracks, frame, ranges.get("stereo"))
+                ranges["lane"] = self._by_lane(self.lane, lanes, tracks, frame, ranges)
         with self.clock.stage("fuse"):
             return self._fused(frame, tracks, ranges, lanes)
 
@@ -175,12 +175,12 @@ class Pipeline:
             self.ground.hint(*horizon)
 
     def _by_lane(
-        self, lane: LaneWidthRanger, lanes: LaneLines, tracks: Tracks, frame: Frame, stereo: Ranges | None
+        self, lane: LaneWidthRanger, lanes: LaneLines, tracks: Tracks, frame: Frame, ranges: Mapping[str, Ranges]
     ) -> Ranges:
         lane.see(lanes, frame.index)
-        found = lane.measure(tracks, frame)
-        if stereo is not None and not self.shared_sigma:
-            lane.learn(tracks, frame, stereo)
+        found = doubted(lane.measure(tracks, frame), [ranges[name] for name in ("mono", "stereo") if name in ranges])
+        if "stereo" in ranges and not self.shared_sigma:
+            lane.learn(tracks, frame, ranges["stereo"])
         return found
 
     def _fused(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], lanes: LaneLines | None) -> FrameResult:

@@ -73,6 +73,15 @@ def test_where_the_foot_stands_by_stereo_it_is_the_size_that_is_another_class(fo
     assert alone(truck | {foot: ranges(60.0, 2.0)}).ranges.distance_m[0] == pytest.approx(98.0)  # for neither
 
 
+def test_lines_of_another_lane_are_left_out_unless_the_foot_of_the_box_is_for_them():
+    told = {"mono": ranges(17.0, 1.2), "lane": ranges(9.0, 0.3)}
+    assert alone(told).ranges.distance_m[0] == pytest.approx(17.0)
+    assert alone(told | {"ground": ranges(16.0, 2.0)}).ranges.distance_m[0] == pytest.approx(17.0)
+    assert alone(told | {"ground": ranges(10.0, 1.0)}).ranges.distance_m[0] == pytest.approx(9.0)
+    agreeing = alone(told | {"lane": ranges(15.5, 0.5)}).ranges.distance_m[0]
+    assert 15.5 < agreeing < 16.0
+
+
 def test_dense_stands_in_for_patches_only_where_they_are_silent():
     dense = ranges(30.0, 1.0)
     for by_method, expected_m in (

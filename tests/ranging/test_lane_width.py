@@ -4,7 +4,7 @@ import pytest
 from detection.classes import ROAD_CLASSES
 from detection.lane_edges import EdgeLaneFinder
 from detection.lanes import LaneLine, LaneLines
-from ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger
+from ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
 from ranging.ranges import Ranges
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -164,3 +164,36 @@ def test_from_a_picture_to_metres():
     error = ranges.distance_m / true_m - 1
     assert np.abs(error).max() < 0.05
     assert (np.abs(error) < ranges.sigma_m / true_m).all()
+
+
+def by(distance_m, relative_sigma):
+    metres = np.asarray(distance_m, float)
+    return Ranges(np.arange(1, len(metres) + 1), metres, relative_sigma * metres)
+
+
+def test_lines_of_another_lane_are_doubted_by_what_all_distances_are_off_together():
+    true_m = np.array([10.0, 20.0, 40.0, 50.0])
+    wrong = doubted(by(0.7 * true_m, 0.03), [by(true_m, 0.08)])
+    error = 1.25 * np.hypot(0.03, 0.08) / 2
+    np.testing.assert_allclose(wrong.sigma_m / wrong.distance_m, np.hypot(0.03, -np.log(0.7) - error))
+    np.testing.assert_array_equal(wrong.distance_m, 0.7 * true_m)
+
+
+def test_right_lines_are_not_doubted_for_what_one_object_is_off():
+    true_m = np.array([10.0, 20.0, 40.0, 50.0])
+    by_size = by(true_m * [1.05, 0.97, 2.2, 0.98], 0.08)  # the third is taken for a truck
+    np.testing.assert_allclose(doubted(by(true_m, 0.03), [by_size]).sigma_m, 0.03 * true_m)
+
+
+def test_two_eyes_are_believed_before_sizes():
+    true_m, nobody = np.array([10.0, 20.0]), np.full(2, np.nan)
+    lane = by(true_m, 0.03)
+    np.testing.assert_allclose(doubted(lane, [by(2 * true_m, 0.08), by(true_m, 0.01)]).sigma_m, lane.sigma_m)
+    assert (doubted(lane, [by(2 * true_m, 0.08), by(nobody, 0.01)]).sigma_m > 0.5 * true_m).all()
+
+
+@pytest.mark.parametrize("others", [[], [by([np.nan, np.nan], 0.1)]])
+def test_where_nobody_else_measures_nothing_is_doubted(others):
+    lane = by([10.0, np.nan], 0.03)
+    np.testing.assert_array_equal(doubted(lane, others).sigma_m, lane.sigma_m)
+    assert len(doubted(by([], 0.03), [by([], 0.1)])) == 0
