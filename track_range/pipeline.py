@@ -121,7 +121,7 @@ class Pipeline:
             read = stack.enter_context(closing(prefetch(frames, depth=read_ahead, gives_way=True)))
             with_lanes = self._with_lanes(read)
             if self.lane_finder is not None:
-                with_lanes = stack.enter_context(closing(prefetch(with_lanes, depth=detect_ahead)))
+                with_lanes = stack.enter_context(closing(prefetch(with_lanes, depth=detect_ahead, gives_way=True)))
             detected = stack.enter_context(closing(prefetch(self._detected(with_lanes), depth=detect_ahead)))
             for frame, lanes, detections in detected:
                 yield self._result(frame, lanes, detections)
