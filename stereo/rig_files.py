@@ -165,9 +165,7 @@ def _text_of(path: Path) -> str:
             raise RigError(f"{path}: it is far too large for a rig; give {_FORMATS}.")
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
-        raise RigError(
-            f"{path}: there is no such file; name the cameras' rig.yaml or calib.txt."
-        ) from error
+        raise RigError(f"{path}: there is no such file; name the cameras' rig.yaml or calib.txt.") from error
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); give {_FORMATS}.") from error
     except UnicodeDecodeError as error:
