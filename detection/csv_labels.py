@@ -37,7 +37,7 @@ OPTIONAL = ("visible_share", "closing_mps")
 DONT_CARE = "dontcare"
 
 _BOX = ("x1", "y1", "x2", "y2")
-_MAX_ID = 2**53
+_MAX_ID = 2**53 - 1
 """Larger whole numbers are not told apart."""
 
 _FAR_PX, _FAR_M, _FAST_MPS = 1e7, 1e5, 1e3
@@ -216,7 +216,7 @@ def _numbers(table: _Table, name: str, is_region: npt.NDArray[np.bool_]) -> Floa
 
 def _number(cell: str) -> float:
     try:
-        return float(cell)
+        return np.nan if "_" in cell else float(cell)
     except ValueError:
         return np.nan
 

@@ -49,7 +49,7 @@ class EdgeLaneFinder:
         """
         check_shape("image", image, (None, None, 3))
         image_hw = (image.shape[0], image.shape[1])
-        shrink = max(round(image_hw[1] / _WIDTH_PX), 1)
+        shrink = max(min(round(image_hw[1] / _WIDTH_PX), image_hw[0]), 1)
         horizon_px = HORIZON * image_hw[0] if self._lane.state is None else self._lane.state.horizon_px
         top = shrink * _first_row(horizon_px / shrink, image_hw[0] // shrink)
         xy_px = paint_points(_shrunk(image[top:], shrink), (horizon_px - top + 0.5) / shrink - 0.5)
@@ -100,6 +100,8 @@ def _channels(bgr: Image) -> tuple[Float32Array, Float32Array]:
 def _bars(channel: Float32Array, reach: int) -> Float32Array:
     """How much each pixel is brighter than both neighbours `reach` away; 0 at the image's sides."""
     response = np.zeros_like(channel)
+    if channel.shape[1] <= 2 * reach:
+        return response
     step = channel[:, reach:] - channel[:, :-reach]
     # Texture sets the bar: asphalt in broken shade has no paint that could be told from it.
     texture = 1.48 * np.median(np.abs(step[:, ::3]), axis=1, keepdims=True)

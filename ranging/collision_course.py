@@ -81,7 +81,7 @@ class CollisionCourse:
             time_s: of the frame, never earlier than the one before.
         """
         left, right = tracks.xyxy_px[:, 0], tracks.xyxy_px[:, 2]
-        m_per_px = distance_m / self._camera.fx_px
+        m_per_px = np.where(np.isfinite(distance_m), distance_m, np.nan) / self._camera.fx_px
         x_m = ((left + right) / 2 - self._camera.cx_px) * m_per_px
         width_px = right - left
         noise = ((_EDGE_SIGMA_PX + _EDGE_SIGMA_SHARE * width_px) * m_per_px) ** 2

@@ -40,7 +40,7 @@ from ranging.track_biases import TrackBiases, blank_track
 
 _M = len(FUSED_METHODS)
 _SHARED_NOISE = np.array([[1.0, 0.5, 0.4, 0.0], [0.5, 1.0, 0.7, 0.0], [0.4, 0.7, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""Correlation of that part: half of a height's noise is its bottom edge's, and nearly all of ground's and lane's."""
+"""Correlation of the methods' n: half of a height's noise is its bottom edge's, nearly all of ground's and lane's."""
 
 _MEMORY_LOG = 5.0
 """What a track keeps is another thing after its distance changed by e^5: mono's errors along KITTI's labelled tracks
@@ -117,8 +117,10 @@ class Fusion:
         """The fused ranges of `track_id` from those of `FUSED_METHODS` and sgbm that are there, all in its order."""
         columns = self._memory.recall(track_id)
         biases = TrackBiases.in_columns(columns, _M)
-        biases.forget(np.exp(np.fmax(time_s - biases.time_s, 0.0) / -_MEMORY_S))
         heard = readings_of(by_method, len(track_id))
+        # Once for a gap, when it ends: until then `biases.time_s` stays.
+        since_s = np.fmax(time_s - biases.time_s, 0.0) * heard.there.any(axis=0)
+        biases.forget(np.exp(since_s / -_MEMORY_S))
         readings = heard.without(silent(heard) | impossible(heard, biases))
         estimate = _estimate(readings, biases)
         contradicts = estimate.chi2 > _CONTRADICTION
@@ -148,7 +150,7 @@ def _learn(biases: TrackBiases, readings: Readings, estimate: _Estimate, *, cont
     biases.covariance[:] += step + step.transpose(1, 0, 2)
     biases.own_variance[:] += _DOUBT * _IS_LEARNT * contradicts
     agrees = (estimate.spread < np.inf) & ~contradicts
-    biases.n_upsets[:] += contradicts & (biases.trust < TRUSTED_FRAMES)
+    biases.n_upsets[:] += (estimate.chi2 > _CONTRADICTION) & (biases.trust < TRUSTED_FRAMES)
     biases.trust[:] = (biases.trust + agrees - 2.0 * contradicts).clip(0, _MOST_TRUSTED_FRAMES)
 
 

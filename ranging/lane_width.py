@@ -7,7 +7,8 @@ r"""LaneWidthRanger: distance from the width of the lane that an object stands o
     /   W   \      w is linear in the row, w = w' (y - horizon), so the last term grows with the distance: it is the
                    bottom edge's error, as for any method that looks at the ground
 
-Lines and box are seen in the same image: pitching moves both, and cancels. The point on the ground below the bottom
+Where lines and box are of the same image, pitching moves both, and cancels; a run looks for lines ten times a second,
+and takes those of the last look in between. The point on the ground below the bottom
 edge is where the object begins, so d is the distance of its surface where that is upright: a car's rear.
 """
 
@@ -118,7 +119,7 @@ class LaneWidthRanger:
         self._taught_s = np.nan
 
     def see(self, lines: LaneLines, frame_index: int) -> None:
-        """Take the lane's lines of a frame, before it is measured."""
+        """Take the lane's lines for a frame, of it or of the last look, before it is measured."""
         self._lines, self._of_frame, self._last = lines, frame_index, None
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:

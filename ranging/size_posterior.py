@@ -30,6 +30,9 @@ _REACH = 4.5  # of the grid, in sigma by size
 _STEPS = np.linspace(-_REACH, _REACH, _N_GRID)[:, None]
 _TRAPEZES = (np.tri(_N_GRID) + np.tri(_N_GRID, k=-1)) / 2  # this @ density = its integral from the first point on
 _TRAPEZES[:, 0] -= 0.5
+_NOT_ON_THE_ROAD = 0.003
+"""Likelihood, per unit of tangent, of a bottom edge that stands on another ground: a bridge, a balcony."""
+
 _WIDE_HORIZONS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))  # (weight, scale): Gaussians that make up Student's t
 
 _Single = npt.NDArray[np.float32]
@@ -222,7 +225,7 @@ def ground_likelihood(log_m: FloatArray, nearer: FloatArray, *, stand: Stand, pr
             weight * _rough(residual2[:, alone], height + (scale * prior.horizon_sigma) ** 2, nearness[:, alone], prior)
             for weight, scale in _WIDE_HORIZONS
         )
-    return np.where(stand.tells, likelihood, 1.0)
+    return np.where(stand.tells, likelihood + _NOT_ON_THE_ROAD, 1.0)
 
 
 def _rough(residual2: FloatArray, variance: FloatArray, nearness: FloatArray, prior: GroundPrior) -> FloatArray:

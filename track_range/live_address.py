@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
-_SECRETS = re.compile(r"://[^/?#]*@")
+_SECRETS = re.compile(r"://\S*@")
+_PASSWORD = re.compile(r"(?<=[?&])((?:user|username|usr|password|pass|passwd|pwd)=)[^&#]*", re.IGNORECASE)
 _NUMBER = re.compile(r"\d{1,3}")
 
 _SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
@@ -25,7 +26,7 @@ class LiveAddress:
     url: str
 
     def __str__(self) -> str:
-        return self.url if self.is_camera else _SECRETS.sub("://", self.url, count=1)
+        return self.url if self.is_camera else _PASSWORD.sub(r"\1...", _SECRETS.sub("://", self.url, count=1))
 
     @property
     def is_camera(self) -> bool:

@@ -15,9 +15,11 @@ from track_range.overlay_colours import BLACK, LANE_COLOUR, Bgr
 _DASH = 7  # line widths from dash to dash
 _MIN_WINDOW_PX = 8
 _CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])
-"""Of a window's left, top, right and bottom: which two are each corner's x and y,"""
+"""(4, 2) which of a window's left, top, right and bottom are each corner's x and y."""
+
 _ARMS = np.array([[(x, 0), (0, 0), (0, y)] for x in (1, -1) for y in (1, -1)], np.int32)
-"""(4, 3, 2) and which way its arms go, inward."""
+"""(4, 3, 2) the stroke at each corner, in arm lengths inward: one end, the corner, the other end."""
+
 _LANE_POINTS = 8
 _CORNER_SHARE = 0.2  # of an inner window's shorter side
 

@@ -169,7 +169,7 @@ class Pipeline:
             return self._fused(frame, tracks, ranges, lanes)
 
     def _hint(self, lanes: LaneLines | None) -> None:
-        """Tell the ground where the lines of a new look meet: once, since the same look is no new evidence."""
+        """Tell the ground where the lines of a new look meet: once, so that it is forgotten as what tracks say is."""
         self._hinted = lanes
         if self.ground is not None and lanes is not None and (horizon := lanes.horizon_px()) is not None:
             self.ground.hint(*horizon)

@@ -156,7 +156,8 @@ def sigma_words(summary: Summary) -> list[str]:
         if share is not None:
             n = tables.figure(row, "n")
             off = share - tables.WITHIN_1_SIGMA
-            right = max(0.1, 2 * math.sqrt(tables.WITHIN_1_SIGMA * (1 - tables.WITHIN_1_SIGMA) / (n or math.inf)))
+            n_at_least = math.inf if n is None else max(n, 1.0)
+            right = max(0.1, 2 * math.sqrt(tables.WITHIN_1_SIGMA * (1 - tables.WITHIN_1_SIGMA) / n_at_least))
             word = "about right" if abs(off) < right else ("too wide" if off > 0 else "too narrow")
             of = "its errors" if n is None else f"its {n:.0f} errors"
             found.append(f"{name}: {word} ({100 * share:.0f} % of {of} within one sigma, 68 % expected)")

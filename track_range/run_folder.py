@@ -89,7 +89,7 @@ def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
             "found of the alignment and its notes are not known; the other figures are of the frames in tracks.csv."
         )
         return None
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         found = None
     if not isinstance(found, dict):
         missing.append("summary.json cannot be read: figures are of the frames in tracks.csv.")

@@ -59,7 +59,8 @@ def whole_rows(columns: Columns) -> BoolArray:
     whole: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
     for number, least in ((frame, 0), (track_id, 1)):
         whole &= (number >= least) & (number <= _LARGEST) & (number == np.floor(number))
-    _, first = np.unique(np.stack([frame, track_id], axis=1), axis=0, return_index=True)
+    rows = np.flatnonzero(whole)
+    _, first = np.unique(np.stack([frame, track_id], axis=1)[rows], axis=0, return_index=True)
     is_first = np.zeros(len(frame), np.bool_)
-    is_first[first] = True
-    return whole & is_first
+    is_first[rows[first]] = True
+    return is_first

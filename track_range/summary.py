@@ -58,7 +58,7 @@ def range_scores(columns: Columns, truth: Truth | None, methods: tuple[str, ...]
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
     """The `tracks` section: how many, and with truth the MOT metrics over the classes that the truth labels.
 
-    As on KITTI, labels under 25 px high count neither way.
+    As on KITTI, what is under 25 px high counts neither way: labels, and tracks that match none.
     """
     track_id = columns["track_id"].astype(np.int64)
     counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
@@ -68,10 +68,13 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
     named = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
     class_id = road_class_of_each([str(name) for name in columns["class"]])
     wanted, got = truth.select(named), _tracked(columns, class_id)
+    low = got.xyxy_px[:, 3] - got.xyxy_px[:, 1] < MIN_HEIGHT_PX
+    void_frame = np.concatenate([truth.frame[~named], got.frame[low]])
+    void_px = np.concatenate([truth.xyxy_px[~named], got.xyxy_px[low]])
     scores = evaluate_tracks(
         TrackedBoxes(wanted.frame, wanted.track_id, wanted.xyxy_px, wanted.class_id),
         got.select(np.isin(class_id, wanted.class_id)),
-        ignore=IgnoreRegions(truth.frame[~named], truth.xyxy_px[~named]),
+        ignore=IgnoreRegions(void_frame, void_px),
     )
     figures = {name: _json_number(value) for name, value in asdict(scores).items() if name != "n"}
     return {

@@ -6,7 +6,6 @@ other names and `_NEEDED` lists those without which the mapping says nothing.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,8 +32,11 @@ _SUMMARY: dict[str, Any] = {
     "*": "anything",
 }
 
+_LARGEST = 1e15
+"""No figure of a run is larger; and it is neither NaN nor infinite."""
+
 _LEAVES: dict[str, Callable[[Any], bool]] = {
-    "figure": lambda value: isinstance(value, int | float) and math.isfinite(value),
+    "figure": lambda value: isinstance(value, int | float) and abs(value) < _LARGEST,
     "text": lambda value: isinstance(value, str),
     "anything": lambda value: True,
 }

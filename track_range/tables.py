@@ -162,7 +162,7 @@ def speed_grid(summary: Mapping[str, Any]) -> Grid:
 def frames_per_s(summary: Mapping[str, Any]) -> float | None:
     """Speed of the whole run, from its frames and its wall time where it is not said."""
     said, wall_s = figure(summary, "frames_per_s"), figure(summary, "wall_s")
-    return said or (summary.get("frames", 0) / wall_s if wall_s else 0.0) or None
+    return said or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
 
 
 def track_grid(tracks: Mapping[str, Any]) -> Grid:

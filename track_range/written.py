@@ -21,14 +21,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """As `write_text`, for anything; a device or a pipe is written to, not replaced.
+    """As `write_text`, for anything; a device, a pipe or a link is written to, not replaced.
 
     Raises:
         OutputError: the folder cannot be written to.
     """
     partial = path.with_name(path.name + ".part")
     try:
-        if path.exists() and not path.is_file() and not path.is_dir():
+        if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
             path.write_bytes(content)
             return
         partial.write_bytes(content)
@@ -65,7 +65,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
         if file.is_dir():
             raise OutputError(f"{file}: it is a folder; name a file in it.")
         if file.resolve() in read:
-            raise OutputError(f"{file} is an input and would be overwritten: choose another file.")
+            raise OutputError(f"{file} is an input or a result and would be overwritten: choose another file.")
         if file.resolve() in {other.resolve() for other in outputs[:number]}:
             raise OutputError(f"{file} is to be written twice: choose another file for one of them.")
         make_folder(file.parent)

@@ -139,7 +139,10 @@ def test_edges_find_yellow_on_pale_concrete():
     assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.04)
 
 
-@pytest.mark.parametrize("image", [IMAGE, np.full((*HW, 3), 255, np.uint8), np.zeros((8, 8, 3), np.uint8)])
+TINY = [np.zeros((*hw, 3), np.uint8) for hw in ((8, 8), (1, 1), (3, 3), (1, 2000), (2, 2000), (720, 40))]
+
+
+@pytest.mark.parametrize("image", [IMAGE, np.full((*HW, 3), 255, np.uint8), *TINY])
 def test_edges_of_nothing(image):
     lines = EdgeLaneFinder().find(image, 0.0)
     assert lines.left is None

@@ -82,6 +82,16 @@ def test_lines_of_another_lane_are_left_out_unless_the_foot_of_the_box_is_for_th
     assert 15.5 < agreeing < 16.0
 
 
+@pytest.mark.parametrize("n_frames", [0, 1, 60])
+def test_frames_without_a_measurement_are_forgotten_by_time_and_not_each_anew(n_frames):
+    fusion = Fusion()
+    for step in range(30):
+        fusion.fuse({"mono": ranges(24.0, 2.4), "stereo": ranges(20.0, 0.2)}, ONE, step * 0.1)
+    for time_s in np.linspace(2.9, 4.9, n_frames + 2)[1:-1]:
+        fusion.fuse({"mono": SILENT}, ONE, time_s)
+    assert fused_m(fusion, 49, mono=ranges(24.0, 2.4)) == pytest.approx(20.1, abs=0.2)
+
+
 def test_dense_stands_in_for_patches_only_where_they_are_silent():
     dense = ranges(30.0, 1.0)
     for by_method, expected_m in (

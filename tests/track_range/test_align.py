@@ -172,7 +172,7 @@ def test_nowhere_to_write(drive, videos, tmp_path, cli):
     for out, said in (
         (tmp_path / "file" / "align.yaml", "no results can be written there"),
         (tmp_path, "it is a folder; name a file in it"),
-        (drive / "rig.yaml", "rig.yaml is an input and would be overwritten"),
+        (drive / "rig.yaml", "rig.yaml is an input or a result and would be overwritten"),
     ):
         status, _, complained = cli("align", *videos, "--out", out)
         assert (status, said in complained) == (1, True), complained

@@ -266,7 +266,7 @@ def test_places_that_cannot_be_written(boards, tmp_path, cli):
         (".", "it is a folder; name a file in it"),
         (tmp_path / "file" / "rig.yaml", "no results can be"),
         (tmp_path / "rig.png", "rig.png is to be written twice"),
-        (boards / "left3.yaml", "left3.png is an input and would be overwritten"),
+        (boards / "left3.yaml", "left3.png is an input or a result and would be overwritten"),
     ):
         told = cli("calibrate", "--mono", boards / "left*.png", "--board", "9x6", "--square-mm", 30, "--out", out)
         assert said in one_sentence(told)

@@ -66,3 +66,17 @@ def test_how_ffmpeg_is_to_read_it() -> None:
     assert LiveAddress("rtsps://h/s").options["rtsp_transport"] == "tcp"
     assert "rtsp_transport" not in LiveAddress("http://h/s").options
     assert LiveAddress("http://h/s").format is None
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "rtsp://me:p#secret@host/s",
+        "rtsp://me:p/secret@host/s",
+        "rtsp://me:p?secret@host/s",
+        "rtsp://h/s?a=b&password=secret",
+    ],
+)
+def test_no_secret_is_shown_wherever_it_stands(url):
+    assert "secret" not in str(LiveAddress(url))
+    assert str(LiveAddress(url)).startswith("rtsp://h")

@@ -200,7 +200,7 @@ def test_a_page_elsewhere_points_to_the_overlay(run: Path, tmp_path: Path) -> No
 def test_a_page_never_takes_the_place_of_what_it_is_made_from(run: Path, tmp_path: Path) -> None:
     other = write_run(tmp_path / "other")
     for folders, out, words in (
-        ([run], run / "tracks.csv", "is an input and would be overwritten"),
+        ([run], run / "tracks.csv", "is an input or a result and would be overwritten"),
         ([run], run, "it is a folder; name a file in it"),
         ([run, other], other / "report.html", "is to be written twice"),
     ):

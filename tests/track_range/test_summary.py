@@ -75,9 +75,12 @@ def test_mot_metrics_and_ignored_classes():
 
 
 def test_what_is_lower_than_25_px_is_neither_found_nor_missed():
-    low = replace(truth_of(), xyxy_px=np.tile([10.0, 10.0, 40.0, 34.9], (10, 1)))
+    low = replace(truth_of(), xyxy_px=np.array([[10.0, 10.0, 40.0, 34.9]] * 5 + [BOX] * 5))
     tracked = track_scores(columns_of(), low, np.arange(10))
-    assert (tracked["n_truth_boxes"], tracked["fn"], tracked["fp"]) == (0, 0, 0)
+    assert (tracked["n_truth_boxes"], tracked["fn"], tracked["fp"]) == (5, 0, 0)
+    stray = columns_of() | {"x1_px": np.full(10, 100.0), "x2_px": np.full(10, 120.0), "y2_px": np.full(10, 34.9)}
+    assert track_scores(stray, truth_of(), np.arange(10))["fp"] == 0
+    assert track_scores(stray | {"y2_px": np.full(10, 35.1)}, truth_of(), np.arange(10))["fp"] == 10
 
 
 def test_truth_beyond_the_frames_that_ran_is_not_missed():

@@ -35,7 +35,7 @@ from track_range.summary import (
 )
 from track_range.tables import markdown
 from track_range.terminal_tables import tell_summary
-from track_range.written import check_outputs, clear_results, make_folder, write_text
+from track_range.written import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
 
 
 class RunStoppedError(Exception):
@@ -59,7 +59,8 @@ def run(settings: RunSettings, console: Console, view: LiveView | None = None) -
 
 
 def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path:
-    check_outputs([settings.table] if settings.table is not None else [], _input_files(settings))
+    results = [settings.out_dir / name for name in RESULT_NAMES]
+    check_outputs([settings.table] if settings.table is not None else [], [*_input_files(settings), *results])
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
     source = open_source(settings, partial(step_progress, console))
