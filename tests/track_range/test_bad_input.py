@@ -243,3 +243,10 @@ def test_left_and_right_of_different_rate_length_and_start(drive, options, tmp_p
     assert "starts 0.20 s later" in told
     frames = np.unique([int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]])
     assert set(frames) <= {2, 4}
+
+
+@pytest.mark.parametrize("name", ["tracks.csv", "summary.json", "overlay.mp4"])
+def test_a_table_in_the_place_of_a_result_is_refused_before_the_run(fails, options, tmp_path, name):
+    sentence = fails(*options(table=tmp_path / "out" / name))
+    assert f"{name} is an input or a result and would be overwritten" in sentence
+    assert not (tmp_path / "out").exists()

@@ -69,3 +69,23 @@ def test_what_does_not_fit_is_named_left_out_and_harms_no_page(part: dict[str, A
 def test_the_rest_of_a_section_is_kept() -> None:
     found, _ = fitting_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": ["one", 2, "three"]})
     assert found == {"stages_ms": {"detect": 3.0}, "notes": ["one", "three"]}
+
+
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [
+        ({"frames": 10**400}, "frames"),
+        ({"frames": float("inf")}, "frames"),
+        ({"wall_s": 1e300}, "wall_s"),
+    ],
+)
+def test_figures_beyond_all_reason_are_left_out(part: dict[str, Any], name: str) -> None:
+    summary, misfits = fitting_summary(WHOLE | part)
+    assert misfits == [name]
+    assert "<html" in report_page(summary, no_rows())
+
+
+@pytest.mark.parametrize("part", [{"methods": {"fused": {"n": -4, "within_1_sigma": 0.5}}}, {"wall_s": 1e-300}])
+def test_figures_that_no_run_has_make_a_page_all_the_same(part: dict[str, Any]) -> None:
+    summary, _ = fitting_summary(WHOLE | part)
+    assert "<html" in report_page(summary, no_rows())
