@@ -2,9 +2,9 @@
 
 Boxes: road users of several classes at 8-80 m on one road, seen by a KITTI-like camera, moved by half a pixel from
 frame to frame; every method is asked as a run asks it, lane without what it learns from others; stereo, which costs
-what it costs elsewhere, is drawn at random and matches four boxes of five. Medians over frames of processor time, in
-turn method by method, so that all see the same machine; on one thread. Goals for 50 tracks: mono, ground and lane together
-under 0.5 ms, fusing and the three filters together under 1 ms.
+what it costs elsewhere, is drawn at random and matches four boxes of five.
+Medians over frames of processor time, in turn method by method, so that all see the same machine; on one thread. Goals
+for 50 tracks: mono, ground and lane together under 0.5 ms, fusing and the three filters together under 1 ms.
 Lane finders look at the frames of a dash camera's video, where it is there; networks on one thread.
 """
 
