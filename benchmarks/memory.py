@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import psutil
 from rich.console import Console
 from rich.table import Table
 
@@ -55,6 +54,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def _sampled(command: list[str], rows: Path) -> list[tuple[int, float]]:
     """(frame, MiB) samples while the command runs; the frame is read from the last row that it wrote."""
+    import psutil  # of the extra `bench`, which the other workloads do without
+
     samples = []
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     watched = psutil.Process(process.pid)
