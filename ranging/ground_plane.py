@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from detection.detections import BoolArray, FloatArray, IntArray
-from ranging.measured_boxes import SIZE_CLASSES
+from ranging.measured_boxes import BORDER_PX, SIZE_CLASSES
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
 from ranging.surface_offset import surface_offset_m
@@ -42,7 +42,6 @@ STANDING_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "v
 """What stands on the ground."""
 
 _STANDS = np.array([name in STANDING_CLASSES for name in SIZE_CLASSES])
-_BORDER_PX = 1.5  # a box this near the image's border is taken as cut off by it
 _HUBER_SIGMA = 2.0
 _HINT_ID = -1  # beside the tracks' own, which are positive
 
@@ -188,7 +187,7 @@ class GroundPlane:
 
     def _seen(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> _Seen:
         bottom_px = tracks.xyxy_px[:, 3]
-        last_px = frame.left.shape[0] - 0.5 - _BORDER_PX
+        last_px = frame.left.shape[0] - 0.5 - BORDER_PX
         is_standing = tracks.observed & _STANDS[tracks.class_id] & (bottom_px <= last_px)
         offset_m = surface_offset_m(tracks.xyxy_px, tracks.class_id)
         tells = is_standing & (by_size.distance_m > 2 * offset_m)  # NaN tells nothing

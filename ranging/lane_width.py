@@ -8,8 +8,8 @@ r"""LaneWidthRanger: distance from the width of the lane that an object stands o
                    bottom edge's error, as for any method that looks at the ground
 
 Where lines and box are of the same image, pitching moves both, and cancels; a run looks for lines ten times a second,
-and takes those of the last look in between. The point on the ground below the bottom
-edge is where the object begins, so d is the distance of its surface where that is upright: a car's rear.
+and takes those of the last look in between. The point on the ground below the bottom edge is where the object begins,
+so d is the distance of its surface where that is upright: a car's rear.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 from detection.classes import ROAD_CLASSES
 from detection.detections import BoolArray, FloatArray
 from detection.lanes import LaneLine, LaneLines
+from ranging.measured_boxes import BORDER_PX
 from ranging.ranges import Ranges
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
@@ -36,7 +37,6 @@ LANE_WIDTH_SIGMA = 0.15
 shoulders (4.2 m on KITTI 0005)."""
 
 _ON_THE_ROAD = np.array([name not in ("traffic light", "traffic sign") for name in ROAD_CLASSES])
-_BORDER_PX = 1.5  # a bottom edge this near the image's border is taken as cut off by it, as in size_regression
 _REACH = (-1.1, 2.1)  # in lane widths from the left line: own lane 0 to 1, and a neighbour on either side
 _FARTHEST_SEEN = 2.0  # times the distance of the farthest row in which both lines were seen
 _NEAREST_SEEN = 0.5
@@ -179,7 +179,7 @@ class LaneWidthRanger:
         good = (
             tracks.observed
             & _ON_THE_ROAD[tracks.class_id]
-            & (y_px < height_px - 0.5 - _BORDER_PX)
+            & (y_px < height_px - 0.5 - BORDER_PX)
             & (width_px >= max(_MIN_WIDTH_PX, farthest_px))
             & (width_px <= nearest_px)
             & (across > _REACH[0])

@@ -16,6 +16,9 @@ SIZE_CLASSES = (*ROAD_CLASSES, "van")
 
 _IS_SOFT = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
 
+BORDER_PX = 1.5
+"""A box this near the image's border is taken as cut off by it: detectors stop a pixel short."""
+
 
 @dataclass(frozen=True, slots=True)
 class BoxNoise:

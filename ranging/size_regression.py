@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ranging.measured_boxes import BoxNoise, SizeModel, measured_boxes
+from ranging.measured_boxes import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from ranging.ranges import Ranges
 from ranging.size_curve import load_curves
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
 from tracking.tracks import Tracks
 
-_BORDER_PX = 1.5  # a box this near the image's border is taken as cut off by it: detectors stop a pixel short
 _MIN_HEIGHT_PX = 4.0
 
 
@@ -43,7 +42,7 @@ class SizeRegressionRanger:
         """Distances by size; NaN for predicted boxes, for boxes cut at top or bottom, for classes without a curve."""
         height_px, width_px = frame.left.shape[:2]
         x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
-        first_px, last_x_px, last_y_px = _BORDER_PX - 0.5, width_px - 0.5 - _BORDER_PX, height_px - 0.5 - _BORDER_PX
+        first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX
         usable = tracks.observed & (y1_px >= first_px) & (y2_px <= last_y_px)
         usable &= (y2_px - y1_px >= _MIN_HEIGHT_PX) & (x2_px > x1_px)
         rows = np.flatnonzero(usable)

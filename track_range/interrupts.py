@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+_BOTH = (signal.SIGINT, signal.SIGTERM)
+
+_Handler = Callable[[int, FrameType | None], None] | signal.Handlers
 
 
 @contextmanager
@@ -15,11 +19,8 @@ def termination_as_interrupt() -> Iterator[None]:
     def interrupt(number: int, at: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
+    with _handled((signal.SIGTERM,), interrupt):
         yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -35,17 +36,8 @@ def first_interrupt_only() -> Iterator[None]:
             signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in heeded}
-    try:
+    with _handled(heeded, interrupt):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _heeded() -> list[signal.Signals]:
-    """Those that are not ignored already, as in the background of a shell or under nohup."""
-    return [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
 
 
 @contextmanager
@@ -60,12 +52,8 @@ def interrupts_put_off() -> Iterator[None]:
     def note(number: int, at: FrameType | None) -> None:
         came.append(number)
 
-    before = {number: signal.signal(number, note) for number in _heeded()}
-    try:
+    with _handled(_heeded(), note):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     if came:
         handler = signal.getsignal(came[0])
         if callable(handler):
@@ -76,9 +64,21 @@ def interrupts_put_off() -> Iterator[None]:
 @contextmanager
 def deaf_to_interrupts() -> Iterator[None]:
     """While inside, Ctrl-C and SIGTERM are ignored: the summary and the report take a second, and are worth it."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    with _handled(_BOTH, signal.SIG_IGN):
+        yield
+
+
+def _heeded() -> list[signal.Signals]:
+    """Those that are not ignored already, as in the background of a shell or under nohup."""
+    return [number for number in _BOTH if signal.getsignal(number) != signal.SIG_IGN]
+
+
+@contextmanager
+def _handled(numbers: Iterable[signal.Signals], handler: _Handler) -> Iterator[None]:
+    """While inside, these signals have this handler; then again the one that they had."""
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
