@@ -1,4 +1,4 @@
-"""The house as a table: who may import whom, and which file alone may open which library."""
+"""Rules on the source: which package may import which, names and docstrings of files, assert and bare except."""
 
 import ast
 from pathlib import Path
@@ -17,51 +17,7 @@ ARROWS = {
     "benchmarks": {*PACKAGES, "benchmarks"},
 }
 
-DOORS = {
-    "onnxruntime": {"detection/onnx_session.py", "detection/quantize.py"},
-    "onnx": {
-        "detection/darknet.py",
-        "detection/quantize.py",
-        "detection/training/export.py",
-        "detection/training/onnx_weights.py",
-    },
-    "torch": {"detection/training/"},
-    "motmetrics": set(),  # the oracle of tests
-    "av": {"track_range/video_file.py", "track_range/video_writer.py", "track_range/live_stream.py"},
-    "filterpy": set(),  # the oracle of tests; where there is one filter, it may come in
-    "pydantic": {"stereo/rig_files.py", "track_range/config.py"},
-    "matplotlib": {"track_range/charts.py"},
-    "jinja2": {"track_range/report.py"},
-    "typer": {
-        "track_range/cli.py",
-        "track_range/cli_calibration.py",
-        "track_range/cli_alignment.py",
-        "track_range/cli_models.py",
-        "track_range/cli_report.py",
-        "track_range/cli_ranging.py",
-        "track_range/cli_run.py",
-        "track_range/cli_simulation.py",
-        "track_range/cli_tracking.py",
-        "track_range/cli_training.py",
-    },
-    "rich": {
-        "track_range/cli.py",
-        "track_range/cli_calibration.py",
-        "track_range/cli_alignment.py",
-        "track_range/cli_models.py",
-        "track_range/cli_report.py",
-        "track_range/cli_ranging.py",
-        "track_range/cli_run.py",
-        "track_range/cli_simulation.py",
-        "track_range/cli_tracking.py",
-        "track_range/cli_training.py",
-        "track_range/terminal_tables.py",
-        "track_range/commands/",
-    },
-}
-
 VAGUE_NAMES = {"utils", "util", "common", "core", "helpers", "misc", "tools", "base"}
-MAX_LINES = 300
 
 
 def sources(*folders):
@@ -96,21 +52,11 @@ def test_an_arrow_against_the_stream_would_be_seen(tmp_path):
     assert breaches("detection", wrong) == ["ranging", "track_range"]
 
 
-@pytest.mark.parametrize("library", DOORS)
-def test_one_door_per_library(library):
-    users = {path.relative_to(PROJECT).as_posix() for path in sources(*PACKAGES) if library in set(imported(path))}
-    doors = DOORS[library]
-    assert {
-        user for user in users if not any(user == d or (d.endswith("/") and user.startswith(d)) for d in doors)
-    } == set()
-
-
 @pytest.mark.parametrize("path", sources(*PACKAGES), ids=lambda p: p.relative_to(PROJECT).as_posix())
-def test_files_have_a_name_a_sentence_and_a_size(path):
+def test_files_have_a_specific_name_and_a_module_docstring(path):
     text = path.read_text(encoding="utf-8")
     assert path.stem not in VAGUE_NAMES
     assert ast.get_docstring(ast.parse(text)), "no module docstring"
-    assert len(text.splitlines()) <= MAX_LINES
 
 
 @pytest.mark.parametrize("package", PACKAGES)
