@@ -35,7 +35,7 @@ class _Family:
 
     Attributes:
         is_rgb: the channels' order.
-        mean, deviation: of the channels in that order, of pixels / 255.
+        scale: mean and standard deviation of the channels in that order, of pixels / 255.
         sigma_px: standard deviation of one point's x, in the network's input.
         horizon: row of the horizon in the images it was trained on, in image heights, and their shape below; None = it
             has seen all kinds, and is shown the whole image.
