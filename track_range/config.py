@@ -81,7 +81,7 @@ class RunSettings(BaseModel):
     curves: Path | None = None
     """Size curves for the monocular distance, as `track-range fit` writes them; None = the packaged ones."""
     truth: Path | None = None
-    """KITTI tracking labels to measure against."""
+    """KITTI tracking labels or a CSV of true distances to measure against."""
     table: Path | None = None
     """A Markdown file for the tables."""
     out: Path | None = None
@@ -113,11 +113,11 @@ class RunSettings(BaseModel):
     sgbm: bool = True
     """Dense matching beside the patch matcher, in stereo runs."""
     sgbm_options: dict[str, Any] = {}
-    """Its parameters that are not to be chosen by the rig: fields of `stereo.sgbm.SgbmSettings`."""
+    """Dense stereo's parameters that the rig does not choose: fields of `stereo.sgbm.SgbmSettings`."""
     overlay_side: bool = False
     """The overlay with the disparities below it."""
     disparity: bool = False
-    """Its picture of each frame, as disparity.mp4."""
+    """Dense stereo's disparity picture of each frame, as disparity.mp4."""
     align: str = "auto"
     """Correction of the disparities: auto = estimated from the drive, off, or an alignment file."""
 
