@@ -78,7 +78,7 @@ class Fused:
         ranges: distance and sigma, NaN = nobody measured.
         way: (N,) odd where the scale is stereo's, now or learnt from it, even where it is not; another number also
             where methods contradict each other and no past decides. A step between two numbers is no motion
-            (`DistanceFilter.update`).
+            (`DistanceFilters.update`, `ways`).
     """
 
     ranges: Ranges

@@ -30,9 +30,7 @@ from track_range.run_pictures import overlay_picture, pictures, video_format
 from track_range.run_pipeline import open_pipeline
 from track_range.run_record import RunRecord, found_by, summary_of
 from track_range.source import open_source
-from track_range.summary import (
-    write_summary,
-)
+from track_range.summary import write_summary
 from track_range.tables import markdown
 from track_range.terminal_tables import tell_summary
 from track_range.written import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
