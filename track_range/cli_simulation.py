@@ -8,16 +8,17 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from track_range.simulation.scenario_names import SCENARIO_NAMES
+
 _console = Console()
 _WHAT, _WRITTEN, _FAULTS = "What is driven", "What is written", "What is wrong with the cameras (default: nothing)"
-
-_SCENARIOS = "town, highway, city, cut-in, crossing, queue, empty, night"
 
 
 def simulate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
     scenario: Annotated[
-        str | None, typer.Option(metavar="NAME", help=f"{_SCENARIOS} (default: city).", rich_help_panel=_WHAT)
+        str | None,
+        typer.Option(metavar="NAME", help=f"{', '.join(SCENARIO_NAMES)} (default: city).", rich_help_panel=_WHAT),
     ] = None,
     seconds: Annotated[
         float | None, typer.Option(metavar="S", help="Length of the drive (default: 10).", rich_help_panel=_WHAT)

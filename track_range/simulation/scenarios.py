@@ -16,6 +16,7 @@ import numpy as np
 from track_range.simulation.casting import Flow, Part, cast, lights, parked, signs, walkers
 from track_range.simulation.motion import LaneChange, SpeedChanges, travelled_m
 from track_range.simulation.road_shape import RoadShape, Wobble
+from track_range.simulation.scenario_names import SCENARIO_NAMES, ScenarioName
 from track_range.simulation.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
 
 WOBBLE_RAD = np.radians(0.12)
@@ -163,7 +164,7 @@ def _empty(seed: int, seconds: float) -> Scene:
     return _scene(seed, rng, parts, ego, surroundings="country", road=_road(rng, swing_m=7.0, hill_m=3.0))
 
 
-SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
+_MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
     "town": _town,
     "highway": _highway,
     "city": _city,
@@ -173,7 +174,9 @@ SCENARIOS: dict[str, Callable[[int, float], Scene]] = {
     "empty": _empty,
     "night": _night,
 }
-"""By name."""
+
+SCENARIOS: dict[str, Callable[[int, float], Scene]] = {name: _MAKERS[name] for name in SCENARIO_NAMES}
+"""What makes the scene of each name, from seed and seconds; a name without a maker fails at import."""
 
 
 def _scene(

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.simulation import scenarios
 from track_range.simulation.render import Renderer, kitti_like_rig
+from track_range.simulation.scenario_names import SCENARIO_NAMES
 from track_range.simulation.scenarios import SCENARIOS, make_scenario
 from track_range.simulation.surroundings import PERIOD_M, SURROUNDINGS
 from track_range.simulation.truth import seen_at
@@ -14,6 +16,13 @@ from track_range.simulation.truth import seen_at
 SMALL = kitti_like_rig(width_px=310, height_px=94)
 EGO_HW_M = (4.2, 1.8)
 """Length and width of the camera's car; the camera is 1.5 m behind its nose."""
+
+
+def test_every_scenario_has_a_name_that_the_command_line_lists(cli):
+    assert tuple(scenarios._MAKERS) == SCENARIO_NAMES
+    status, printed, _ = cli("simulate", "--help")
+    assert status == 0
+    assert all(name in printed for name in SCENARIO_NAMES)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
