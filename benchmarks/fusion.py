@@ -32,6 +32,7 @@ from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.drive_files import write_png
 from track_range.simulation.render import kitti_like_rig
 from track_range.simulation.scenarios import SCENARIOS as KNOWN
+from track_range.summary import matched_truth
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
 SEED = 230
@@ -84,7 +85,8 @@ def _driven(scenario: str, seed: int, lanes: str) -> Columns:
         )
         out = run(settings, Console(quiet=True))
         truth = read_truth(drive.table, kitti_like_rig().left, np.zeros(3))
-        return with_truth(read_tracks_csv(out / "tracks.csv"), truth)
+        columns = read_tracks_csv(out / "tracks.csv")
+        return with_truth(columns, matched_truth(columns, truth))
 
 
 def _blind(folder: Path, seed: int) -> None:

@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 
 from ranging.evaluation import BANDS_M
-from ranging.truth import Truth
 from track_range.report_series import Columns
-from track_range.summary import matched_truth
+from track_range.summary import MatchedTruth
 
 
-def with_truth(columns: Columns, truth: Truth) -> dict[str, Any]:
+def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
     """The columns with `truth_m` of each row, and `scored_truth_m`, without vans, trams and what is too near or far.
 
     NaN = no label matches the row, or it is not to be scored.
     """
-    row, truth_m = matched_truth(columns, truth)
+    truth, row, truth_m = matched.truth, matched.row, matched.distance_m
     is_road_class = (row >= 0) & (truth.class_id[row] >= 0) if len(truth) else np.zeros(len(row), np.bool_)
     scored = is_road_class & (truth_m >= BANDS_M[0]) & (truth_m <= BANDS_M[-1])
     return {**columns, "truth_m": truth_m, "scored_truth_m": np.where(scored, truth_m, np.nan)}

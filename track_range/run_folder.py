@@ -23,7 +23,7 @@ from stereo.rig_files import left_from_reference_m
 from track_range.report_series import Columns, methods_measured
 from track_range.report_truth import with_truth
 from track_range.run_rows import no_rows, read_run_rows
-from track_range.summary import range_scores, track_scores
+from track_range.summary import MatchedTruth, matched_truth, range_scores, track_scores
 from track_range.summary_shape import fitting_summary
 from track_range.written import OutputError
 
@@ -68,9 +68,10 @@ def read_run_folder(folder: Path) -> RunFolder:
     run, found = _section(settings, "run"), _section(settings, "found")
     rows = no_rows() if columns is None else columns
     truth = _truth_of(run, found, missing)
-    if truth is not None:
-        rows = with_truth(rows, truth)
-    summary = _rebuilt(rows, truth, run) if summary is None else summary
+    matched = None if truth is None else matched_truth(rows, truth)
+    if matched is not None:
+        rows = with_truth(rows, matched)
+    summary = _rebuilt(rows, matched, run) if summary is None else summary
     kept = _with_what_is_there(folder, summary, settings, missing)
     return RunFolder(folder=folder, summary=kept, columns=rows, settings=run, missing=tuple(missing))
 
@@ -139,8 +140,9 @@ def _camera(found: Sections) -> PinholeCamera:
     return PinholeCamera(focal_px, float(found.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
 
 
-def _rebuilt(columns: Columns, truth: Truth | None, run: Sections) -> dict[str, Any]:
+def _rebuilt(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
     """What of a summary the rows alone tell."""
+    truth = None if matched is None else matched.truth
     frame = columns["frame"].astype(np.int64)
     first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
     labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
@@ -150,7 +152,7 @@ def _rebuilt(columns: Columns, truth: Truth | None, run: Sections) -> dict[str, 
         inputs = {"left": run["stereo"][0], "right": run["stereo"][1], **inputs}
     return {
         "frames": last - first + 1,
-        **range_scores(columns, truth, methods),
+        **range_scores(columns, matched, methods),
         "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
         "truth": truth.protocol if truth is not None else None,
         "inputs": inputs,

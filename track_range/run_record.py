@@ -8,7 +8,6 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ranging.triangulation import PatchRanger
 from ranging.truth import Truth
@@ -21,7 +20,7 @@ from track_range.results import FrameResult
 from track_range.run_pictures import pictures
 from track_range.run_pipeline import learnt_scale
 from track_range.source import Source
-from track_range.summary import range_scores, stage_times_ms, track_scores
+from track_range.summary import Columns, MatchedTruth, range_scores, stage_times_ms, track_scores
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
@@ -97,8 +96,8 @@ class RunRecord:
         ]
 
 
-def summary_of(this: RunRecord, columns: dict[str, npt.NDArray[Any]]) -> dict[str, Any]:
-    """What was measured, from the rows that were written."""
+def summary_of(this: RunRecord, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
+    """What was measured, from the rows that were written and their truth."""
     n_frames = len(this.frame_index)
     return {
         "frames": n_frames,
@@ -106,7 +105,7 @@ def summary_of(this: RunRecord, columns: dict[str, npt.NDArray[Any]]) -> dict[st
         "wall_s": round(this.wall_s, 3),
         "frames_per_s": round(n_frames / this.wall_s, 3) if this.wall_s > 0 else None,
         "stages_ms": stage_times_ms(this.pipeline.clock.busy_s, n_frames),
-        **range_scores(columns, this.truth, tuple(this.methods)),
+        **range_scores(columns, matched, tuple(this.methods)),
         "tracks": track_scores(columns, this.truth, np.array(this.frame_index, np.int64)),
         **_geometry(this),
         **_unmatched(this.pipeline),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,23 +27,38 @@ from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 Columns = Mapping[str, npt.NDArray[Any]]
 
 
-def matched_truth(columns: Columns, truth: Truth) -> tuple[IntArray, npt.NDArray[np.float64]]:
-    """(N,) row of `truth` of each track-frame (-1 = none), and its true distance in metres (NaN = none)."""
+@dataclass(frozen=True, slots=True)
+class MatchedTruth:
+    """The truth of each of N track-frames.
+
+    Attributes:
+        truth: the labels.
+        row: (N,) row of `truth` that matches; -1 = none.
+        distance_m: (N,) its true distance; NaN = none.
+    """
+
+    truth: Truth
+    row: IntArray
+    distance_m: npt.NDArray[np.float64]
+
+
+def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
+    """The rows of a run matched to the truth; once per run, for tables and charts."""
     row = match_truth(columns["frame"].astype(np.int64), _boxes(columns), truth)
     distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
-    return row, distance_m
+    return MatchedTruth(truth, row, distance_m)
 
 
-def range_scores(columns: Columns, truth: Truth | None, methods: tuple[str, ...]) -> dict[str, Any]:
+def range_scores(columns: Columns, matched: MatchedTruth | None, methods: tuple[str, ...]) -> dict[str, Any]:
     """The `methods` and `common` sections for the methods that ran; `closing` where the truth knows speeds."""
     by_name = {
         name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
         for name in (*MEASURED_METHODS, *FILTERED_METHODS)
         if name in methods
     }
-    if truth is None:
+    if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
-    row, true_m = matched_truth(columns, truth)
+    truth, row, true_m = matched.truth, matched.row, matched.distance_m
     labelled = row >= 0
     is_road_class = labelled & (truth.class_id[row] >= 0)
     kitti_type = np.where(labelled, truth.kitti_type[row], "")

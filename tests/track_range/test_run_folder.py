@@ -19,6 +19,7 @@ from track_range.commands.report import report, short_names
 from track_range.report_truth import with_truth
 from track_range.results import COLUMNS
 from track_range.run_folder import read_run_folder
+from track_range.summary import matched_truth
 from track_range.written import OutputError
 
 N_FRAMES = 6
@@ -86,7 +87,7 @@ def test_truth_that_is_not_scored_is_drawn_all_the_same(run: Path, old: str, new
 def test_a_truth_of_no_label_matches_nothing(run: Path) -> None:
     columns = read_run_folder(run).columns
     nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(7)))
-    assert bool(np.isnan(with_truth(columns, nothing)["scored_truth_m"]).all())
+    assert bool(np.isnan(with_truth(columns, matched_truth(columns, nothing))["scored_truth_m"]).all())
 
 
 def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:

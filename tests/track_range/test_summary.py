@@ -6,7 +6,7 @@ import pytest
 
 from ranging.truth import Truth
 from track_range.results import COLUMNS
-from track_range.summary import range_scores, stage_times_ms, track_scores, write_summary
+from track_range.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 
@@ -27,7 +27,8 @@ def truth_of(n=10, *, kitti_type="Car", class_id=2, distance_m=20.0, closing_mps
 
 
 def test_methods_and_common_coverage():
-    scores = range_scores(columns_of(fused=21.0), truth_of(), ("mono", "fused"))
+    columns = columns_of(fused=21.0)
+    scores = range_scores(columns, matched_truth(columns, truth_of()), ("mono", "fused"))
     mono, fused = scores["methods"]["mono"], scores["methods"]["fused"]
     assert (mono["n"], mono["coverage"]) == (5, 0.5)
     assert mono["mean_relative_error_pct"] == pytest.approx(10.0)
@@ -39,7 +40,7 @@ def test_methods_and_common_coverage():
 def test_closing_speed_against_a_truth_that_knows_it():
     columns = columns_of() | {"closing_mps": np.full(10, 3.0), "closing_sigma_mps": np.full(10, 0.4)}
     columns["closing_mps"][:5] = np.nan
-    closing = range_scores(columns, truth_of(closing_mps=2.5), ("fused",))["closing"]
+    closing = range_scores(columns, matched_truth(columns, truth_of(closing_mps=2.5)), ("fused",))["closing"]
     assert (closing["coverage"], closing["n"]) == (0.5, 5)
     assert (closing["median_error_mps"], closing["bias_mps"]) == (0.5, 0.5)
     assert (closing["within_1_sigma"], closing["within_2_sigma"]) == (0.0, 1.0)
@@ -55,7 +56,7 @@ def test_closing_speed_against_a_truth_that_knows_it():
     ],
 )
 def test_no_closing_speed_where_nothing_is_scored(truth):
-    assert "closing" not in range_scores(columns_of(), truth, ("fused",))
+    assert "closing" not in range_scores(columns_of(), matched_truth(columns_of(), truth), ("fused",))
 
 
 def test_without_truth_coverage_alone():

@@ -30,7 +30,7 @@ from track_range.run_pictures import overlay_picture, pictures, video_format
 from track_range.run_pipeline import open_pipeline
 from track_range.run_record import RunRecord, found_by, summary_of
 from track_range.source import open_source
-from track_range.summary import write_summary
+from track_range.summary import matched_truth, write_summary
 from track_range.tables import markdown
 from track_range.terminal_tables import tell_summary
 from track_range.written import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
@@ -80,10 +80,12 @@ def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path
         this.wall_s += opened_s
     with deaf_to_interrupts():
         columns = read_tracks_csv(folder / "tracks.csv")
-        summary = summary_of(this, columns)
+        matched = None if truth is None else matched_truth(columns, truth)
+        summary = summary_of(this, columns, matched)
+        charted = columns if matched is None else with_truth(columns, matched)
         _tell_notes(console, [note for note in this.notes if note not in told])
         _tell_tables(console, summary)  # before they are written: a full disk may be why the run ended
-        _keep(this, summary, columns, folder)
+        _keep(this, summary, charted, folder)
     _tell_files(console, this, folder)
     if isinstance(this.stopped_by, KeyboardInterrupt):
         raise RunStoppedError("stopped by the user; what was finished is kept.")
@@ -169,8 +171,6 @@ def _keep(this: RunRecord, summary: dict[str, Any], columns: dict[str, npt.NDArr
     write_summary(folder / "summary.json", summary)
     if this.settings.table is not None:
         write_text(this.settings.table, markdown(summary))
-    if this.truth is not None:
-        columns = with_truth(columns, this.truth)
     settings = {key: value for key, value in absolute_settings(this.settings).items() if value not in ([], {})}
     write_report(folder / "report.html", {**summary, "settings": settings}, columns)
 
