@@ -9,7 +9,7 @@ from ranging.ground_plane import GroundPlane
 from ranging.ranges import Ranges
 from stereo.camera import PinholeCamera
 from stereo.frames import Frame
-from track_range.pipeline import STAGES, Pipeline
+from track_range.pipeline import Pipeline
 from tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
@@ -50,8 +50,12 @@ def test_every_frame_comes_out_in_order_with_all_methods():
     assert last.closing_mps == pytest.approx([10.0], abs=0.3)
     assert last.ttc_s == pytest.approx([2.1], abs=0.1)
     np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])  # box centre 10 px right, 30 px below
-    assert set(loop.clock.busy_s) == set(STAGES)
-    assert loop.clock.busy_s["track"] > 0
+
+
+def test_the_clock_counts_the_stages_that_ran_and_no_others():
+    loop = pipeline()
+    list(loop.run(frames(30)))
+    assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {"detect", "track", "mono", "fuse"}
 
 
 def test_an_error_that_all_methods_share_widens_every_sigma_and_moves_nothing():
