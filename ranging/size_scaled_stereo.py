@@ -15,8 +15,9 @@ import numpy as np
 from detection.detections import FloatArray
 from ranging.ranger import Ranger
 from ranging.ranges import Ranges
-from ranging.triangulation import Matcher, TrackMatcher
+from ranging.triangulation import TrackMatcher
 from stereo.frames import Frame
+from stereo.patch_matches import BoxMatcher
 from tracking.tracks import Tracks
 
 _UNALIGNED_SIGMA_PX = 1.0
@@ -108,7 +109,7 @@ class SizeScaledRanger:
         scale: what has been learnt so far.
     """
 
-    def __init__(self, matcher: Matcher, by_size: Ranger) -> None:
+    def __init__(self, matcher: BoxMatcher, by_size: Ranger) -> None:
         """Scale what `matcher` finds by the distances of `by_size`, a ranger for the same camera."""
         self._matcher = TrackMatcher(matcher)
         self._by_size = by_size

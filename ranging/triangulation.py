@@ -10,16 +10,15 @@ import time
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import BoolArray, FloatArray, Image, IntArray
+from detection.detections import BoolArray, FloatArray, IntArray
 from ranging.ranges import Ranges
 from stereo.alignment import Alignment
-from stereo.frames import Frame, ImageView, whole_image
-from stereo.patch_matches import Outcome, PatchMatches
+from stereo.frames import Frame, whole_image
+from stereo.patch_matches import BoxMatcher, Outcome
 from stereo.rig import StereoRig
 from stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
 from tracking.tracks import Tracks
@@ -28,14 +27,6 @@ FloatArray32 = npt.NDArray[np.float32]
 
 _PRIOR_LIFETIME_S = 1.0  # after this long without a match a track is searched over the full range again
 _FULL_RANGE_EVERY_S = 1.0  # and this often in any case, so that a track that followed an occluder is set free
-
-
-class Matcher(Protocol):
-    """Finds the disparity of single boxes; `stereo.patch_matcher.PatchMatcher` does."""
-
-    def matches(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
-        """Disparities of boxes (N, 4), and why some have none; prior_px (N,) NaN = search the full range."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +60,7 @@ class TrackMatcher:
         outcomes: how many boxes were matched so far, and how many were not, by the reason.
     """
 
-    def __init__(self, matcher: Matcher) -> None:
+    def __init__(self, matcher: BoxMatcher) -> None:
         """Remember for `matcher` what its tracks had."""
         self._matcher = matcher
         self._memory = _Disparities.none()
@@ -82,7 +73,7 @@ class TrackMatcher:
             return disparity_px, sigma_px
         seen = np.flatnonzero(tracks.observed)
         prior_px = self._memory.prior_px(tracks.track_id[seen], frame.time_s)
-        found = self._matcher.matches(frame.left, frame.right, tracks.xyxy_px[seen], prior_px)
+        found = self._matcher.match(frame.left, frame.right, tracks.xyxy_px[seen], prior_px)
         disparity_px[seen], sigma_px[seen] = found.disparity_px, found.sigma_px
         self.outcomes.update(Outcome(code) for code in found.outcome.tolist())
         self._memory = self._memory.with_matches(
@@ -94,7 +85,7 @@ class TrackMatcher:
 class PatchRanger:
     """Ranges each observed box by matching it alone."""
 
-    def __init__(self, rig: StereoRig, matcher: Matcher, *, alignment: Alignment | None = None) -> None:
+    def __init__(self, rig: StereoRig, matcher: BoxMatcher, *, alignment: Alignment | None = None) -> None:
         """Range for a rectified rig; disparities are put right by `alignment`."""
         self._triangulate = Triangulation(rig, alignment or Alignment())
         self._matcher = TrackMatcher(matcher)

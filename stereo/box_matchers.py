@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ from stereo.evaluation import Column, Objects
 from stereo.frames import Image, ImageView, whole_image
 from stereo.kitti_2015 import StereoPair
 from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from stereo.patch_matches import BoxMatcher, Outcome, PatchMatches
 from stereo.rig import StereoRig
 from stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, inner_half_median
 
@@ -34,16 +35,6 @@ _MODE: dict[str, Mode] = {"sgbm-3way": "3way", "sgbm-5way": "sgbm", "sgbm-hh": "
 MATCHER_NAMES = ("patch", *(name + end for name in ("sgbm", *_MODE) for end in ("", CENTRE)))
 
 
-class BoxMatcher(Protocol):
-    """Finds the disparity of boxes."""
-
-    def match(
-        self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(N,) disparity_px and (N,) sigma_px of boxes (N, 4); prior_px NaN = search the full range."""
-        ...
-
-
 class DenseMatcher:
     """Reads boxes from the disparity of the whole image; priors do not serve it."""
 
@@ -51,11 +42,12 @@ class DenseMatcher:
         self._sgbm, self._settings = Sgbm(settings), settings
         self._read = centre_disparity if is_centre else inner_half_median
 
-    def match(
-        self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """As `BoxMatcher.match`."""
-        return self._read(self._sgbm.dense_disparity(left, whole_image(right)), xyxy_px, settings=self._settings)
+    def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+        """As `BoxMatcher.match`; a box without a disparity counts as one without texture."""
+        dense = self._sgbm.dense_disparity(left, whole_image(right))
+        disparity_px, sigma_px = self._read(dense, xyxy_px, settings=self._settings)
+        outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))
+        return PatchMatches(disparity_px, sigma_px, outcome)
 
 
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
@@ -140,8 +132,8 @@ class _Parts:
             began_s = time.perf_counter()
             found = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px)
             self._ms[name].append(1e3 * (time.perf_counter() - began_s))
-            self._found[name].append(found)
-            self._last[name] = {n: d for n, d in zip(ids, found[0].tolist(), strict=True) if n >= 0}
+            self._found[name].append((found.disparity_px, found.sigma_px))
+            self._last[name] = {n: d for n, d in zip(ids, found.disparity_px.tolist(), strict=True) if n >= 0}
         self._objects.append(_objects_of(pair, number=len(self._cameras)))
         self._cameras.append(pair.rig.left)
 

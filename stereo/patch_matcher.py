@@ -97,17 +97,7 @@ class PatchMatcher:
     def __init__(self, settings: PatchMatcherSettings | None = None) -> None:
         self._settings = settings or PatchMatcherSettings()
 
-    def match(
-        self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Disparity and its standard deviation, (N,) pixels each, of boxes in the left image; NaN = not measured.
-
-        See `matches`.
-        """
-        found = self.matches(left, right, xyxy_px, prior_px)
-        return found.disparity_px, found.sigma_px
-
-    def matches(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+    def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
         """The disparities of boxes in the left image, and why some have none.
 
         Args:

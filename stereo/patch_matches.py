@@ -1,12 +1,15 @@
-"""PatchMatches: what the patch matcher found for each box, or why it found nothing."""
+"""BoxMatcher: finds the disparities of boxes; PatchMatches: what it found for each, or why it found nothing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from stereo.frames import Image, ImageView
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -56,3 +59,11 @@ class PatchMatches:
         """Write what was found for the boxes at these indices."""
         self.disparity_px[where], self.sigma_px[where] = found.disparity_px, found.sigma_px
         self.outcome[where] = found.outcome
+
+
+class BoxMatcher(Protocol):
+    """Finds the disparities of single boxes, as `stereo.patch_matcher.PatchMatcher` does."""
+
+    def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
+        """Disparities of boxes (N, 4), and why some have none; prior_px (N,) NaN = search the full range."""
+        ...

@@ -72,7 +72,7 @@ class Matched:
     def __init__(self, *disparity_px):
         self.disparity_px = np.array(disparity_px)
 
-    def matches(self, left, right, xyxy_px, prior_px):
+    def match(self, left, right, xyxy_px, prior_px):
         n = len(xyxy_px)
         return PatchMatches(self.disparity_px, np.full(n, 0.1), np.zeros(n, np.int64))
 

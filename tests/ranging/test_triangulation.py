@@ -46,7 +46,7 @@ class Recorder:
     def __init__(self):
         self.priors = []
 
-    def matches(self, left, right, xyxy_px, prior_px):
+    def match(self, left, right, xyxy_px, prior_px):
         self.priors.append(prior_px.tolist())
         n = len(xyxy_px)
         return PatchMatches(np.full(n, 10.0), np.full(n, 0.1), np.zeros(n, np.int64))

@@ -121,7 +121,8 @@ def test_too_few() -> None:
 def test_kitti_cars_read_up_to_half_a_pixel_low(shared_data: Path) -> None:
     rows = []
     for number, pair in enumerate(read_pairs(shared_data / "kitti2015")):
-        found_px, _ = PatchMatcher().match(pair.left, pair.right, pair.xyxy_px, np.full(len(pair.true_px), np.nan))
+        no_prior_px = np.full(len(pair.true_px), np.nan)
+        found_px = PatchMatcher().match(pair.left, pair.right, pair.xyxy_px, no_prior_px).disparity_px
         rows += [np.column_stack([found_px, pair.true_px, pair.x_px, np.full(len(found_px), number)])]
         camera = pair.rig.left
     measured_px, true_px, x_px, groups = np.concatenate(rows).T

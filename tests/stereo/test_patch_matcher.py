@@ -30,7 +30,7 @@ def of_box(
     matcher: PatchMatcher | None = None,
 ) -> tuple[float, float, Outcome]:
     """Disparity, sigma and outcome of one box."""
-    found = (matcher or PatchMatcher()).matches(*eyes, np.array([box]), np.array([prior_px]))
+    found = (matcher or PatchMatcher()).match(*eyes, np.array([box]), np.array([prior_px]))
     return float(found.disparity_px[0]), float(found.sigma_px[0]), Outcome(int(found.outcome[0]))
 
 
@@ -74,7 +74,7 @@ def test_large_boxes_are_measured_in_smaller_images_nearly_as_well() -> None:
 
 def test_a_distance_by_hand() -> None:
     # f = 1000 px, B = 0.5 m, d = 10 px -> 50 m
-    found, _ = PatchMatcher().match(*pair(10.0), np.array([BOX]), np.array([NONE]))
+    found = PatchMatcher().match(*pair(10.0), np.array([BOX]), np.array([NONE])).disparity_px
     rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 200.0, 70.0, 400, 140), 0.5)
     assert rig.distance_m(found)[0] == pytest.approx(50.0, abs=0.2)
 
@@ -132,7 +132,7 @@ def test_the_range_ends_at_the_largest_disparity() -> None:
 def test_the_largest_disparity_of_each_box_follows_its_side() -> None:
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_per_side=0.5))
     boxes = np.array([BOX, SMALL])  # 40 and 15 px at most
-    found = matcher.matches(*pair(30.0), boxes, np.full(2, NONE))
+    found = matcher.match(*pair(30.0), boxes, np.full(2, NONE))
     assert found.disparity_px[0] == pytest.approx(30.0, abs=0.05)
     assert np.isnan(found.disparity_px[1])
 
@@ -187,10 +187,8 @@ def as_rows(found: PatchMatches) -> FloatArray:
 def test_several_boxes_at_once_are_as_one_by_one() -> None:
     left, right = pair(20.7, noise=3.0)
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=64))
-    together = as_rows(matcher.matches(left, right, MANY, MANY_PRIORS))
-    alone = [
-        as_rows(matcher.matches(left, right, MANY[i : i + 1], MANY_PRIORS[i : i + 1]))[0] for i in range(len(MANY))
-    ]
+    together = as_rows(matcher.match(left, right, MANY, MANY_PRIORS))
+    alone = [as_rows(matcher.match(left, right, MANY[i : i + 1], MANY_PRIORS[i : i + 1]))[0] for i in range(len(MANY))]
     assert np.allclose(together, alone, atol=1e-6, equal_nan=True)
     assert np.isfinite(together[:5, 0]).all()
 
@@ -217,8 +215,8 @@ def test_an_image_that_exists_only_where_it_is_looked_at_gives_the_same(priors_p
     for eyes in ((left, right), (np.dstack([left] * 3), np.dstack([right] * 3))):
         view = LookedAt(eyes[1])
         assert np.array_equal(
-            as_rows(PatchMatcher().matches(eyes[0], view, MANY, priors_px)),
-            as_rows(PatchMatcher().matches(*eyes, MANY, priors_px)),
+            as_rows(PatchMatcher().match(eyes[0], view, MANY, priors_px)),
+            as_rows(PatchMatcher().match(*eyes, MANY, priors_px)),
             equal_nan=True,
         )
 
@@ -226,7 +224,7 @@ def test_an_image_that_exists_only_where_it_is_looked_at_gives_the_same(priors_p
 def test_near_a_prior_only_the_search_range_is_looked_at() -> None:
     left, right = pair(20.7)
     view = LookedAt(right)
-    assert np.isfinite(PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0]))[0][0])
+    assert np.isfinite(PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0])).disparity_px[0])
     rows, columns = np.nonzero(view.seen)
     # inner half 217.5 .. 232.5 and 56 .. 68 px; 21 +- 9 px to the left; margins of 2 px; steps of 4 px
     assert 184 <= columns.min() <= 217 - 21 - 9
@@ -271,7 +269,7 @@ def test_what_does_not_correspond_is_refused(make: str, with_prior: bool, most_p
             left, right = np.random.default_rng(seed).integers(0, 256, (2, 140, 400), dtype=np.uint8)
         else:
             left, right = to_u8(texture(seed)), to_u8(texture(seed + 500))
-        found = PatchMatcher().matches(left, right, boxes, np.full(10, 20.0 if with_prior else NONE))
+        found = PatchMatcher().match(left, right, boxes, np.full(10, 20.0 if with_prior else NONE))
         assert set(found.outcome.tolist()) <= {Outcome.MATCHED, Outcome.NO_TEXTURE, Outcome.NO_FIT, Outcome.AMBIGUOUS}
         n_found += int(np.isfinite(found.disparity_px).sum())
     assert n_found <= most_pct  # of 100
@@ -330,7 +328,7 @@ def test_boxes_that_cannot_be_measured_say_why_and_leave_the_others_alone() -> N
         ((380.0, 100.0, 500.0, 500.0), Outcome.MATCHED),  # what of it is inside
     ]
     boxes = np.array([box for box, _ in cases])
-    found = PatchMatcher().matches(*pair(12.0), boxes, np.full(len(boxes), NONE))
+    found = PatchMatcher().match(*pair(12.0), boxes, np.full(len(boxes), NONE))
     assert [Outcome(code) for code in found.outcome.tolist()] == [outcome for _, outcome in cases]
     matched = found.outcome == Outcome.MATCHED
     assert np.allclose(found.disparity_px[matched], 12.0, atol=0.15)
@@ -359,7 +357,8 @@ def test_an_image_without_pixels_holds_no_box() -> None:
 
 
 def test_no_boxes_give_no_disparities() -> None:
-    found, sigma = PatchMatcher().match(*pair(12.0), np.zeros((0, 4)), np.zeros(0))
+    matches = PatchMatcher().match(*pair(12.0), np.zeros((0, 4)), np.zeros(0))
+    found, sigma = matches.disparity_px, matches.sigma_px
     assert found.shape == sigma.shape == (0,)
 
 
@@ -384,7 +383,8 @@ HOSTILE = pair(12.0)
     hnp.arrays(np.float64, 3, elements=st.floats(allow_nan=True, allow_infinity=True)),
 )
 def test_any_box_and_prior_is_taken_without_a_word(boxes: FloatArray, priors: FloatArray) -> None:
-    found, sigma = PatchMatcher().match(*HOSTILE, boxes, priors)
+    matches = PatchMatcher().match(*HOSTILE, boxes, priors)
+    found, sigma = matches.disparity_px, matches.sigma_px
     known = np.isfinite(found)
     assert np.array_equal(known, np.isfinite(sigma))
     assert (sigma[known] > 0).all()

@@ -117,12 +117,12 @@ def test_real_cars_follow_a_shift_of_a_fraction_of_a_pixel(shared_data: Path) ->
     for name in pair_names(shared_data / "kitti2015")[:6]:
         real = read_pair(shared_data / "kitti2015", name)
         right = cv2.cvtColor(np.asarray(real.right), cv2.COLOR_BGR2GRAY)
-        still, _ = matcher.match(real.left, right, real.xyxy_px, np.full(len(real.true_px), np.nan))
+        still = matcher.match(real.left, right, real.xyxy_px, np.full(len(real.true_px), np.nan)).disparity_px
         for shift_px in (0.25, 0.5):
             to_the_left = np.array([[1.0, 0.0, shift_px], [0.0, 1.0, 0.0]])
             flags = cv2.INTER_LANCZOS4 | cv2.WARP_INVERSE_MAP
             moved = np.asarray(cv2.warpAffine(right, to_the_left, right.shape[::-1], flags=flags), np.uint8)
-            found, _ = matcher.match(real.left, moved, real.xyxy_px, still + shift_px)
+            found = matcher.match(real.left, moved, real.xyxy_px, still + shift_px).disparity_px
             error_px.append(found - still - shift_px)
     off_px = np.abs(np.concatenate(error_px))
     assert len(off_px) >= 20
