@@ -41,6 +41,8 @@ NOISE_SHARES: Mapping[str, float] = {"mono": 0.6, "stereo": 0.3, "fused": 0.35}
 """Methods with a distance filter, and the part of their sigma that is independent from frame to frame.
 
 Where the filter starts; it learns the share from its innovations. Mono tells it box by box (`Ranges.sigma_kept_m`).
+Not the shares of `ranging.readings`: those are fixed, and split each input's sigma into bias and noise for fusion; these
+are start values for one filter per distance, `fused` among them, whose noise is that of the mixture.
 """
 
 _READ_AHEAD = 4
