@@ -41,8 +41,8 @@ NOISE_SHARES: Mapping[str, float] = {"mono": 0.6, "stereo": 0.3, "fused": 0.35}
 """Methods with a distance filter, and the part of their sigma that is independent from frame to frame.
 
 Where the filter starts; it learns the share from its innovations. Mono tells it box by box (`Ranges.sigma_kept_m`).
-Not the shares of `ranging.readings`: those are fixed, and split each input's sigma into bias and noise for fusion; these
-are start values for one filter per distance, `fused` among them, whose noise is that of the mixture.
+Not the shares of `ranging.readings`: those are fixed, and split each input's sigma into bias and noise for fusion;
+these are start values for one filter per distance, `fused` among them, whose noise is that of the mixture.
 """
 
 _READ_AHEAD = 4
@@ -91,6 +91,7 @@ class Pipeline:
         ego_speed: how fast the camera moves; None = unknown.
         shared_sigma: relative error that all methods share, from a focal length that nobody has calibrated.
         is_live: frames come from a camera: none waits, so that results are as new as can be.
+        notes: sentences for the user on the network that describes boxes for the tracker.
         clock: where the time goes.
     """
 
@@ -105,6 +106,7 @@ class Pipeline:
     ego_speed: EgoSpeed | None = None
     shared_sigma: float = 0.0
     is_live: bool = False
+    notes: tuple[str, ...] = ()
     clock: StageClock = field(default_factory=StageClock)
     _fusion: Fusion = field(default_factory=Fusion)
     _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(NOISE_SHARES))

@@ -49,10 +49,11 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         guessed = StereoRig.rectified(taken.camera, ASSUMED_BASELINE_M)
         rangers["stereo"] = SizeScaledRanger(_patch_matcher(guessed), by_size)
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
+    descriptor = open_descriptor(settings.tracker, settings.reid, runtime)
     return Pipeline(
         camera=source.camera,
         detect=boxes.detect,
-        tracker=new_tracker(settings.tracker, open_descriptor(settings.tracker, settings.reid, runtime)),
+        tracker=new_tracker(settings.tracker, descriptor),
         rangers=rangers,
         lane_finder=None if settings.lanes == "off" else open_lane_finder(settings.lanes, runtime),
         ground=ground.plane,
@@ -61,6 +62,7 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),
         shared_sigma=taken.focal_sigma if taken is not None else 0.0,
         is_live=source.live is not None,
+        notes=() if descriptor is None else descriptor.notes,
     )
 
 

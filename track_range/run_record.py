@@ -76,10 +76,13 @@ class RunRecord:
         ]
 
     def _extras(self) -> list[str]:
-        """What the lane finder, the looks' network and the ego speed have to say."""
+        """What the re-identification network, the lane finder and the ego speed have to say."""
         finder, ego = self.pipeline.lane_finder, self.pipeline.ego_speed
         speed = None if ego is None or not self.frame_index else ego.note(self.last_s)
-        return [*(() if finder is None else finder.notes), *(() if speed is None else (speed,)), *self.meter.notes]
+        lanes = () if finder is None else finder.notes
+        # Networks that all lack the device say the same; once is enough.
+        appearance = [note for note in self.pipeline.notes if note not in (*self.boxes.notes(), *lanes)]
+        return [*appearance, *lanes, *(() if speed is None else (speed,)), *self.meter.notes]
 
     def _strangers(self) -> list[str]:
         """A file of boxes or labels none of whose frames came up: usually another video's, or numbered otherwise."""

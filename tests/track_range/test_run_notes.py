@@ -1,0 +1,24 @@
+"""Notes of a run: what the user should know of its inputs, in summary.json."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from detection.onnx_session import OnnxSession, Runtime
+from tests.tracking.test_reid import write_mean_network
+
+
+def test_the_reid_networks_notes_are_the_runs(tmp_path, cli, film):
+    network = write_mean_network(tmp_path / "reid.onnx", input_shape=["batch", 3, 60, 30])
+    notes = OnnxSession(network, Runtime(device="cuda")).notes
+    if not notes:
+        pytest.skip("CUDA is here, so nothing is to be said")
+    video = film(tmp_path / "film.mp4", [0.0, 0.1, 0.2])
+    (tmp_path / "boxes.txt").write_text("0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n")
+    inputs = ("--mono", video, "--detections", tmp_path / "boxes.txt", "--focal-px", 60)
+    options = ("--reid", network, "--device", "cuda", "--no-overlay", "--lanes", "off")
+    status, _, complaint = cli(*inputs, *options, "--out", tmp_path / "out")
+    assert status == 0, complaint
+    assert json.loads((tmp_path / "out/summary.json").read_text())["notes"].count(notes[0]) == 1
