@@ -23,19 +23,19 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from detection.classes import ROAD_CLASSES
-from detection.onnx_session import OnnxSession, Runtime
-from detection.training.anchors import by_head, kmeans_anchors, mean_best_iou
-from detection.training.augmentation import AugmentationSettings
-from detection.training.data_set import CachedImages, TrainingSets
-from detection.training.data_yaml import read_data_yaml
-from detection.training.detection_loss import Losses
-from detection.training.export import export_onnx
-from detection.training.losses import BoxLoss
-from detection.training.networks import NETWORKS, make_network
-from detection.training.run_folder import LAST
-from detection.training.settings import TrainingSettings, best_precision
-from detection.training.train import Training, prepare_torch
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.onnx_session import OnnxSession, Runtime
+from track_range.detection.training.anchors import by_head, kmeans_anchors, mean_best_iou
+from track_range.detection.training.augmentation import AugmentationSettings
+from track_range.detection.training.data_set import CachedImages, TrainingSets
+from track_range.detection.training.data_yaml import read_data_yaml
+from track_range.detection.training.detection_loss import Losses
+from track_range.detection.training.export import export_onnx
+from track_range.detection.training.losses import BoxLoss
+from track_range.detection.training.networks import NETWORKS, make_network
+from track_range.detection.training.run_folder import LAST
+from track_range.detection.training.settings import TrainingSettings, best_precision
+from track_range.detection.training.train import Training, prepare_torch
 
 MODEL = "yolov5n"
 

@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
-from detection.detections import FloatArray, Image
-from detection.onnx_session import Runtime
-from detection.yolo import YoloDetector, YoloSettings
+from track_range.detection.detections import FloatArray, Image
+from track_range.detection.onnx_session import Runtime
+from track_range.detection.yolo import YoloDetector, YoloSettings
 
 SIZES_PX = (320, 416, 640)
 

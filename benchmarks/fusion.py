@@ -19,12 +19,12 @@ from rich.console import Console
 
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import FPS
-from detection.detections import BoolArray, Image
-from detection.lane_lookup import CLASSICAL
-from ranging.evaluation import MethodColumn, score_rows
-from ranging.truth import read_truth
 from track_range.commands.run import run
 from track_range.config import RunSettings
+from track_range.detection.detections import BoolArray, Image
+from track_range.detection.lane_lookup import CLASSICAL
+from track_range.ranging.evaluation import MethodColumn, score_rows
+from track_range.ranging.truth import read_truth
 from track_range.report_series import Columns
 from track_range.report_truth import with_truth
 from track_range.results import FILTERED_METHODS, read_tracks_csv

@@ -29,18 +29,18 @@ from rich.table import Table
 from benchmarks import tracking_sets
 from benchmarks.drives import REAL_DATA
 from benchmarks.tracking_sets import sequences_of
-from detection.boxes import iou
-from detection.classes import ROAD_CLASSES
-from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import KittiLabels
+from track_range.detection.boxes import iou
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.kitti_format import KittiLabels
 from track_range.sequence_tracking import track_sequence
-from tracking.association import assigned
-from tracking.deepsort import DeepSortTracker
-from tracking.evaluation import TrackingCounts
-from tracking.history import BoxHistory, FillGates, Form, smoothed
-from tracking.official_rules import KITTI_TYPES
-from tracking.tracked_boxes import TrackedBoxes
-from tracking.tracker_settings import TrackerSettings
+from track_range.tracking.association import assigned
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.history import BoxHistory, FillGates, Form, smoothed
+from track_range.tracking.official_rules import KITTI_TYPES
+from track_range.tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.tracker_settings import TrackerSettings
 
 FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")
 TRUTH, FOUND, PREDICTED = "#8c96a0", "#2f7ed8", "#e08214"

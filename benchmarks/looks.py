@@ -31,19 +31,19 @@ from rich.table import Table
 from benchmarks.drives import REAL_DATA
 from benchmarks.looks_drives import FPS, LooksDrive, class_ids, real, simulated
 from benchmarks.tracking_sets import sequences_of
-from detection.boxes import iou
-from detection.detections import Descriptors, FloatArray, Image, IntArray
-from detection.onnx_session import Runtime
+from track_range.detection.boxes import iou
+from track_range.detection.detections import Descriptors, FloatArray, Image, IntArray
+from track_range.detection.onnx_session import Runtime
 from track_range.sequence_tracking import track_sequence
 from track_range.simulation.playback import HIDDEN
-from tracking.appearance import ColourLayout, Descriptor
-from tracking.camera_motion import CameraMotion
-from tracking.deepsort import DeepSortTracker
-from tracking.evaluation import TrackingCounts, evaluate_tracks
-from tracking.reid import ReidModel
-from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
-from tracking.tracker_settings import AppearanceGates, TrackerSettings
-from tracking.tracks import Tracks
+from track_range.tracking.appearance import ColourLayout, Descriptor
+from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
+from track_range.tracking.reid import ReidModel
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
+from track_range.tracking.tracks import Tracks
 
 NO_LOOKS = AppearanceGates(max_distance=0.0)
 REAL_SEEDS = range(5)

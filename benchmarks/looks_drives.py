@@ -18,15 +18,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
-from detection.detections import Detections, FloatArray, Image, IntArray
-from detection.kitti_format import KittiLabels, read_kitti
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
+from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
+from track_range.detection.detections import Detections, FloatArray, Image, IntArray
+from track_range.detection.kitti_format import KittiLabels, read_kitti
 from track_range.simulation.playback import HIDDEN, play_back
 from track_range.simulation.render import Renderer
 from track_range.simulation.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.truth import box_corners_m, label_scene, projected_boxes_px
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
 from track_range.video import VideoReader
 
 FPS = 10.0

@@ -25,23 +25,23 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
-from detection.classes import ROAD_CLASSES
-from detection.detections import Image
-from detection.lane_lookup import CLASSICAL, open_lane_finder
-from detection.lanes import LaneLine, LaneLines
-from detection.onnx_session import Runtime
-from ranging.fusion import Fusion
-from ranging.ground_plane import GroundPlaneRanger
-from ranging.lane_width import LaneWidthRanger
-from ranging.ranger import OncePerFrame, Ranger
-from ranging.ranges import Ranges
-from ranging.size_regression import SizeRegressionRanger
-from ranging.smoothing import DistanceFilters
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Image
+from track_range.detection.lane_lookup import CLASSICAL, open_lane_finder
+from track_range.detection.lanes import LaneLine, LaneLines
+from track_range.detection.onnx_session import Runtime
 from track_range.pipeline import NOISE_SHARES
+from track_range.ranging.fusion import Fusion
+from track_range.ranging.ground_plane import GroundPlaneRanger
+from track_range.ranging.lane_width import LaneWidthRanger
+from track_range.ranging.ranger import OncePerFrame, Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_regression import SizeRegressionRanger
+from track_range.ranging.smoothing import DistanceFilters
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 from track_range.video_file import VideoFile
-from tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375)
 CAMERA_HEIGHT_M, LANE_WIDTH_M = 1.65, 3.5

@@ -11,12 +11,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from detection.boxes import iou
-from detection.classes import ROAD_CLASSES
-from detection.detections import FloatArray, Image
-from detection.model_lookup import DEFAULT_MODEL, find_model
-from detection.onnx_session import Runtime
-from detection.yolo import YoloDetector, YoloSettings
+from track_range.detection.boxes import iou
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import FloatArray, Image
+from track_range.detection.model_lookup import DEFAULT_MODEL, find_model
+from track_range.detection.onnx_session import Runtime
+from track_range.detection.yolo import YoloDetector, YoloSettings
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.truth import label_scene

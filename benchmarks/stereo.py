@@ -28,17 +28,17 @@ from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
 from benchmarks.stereo_accuracy import add_accuracy_options, measure_accuracy
-from stereo.box_matchers import one_thread
-from stereo.frames import Image
-from stereo.kitti_2015 import TRUTH, pair_names, read_pair
-from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from stereo.patches import inner_halves
-from stereo.rectification import Maps, RemappedView
-from stereo.rig import StereoRig
-from stereo.sgbm import Mode, Sgbm, SgbmSettings
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
+from track_range.stereo.box_matchers import one_thread
+from track_range.stereo.frames import Image
+from track_range.stereo.kitti_2015 import TRUTH, pair_names, read_pair
+from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.patches import inner_halves
+from track_range.stereo.rectification import Maps, RemappedView
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.sgbm import Mode, Sgbm, SgbmSettings
 
 FloatArray = npt.NDArray[np.float64]
 

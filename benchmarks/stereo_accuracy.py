@@ -23,11 +23,11 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
-from stereo.box_matchers import Measured, measure_pairs
-from stereo.evaluation import Column, figures
-from stereo.kitti_2015 import StereoPair
 from track_range.drive_pairs import read_drive
 from track_range.simulation.drive import write_drive
+from track_range.stereo.box_matchers import Measured, measure_pairs
+from track_range.stereo.evaluation import Column, figures
+from track_range.stereo.kitti_2015 import StereoPair
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -37,11 +37,11 @@ from benchmarks.drives import REAL_DATA
 from benchmarks.peer_runs import ONE_THREAD, Answer, made_environments, names_in, run_peers
 from benchmarks.peer_trackers import PEERS, Array
 from benchmarks.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
-from detection.detections import Detections
+from track_range.detection.detections import Detections
 from track_range.sequence_tracking import track_sequence
-from tracking.deepsort import DeepSortTracker
-from tracking.evaluation import TrackingCounts
-from tracking.tracker_settings import AppearanceGates, TrackerSettings
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.classes import ROAD_CLASSES
-from detection.detection_files import RecordedDetections, read_detections
-from detection.detections import Detections, FloatArray, IntArray
-from detection.kitti_format import KittiLabels, read_kitti
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detection_files import RecordedDetections, read_detections
+from track_range.detection.detections import Detections, FloatArray, IntArray
+from track_range.detection.kitti_format import KittiLabels, read_kitti
 from track_range.sequences import find_sequences
-from tracking.evaluation import TrackingCounts
-from tracking.mot_format import MotRows, read_mot
-from tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
-from tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.mot_format import MotRows, read_mot
+from track_range.tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.tracking.tracked_boxes import TrackedBoxes
 
 SETS = ("kitti-car", "kitti-person", "mot15", "mot17")
 _KITTI_FPS, _KITTI_SIZE_PX, _USUAL_SIZE_PX = 10.0, (1242, 375), (1920, 1080)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from detection.classes import COCO_CLASSES
+from track_range.detection.classes import COCO_CLASSES
 
 
 @dataclass(frozen=True, slots=True)

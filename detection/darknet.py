@@ -20,7 +20,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from detection.darknet_layers import (
+from track_range.detection.darknet_layers import (
     ACTIVATIONS,
     IMAGE,
     Convolution,
@@ -32,10 +32,10 @@ from detection.darknet_layers import (
     Shortcut,
     Upsample,
 )
-from detection.darknet_network import read_network
-from detection.darknet_weights import read_convolutions
-from detection.model_writing import silent_conversion, written_whole
-from detection.onnx_session import ModelError
+from track_range.detection.darknet_network import read_network
+from track_range.detection.darknet_weights import read_convolutions
+from track_range.detection.model_writing import silent_conversion, written_whole
+from track_range.detection.onnx_session import ModelError
 
 _OPSET = 13
 _IR_VERSION = 8

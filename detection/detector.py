@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from detection.detections import Detections, Image
+from track_range.detection.detections import Detections, Image
 
 
 class Detector(Protocol):

@@ -13,8 +13,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import Image
-from detection.letterbox import Letterbox, Placement
+from track_range.detection.detections import Image
+from track_range.detection.letterbox import Letterbox, Placement
 
 Colours = Literal["rgb", "bgr"]
 

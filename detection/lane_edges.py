@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import BoolArray, FloatArray, Image, check_shape
-from detection.lane_markings import Markings, run_middles
-from detection.lane_model import HORIZON
-from detection.lanes import LaneLines
-from detection.own_lane import OwnLane
+from track_range.detection.detections import BoolArray, FloatArray, Image, check_shape
+from track_range.detection.lane_markings import Markings, run_middles
+from track_range.detection.lane_model import HORIZON
+from track_range.detection.lanes import LaneLines
+from track_range.detection.own_lane import OwnLane
 
 Float32Array = npt.NDArray[np.float32]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from detection.catalogue import CATALOGUE, CatalogueEntry, entry_named
-from detection.onnx_session import ModelError
+from track_range.detection.catalogue import CATALOGUE, CatalogueEntry, entry_named
+from track_range.detection.onnx_session import ModelError
 
 PACKAGED_FOLDER = Path(__file__).parent / "weights"
 """Models that come with track-range itself."""

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray
-from detection.lane_choice import own_pair
-from detection.lane_fit import SIDES, LaneFit, fit_lane
-from detection.lane_markings import Markings, Proposals, proposals
-from detection.lane_model import LaneState
-from detection.lanes import LaneLine, LaneLines
+from track_range.detection.detections import FloatArray
+from track_range.detection.lane_choice import own_pair
+from track_range.detection.lane_fit import SIDES, LaneFit, fit_lane
+from track_range.detection.lane_markings import Markings, Proposals, proposals
+from track_range.detection.lane_model import LaneState
+from track_range.detection.lanes import LaneLine, LaneLines
 
 _FORGOTTEN_S = 0.5  # a line unseen for longer is not where it was
 _CONTRADICTED_S = 0.25  # after so long of images that show another lane, that one is followed

@@ -14,9 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from detection.boxes import xyxy_from_cxcywh
-from detection.detections import FloatArray, IntArray
-from detection.onnx_session import FloatArray32
+from track_range.detection.boxes import xyxy_from_cxcywh
+from track_range.detection.detections import FloatArray, IntArray
+from track_range.detection.onnx_session import FloatArray32
 
 
 @dataclass(frozen=True, slots=True)

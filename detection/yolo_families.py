@@ -20,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.classes import COCO_CLASSES, VOC_CLASSES
-from detection.input_format import InputFormat, placement_and_grey
-from detection.model_facts import Anchors, Fact, Facts
-from detection.onnx_session import ModelError
-from detection.yolo_decoders import (
+from track_range.detection.classes import COCO_CLASSES, VOC_CLASSES
+from track_range.detection.input_format import InputFormat, placement_and_grey
+from track_range.detection.model_facts import Anchors, Fact, Facts
+from track_range.detection.onnx_session import ModelError
+from track_range.detection.yolo_decoders import (
     ColumnDecoder,
     CornerDecoder,
     Decoder,

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from detection.boxes import xyxy_from_cxcywh
-from detection.classes import ROAD_CLASSES, road_class_of_each
-from detection.detections import FloatArray, IntArray
-from detection.kitti_format import LabelFileError
-from detection.model_facts import names_of
+from track_range.detection.boxes import xyxy_from_cxcywh
+from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.detections import FloatArray, IntArray
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.model_facts import names_of
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
 _MAX_CLASS = 100_000

@@ -12,13 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from detection.detections import FloatArray
-from ranging.box_evaluation import frame_rows
-from ranging.evaluation import MethodColumn
-from ranging.labelled_boxes import BoxSet
-from ranging.paper_filter import PaperFilter
-from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilter
+from track_range.detection.detections import FloatArray
+from track_range.ranging.box_evaluation import frame_rows
+from track_range.ranging.evaluation import MethodColumn
+from track_range.ranging.labelled_boxes import BoxSet
+from track_range.ranging.paper_filter import PaperFilter
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.smoothing import DistanceFilter
 
 FilterName = Literal["none", "paper", "default"]
 

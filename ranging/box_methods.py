@@ -8,20 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.detections import IntArray
-from ranging.box_evaluation import Fitter, Predictor, cross_validated, frame_rows, within_drives
-from ranging.evaluation import MethodColumn
-from ranging.fusion import Fusion
-from ranging.ground_plane import GroundPlane, GroundSettings
-from ranging.labelled_boxes import BoxSet
-from ranging.measured_boxes import SIZE_CLASSES
-from ranging.plain_curves import PLAIN_CURVES, PlainCurve
-from ranging.ranges import Ranges
-from ranging.size_curve import CurveError, SizeModel, load_curves
-from ranging.size_prior_fit import LabelledSizes, fit_size_priors
-from ranging.size_regression import SizeRegressionRanger
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.detection.detections import IntArray
+from track_range.ranging.box_evaluation import Fitter, Predictor, cross_validated, frame_rows, within_drives
+from track_range.ranging.evaluation import MethodColumn
+from track_range.ranging.fusion import Fusion
+from track_range.ranging.ground_plane import GroundPlane, GroundSettings
+from track_range.ranging.labelled_boxes import BoxSet
+from track_range.ranging.measured_boxes import SIZE_CLASSES
+from track_range.ranging.plain_curves import PLAIN_CURVES, PlainCurve
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_curve import CurveError, SizeModel, load_curves
+from track_range.ranging.size_prior_fit import LabelledSizes, fit_size_priors
+from track_range.ranging.size_regression import SizeRegressionRanger
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 METHODS = (*PLAIN_CURVES, "mono", "ground", "mono+ground")
 """Names of what can be measured, in the order of the tables."""

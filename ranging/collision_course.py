@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray
-from ranging.remembered import TrackMemory
-from stereo.camera import PinholeCamera
-from tracking.tracks import Tracks
+from track_range.detection.detections import BoolArray, FloatArray
+from track_range.ranging.remembered import TrackMemory
+from track_range.stereo.camera import PinholeCamera
+from track_range.tracking.tracks import Tracks
 
 _HALF_CAR_M = 0.9
 """Of our own car."""

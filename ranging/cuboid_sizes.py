@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from detection.detections import FloatArray, IntArray
-from ranging.curve_file import write_curve_file
-from ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
-from ranging.shared_ground import GroundPrior, Stand
-from ranging.size_posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
-from ranging.size_prior import ShapeTables, SizePrior
+from track_range.detection.detections import FloatArray, IntArray
+from track_range.ranging.curve_file import write_curve_file
+from track_range.ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+from track_range.ranging.shared_ground import GroundPrior, Stand
+from track_range.ranging.size_posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
+from track_range.ranging.size_prior import ShapeTables, SizePrior
 
 KIND = "cuboids"
 

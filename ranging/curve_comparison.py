@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray
-from ranging.box_evaluation import cross_validated, folds
-from ranging.box_methods import plain_fitter
-from ranging.labelled_boxes import BoxSet
-from ranging.plain_curves import PLAIN_CURVES, FittedCurve
+from track_range.detection.detections import BoolArray, FloatArray
+from track_range.ranging.box_evaluation import cross_validated, folds
+from track_range.ranging.box_methods import plain_fitter
+from track_range.ranging.labelled_boxes import BoxSet
+from track_range.ranging.plain_curves import PLAIN_CURVES, FittedCurve
 
 TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
 """The paper's rows."""

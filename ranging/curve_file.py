@@ -37,7 +37,7 @@ def read_curve_file(path: Path | None) -> tuple[str, Mapping[str, Any]]:
     Raises:
         CurveError: no such file, not our format, or of another version.
     """
-    packaged = resources.files("ranging").joinpath("curves/cuboids.json")
+    packaged = resources.files("track_range.ranging").joinpath("curves/cuboids.json")
     name = str(path or packaged)
     try:
         document = json.loads((path or packaged).read_text(encoding="utf-8"))

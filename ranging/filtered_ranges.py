@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import FloatArray
-from ranging.ranges import Ranges
+from track_range.detection.detections import FloatArray
+from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3
 """Slower than this is not closing: the time to collision would be minutes of noise."""

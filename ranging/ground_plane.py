@@ -29,14 +29,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray, IntArray
-from ranging.measured_boxes import BORDER_PX, SIZE_CLASSES
-from ranging.ranger import Ranger
-from ranging.ranges import Ranges
-from ranging.surface_offset import surface_offset_m
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.ranging.measured_boxes import BORDER_PX, SIZE_CLASSES
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.surface_offset import surface_offset_m
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 STANDING_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")
 """What stands on the ground."""

@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from detection.boxes import are_sound, iou
-from detection.classes import ROAD_CLASSES
-from detection.detection_files import read_detections
-from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import KittiLabels, LabelFileError, read_kitti, read_kitti_image
-from ranging.evaluation import BANDS_M, MIN_IOU
-from ranging.truth import MAX_OCCLUDED, surface_of_labels_m
-from stereo.camera import PinholeCamera
-from stereo.rig_files import left_from_reference_m, load_camera
+from track_range.detection.boxes import are_sound, iou
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detection_files import read_detections
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.kitti_format import KittiLabels, LabelFileError, read_kitti, read_kitti_image
+from track_range.ranging.evaluation import BANDS_M, MIN_IOU
+from track_range.ranging.truth import MAX_OCCLUDED, surface_of_labels_m
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig_files import left_from_reference_m, load_camera
 
 CLASS_OF: Mapping[str, str] = {
     "Car": "car",

@@ -20,14 +20,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import BoolArray, FloatArray
-from detection.lanes import LaneLine, LaneLines
-from ranging.measured_boxes import BORDER_PX
-from ranging.ranges import Ranges
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import BoolArray, FloatArray
+from track_range.detection.lanes import LaneLine, LaneLines
+from track_range.ranging.measured_boxes import BORDER_PX
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 LANE_WIDTH_M = 3.5
 """Between the middles of the lines, unless told otherwise."""

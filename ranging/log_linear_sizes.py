@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from detection.detections import FloatArray
-from ranging.curve_file import write_curve_file
-from ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+from track_range.detection.detections import FloatArray
+from track_range.ranging.curve_file import write_curve_file
+from track_range.ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
 
 KIND = "log-linear"
 

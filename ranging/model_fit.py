@@ -14,17 +14,17 @@ from typing import Protocol
 
 import numpy as np
 
-from detection.detections import FloatArray
-from ranging.box_evaluation import cross_validated, folds
-from ranging.box_methods import labelled_sizes, plain_fitter
-from ranging.curve_file import CurveError
-from ranging.labelled_boxes import BoxSet
-from ranging.log_linear_sizes import SizeCurves
-from ranging.measured_boxes import SIZE_CLASSES, SizeModel
-from ranging.plain_curves import SAFE_CURVES, FittedTable
-from ranging.size_curve_fit import MIN_SAMPLES, SizeSamples, fit_curves
-from ranging.size_prior_fit import fit_size_priors
-from ranging.table_sizes import TableCurve, TableSizes
+from track_range.detection.detections import FloatArray
+from track_range.ranging.box_evaluation import cross_validated, folds
+from track_range.ranging.box_methods import labelled_sizes, plain_fitter
+from track_range.ranging.curve_file import CurveError
+from track_range.ranging.labelled_boxes import BoxSet
+from track_range.ranging.log_linear_sizes import SizeCurves
+from track_range.ranging.measured_boxes import SIZE_CLASSES, SizeModel
+from track_range.ranging.plain_curves import SAFE_CURVES, FittedTable
+from track_range.ranging.size_curve_fit import MIN_SAMPLES, SizeSamples, fit_curves
+from track_range.ranging.size_prior_fit import fit_size_priors
+from track_range.ranging.table_sizes import TableCurve, TableSizes
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import IntArray
-from ranging.filtered_ranges import FilteredRanges, time_to_collision
-from ranging.ranges import Ranges
-from ranging.remembered import TrackMemory
+from track_range.detection.detections import IntArray
+from track_range.ranging.filtered_ranges import FilteredRanges, time_to_collision
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.remembered import TrackMemory
 
 _NOISE = 0.1
 _MAX_GAP_S = 1.0

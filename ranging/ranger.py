@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from ranging.ranges import Ranges
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 
 class Ranger(Protocol):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray
-from ranging.ranges import Ranges
+from track_range.detection.detections import BoolArray, FloatArray
+from track_range.ranging.ranges import Ranges
 
 FUSED_METHODS = ("mono", "ground", "lane", "stereo")
 """In the order of all arrays here; "sgbm" stands in for "stereo"."""

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ranging import cuboid_sizes, log_linear_sizes, table_sizes
-from ranging.curve_file import CURVE_VERSION, CurveError, read_curve_file
-from ranging.log_linear_sizes import SizeCurve, SizeCurves
-from ranging.measured_boxes import SizeModel
+from track_range.ranging import cuboid_sizes, log_linear_sizes, table_sizes
+from track_range.ranging.curve_file import CURVE_VERSION, CurveError, read_curve_file
+from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
+from track_range.ranging.measured_boxes import SizeModel
 
 __all__ = ["CURVE_VERSION", "CurveError", "SizeCurve", "SizeCurves", "SizeModel", "load_curves"]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ranging.measured_boxes import BORDER_PX, BoxNoise, SizeModel, measured_boxes
-from ranging.ranges import Ranges
-from ranging.size_curve import load_curves
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.ranging.measured_boxes import BORDER_PX, BoxNoise, SizeModel, measured_boxes
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_curve import load_curves
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 _MIN_HEIGHT_PX = 4.0
 

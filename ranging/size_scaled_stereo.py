@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray
-from ranging.ranger import Ranger
-from ranging.ranges import Ranges
-from ranging.triangulation import TrackMatcher
-from stereo.frames import Frame
-from stereo.patch_matches import BoxMatcher
-from tracking.tracks import Tracks
+from track_range.detection.detections import FloatArray
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.triangulation import TrackMatcher
+from track_range.stereo.frames import Frame
+from track_range.stereo.patch_matches import BoxMatcher
+from track_range.tracking.tracks import Tracks
 
 _UNALIGNED_SIGMA_PX = 1.0
 """Disparity error of eyes that nobody has calibrated, as far as a scale does not take it up."""

@@ -25,11 +25,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray, IntArray
-from ranging.filtered_ranges import FilteredRanges, time_to_collision
-from ranging.noise_scale import NoiseScale
-from ranging.ranges import Ranges
-from ranging.remembered import TrackMemory
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.ranging.filtered_ranges import FilteredRanges, time_to_collision
+from track_range.ranging.noise_scale import NoiseScale
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.remembered import TrackMemory
 
 _LEAST_NOISE_SHARE = 0.1
 """No measurement is quite free of noise, even where its method says so."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray, IntArray
-from ranging.measured_boxes import SIZE_CLASSES
+from track_range.detection.detections import FloatArray, IntArray
+from track_range.ranging.measured_boxes import SIZE_CLASSES
 
 
 def _by_class(values: dict[str, float]) -> FloatArray:

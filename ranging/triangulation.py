@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import BoolArray, FloatArray, IntArray
-from ranging.ranges import Ranges
-from stereo.alignment import Alignment
-from stereo.frames import Frame, whole_image
-from stereo.patch_matches import BoxMatcher, Outcome
-from stereo.rig import StereoRig
-from stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
-from tracking.tracks import Tracks
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.frames import Frame, whole_image
+from track_range.stereo.patch_matches import BoxMatcher, Outcome
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
+from track_range.tracking.tracks import Tracks
 
 FloatArray32 = npt.NDArray[np.float32]
 

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from detection.classes import KITTI_IGNORED, road_class_of_each
-from detection.csv_labels import is_label_csv, read_csv_labels
-from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import KittiLabels, LabelFileError, read_kitti
-from ranging.box_surface import surface_distance_m
-from stereo.camera import PinholeCamera
+from track_range.detection.classes import KITTI_IGNORED, road_class_of_each
+from track_range.detection.csv_labels import is_label_csv, read_csv_labels
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.kitti_format import KittiLabels, LabelFileError, read_kitti
+from track_range.ranging.box_surface import surface_distance_m
+from track_range.stereo.camera import PinholeCamera
 
 MAX_OCCLUDED = 1
 """Labels hidden more than partly are not scored for distance: their boxes are guesses."""

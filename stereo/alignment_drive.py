@@ -12,12 +12,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
-from stereo.alignment_bundle import Sightings
-from stereo.alignment_stretch import Stretch, Together, stretch_of, together
-from stereo.alignment_tracks import MIN_ROWS, FeatureTracks, PairPoints, grey
-from stereo.frames import Frame, whole_image
-from stereo.rig import StereoRig
+from track_range.stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.alignment_bundle import Sightings
+from track_range.stereo.alignment_stretch import Stretch, Together, stretch_of, together
+from track_range.stereo.alignment_tracks import MIN_ROWS, FeatureTracks, PairPoints, grey
+from track_range.stereo.frames import Frame, whole_image
+from track_range.stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 

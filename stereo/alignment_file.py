@@ -21,9 +21,9 @@ from typing import Any
 
 import yaml
 
-from stereo.alignment import Alignment
-from stereo.rig import RigError
-from stereo.rig_writing import write_whole
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.rig import RigError
+from track_range.stereo.rig_writing import write_whole
 
 _VERSION = 1
 _VERSION_KEY = "track_range_align"

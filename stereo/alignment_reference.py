@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment import Alignment, column_from_axis
-from stereo.camera import PinholeCamera
-from stereo.rig import RigError
+from track_range.stereo.alignment import Alignment, column_from_axis
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import RigError
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

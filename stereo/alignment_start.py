@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment_bundle import Bundle, Sightings
-from stereo.rig import StereoRig
+from track_range.stereo.alignment_bundle import Bundle, Sightings
+from track_range.stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 

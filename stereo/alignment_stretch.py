@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment_bundle import (
+from track_range.stereo.alignment_bundle import (
     N_ERRORS,
     Bundle,
     Equations,
@@ -26,8 +26,8 @@ from stereo.alignment_bundle import (
     fit_bundle,
     linearised,
 )
-from stereo.alignment_start import MIN_POINTS, only_points, start_bundle
-from stereo.rig import StereoRig
+from track_range.stereo.alignment_start import MIN_POINTS, only_points, start_bundle
+from track_range.stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.boards import Board, CharucoBoard, ChessBoard, charuco_detectors, dictionaries, dictionary_of
-from stereo.frames import Image
+from track_range.stereo.boards import Board, CharucoBoard, ChessBoard, charuco_detectors, dictionaries, dictionary_of
+from track_range.stereo.frames import Image
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.rig import RigError
+from track_range.stereo.rig import RigError
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -18,14 +18,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.camera import PinholeCamera
-from stereo.evaluation import Column, Objects
-from stereo.frames import Image, ImageView, whole_image
-from stereo.kitti_2015 import StereoPair
-from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from stereo.patch_matches import BoxMatcher, Outcome, PatchMatches
-from stereo.rig import StereoRig
-from stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, inner_half_median
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.evaluation import Column, Objects
+from track_range.stereo.frames import Image, ImageView, whole_image
+from track_range.stereo.kitti_2015 import StereoPair
+from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.patch_matches import BoxMatcher, Outcome, PatchMatches
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, inner_half_median
 
 FloatArray = npt.NDArray[np.float64]
 

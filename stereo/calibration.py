@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.board_views import BoardView, RejectedView
-from stereo.boards import CalibrationError
-from stereo.camera import PinholeCamera
-from stereo.coverage import Coverage, coverage_of, lack_of_motion
+from track_range.stereo.board_views import BoardView, RejectedView
+from track_range.stereo.boards import CalibrationError
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.coverage import Coverage, coverage_of, lack_of_motion
 
 FloatArray = npt.NDArray[np.float64]
 Advance = Callable[[int, int], None]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from stereo.box_windows import MARGIN_PX, WINDOW_HW, BoxWindows, GreyLevels
+from track_range.stereo.box_windows import MARGIN_PX, WINDOW_HW, BoxWindows, GreyLevels
 
 FloatArray32 = npt.NDArray[np.float32]
 Grey = npt.NDArray[np.uint8]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stereo.box_windows import BoxWindows
-from stereo.surfaces import Surface
+from track_range.stereo.box_windows import BoxWindows
+from track_range.stereo.surfaces import Surface
 
 FloatArray = npt.NDArray[np.float64]
 FloatArray32 = npt.NDArray[np.float32]

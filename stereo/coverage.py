@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.board_views import BoardView
+from track_range.stereo.board_views import BoardView
 
 FloatArray = npt.NDArray[np.float64]
 

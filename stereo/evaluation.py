@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo.alignment import Alignment
-from stereo.camera import PinholeCamera
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.camera import PinholeCamera
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -18,11 +18,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.frames import Image, ImageView
-from stereo.patches import inner_halves
-from stereo.rectification import Rectifier
-from stereo.rig import RigError, StereoRig
-from stereo.rig_files import load_rig
+from track_range.stereo.frames import Image, ImageView
+from track_range.stereo.patches import inner_halves
+from track_range.stereo.rectification import Rectifier
+from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.rig_files import load_rig
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.camera import PinholeCamera
-from stereo.rig import RigError
-from stereo.rig_checks import Calibration
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import RigError
+from track_range.stereo.rig_checks import Calibration
 
 FloatArray = npt.NDArray[np.float64]
 

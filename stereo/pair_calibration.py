@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.board_views import BoardView, RejectedView
-from stereo.boards import CalibrationError
-from stereo.calibration import (
+from track_range.stereo.board_views import BoardView, RejectedView
+from track_range.stereo.boards import CalibrationError
+from track_range.stereo.calibration import (
     LENS_TERMS,
     PARALLEL,
     Advance,
@@ -37,11 +37,11 @@ from stereo.calibration import (
     total_rms_px,
     without_outliers,
 )
-from stereo.camera import PinholeCamera
-from stereo.coverage import coverage_of
-from stereo.rectification import Rectifier, lens_terms, turns_of
-from stereo.rig import RigError, StereoRig
-from stereo.rig_checks import BASELINE_M
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.coverage import coverage_of
+from track_range.stereo.rectification import Rectifier, lens_terms, turns_of
+from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.rig_checks import BASELINE_M
 
 FloatArray = npt.NDArray[np.float64]
 ViewPair = tuple[BoardView, BoardView]

@@ -18,14 +18,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stereo.box_windows import COARSE, FINE, WINDOW_HW, BoxWindows, GreyLevels, band_of
-from stereo.census import cost_curves
-from stereo.clarity import clarity_of
-from stereo.frames import Image, ImageView
-from stereo.patch_matches import Outcome, PatchMatches
-from stereo.refinement import refined_windows
-from stereo.rig import StereoRig
-from stereo.surfaces import Surface, WindowMatches, matched_windows, object_surface
+from track_range.stereo.box_windows import COARSE, FINE, WINDOW_HW, BoxWindows, GreyLevels, band_of
+from track_range.stereo.census import cost_curves
+from track_range.stereo.clarity import clarity_of
+from track_range.stereo.frames import Image, ImageView
+from track_range.stereo.patch_matches import Outcome, PatchMatches
+from track_range.stereo.refinement import refined_windows
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.surfaces import Surface, WindowMatches, matched_windows, object_surface
 
 FloatArray = npt.NDArray[np.float64]
 FloatArray32 = npt.NDArray[np.float32]

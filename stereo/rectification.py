@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.camera import PinholeCamera
-from stereo.frames import Image, ImageView
-from stereo.rig import RigError, StereoRig
-from stereo.rig_checks import check_rig
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Image, ImageView
+from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.rig_checks import check_rig
 
 FloatArray = npt.NDArray[np.float64]
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stereo.box_windows import WINDOW_HW, BoxWindows, GreyLevels
-from stereo.surfaces import WindowMatches
+from track_range.stereo.box_windows import WINDOW_HW, BoxWindows, GreyLevels
+from track_range.stereo.surfaces import WindowMatches
 
 FloatArray32 = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stereo.camera import PinholeCamera
+from track_range.stereo.camera import PinholeCamera
 
 FloatArray = npt.NDArray[np.float64]
 

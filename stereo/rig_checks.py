@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from stereo.camera import PinholeCamera
-from stereo.rig import RigError, StereoRig
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import RigError, StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 

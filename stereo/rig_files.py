@@ -18,13 +18,13 @@ import numpy.typing as npt
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from stereo.camera import PinholeCamera
-from stereo.kalibr_calibration import looks_like_kalibr, parse_kalibr
-from stereo.kitti_calibration import looks_like_kitti, missing_eye, parse_kitti
-from stereo.opencv_calibration import looks_like_opencv, parse_opencv
-from stereo.rig import RigError, StereoRig
-from stereo.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
-from stereo.rig_writing import VERSION, save_rig
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.kalibr_calibration import looks_like_kalibr, parse_kalibr
+from track_range.stereo.kitti_calibration import looks_like_kitti, missing_eye, parse_kitti
+from track_range.stereo.opencv_calibration import looks_like_opencv, parse_opencv
+from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
+from track_range.stereo.rig_writing import VERSION, save_rig
 
 __all__ = ["find_rig", "left_from_reference_m", "load_calibration", "load_camera", "load_rig", "save_rig"]
 

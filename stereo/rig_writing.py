@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from stereo.camera import PinholeCamera
-from stereo.rectification import lens_terms, turns_of
-from stereo.rig import RigError, StereoRig
-from stereo.rig_checks import check_camera, check_rig
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rectification import lens_terms, turns_of
+from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.rig_checks import check_camera, check_rig
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo.frames import Image
-from stereo.patches import Patch, inner_halves
-from stereo.rig import StereoRig
+from track_range.stereo.frames import Image
+from track_range.stereo.patches import Patch, inner_halves
+from track_range.stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 DisparityMap = npt.NDArray[np.float32]

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from stereo.frames import Image
-from stereo.pair_check import Features, is_in_row, matched_points
+from track_range.stereo.frames import Image
+from track_range.stereo.pair_check import Features, is_in_row, matched_points
 
 Step = Literal["same", "right late", "right early", "unknown"]
 

@@ -16,12 +16,6 @@ import numpy as np
 import yaml
 from rich.console import Console
 
-from detection.classes import COCO_CLASSES
-from detection.darknet import import_darknet
-from detection.darknet_network import read_network
-from detection.kitti_format import read_kitti
-from stereo.boards import ChessBoard
-from stereo.rig_files import load_rig
 from tests.detection.darknet_networks import write_weights, yolov4_tiny
 from tests.detection.lane_roads import HW, road_x_px
 from tests.detection.onnx_models import write_model
@@ -31,8 +25,14 @@ from tests.stereo.kitti_folder import write_set
 from tests.track_range.labelled_drives import F_PX, drive
 from track_range.commands.run import run
 from track_range.config import RunSettings
+from track_range.detection.classes import COCO_CLASSES
+from track_range.detection.darknet import import_darknet
+from track_range.detection.darknet_network import read_network
+from track_range.detection.kitti_format import read_kitti
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render import kitti_like_rig
+from track_range.stereo.boards import ChessBoard
+from track_range.stereo.rig_files import load_rig
 from track_range.video import VideoReader
 
 SECONDS = 1.0

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import FloatArray, Image
-from stereo.camera import PinholeCamera
+from track_range.detection.detections import FloatArray, Image
 from track_range.overlay_colours import BLACK, GREY, WHITE, alarm_colour, track_colour
 from track_range.results import FrameResult
+from track_range.stereo.camera import PinholeCamera
 
 Point = tuple[int, int]
 

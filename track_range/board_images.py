@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from detection.detections import Image
-from detection.labelled_images import IMAGE_SUFFIXES, ImageFileError, images_in, read_image
-from stereo.board_views import RejectedView
+from track_range.detection.detections import Image
+from track_range.detection.labelled_images import IMAGE_SUFFIXES, ImageFileError, images_in, read_image
 from track_range.pairing import StereoVideo
+from track_range.stereo.board_views import RejectedView
 from track_range.video import VideoReader
 from track_range.video_frame import TIME_EPSILON_S
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from detection.detections import Image
-from stereo.board_views import BoardFinder, BoardView, RejectedView, in_step, markers_seen, sizes_seen
-from stereo.boards import Board, CalibrationError, CharucoBoard
-from stereo.coverage import varied
 from track_range.board_images import BoardImages, Shot
+from track_range.detection.detections import Image
+from track_range.stereo.board_views import BoardFinder, BoardView, RejectedView, in_step, markers_seen, sizes_seen
+from track_range.stereo.boards import Board, CalibrationError, CharucoBoard
+from track_range.stereo.coverage import varied
 
 Advance = Callable[[int, int], None]
 Views = tuple[BoardView, ...]

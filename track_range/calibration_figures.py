@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from stereo.board_views import RejectedView
-from stereo.calibration import CameraCalibration, ViewFit
-from stereo.coverage import view_shape
-from stereo.pair_calibration import PairCalibration
 from track_range.board_search import FoundViews
+from track_range.stereo.board_views import RejectedView
+from track_range.stereo.calibration import CameraCalibration, ViewFit
+from track_range.stereo.coverage import view_shape
+from track_range.stereo.pair_calibration import PairCalibration
 
 
 def mono_figures(found: CameraCalibration, search: FoundViews) -> dict[str, Any]:

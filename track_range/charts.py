@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from detection.detections import FloatArray
-from ranging.curve_comparison import CurveFit
+from track_range.detection.detections import FloatArray
+from track_range.ranging.curve_comparison import CurveFit
 from track_range.written import write_bytes
 
 SCATTER_PATHS = 3000

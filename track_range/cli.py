@@ -14,16 +14,6 @@ import cv2
 import typer
 from rich.console import Console
 
-from detection.classes import ClassNameError
-from detection.download import DownloadError
-from detection.kitti_format import LabelFileError
-from detection.labelled_images import ImageFileError
-from detection.onnx_session import ModelError
-from detection.training.errors import TrainingError
-from ranging.ego_speed import EgoSpeedError
-from ranging.size_curve import CurveError
-from stereo.kitti_2015 import PairFileError
-from stereo.rig import RigError
 from track_range.cli_alignment import align
 from track_range.cli_calibration import calibrate, rig
 from track_range.cli_models import evaluation, models
@@ -36,9 +26,19 @@ from track_range.cli_training import anchors, train
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.run import RunStoppedError
 from track_range.config import ConfigError, UsageError
+from track_range.detection.classes import ClassNameError
+from track_range.detection.download import DownloadError
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.labelled_images import ImageFileError
+from track_range.detection.onnx_session import ModelError
+from track_range.detection.training.errors import TrainingError
+from track_range.ranging.ego_speed import EgoSpeedError
+from track_range.ranging.size_curve import CurveError
+from track_range.stereo.kitti_2015 import PairFileError
+from track_range.stereo.rig import RigError
+from track_range.tracking.mot_format import MotFormatError
 from track_range.video import VideoError
 from track_range.written import OutputError
-from tracking.mot_format import MotFormatError
 
 USER_ERRORS = (
     ClassNameError,

@@ -8,18 +8,18 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from detection.input_format import LETTERBOXES
-from detection.labelled_images import LabelFormat
-from detection.onnx_session import Device
-from stereo.box_matchers import MATCHER_NAMES
 from track_range.commands.evaluate import evaluate_source, keep_figures, open_candidates, tell_figures
 from track_range.commands.evaluate_stereo import DEFAULT_MATCHERS, StereoTest, evaluate_stereo
 from track_range.commands.evaluate_tracks import TruthFormat, evaluate_track_files, keep_track_figures
 from track_range.commands.model_files import import_model, list_models, pull_model
 from track_range.commands.models import tell_model
 from track_range.commands.quantize import quantize_model
+from track_range.detection.input_format import LETTERBOXES
+from track_range.detection.labelled_images import LabelFormat
+from track_range.detection.onnx_session import Device
 from track_range.detector_options import DetectorOptions, class_names
 from track_range.labelled_source import LabelledSource
+from track_range.stereo.box_matchers import MATCHER_NAMES
 
 evaluation = typer.Typer(no_args_is_help=True, help="Measure against labels of your own.")
 models = typer.Typer(no_args_is_help=True, help="Detectors: what a file holds, which can be fetched, and making them.")

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from detection.classes import ROAD_CLASSES
-from detection.csv_labels import NEEDED, OPTIONAL
-from detection.input_format import LETTERBOXES
 from track_range.commands.run import run as run_video
 from track_range.config import settings_from
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.csv_labels import NEEDED, OPTIONAL
+from track_range.detection.input_format import LETTERBOXES
 from track_range.live_view import open_view
 
 _console = Console()

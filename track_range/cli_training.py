@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 from rich.console import Console
 
-from detection.training.errors import TrainingError
+from track_range.detection.training.errors import TrainingError
 
 _console = Console()
 _WHAT, _HOW, _PAPER = "What to learn", "How to train", "The paper's improvements"

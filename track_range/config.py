@@ -19,9 +19,9 @@ from pydantic import (
     model_validator,
 )
 
-from detection.model_lookup import DEFAULT_MODEL
-from stereo.sgbm import SgbmSettings
+from track_range.detection.model_lookup import DEFAULT_MODEL
 from track_range.live_address import LiveAddress, live_address
+from track_range.stereo.sgbm import SgbmSettings
 from track_range.written import write_text
 
 TrackerName = Literal["deepsort", "sort"]

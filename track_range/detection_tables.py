@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from detection.classes import ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.tables import Column, Cost, Grid, figure, grid_of
 
 

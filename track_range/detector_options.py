@@ -6,12 +6,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from detection.classes import road_class_ids
-from detection.model_facts import ModelOptions
-from detection.model_lookup import models_folder
-from detection.onnx_session import Device, Runtime
-from detection.yolo import YoloDetector, YoloSettings
 from track_range.config import ConfigError, UsageError
+from track_range.detection.classes import road_class_ids
+from track_range.detection.model_facts import ModelOptions
+from track_range.detection.model_lookup import models_folder
+from track_range.detection.onnx_session import Device, Runtime
+from track_range.detection.yolo import YoloDetector, YoloSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

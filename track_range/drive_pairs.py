@@ -13,14 +13,14 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from detection.detections import BoolArray
-from ranging.evaluation import BANDS_M
-from ranging.truth import Truth, read_truth
-from stereo.kitti_2015 import PairFileError, StereoPair
-from stereo.rectification import Rectifier
-from stereo.rig import RigError
-from stereo.rig_files import find_rig, left_from_reference_m, load_rig
+from track_range.detection.detections import BoolArray
 from track_range.pairing import StereoVideo
+from track_range.ranging.evaluation import BANDS_M
+from track_range.ranging.truth import Truth, read_truth
+from track_range.stereo.kitti_2015 import PairFileError, StereoPair
+from track_range.stereo.rectification import Rectifier
+from track_range.stereo.rig import RigError
+from track_range.stereo.rig_files import find_rig, left_from_reference_m, load_rig
 from track_range.video import VideoReader
 
 LEFT, RIGHT = "left.mp4", "right.mp4"

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from detection.detections import FloatArray, Image
+from track_range.detection.detections import FloatArray, Image
 from track_range.video_frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})

@@ -9,11 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
-from detection.classes import ROAD_CLASSES, road_class_ids
-from detection.detections import Image
-from detection.image_truth import ImageTruth
-from detection.kitti_format import LabelFileError
-from detection.labelled_images import (
+from track_range.config import UsageError
+from track_range.detection.classes import ROAD_CLASSES, road_class_ids
+from track_range.detection.detections import Image
+from track_range.detection.image_truth import ImageTruth
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.labelled_images import (
     ImageFileError,
     LabelFormat,
     LabelledImage,
@@ -23,7 +24,6 @@ from detection.labelled_images import (
     read_manifest,
     read_sequence,
 )
-from track_range.config import UsageError
 from track_range.video import VideoReader
 
 

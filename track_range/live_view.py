@@ -16,8 +16,8 @@ from typing import Self
 
 import cv2
 
-from detection.detections import Image
 from track_range.config import UsageError
+from track_range.detection.detections import Image
 from track_range.live_page import LOOPBACK, LivePage
 from track_range.overlap import give_way
 from track_range.results import FrameResult

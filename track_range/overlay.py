@@ -12,16 +12,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import FloatArray, Image
-from stereo.camera import PinholeCamera
 from track_range.birds_eye import BirdsEye
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import FloatArray, Image
 from track_range.label_places import LabelPlacer
 from track_range.overlay_colours import track_colour
 from track_range.overlay_marks import draw_box, draw_inner_windows, draw_lanes, draw_leader
 from track_range.overlay_text import BOLD, Lines, corner_lines, label_lines, text_sizes_px
 from track_range.overlay_writing import Pen
 from track_range.results import FrameResult
+from track_range.stereo.camera import PinholeCamera
 
 Status = Callable[[], Sequence[str]]
 """Words on how the run goes, such as its frames per second."""

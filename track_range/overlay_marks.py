@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from detection.detections import FloatArray, Image
-from detection.lanes import LaneLines, points
-from stereo.patches import inner_halves
+from track_range.detection.detections import FloatArray, Image
+from track_range.detection.lanes import LaneLines, points
 from track_range.overlay_colours import BLACK, LANE_COLOUR, Bgr
+from track_range.stereo.patches import inner_halves
 
 _DASH = 7  # line widths from dash to dash
 _MIN_WINDOW_PX = 8

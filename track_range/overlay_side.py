@@ -5,15 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from detection.detections import FloatArray, Image
-from stereo.rig import StereoRig
-from stereo.sgbm import disparity_picture
+from track_range.detection.detections import FloatArray, Image
 from track_range.overlay import Overlay
 from track_range.overlay_colours import GREY, WHITE, track_colour
 from track_range.overlay_marks import draw_box, draw_inner_windows
 from track_range.overlay_text import BOLD, REGULAR, Span, text_sizes_px
 from track_range.overlay_writing import Pen
 from track_range.results import FrameResult
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.sgbm import disparity_picture
 
 REDDEST_M = 5.0
 """What is as near or nearer is all red."""

@@ -13,7 +13,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from detection.detections import FloatArray, Image
+from track_range.detection.detections import FloatArray, Image
 from track_range.overlay_colours import AMBER, BLACK, WHITE, Bgr
 from track_range.overlay_text import Line, Lines
 

@@ -16,24 +16,24 @@ from threading import Lock
 
 import numpy as np
 
-from detection.detections import Detections, FloatArray
-from detection.lanes import LaneFinder, LaneLines
-from ranging.collision_course import CollisionCourse
-from ranging.ego_speed import EgoSpeed
-from ranging.filtered_ranges import FilteredRanges
-from ranging.fusion import Fusion
-from ranging.ground_plane import GroundPlane
-from ranging.lane_width import LaneWidthRanger, doubted
-from ranging.ranger import Ranger
-from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilters
-from ranging.triangulation import DenseRanger
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
+from track_range.detection.detections import Detections, FloatArray
+from track_range.detection.lanes import LaneFinder, LaneLines
 from track_range.overlap import prefetch
+from track_range.ranging.collision_course import CollisionCourse
+from track_range.ranging.ego_speed import EgoSpeed
+from track_range.ranging.filtered_ranges import FilteredRanges
+from track_range.ranging.fusion import Fusion
+from track_range.ranging.ground_plane import GroundPlane
+from track_range.ranging.lane_width import LaneWidthRanger, doubted
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.smoothing import DistanceFilters
+from track_range.ranging.triangulation import DenseRanger
 from track_range.results import FrameResult
-from tracking.tracker import Tracker
-from tracking.tracks import Tracks
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracker import Tracker
+from track_range.tracking.tracks import Tracks
 
 STAGES = ("read", "lanes", "detect", "track", "mono", "ground", "lane", "stereo", "sgbm", "fuse", "write")
 

@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.csv_labels import is_whole_label_csv
-from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import LabelFileError
-from ranging.truth import read_truth
-from stereo.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
-from stereo.rectification import Rectifier
-from stereo.rig import RigError, StereoRig
-from stereo.rig_files import find_rig, left_from_reference_m, load_rig
 from track_range.config import RunSettings, UsageError
+from track_range.detection.csv_labels import is_whole_label_csv
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.kitti_format import LabelFileError
 from track_range.drive_pairs import is_drive, read_drive
+from track_range.ranging.truth import read_truth
+from track_range.stereo.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
+from track_range.stereo.rectification import Rectifier
+from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.rig_files import find_rig, left_from_reference_m, load_rig
 from track_range.stereo_frames import StereoFrames
 
 _BOX = ("x1", "y1", "x2", "y2")

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from stereo.alignment import MAX_ROW_OFFSET_PX
 from track_range import tables
+from track_range.stereo.alignment import MAX_ROW_OFFSET_PX
 
 Summary = Mapping[str, Any]
 

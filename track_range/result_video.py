@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from detection.detections import Image
+from track_range.detection.detections import Image
 from track_range.overlap import give_way
 from track_range.pipeline import StageClock
 from track_range.results import FrameResult

@@ -19,15 +19,15 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import FloatArray
-from detection.lanes import LaneLines
-from ranging.collision_course import Misses
-from ranging.ranges import Ranges
-from stereo.frames import Frame
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import FloatArray
+from track_range.detection.lanes import LaneLines
+from track_range.ranging.collision_course import Misses
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.frames import Frame
+from track_range.tracking.mot_format import mot_lines
+from track_range.tracking.tracks import Tracks
 from track_range.written import OutputError
-from tracking.mot_format import mot_lines
-from tracking.tracks import Tracks
 
 MEASURED_METHODS = ("mono", "lane", "stereo", "sgbm", "fused", "ground")
 """Methods with a distance and a sigma in tracks.csv."""

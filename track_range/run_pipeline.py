@@ -6,24 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.lane_lookup import open_lane_finder
-from detection.onnx_session import Runtime
-from ranging.ego_speed import open_ego_speed
-from ranging.ground_plane import GroundPlaneRanger, GroundSettings
-from ranging.lane_width import LaneWidthRanger
-from ranging.measured_boxes import SizeModel
-from ranging.ranger import OncePerFrame, Ranger
-from ranging.size_regression import SizeRegressionRanger
-from ranging.size_scaled_stereo import SizeScaledRanger
-from ranging.triangulation import DenseRanger, PatchRanger
-from stereo.alignment import Alignment
-from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from stereo.rig import StereoRig
-from stereo.sgbm import SgbmSettings
 from track_range.box_source import BoxSource
 from track_range.config import RunSettings
+from track_range.detection.lane_lookup import open_lane_finder
+from track_range.detection.onnx_session import Runtime
 from track_range.pipeline import Pipeline
+from track_range.ranging.ego_speed import open_ego_speed
+from track_range.ranging.ground_plane import GroundPlaneRanger, GroundSettings
+from track_range.ranging.lane_width import LaneWidthRanger
+from track_range.ranging.measured_boxes import SizeModel
+from track_range.ranging.ranger import OncePerFrame, Ranger
+from track_range.ranging.size_regression import SizeRegressionRanger
+from track_range.ranging.size_scaled_stereo import SizeScaledRanger
+from track_range.ranging.triangulation import DenseRanger, PatchRanger
 from track_range.source import Source
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.sgbm import SgbmSettings
 from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair
 

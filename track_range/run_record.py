@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from ranging.triangulation import PatchRanger
-from ranging.truth import Truth
-from stereo.patch_matches import REASONS, Outcome
 from track_range.box_source import BoxSource
 from track_range.config import RunSettings
 from track_range.frame_meter import FrameMeter
 from track_range.pipeline import Pipeline
+from track_range.ranging.triangulation import PatchRanger
+from track_range.ranging.truth import Truth
 from track_range.results import FrameResult
 from track_range.run_pictures import pictures
 from track_range.run_pipeline import learnt_scale
 from track_range.source import Source
+from track_range.stereo.patch_matches import REASONS, Outcome
 from track_range.summary import Columns, MatchedTruth, range_scores, stage_times_ms, track_scores
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from detection.detections import BoolArray
+from track_range.detection.detections import BoolArray
 from track_range.report_series import Columns
 from track_range.results import COLUMNS, read_tracks_csv
 from track_range.written import OutputError

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.detection_files import RecordedDetections
-from detection.detections import FloatArray, Image
+from track_range.detection.detection_files import RecordedDetections
+from track_range.detection.detections import FloatArray, Image
 from track_range.sequences import SequenceFile
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.lookahead import Recording
+from track_range.tracking.tracks import Tracks
 from track_range.video import VideoError, VideoReader
-from tracking.deepsort import DeepSortTracker
-from tracking.lookahead import Recording
-from tracking.tracks import Tracks
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
 

@@ -6,13 +6,13 @@ from collections.abc import Generator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 
-from stereo.frames import Frame
-from stereo.rectification import Rectifier
 from track_range.config import RunSettings, VideoName
 from track_range.live_address import LiveAddress
 from track_range.live_pair import LivePair
 from track_range.live_reader import LiveReader
 from track_range.pairing import StereoVideo
+from track_range.stereo.frames import Frame
+from track_range.stereo.rectification import Rectifier
 from track_range.video import VideoError, VideoReader
 
 Reader = VideoReader | LiveReader

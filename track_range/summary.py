@@ -14,15 +14,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from detection.classes import ROAD_CLASSES, road_class_of_each
-from detection.detections import IntArray
-from ranging.evaluation import BANDS_M, MethodColumn, coverage_only, match_truth, score_closing, score_methods
-from ranging.truth import Truth
+from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.detections import IntArray
+from track_range.ranging.evaluation import (
+    BANDS_M,
+    MethodColumn,
+    coverage_only,
+    match_truth,
+    score_closing,
+    score_methods,
+)
+from track_range.ranging.truth import Truth
 from track_range.results import FILTERED_METHODS, MEASURED_METHODS
+from track_range.tracking.evaluation import evaluate_tracks
+from track_range.tracking.official_rules import MIN_HEIGHT_PX
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.written import write_text
-from tracking.evaluation import evaluate_tracks
-from tracking.official_rules import MIN_HEIGHT_PX
-from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 Columns = Mapping[str, npt.NDArray[Any]]
 

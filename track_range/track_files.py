@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.classes import ROAD_CLASSES
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.sequences import KITTI_FOLDER, MOT_FOLDER
+from track_range.tracking.mot_format import mot_lines
+from track_range.tracking.tracks import Tracks
 from track_range.written import write_text
-from tracking.mot_format import mot_lines
-from tracking.tracks import Tracks
 
 _KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
 

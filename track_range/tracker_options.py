@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from detection.onnx_session import Runtime
 from track_range.config import TrackerName
-from tracking.appearance import ColourLayout, Descriptor
-from tracking.deepsort import DeepSortTracker
-from tracking.reid import ReidModel
-from tracking.tracker_settings import AppearanceGates, TrackerSettings
+from track_range.detection.onnx_session import Runtime
+from track_range.tracking.appearance import ColourLayout, Descriptor
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.reid import ReidModel
+from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 
 
 def open_descriptor(name: TrackerName, reid: Path | None, runtime: Runtime | None = None) -> Descriptor | None:

@@ -16,9 +16,9 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from detection.boxes import are_sound, share_inside
-from detection.detections import BoolArray, Descriptors, FloatArray, Image, check_shape
-from tracking.gallery import unit_rows
+from track_range.detection.boxes import are_sound, share_inside
+from track_range.detection.detections import BoolArray, Descriptors, FloatArray, Image, check_shape
+from track_range.tracking.gallery import unit_rows
 
 MIN_SIDE_PX = 4.0
 """Boxes narrower or lower than this have no looks."""

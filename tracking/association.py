@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from detection.boxes import iou
-from detection.classes import SAME_OBJECT_GROUP
-from detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.boxes import iou
+from track_range.detection.classes import SAME_OBJECT_GROUP
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
 
 Classes = Literal["similar", "same", "any"]
 """Which classes may be one object: those that detectors take for each other, equal ones only, or all."""

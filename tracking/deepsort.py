@@ -20,18 +20,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from detection.boxes import are_sound
-from detection.detections import BoolArray, Detections, FloatArray, Image, IntArray
-from tracking import history, motion
-from tracking.appearance import Descriptor
-from tracking.association import are_compatible, assigned, iou_cost
-from tracking.camera_motion import CameraMotion
-from tracking.gallery import Gallery, unit_rows
-from tracking.noise_level import NoiseLevel
-from tracking.score_threshold import ScoreThreshold
-from tracking.track_table import TrackTable
-from tracking.tracker_settings import TrackerSettings
-from tracking.tracks import Tracks
+from track_range.detection.boxes import are_sound
+from track_range.detection.detections import BoolArray, Detections, FloatArray, Image, IntArray
+from track_range.tracking import history, motion
+from track_range.tracking.appearance import Descriptor
+from track_range.tracking.association import are_compatible, assigned, iou_cost
+from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.gallery import Gallery, unit_rows
+from track_range.tracking.noise_level import NoiseLevel
+from track_range.tracking.score_threshold import ScoreThreshold
+from track_range.tracking.track_table import TrackTable
+from track_range.tracking.tracker_settings import TrackerSettings
+from track_range.tracking.tracks import Tracks
 
 _MAX_DISTANCE_OF_FILES = 0.2
 """Cosine distance up to which descriptors of a file are one object's: deep_sort's, for its vectors of 128 numbers."""

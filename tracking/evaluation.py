@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.boxes import iou, share_inside
-from detection.detections import BoolArray
-from tracking.association import assigned
-from tracking.clear import MIN_IOU, ClearCounts, count_clear
-from tracking.hota import HotaCounts, count_hota
-from tracking.overlaps import Overlaps
-from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.detection.boxes import iou, share_inside
+from track_range.detection.detections import BoolArray
+from track_range.tracking.association import assigned
+from track_range.tracking.clear import MIN_IOU, ClearCounts, count_clear
+from track_range.tracking.hota import HotaCounts, count_hota
+from track_range.tracking.overlaps import Overlaps
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 _MIN_SHARE_IGNORED = 0.5
 

@@ -23,8 +23,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from detection.boxes import are_sound
-from detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.boxes import are_sound
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
 
 Form = Literal["median-of-steps", "step-of-medians"]
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray, IntArray
-from tracking.tracks import Tracks
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.tracking.tracks import Tracks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

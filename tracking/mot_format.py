@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.detection_files import MAX_FRAME, xyxy_from_mot
-from detection.detections import FloatArray, IntArray, check_shape
-from tracking.tracks import Tracks
+from track_range.detection.detection_files import MAX_FRAME, xyxy_from_mot
+from track_range.detection.detections import FloatArray, IntArray, check_shape
+from track_range.tracking.tracks import Tracks
 
 _FIRST_PIXEL = 1  # see `detection.detection_files.xyxy_from_mot`, the way back
 _COLUMNS_OF_TRUTH = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres

@@ -18,11 +18,11 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from detection.boxes import iou, share_inside
-from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import KittiLabels
-from tracking.mot_format import MotRows
-from tracking.tracked_boxes import TrackedBoxes
+from track_range.detection.boxes import iou, share_inside
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.kitti_format import KittiLabels
+from track_range.tracking.mot_format import MotRows
+from track_range.tracking.tracked_boxes import TrackedBoxes
 
 _MIN_IOU = 0.5
 _MIN_SHARE_IGNORED = 0.5

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.boxes import iou
-from detection.detections import FloatArray, IntArray
-from tracking.tracked_boxes import TrackedBoxes
+from track_range.detection.boxes import iou
+from track_range.detection.detections import FloatArray, IntArray
+from track_range.tracking.tracked_boxes import TrackedBoxes
 
 
 @dataclass(frozen=True, slots=True)

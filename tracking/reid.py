@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from detection.detections import Descriptors, FloatArray, Image, check_shape
-from detection.onnx_session import FloatArray32, ModelError, OnnxSession, Runtime
-from tracking.appearance import are_describable
-from tracking.gallery import unit_rows
+from track_range.detection.detections import Descriptors, FloatArray, Image, check_shape
+from track_range.detection.onnx_session import FloatArray32, ModelError, OnnxSession, Runtime
+from track_range.tracking.appearance import are_describable
+from track_range.tracking.gallery import unit_rows
 
 OPEN_INPUT_HW = (256, 128)
 """Input of a network that leaves its size open: what people are re-identified with."""

@@ -22,9 +22,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.boxes import iou
-from detection.classes import SAME_OBJECT_GROUP
-from detection.detections import Detections, FloatArray, IntArray
+from track_range.detection.boxes import iou
+from track_range.detection.classes import SAME_OBJECT_GROUP
+from track_range.detection.detections import Detections, FloatArray, IntArray
 
 _N_BINS = 10
 _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS

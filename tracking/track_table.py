@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.boxes import xyxy_from_cxcywh
-from detection.classes import ROAD_CLASSES
-from detection.detections import BoolArray, Detections, FloatArray, IntArray
-from tracking import history, motion
-from tracking.gallery import Gallery
-from tracking.history import BoxHistory
-from tracking.motion import MotionNoise
+from track_range.detection.boxes import xyxy_from_cxcywh
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import BoolArray, Detections, FloatArray, IntArray
+from track_range.tracking import history, motion
+from track_range.tracking.gallery import Gallery
+from track_range.tracking.history import BoxHistory
+from track_range.tracking.motion import MotionNoise
 
 
 class TrackTable:

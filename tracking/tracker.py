@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from detection.detections import Detections, Image
-from tracking.tracks import Tracks
+from track_range.detection.detections import Detections, Image
+from track_range.tracking.tracks import Tracks
 
 
 class Tracker(Protocol):

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tracking.association import Classes
-from tracking.history import FillGates
-from tracking.motion import MotionNoise
-from tracking.noise_level import NoiseLevelSettings
-from tracking.score_threshold import ScoreThresholdSettings
+from track_range.tracking.association import Classes
+from track_range.tracking.history import FillGates
+from track_range.tracking.motion import MotionNoise
+from track_range.tracking.noise_level import NoiseLevelSettings
+from track_range.tracking.score_threshold import ScoreThresholdSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray
-from detection.model_facts import Anchors
+from track_range.detection.detections import FloatArray
+from track_range.detection.model_facts import Anchors
 
 _MAX_ROUNDS = 300
 _N_STARTS = 5

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from detection.training.network import AnchorNetwork
+from track_range.detection.training.network import AnchorNetwork
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import FloatArray, Image, IntArray
-from detection.image_truth import ImageTruth
-from detection.labelled_images import ImageFileError, LabelledImage, read_image
-from detection.training.augmentation import LabelledPixels
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import FloatArray, Image, IntArray
+from track_range.detection.image_truth import ImageTruth
+from track_range.detection.labelled_images import ImageFileError, LabelledImage, read_image
+from track_range.detection.training.augmentation import LabelledPixels
 
 _MEMORY_SHARE = 0.5
 """Of the free memory that images may take."""

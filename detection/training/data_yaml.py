@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from detection.boxes import are_sound, iou
-from detection.classes import ROAD_CLASSES, road_class_of_each
-from detection.detections import IntArray
-from detection.image_truth import ImageTruth
-from detection.kitti_format import LabelFileError
-from detection.labelled_images import LabelledImage, images_in, of_split, read_labelled, read_manifest
-from detection.model_facts import names_of
-from detection.yolo_labels import YoloLabelReader
+from track_range.detection.boxes import are_sound, iou
+from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.detections import IntArray
+from track_range.detection.image_truth import ImageTruth
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.labelled_images import LabelledImage, images_in, of_split, read_labelled, read_manifest
+from track_range.detection.model_facts import names_of
+from track_range.detection.yolo_labels import YoloLabelReader
 
 _KEYS = frozenset("path train val test names nc format labels manifest labels_pseudo download".split())
 _KITTI_NAMES = ("person", "bicycle", "car", "truck")

@@ -25,10 +25,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
 
-from detection.training.assignment import Cells, Objects, assign
-from detection.training.losses import BOX_LOSSES, BoxLoss
-from detection.training.network import AnchorNetwork
-from detection.training.teacher import HeadAnswers
+from track_range.detection.training.assignment import Cells, Objects, assign
+from track_range.detection.training.losses import BOX_LOSSES, BoxLoss
+from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.teacher import HeadAnswers
 
 _BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5
 _BALANCE = {8: 4.0, 16: 1.0, 32: 0.4}

@@ -15,8 +15,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from detection.model_writing import silent_conversion, written_whole
-from detection.training.network import AnchorNetwork
+from track_range.detection.model_writing import silent_conversion, written_whole
+from track_range.detection.training.network import AnchorNetwork
 
 _OPSET = 17
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from detection.model_facts import Anchors
-from detection.training.network import AnchorNetwork
-from detection.training.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
-from detection.training.yolov4_tiny import YoloV4Tiny
-from detection.training.yolov5 import COCO_ANCHORS_PX, YoloV5
+from track_range.detection.model_facts import Anchors
+from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
+from track_range.detection.training.yolov4_tiny import YoloV4Tiny
+from track_range.detection.training.yolov5 import COCO_ANCHORS_PX, YoloV5
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ import torch
 from onnx import numpy_helper
 from torch import nn
 
-from detection.onnx_session import ModelError
-from detection.training.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
+from track_range.detection.onnx_session import ModelError
+from track_range.detection.training.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
 
 
 def yolov5_of_export(path: Path) -> YoloV5:

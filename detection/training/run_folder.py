@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from detection.training.errors import CheckpointError
+from track_range.detection.training.errors import CheckpointError
 
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 

@@ -8,10 +8,10 @@ from typing import Literal
 
 import torch
 
-from detection.training.augmentation import AugmentationSettings
-from detection.training.errors import TrainingError
-from detection.training.losses import BoxLoss
-from detection.training.schedule import ScheduleSettings
+from track_range.detection.training.augmentation import AugmentationSettings
+from track_range.detection.training.errors import TrainingError
+from track_range.detection.training.losses import BoxLoss
+from track_range.detection.training.schedule import ScheduleSettings
 
 COARSEST_STRIDE_PX = 32
 MIN_GAIN, MAX_GAIN = 0.05, 16.0

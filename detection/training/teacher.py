@@ -17,14 +17,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detection.classes import COCO_CLASSES, road_class_of_each
-from detection.detections import IntArray
-from detection.model_facts import ModelOptions, read_facts
-from detection.onnx_session import ModelError, OnnxSession
-from detection.training.assignment import Cells
-from detection.training.errors import TrainingError
-from detection.training.network import AnchorNetwork, placed
-from detection.training.onnx_weights import yolov5_of_export
+from track_range.detection.classes import COCO_CLASSES, road_class_of_each
+from track_range.detection.detections import IntArray
+from track_range.detection.model_facts import ModelOptions, read_facts
+from track_range.detection.onnx_session import ModelError, OnnxSession
+from track_range.detection.training.assignment import Cells
+from track_range.detection.training.errors import TrainingError
+from track_range.detection.training.network import AnchorNetwork, placed
+from track_range.detection.training.onnx_weights import yolov5_of_export
 
 CONFIDENT = 0.1
 """Objectness from which a teacher's cell is to find something."""

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from detection.classes import ROAD_CLASSES
-from detection.evaluation import DetectionScores
-from detection.training.batches import BatchMaker, scaled
-from detection.training.data_set import TrainingSets
-from detection.training.detection_loss import Batch, DetectionLoss, Losses
-from detection.training.errors import CheckpointError, TrainingError
-from detection.training.listener import Listener
-from detection.training.network import AnchorNetwork, placed
-from detection.training.run_folder import (
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.evaluation import DetectionScores
+from track_range.detection.training.batches import BatchMaker, scaled
+from track_range.detection.training.data_set import TrainingSets
+from track_range.detection.training.detection_loss import Batch, DetectionLoss, Losses
+from track_range.detection.training.errors import CheckpointError, TrainingError
+from track_range.detection.training.listener import Listener
+from track_range.detection.training.network import AnchorNetwork, placed
+from track_range.detection.training.run_folder import (
     BEST,
     LAST,
     RESULTS,
@@ -34,10 +34,10 @@ from detection.training.run_folder import (
     save_checkpoint,
     write_results,
 )
-from detection.training.schedule import Schedule, WeightAverage, optimiser_of
-from detection.training.settings import TrainingSettings
-from detection.training.teacher import Teacher
-from detection.training.validation import NetworkDetector, validate
+from track_range.detection.training.schedule import Schedule, WeightAverage, optimiser_of
+from track_range.detection.training.settings import TrainingSettings
+from track_range.detection.training.teacher import Teacher
+from track_range.detection.training.validation import NetworkDetector, validate
 
 _MAX_GRADIENT = 10.0
 """Norm of the whole gradient (YOLOv5's)."""

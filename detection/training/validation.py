@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import torch
 
-from detection.boxes import are_sound, nms
-from detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
-from detection.detections import Detections, Image, IntArray
-from detection.evaluation import DetectionScores, evaluate_detections
-from detection.image_truth import ImageTruth
-from detection.input_format import InputFormat
-from detection.letterbox import Letterbox, rectangular_input_hw
-from detection.training.network import AnchorNetwork
-from detection.yolo_decoders import RowDecoder
+from track_range.detection.boxes import are_sound, nms
+from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
+from track_range.detection.detections import Detections, Image, IntArray
+from track_range.detection.evaluation import DetectionScores, evaluate_detections
+from track_range.detection.image_truth import ImageTruth
+from track_range.detection.input_format import InputFormat
+from track_range.detection.letterbox import Letterbox, rectangular_input_hw
+from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.yolo_decoders import RowDecoder
 
 LOWEST_SCORE = 0.001
 _MAX_IOU, _MAX_BOXES = 0.5, 300

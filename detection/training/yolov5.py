@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from detection.model_facts import Anchors
-from detection.training.blocks import C3, ConvolutionBlock, Sppf
-from detection.training.network import AnchorNetwork
+from track_range.detection.model_facts import Anchors
+from track_range.detection.training.blocks import C3, ConvolutionBlock, Sppf
+from track_range.detection.training.network import AnchorNetwork
 
 COCO_ANCHORS_PX: Anchors = (
     ((10, 13), (16, 30), (33, 23)),

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.boxes import are_sound, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
+from track_range.detection.boxes import are_sound, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
 
 MAX_IOU = 0.4987  # no ratio that hypothesis draws hits it, so float32 against float64 cannot matter
 EDGE = st.floats(-50, 50, allow_nan=False)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from detection.classes import (
+from track_range.detection.classes import (
     COCO_CLASSES,
     ROAD_CLASSES,
     SAME_OBJECT_GROUP,

@@ -6,14 +6,14 @@ import numpy as np
 import onnx
 import pytest
 
-from detection.catalogue import CATALOGUE
-from detection.classes import ROAD_CLASSES
-from detection.darknet import import_darknet
-from detection.darknet_network import read_network
-from detection.onnx_session import ModelError, OnnxSession, Runtime
-from detection.yolo import YoloDetector
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import section, write_weights
+from track_range.detection.catalogue import CATALOGUE
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.darknet import import_darknet
+from track_range.detection.darknet_network import read_network
+from track_range.detection.onnx_session import ModelError, OnnxSession, Runtime
+from track_range.detection.yolo import YoloDetector
 
 DARKNET_EPSILON = 1e-5
 

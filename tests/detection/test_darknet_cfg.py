@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.darknet_layers import Convolution
-from detection.darknet_network import read_network
-from detection.onnx_session import ModelError
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import section
+from track_range.detection.darknet_layers import Convolution
+from track_range.detection.darknet_network import read_network
+from track_range.detection.onnx_session import ModelError
 
 NET = "[net]\nwidth=32\nheight=16\n"
 CONV = section("convolutional", filters=6, activation="linear")

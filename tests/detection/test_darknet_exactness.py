@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from detection.darknet import import_darknet
-from detection.darknet_network import read_network
-from detection.onnx_session import OnnxSession, Runtime
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import write_weights
+from track_range.detection.darknet import import_darknet
+from track_range.detection.darknet_network import read_network
+from track_range.detection.onnx_session import OnnxSession, Runtime
 
 PROJECT = Path(__file__).resolve().parents[2]
 OPENCV_EPSILON, DARKNET_EPSILON = 1e-6, 1e-5

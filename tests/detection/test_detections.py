@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from detection.detections import Detections
+from track_range.detection.detections import Detections
 
 
 def test_shapes_are_checked_with_the_shape_wanted_and_the_shape_got():

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import Detections
-from detection.evaluation import MIN_BOXES, evaluate_detections
-from detection.image_truth import ANY_CLASS, ImageTruth, truth_of_kitti
-from detection.kitti_format import read_kitti
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.detection.evaluation import MIN_BOXES, evaluate_detections
+from track_range.detection.image_truth import ANY_CLASS, ImageTruth, truth_of_kitti
+from track_range.detection.kitti_format import read_kitti
 
 N = len(ROAD_CLASSES)
 CAR = ROAD_CLASSES.index("car")

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from detection.classes import ROAD_CLASSES
-from detection.image_truth import ANY_CLASS
-from detection.kitti_format import LabelFileError
-from detection.labelled_images import (
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.image_truth import ANY_CLASS
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.labelled_images import (
     ImageFileError,
     images_in,
     of_split,

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from detection.lane_decoders import ROW_ANCHORS, curve_points, is_row_anchor_shape, mask_points, row_anchor_points
+from track_range.detection.lane_decoders import (
+    ROW_ANCHORS,
+    curve_points,
+    is_row_anchor_shape,
+    mask_points,
+    row_anchor_points,
+)
 
 LINES = (lambda y: 700 - 1.5 * y, lambda y: 500 - 0.6 * y, lambda y: 330 + 0.5 * y, lambda y: 300 + 1.5 * y)
 

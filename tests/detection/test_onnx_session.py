@@ -4,8 +4,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from detection.onnx_session import ModelError, OnnxSession, Runtime
 from tests.detection.onnx_models import write_model, write_rectangle_finder
+from track_range.detection.onnx_session import ModelError, OnnxSession, Runtime
 
 
 def test_a_bound_network_reads_its_own_buffer_each_time(tmp_path):

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.lane_choice import own_pair
-from detection.lane_markings import Markings, Proposals, proposals, run_middles
-from detection.lane_model import LaneState
-from detection.own_lane import OwnLane
 from tests.detection.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
+from track_range.detection.lane_choice import own_pair
+from track_range.detection.lane_markings import Markings, Proposals, proposals, run_middles
+from track_range.detection.lane_model import LaneState
+from track_range.detection.own_lane import OwnLane
 
 ROWS = np.array([220.0, 300.0, 350.0])
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from detection.boxes import iou
-from detection.classes import ROAD_CLASSES
-from detection.letterbox import rectangular_input_hw
-from detection.model_facts import ModelOptions
-from detection.onnx_session import ModelError, Runtime
-from detection.yolo import YoloDetector, YoloSettings
 from tests.detection.onnx_models import write_model
+from track_range.detection.boxes import iou
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.letterbox import rectangular_input_hw
+from track_range.detection.model_facts import ModelOptions
+from track_range.detection.onnx_session import ModelError, Runtime
+from track_range.detection.yolo import YoloDetector, YoloSettings
 
 N_ROWS = 3 * (8 * 8 + 4 * 4 + 2 * 2)  # a 64 x 64 input with strides 8, 16, 32
 CAR, TRUCK = 2, 7

@@ -11,13 +11,13 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from detection.boxes import nms
-from detection.classes import SAME_OBJECT_GROUP, road_class_of_each
-from detection.input_format import InputFormat
-from detection.letterbox import Letterbox
-from detection.onnx_session import Runtime
-from detection.yolo import YoloDetector, YoloSettings
 from tests.detection.onnx_models import write_rectangle_finder
+from track_range.detection.boxes import nms
+from track_range.detection.classes import SAME_OBJECT_GROUP, road_class_of_each
+from track_range.detection.input_format import InputFormat
+from track_range.detection.letterbox import Letterbox
+from track_range.detection.onnx_session import Runtime
+from track_range.detection.yolo import YoloDetector, YoloSettings
 
 ABOVE = 0.1
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from detection.classes import COCO_CLASSES, ROAD_CLASSES, VOC_CLASSES
-from detection.model_facts import ModelOptions
-from detection.onnx_session import ModelError
-from detection.yolo import YoloDetector
 from tests.detection.onnx_models import write_model
+from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, VOC_CLASSES
+from track_range.detection.model_facts import ModelOptions
+from track_range.detection.onnx_session import ModelError
+from track_range.detection.yolo import YoloDetector
 
 CELLS = 8 * 8 + 4 * 4 + 2 * 2  # a 64 x 64 input with strides 8, 16, 32
 BLACK = np.zeros((64, 64, 3), np.uint8)

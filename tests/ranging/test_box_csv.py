@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from detection.kitti_format import LabelFileError
-from ranging.box_csv import read_box_csv
-from ranging.curve_comparison import compare_curves
+from track_range.detection.kitti_format import LabelFileError
+from track_range.ranging.box_csv import read_box_csv
+from track_range.ranging.curve_comparison import compare_curves
 
 HEADER = "class,x1,y1,x2,y2,distance_m,fx\n"
 

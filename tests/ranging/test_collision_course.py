@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from detection.detections import FloatArray
-from ranging.collision_course import CollisionCourse, Misses
-from stereo.camera import PinholeCamera
-from tracking.tracks import Tracks
+from track_range.detection.detections import FloatArray
+from track_range.ranging.collision_course import CollisionCourse, Misses
+from track_range.stereo.camera import PinholeCamera
+from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)
 STEP_S = 0.1

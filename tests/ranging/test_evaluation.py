@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from detection.kitti_format import LabelFileError, read_kitti
-from ranging.evaluation import MethodColumn, coverage_only, match_truth, score_closing, score_methods
-from ranging.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
-from stereo.camera import PinholeCamera
+from track_range.detection.kitti_format import LabelFileError, read_kitti
+from track_range.ranging.evaluation import MethodColumn, coverage_only, match_truth, score_closing, score_methods
+from track_range.ranging.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
+from track_range.stereo.camera import PinholeCamera
 
 NAN = np.nan
 

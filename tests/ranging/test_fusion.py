@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ranging.fusion import FUSED_METHODS, Fusion
-from ranging.ranges import Ranges
+from track_range.ranging.fusion import FUSED_METHODS, Fusion
+from track_range.ranging.ranges import Ranges
 
 ONE = np.array([1])
 

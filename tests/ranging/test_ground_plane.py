@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.classes import ROAD_CLASSES
-from ranging.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
-from ranging.ranges import Ranges
-from ranging.size_regression import SizeRegressionRanger
-from ranging.surface_offset import surface_offset_m
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.ranging.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_regression import SizeRegressionRanger
+from track_range.ranging.surface_offset import surface_offset_m
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 F_PX, CY_PX, HEIGHT_M = 700.0, 180.0, 1.65
 CAMERA = PinholeCamera(F_PX, F_PX, 600.0, CY_PX, 1200, 370)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from detection.kitti_format import LabelFileError
-from ranging.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
-from stereo.rig import RigError
+from track_range.detection.kitti_format import LabelFileError
+from track_range.ranging.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
+from track_range.stereo.rig import RigError
 
 
 def test_a_car_seen_from_behind_by_hand(tmp_path, row, drives):

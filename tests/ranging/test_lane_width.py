@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from detection.classes import ROAD_CLASSES
-from detection.lane_edges import EdgeLaneFinder
-from detection.lanes import LaneLine, LaneLines
-from ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
-from ranging.ranges import Ranges
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
 from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, picture, row_px, width_px
-from tracking.tracks import Tracks
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.lane_edges import EdgeLaneFinder
+from track_range.detection.lanes import LaneLine, LaneLines
+from track_range.ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(FOCAL_PX, FOCAL_PX, CENTRE_PX, HORIZON_PX, HW[1], HW[0])
 CAR = ROAD_CLASSES.index("car")

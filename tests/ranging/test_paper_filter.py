@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from ranging.paper_filter import PaperFilter
-from ranging.ranges import Ranges
+from track_range.ranging.paper_filter import PaperFilter
+from track_range.ranging.ranges import Ranges
 
 
 def measured(ids, distance_m):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ranging.ranger import OncePerFrame
-from ranging.ranges import Ranges
-from stereo.frames import Frame
-from tracking.tracks import Tracks
+from track_range.ranging.ranger import OncePerFrame
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 IMAGE = np.zeros((80, 100, 3), np.uint8)
 

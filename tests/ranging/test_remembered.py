@@ -1,6 +1,6 @@
 import numpy as np
 
-from ranging.remembered import TrackMemory
+from track_range.ranging.remembered import TrackMemory
 
 
 def test_known_tracks_are_recalled_in_the_new_order_and_absent_ones_kept_while_recent():

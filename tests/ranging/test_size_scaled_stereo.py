@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ranging.ranges import Ranges
-from ranging.size_scaled_stereo import FocalBaseline, SizeScaledRanger
-from stereo.frames import Frame
-from stereo.patch_matches import PatchMatches
-from tracking.tracks import Tracks
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_scaled_stereo import FocalBaseline, SizeScaledRanger
+from track_range.stereo.frames import Frame
+from track_range.stereo.patch_matches import PatchMatches
+from track_range.tracking.tracks import Tracks
 
 IMAGE = np.zeros((200, 320, 3), np.uint8)
 

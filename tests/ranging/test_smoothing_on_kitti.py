@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from detection.kitti_format import read_kitti
-from ranging.box_surface import surface_distance_m
-from ranging.ranges import Ranges
-from ranging.smoothing import DistanceFilter
+from track_range.detection.kitti_format import read_kitti
+from track_range.ranging.box_surface import surface_distance_m
+from track_range.ranging.ranges import Ranges
+from track_range.ranging.smoothing import DistanceFilter
 
 FOCAL_PX, CENTRE_PX, STEP_S, HEIGHT_M = 721.5377, np.array([609.5593, 172.854]), 0.1036, 1.55
 REACH = 5

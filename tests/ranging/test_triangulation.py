@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from ranging.triangulation import DenseRanger, PatchRanger, Triangulation
-from stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
-from stereo.patch_matcher import PatchMatcher
-from stereo.patch_matches import Outcome, PatchMatches
-from stereo.rig import StereoRig
-from tracking.tracks import Tracks
+from track_range.ranging.triangulation import DenseRanger, PatchRanger, Triangulation
+from track_range.stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.stereo.patch_matcher import PatchMatcher
+from track_range.stereo.patch_matches import Outcome, PatchMatches
+from track_range.stereo.rig import StereoRig
+from track_range.tracking.tracks import Tracks
 
 RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 0.5)
 

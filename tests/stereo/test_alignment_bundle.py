@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo.alignment_bundle import Bundle, Sightings, fit_bundle, linearised
-from stereo.alignment_start import start_bundle
-from stereo.alignment_stretch import Stretch, stretch_of, together
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
+from track_range.stereo.alignment_bundle import Bundle, Sightings, fit_bundle, linearised
+from track_range.stereo.alignment_start import start_bundle
+from track_range.stereo.alignment_stretch import Stretch, stretch_of, together
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 

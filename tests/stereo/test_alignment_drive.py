@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
-from stereo.alignment_drive import MIN_FRAMES, DriveAlignment
-from stereo.alignment_tracks import FeatureTracks, row_offset_px
-from stereo.frames import Frame
-from stereo.rig import StereoRig
-from stereo.rig_files import load_rig
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
+from track_range.stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.alignment_drive import MIN_FRAMES, DriveAlignment
+from track_range.stereo.alignment_tracks import FeatureTracks, row_offset_px
+from track_range.stereo.frames import Frame
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.rig_files import load_rig
 
 Image = npt.NDArray[np.uint8]
 

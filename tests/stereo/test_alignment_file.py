@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from stereo.alignment import Alignment
-from stereo.alignment_file import load_alignment, save_alignment
-from stereo.rig import RigError
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.alignment_file import load_alignment, save_alignment
+from track_range.stereo.rig import RigError
 
 
 def test_round_trip(tmp_path: Path) -> None:

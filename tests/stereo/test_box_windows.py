@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo.box_windows import COARSE, FINE, MARGIN_PX, WINDOW_HW, BoxWindows, Look, band_of
 from tests.stereo.shifted_pairs import texture, to_u8
+from track_range.stereo.box_windows import COARSE, FINE, MARGIN_PX, WINDOW_HW, BoxWindows, Look, band_of
 
 FloatArray = npt.NDArray[np.float64]
 IMAGE_HW = (375, 1242)

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo.box_windows import BoxWindows, GreyLevels
-from stereo.census import census, cost_curves
 from tests.stereo.shifted_pairs import pair
+from track_range.stereo.box_windows import BoxWindows, GreyLevels
+from track_range.stereo.census import census, cost_curves
 
 Image = npt.NDArray[np.uint8]
 

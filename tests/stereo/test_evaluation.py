@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo.alignment import Alignment
-from stereo.alignment_reference import fit_reference
-from stereo.box_matchers import measure_pairs
-from stereo.camera import PinholeCamera
-from stereo.evaluation import (
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.alignment_reference import fit_reference
+from track_range.stereo.box_matchers import measure_pairs
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.evaluation import (
     Column,
     Objects,
     common_figures,
@@ -24,7 +24,7 @@ from stereo.evaluation import (
     left_out_alignments,
     matcher_figures,
 )
-from stereo.kitti_2015 import read_pairs
+from track_range.stereo.kitti_2015 import read_pairs
 
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 NAN = np.nan

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from stereo.rig import RigError
-from stereo.rig_files import load_calibration, load_camera, load_rig
+from track_range.stereo.rig import RigError
+from track_range.stereo.rig_files import load_calibration, load_camera, load_rig
 
 SIZE = (752, 480)
 CHAIN = """cam0:

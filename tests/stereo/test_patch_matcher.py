@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stereo.camera import PinholeCamera
-from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from stereo.patch_matches import REASONS, Outcome, PatchMatches
-from stereo.rig import StereoRig
 from tests.stereo.shifted_pairs import Image, pair, pair_of_two, shifted, texture, tilted_pair, to_u8
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.patch_matches import REASONS, Outcome, PatchMatches
+from track_range.stereo.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 

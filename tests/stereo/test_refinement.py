@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo.box_windows import BoxWindows, GreyLevels
-from stereo.kitti_2015 import pair_names, read_pair
-from stereo.patch_matcher import PatchMatcher
-from stereo.refinement import refined_windows
-from stereo.surfaces import WindowMatches
 from tests.stereo.shifted_pairs import Image, pair, shifted, texture, tilted_pair, to_u8
+from track_range.stereo.box_windows import BoxWindows, GreyLevels
+from track_range.stereo.kitti_2015 import pair_names, read_pair
+from track_range.stereo.patch_matcher import PatchMatcher
+from track_range.stereo.refinement import refined_windows
+from track_range.stereo.surfaces import WindowMatches
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
-from stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, disparity_picture, inner_half_median
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, disparity_picture, inner_half_median
 
 Image = npt.NDArray[np.uint8]
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from detection.detections import BoolArray, Image
-from ranging.ranges import Ranges
-from stereo.frames import Frame
+from track_range.detection.detections import BoolArray, Image
+from track_range.ranging.ranges import Ranges
 from track_range.results import FrameResult
-from tracking.tracks import Tracks
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 HEIGHT, WIDTH = 374, 1242
 BOX = [500.0, 200.0, 620.0, 280.0]

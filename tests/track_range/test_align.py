@@ -8,12 +8,12 @@ import shutil
 import numpy as np
 import pytest
 
-from detection.kitti_format import read_kitti
-from stereo.alignment_file import load_alignment
-from stereo.rig import StereoRig
-from stereo.rig_files import load_rig, save_rig
+from track_range.detection.kitti_format import read_kitti
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render import kitti_like_rig
+from track_range.stereo.alignment_file import load_alignment
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.rig_files import load_rig, save_rig
 
 SIZE_PX = (620, 188)
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from detection.labelled_images import ImageFileError
 from track_range.board_images import board_images
+from track_range.detection.labelled_images import ImageFileError
 from track_range.video import VideoError
 
 

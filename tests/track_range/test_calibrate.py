@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo.boards import CharucoBoard
-from stereo.rig_files import load_calibration, load_camera, load_rig
 from tests.stereo.board_scenes import CAMERA, drawn, pose, rig, varied_poses
+from track_range.stereo.boards import CharucoBoard
+from track_range.stereo.rig_files import load_calibration, load_camera, load_rig
 
 TRUE = rig()
 N = 8

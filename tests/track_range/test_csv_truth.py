@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ranging.truth import CSV_PROTOCOL, read_truth
-from stereo.rig_files import load_rig
+from track_range.ranging.truth import CSV_PROTOCOL, read_truth
 from track_range.simulation.drive import Drive, write_drive
+from track_range.stereo.rig_files import load_rig
 
 N_FRAMES = 12
 

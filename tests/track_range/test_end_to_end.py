@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from benchmarks.drives import loop_video
-from detection.boxes import iou
-from detection.kitti_format import read_kitti
+from track_range.detection.boxes import iou
+from track_range.detection.kitti_format import read_kitti
 from track_range.results import COLUMNS, read_tracks_csv
 from track_range.simulation.drive import write_drive
 

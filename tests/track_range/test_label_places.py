@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.detections import FloatArray
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH
+from track_range.detection.detections import FloatArray
 from track_range.label_places import PLACES, LabelPlacer, covered, free_place, label_places, place_costs, shared_areas
 
 

@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from detection.lanes import LaneLine, LaneLines
-from ranging.collision_course import Misses
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
+from track_range.detection.lanes import LaneLine, LaneLines
 from track_range.overlay import Overlay
 from track_range.overlay_colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
 from track_range.overlay_text import (
     closing_span,
     shown_name,
 )
+from track_range.ranging.collision_course import Misses
 
 
 def test_the_frame_is_copied_and_never_written_to() -> None:

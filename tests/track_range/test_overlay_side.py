@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, result
 from track_range.overlay import Overlay
 from track_range.overlay_side import SCALE_M, DisparityPicture, SidePicture
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
 
 RIG = StereoRig.rectified(PinholeCamera(700.0, 700.0, 620.5, 186.5, WIDTH, HEIGHT), 0.5)
 

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo.frames import Frame
-from stereo.rig import RigError
 from track_range.pair_watch import MAX_CHECKED_PAIRS, PairWatch, checked_pair, order_checked
+from track_range.stereo.frames import Frame
+from track_range.stereo.rig import RigError
 
 SIZE_PX = (480, 260)
 

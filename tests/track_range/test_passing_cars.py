@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import Detections, FloatArray, Image
-from ranging.ranges import Ranges
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
+from track_range.detection.detections import Detections, FloatArray, Image
 from track_range.pipeline import Pipeline
+from track_range.ranging.ranges import Ranges
 from track_range.results import FrameResult
-from tracking.tracks import Tracks
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)
 IMAGE: Image = np.zeros((374, 1241, 3), np.uint8)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from detection.detections import Detections
-from detection.lanes import LaneLine, LaneLines
-from ranging.ground_plane import GroundPlane
-from ranging.ranges import Ranges
-from stereo.camera import PinholeCamera
-from stereo.frames import Frame
+from track_range.detection.detections import Detections
+from track_range.detection.lanes import LaneLine, LaneLines
 from track_range.pipeline import Pipeline
-from tracking.tracks import Tracks
+from track_range.ranging.ground_plane import GroundPlane
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
 IMAGE = np.zeros((80, 100, 3), np.uint8)

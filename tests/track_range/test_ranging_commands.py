@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from ranging.model_fit import MODEL_NAMES
-from ranging.size_curve import load_curves
 from tests.track_range.labelled_drives import F_PX, drive, row
+from track_range.ranging.model_fit import MODEL_NAMES
+from track_range.ranging.size_curve import load_curves
 
 
 @pytest.fixture

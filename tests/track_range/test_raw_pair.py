@@ -6,17 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from ranging.triangulation import PatchRanger
-from stereo.camera import PinholeCamera
-from stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from stereo.rig import StereoRig
-from stereo.rig_files import save_rig
 from track_range.config import RunSettings
+from track_range.ranging.triangulation import PatchRanger
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
 from track_range.source import open_source
-from tracking.tracks import Tracks
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.rig_files import save_rig
+from track_range.tracking.tracks import Tracks
 
 IDEAL = kitti_like_rig()
 LEFT = PinholeCamera(770.0, 772.0, 505.0, 172.0, 1000, 340, (-0.25, 0.08, 0.001, -0.0005, 0.0))

@@ -3,11 +3,11 @@ import csv
 import numpy as np
 import pytest
 
-from ranging.ranges import Ranges
-from stereo.frames import Frame
+from track_range.ranging.ranges import Ranges
 from track_range.results import COLUMNS, FrameResult, ResultRows, read_tracks_csv
+from track_range.stereo.frames import Frame
+from track_range.tracking.tracks import Tracks
 from track_range.written import OutputError
-from tracking.tracks import Tracks
 
 CONTRACT = (
     "frame,time_s,track_id,class,score,observed,x1_px,y1_px,x2_px,y2_px,mono_m,mono_sigma_m,lane_m,lane_sigma_m,"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from stereo.alignment import Alignment
-from stereo.alignment_file import save_alignment
 from track_range.results import read_tracks_csv
 from track_range.simulation.drive import write_drive
+from track_range.stereo.alignment import Alignment
+from track_range.stereo.alignment_file import save_alignment
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.kitti_format import read_kitti
-from tracking.appearance import ColourLayout, ColourLayoutSettings, are_describable
+from track_range.detection.kitti_format import read_kitti
+from track_range.tracking.appearance import ColourLayout, ColourLayoutSettings, are_describable
 
 RED, BLUE, GREY = (40, 40, 200), (200, 60, 40), (110, 110, 110)
 LAYOUT = ColourLayout()

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from detection.classes import ROAD_CLASSES
-from tracking.association import are_compatible, assigned, iou_cost, widened
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.tracking.association import are_compatible, assigned, iou_cost, widened
 
 
 def test_iou_cost_by_hand() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracking.camera_motion import CameraMotion, CameraMotionSettings
+from track_range.tracking.camera_motion import CameraMotion, CameraMotionSettings
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import Detections
-from tracking.appearance import ColourLayout
-from tracking.association import Classes
-from tracking.deepsort import DeepSortTracker
-from tracking.history import FillGates
-from tracking.score_threshold import ScoreThresholdSettings
-from tracking.tracker_settings import AppearanceGates, TrackerSettings
-from tracking.tracks import Tracks
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.tracking.appearance import ColourLayout
+from track_range.tracking.association import Classes
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.history import FillGates
+from track_range.tracking.score_threshold import ScoreThresholdSettings
+from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
+from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 IMAGE = np.zeros((375, 1242, 3), np.uint8)

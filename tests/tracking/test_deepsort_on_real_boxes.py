@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import Detections
-from detection.kitti_format import read_kitti
-from tracking.deepsort import DeepSortTracker
-from tracking.evaluation import TrackingScores, evaluate_tracks
-from tracking.history import FillGates
-from tracking.mot_format import MotRows, read_mot
-from tracking.score_threshold import ScoreThresholdSettings
-from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
-from tracking.tracker_settings import TrackerSettings
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.detection.kitti_format import read_kitti
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.evaluation import TrackingScores, evaluate_tracks
+from track_range.tracking.history import FillGates
+from track_range.tracking.mot_format import MotRows, read_mot
+from track_range.tracking.score_threshold import ScoreThresholdSettings
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.tracker_settings import TrackerSettings
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 

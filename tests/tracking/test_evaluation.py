@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracking.evaluation import TrackingCounts, evaluate_tracks
-from tracking.mot_format import read_mot
-from tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
+from track_range.tracking.mot_format import read_mot
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 WHEEL_DATA = Path(motmetrics.__file__).parent / "data"
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.detections import FloatArray
-from tracking.history import BoxHistory, FillGates, Form, begun, filled, median_prediction, smoothed
+from track_range.detection.detections import FloatArray
+from track_range.tracking.history import BoxHistory, FillGates, Form, begun, filled, median_prediction, smoothed
 
 BORDER_XYXY_PX = np.array([0.0, 0.0, 1241.0, 374.0])
 AT_ONCE = FillGates(min_running_in_sight=5)

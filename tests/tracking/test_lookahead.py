@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from detection.classes import ROAD_CLASSES
-from tracking.lookahead import LookaheadSettings, Recording
-from tracking.tracks import Tracks
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.tracking.lookahead import LookaheadSettings, Recording
+from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("truck")
 NONE = Tracks.empty()

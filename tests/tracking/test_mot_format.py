@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.detections import Detections
-from tracking.mot_format import MotFormatError, MotRows, mot_lines, read_mot
-from tracking.tracks import Tracks
+from track_range.detection.detections import Detections
+from track_range.tracking.mot_format import MotFormatError, MotRows, mot_lines, read_mot
+from track_range.tracking.tracks import Tracks
 
 
 def tracks_of(boxes: list[list[float]]) -> Tracks:

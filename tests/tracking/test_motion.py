@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from tracking.motion import (
+from track_range.tracking.motion import (
     BoxFilters,
     MotionNoise,
     begun,

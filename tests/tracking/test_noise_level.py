@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tracking.noise_level import NoiseLevel, NoiseLevelSettings
+from track_range.tracking.noise_level import NoiseLevel, NoiseLevelSettings
 
 HALF_PX = np.array([20.0, 40.0])
 
@@ -51,7 +51,7 @@ def test_limits_and_nobody_to_listen_to() -> None:
 @pytest.mark.parametrize(("true_noise", "low", "high"), [(0.02, 0.0, 0.2), (1.0, 0.6, 1.0)])
 def test_it_finds_the_noise_of_the_stream(true_noise: float, low: float, high: float) -> None:
     """Boxes that walk with a share of the filters' own noise: the level ends near it, from either side."""
-    from tracking.motion import MotionNoise, begun, innovations, predicted, updated
+    from track_range.tracking.motion import MotionNoise, begun, innovations, predicted, updated
 
     rng, noise, dt_s, n, height = np.random.default_rng(1), MotionNoise(), 0.1, 12, 80.0
     value, rate = np.zeros((n, 2)), rng.normal(0, 20, (n, 2))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from detection.kitti_format import KittiLabels
-from tracking.mot_format import MotRows
-from tracking.official_rules import kitti_cleaned, mot_cleaned
-from tracking.tracked_boxes import TrackedBoxes
+from track_range.detection.kitti_format import KittiLabels
+from track_range.tracking.mot_format import MotRows
+from track_range.tracking.official_rules import kitti_cleaned, mot_cleaned
+from track_range.tracking.tracked_boxes import TrackedBoxes
 
 
 def kitti(*rows):

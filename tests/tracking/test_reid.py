@@ -8,10 +8,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from detection.kitti_format import read_kitti
-from detection.onnx_session import ModelError, Runtime
 from tests.detection.onnx_models import write_model
-from tracking.reid import ReidModel
+from track_range.detection.kitti_format import read_kitti
+from track_range.detection.onnx_session import ModelError, Runtime
+from track_range.tracking.reid import ReidModel
 
 ONE_THREAD = Runtime(device="cpu", n_threads=1)
 MEAN, DEVIATION = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from detection.classes import ROAD_CLASSES
-from detection.detections import Detections
-from tracking.score_threshold import ScoreThreshold, ScoreThresholdSettings
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.tracking.score_threshold import ScoreThreshold, ScoreThresholdSettings
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from rich.console import Console
 
-from detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
-from detection.detections import IntArray
-from detection.kitti_format import LabelFileError, read_kitti
 from track_range.commands.progress import say
 from track_range.config import UsageError
+from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
+from track_range.detection.detections import IntArray
+from track_range.detection.kitti_format import LabelFileError, read_kitti
 from track_range.sequences import (
     KITTI_FOLDER,
     MOT_FOLDER,
@@ -28,11 +28,11 @@ from track_range.sequences import (
 )
 from track_range.tables import Column, Grid, figure, grid_of
 from track_range.terminal_tables import tell_grid
+from track_range.tracking.evaluation import TrackingCounts, TrackingScores
+from track_range.tracking.mot_format import read_mot
+from track_range.tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.tracking.tracked_boxes import TrackedBoxes
 from track_range.written import write_text
-from tracking.evaluation import TrackingCounts, TrackingScores
-from tracking.mot_format import read_mot
-from tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
-from tracking.tracked_boxes import TrackedBoxes
 
 TruthFormat = Literal["mot", "kitti"]
 

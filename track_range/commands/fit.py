@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from detection.kitti_format import LabelFileError
-from ranging.box_csv import read_box_csv
-from ranging.cuboid_sizes import CuboidSizes
-from ranging.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves
-from ranging.labelled_boxes import BoxSet, box_set
-from ranging.log_linear_sizes import SizeCurve, SizeCurves
-from ranging.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_model, usable_boxes
-from ranging.table_sizes import TableSizes
 from track_range import tables
 from track_range.config import UsageError
+from track_range.detection.kitti_format import LabelFileError
+from track_range.ranging.box_csv import read_box_csv
+from track_range.ranging.cuboid_sizes import CuboidSizes
+from track_range.ranging.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves
+from track_range.ranging.labelled_boxes import BoxSet, box_set
+from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
+from track_range.ranging.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_model, usable_boxes
+from track_range.ranging.table_sizes import TableSizes
 from track_range.terminal_tables import tell_grid
 
 

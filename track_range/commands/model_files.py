@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from detection.darknet import import_darknet
-from detection.model_lookup import model_rows, models_folder
 from track_range.commands.ready_model import ready_model
+from track_range.detection.darknet import import_darknet
+from track_range.detection.model_lookup import model_rows, models_folder
 from track_range.detector_options import class_names
 
 

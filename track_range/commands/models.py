@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from detection.classes import ROAD_CLASSES
-from detection.model_lookup import FoundModel, find_model
-from detection.yolo import YoloDetector
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.model_lookup import FoundModel, find_model
+from track_range.detection.yolo import YoloDetector
 from track_range.detector_options import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from detection.detections import Image
-from detection.image_truth import ImageTruth
-from detection.labelled_images import ImageFileError, images_in, read_image
-from detection.onnx_session import FloatArray32, ModelError
-from detection.quantize import convert_fp16, quantize_int8
-from detection.yolo import YoloDetector
 from track_range.commands.evaluate import WORKING_SCORE, evaluate, open_candidates, tell_figures
 from track_range.commands.ready_model import ready_model
+from track_range.detection.detections import Image
+from track_range.detection.image_truth import ImageTruth
+from track_range.detection.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.onnx_session import FloatArray32, ModelError
+from track_range.detection.quantize import convert_fp16, quantize_int8
+from track_range.detection.yolo import YoloDetector
 from track_range.detector_options import DetectorOptions, open_detector
 from track_range.labelled_source import LabelledFrames, LabelledSource
 from track_range.written import make_folder

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from detection.classes import ROAD_CLASSES, road_class_ids
-from detection.detection_files import DetectionForm, RecordedDetections, read_detections
-from detection.detections import Detections
-from detection.kitti_format import LabelFileError
 from track_range.commands.progress import frame_progress, say
 from track_range.config import TrackerName, UsageError, check_looks
+from track_range.detection.classes import ROAD_CLASSES, road_class_ids
+from track_range.detection.detection_files import DetectionForm, RecordedDetections, read_detections
+from track_range.detection.detections import Detections
+from track_range.detection.kitti_format import LabelFileError
 from track_range.sequence_tracking import images_of, track_sequence
 from track_range.sequences import (
     KITTI_FOLDER,
@@ -29,9 +29,9 @@ from track_range.tables import Column, Grid, grid_of
 from track_range.terminal_tables import tell_grid
 from track_range.track_files import write_kitti, write_mot
 from track_range.tracker_options import new_tracker, open_descriptor
+from track_range.tracking.appearance import Descriptor
 from track_range.video import VideoError
 from track_range.written import OutputError, make_folder
-from tracking.appearance import Descriptor
 
 DEFAULT_FPS = 10.0
 """KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""

@@ -11,25 +11,25 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from detection.classes import ROAD_CLASSES
-from detection.kitti_format import LabelFileError
-from detection.training.augmentation import AugmentationSettings
-from detection.training.data_set import TrainingSets
-from detection.training.data_yaml import TrainingData, read_data_yaml
-from detection.training.detection_loss import Losses
-from detection.training.errors import TrainingError
-from detection.training.export import export_onnx
-from detection.training.losses import BoxLoss
-from detection.training.networks import NETWORKS, make_network
-from detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, locked
-from detection.training.schedule import SGD, Optimiser, ScheduleSettings
-from detection.training.settings import Precision, TrainingSettings, best_precision, usable_device
-from detection.training.teacher import Teacher
-from detection.training.train import Training, prepare_torch
 from track_range.charts import training_chart
 from track_range.commands.progress import say
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.training.augmentation import AugmentationSettings
+from track_range.detection.training.data_set import TrainingSets
+from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.detection_loss import Losses
+from track_range.detection.training.errors import TrainingError
+from track_range.detection.training.export import export_onnx
+from track_range.detection.training.losses import BoxLoss
+from track_range.detection.training.networks import NETWORKS, make_network
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, locked
+from track_range.detection.training.schedule import SGD, Optimiser, ScheduleSettings
+from track_range.detection.training.settings import Precision, TrainingSettings, best_precision, usable_device
+from track_range.detection.training.teacher import Teacher
+from track_range.detection.training.train import Training, prepare_torch
 from track_range.detection_tables import class_grid
 from track_range.interrupts import termination_as_interrupt
 from track_range.terminal_tables import tell_grid

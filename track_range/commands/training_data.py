@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from detection.detections import FloatArray
-from detection.kitti_format import LabelFileError
-from detection.labelled_images import LabelledImage
-from detection.model_facts import Anchors
-from detection.training.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
-from detection.training.data_set import CachedImages
-from detection.training.data_yaml import TrainingData, read_data_yaml
-from detection.training.networks import NETWORKS
 from track_range.commands.progress import say, step_progress
+from track_range.detection.detections import FloatArray
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.labelled_images import LabelledImage
+from track_range.detection.model_facts import Anchors
+from track_range.detection.training.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
+from track_range.detection.training.data_set import CachedImages
+from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.networks import NETWORKS
 
 _N_TOLD = 20
 """Images told by name that cannot be read."""

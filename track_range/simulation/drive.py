@@ -22,11 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from detection.detections import FloatArray, Image
-from detection.kitti_format import KittiLabels
-from stereo.box_matchers import one_thread
-from stereo.rig import StereoRig
-from stereo.rig_files import save_rig
+from track_range.detection.detections import FloatArray, Image
+from track_range.detection.kitti_format import KittiLabels
 from track_range.simulation.drive_files import (
     EyeWriter,
     disparity_map,
@@ -42,6 +39,9 @@ from track_range.simulation.render import NOISE_GREY, Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.truth import joined, seen_at
 from track_range.simulation.truth_table import HEADER, ego_speed_text, truth_rows
+from track_range.stereo.box_matchers import one_thread
+from track_range.stereo.rig import StereoRig
+from track_range.stereo.rig_files import save_rig
 from track_range.written import make_folder, write_text
 
 __all__ = ["Drive", "DriveOptions", "kitti_text", "write_drive"]

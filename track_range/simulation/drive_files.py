@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import FloatArray, Image
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
+from track_range.detection.detections import FloatArray, Image
 from track_range.simulation.truth import SeenObjects
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
 from track_range.video import VideoWriter
 from track_range.written import make_folder, write_bytes
 

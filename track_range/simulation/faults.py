@@ -12,9 +12,9 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from detection.detections import Image
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
+from track_range.detection.detections import Image
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
 
 WrongRig = Literal["baseline", "focal", "principal"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.detections import FloatArray
-from detection.kitti_format import KittiLabels
+from track_range.detection.detections import FloatArray
+from track_range.detection.kitti_format import KittiLabels
 
 
 def kitti_text(labels: KittiLabels) -> str:

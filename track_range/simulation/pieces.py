@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray, IntArray
-from stereo.camera import PinholeCamera
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.simulation.face_table import FaceTable
 from track_range.simulation.texture_store import stepped_up
+from track_range.stereo.camera import PinholeCamera
 
 NEAR_M = 0.3
 DEPTH_RATIO = 1.4

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detection.detections import BoolArray, FloatArray, IntArray
-from detection.kitti_format import KittiLabels
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.kitti_format import KittiLabels
 
 PLAYED_TYPES = {
     "Car": "Car",

@@ -15,9 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from detection.detections import FloatArray, Image
-from stereo.camera import PinholeCamera
-from stereo.rig import StereoRig
+from track_range.detection.detections import FloatArray, Image
 from track_range.simulation.bodies import body_of
 from track_range.simulation.canvas import Canvas
 from track_range.simulation.crowd import Crowd
@@ -30,6 +28,8 @@ from track_range.simulation.street import FAR_M, Street
 from track_range.simulation.surface import Surface
 from track_range.simulation.texture_store import TextureStore
 from track_range.simulation.truth import corners_m
+from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.rig import StereoRig
 
 Eye = Literal["left", "right"]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from detection.classes import ROAD_CLASS_OF
+from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.simulation.render import Renderer
 from track_range.simulation.scene import STEP_S, Scene
 from track_range.simulation.surface import centre_depth_m

@@ -1,7 +1,7 @@
 import torch
 
-from detection.training.assignment import Objects, assign
-from detection.training.networks import make_network
+from track_range.detection.training.assignment import Objects, assign
+from track_range.detection.training.networks import make_network
 
 
 def objects(*rows):

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detection.training.augmentation import PLAIN, AugmentationSettings, LabelledPixels, mosaic, single
+from track_range.detection.training.augmentation import PLAIN, AugmentationSettings, LabelledPixels, mosaic, single
 
 RED = (0, 0, 255)
 COLOURLESS = {"hue": 0.0, "saturation": 0.0, "value": 0.0}
@@ -90,7 +90,7 @@ def test_rotation_keeps_the_object_inside_its_box():
 
 
 def test_of_a_cut_object_too_little_is_left_to_learn_from():
-    from detection.training.augmentation import _moved, _Part
+    from track_range.detection.training.augmentation import _moved, _Part
 
     source = scene(100, 100, (0, 0, 100, 20), (40, 40, 60, 60), (99, 0, 100, 2))
     matrix = np.array([[1.0, 0, -93], [0, 1.0, 0]])

@@ -3,11 +3,11 @@ import numpy as np
 import pytest
 import yaml
 
-from detection.kitti_format import LabelFileError
-from detection.labelled_images import ImageFileError
-from detection.training.data_set import CachedImages
-from detection.training.data_yaml import read_data_yaml
 from tests.detection.training.road_scenes import write_data_set
+from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.labelled_images import ImageFileError
+from track_range.detection.training.data_set import CachedImages
+from track_range.detection.training.data_yaml import read_data_yaml
 
 CAR, PERSON = 2, 0
 

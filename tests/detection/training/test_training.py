@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 import torch
 
-from detection.onnx_session import ModelError
-from detection.training.augmentation import PLAIN, AugmentationSettings
-from detection.training.batches import BatchMaker
-from detection.training.data_set import CachedImages, TrainingSets
-from detection.training.data_yaml import read_data_yaml
-from detection.training.errors import CheckpointError, TrainingError
-from detection.training.export import export_onnx
-from detection.training.networks import make_network
-from detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
-from detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
-from detection.training.settings import TrainingSettings
-from detection.training.teacher import Teacher
-from detection.training.train import Training, prepare_torch
 from tests.detection.training.road_scenes import write_data_set
+from track_range.detection.onnx_session import ModelError
+from track_range.detection.training.augmentation import PLAIN, AugmentationSettings
+from track_range.detection.training.batches import BatchMaker
+from track_range.detection.training.data_set import CachedImages, TrainingSets
+from track_range.detection.training.data_yaml import read_data_yaml
+from track_range.detection.training.errors import CheckpointError, TrainingError
+from track_range.detection.training.export import export_onnx
+from track_range.detection.training.networks import make_network
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
+from track_range.detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
+from track_range.detection.training.settings import TrainingSettings
+from track_range.detection.training.teacher import Teacher
+from track_range.detection.training.train import Training, prepare_torch
 
 SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings())
 

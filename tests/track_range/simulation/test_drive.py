@@ -6,16 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from detection.boxes import iou
-from detection.kitti_format import read_kitti
-from ranging.ego_speed import open_ego_speed
-from stereo.kitti_2015 import read_pair
-from stereo.rig_files import load_rig
+from track_range.detection.boxes import iou
+from track_range.detection.kitti_format import read_kitti
+from track_range.ranging.ego_speed import open_ego_speed
 from track_range.simulation.drive import N_DRAWING, DriveOptions, kitti_text, write_drive
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import joined, label_scene, seen_at
+from track_range.stereo.kitti_2015 import read_pair
+from track_range.stereo.rig_files import load_rig
 from track_range.video import VideoReader
 
 SMALL = kitti_like_rig(width_px=310, height_px=94)

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from ranging.box_surface import surface_distance_m
-from stereo.rig import StereoRig
+from track_range.ranging.box_surface import surface_distance_m
 from track_range.simulation.render import Renderer, kitti_like_rig, render
 from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.street import FAR_M, stretches
 from track_range.simulation.truth import label_scene
+from track_range.stereo.rig import StereoRig
 
 RIG = kitti_like_rig()
 F, CX, CY = RIG.left.fx_px, RIG.left.cx_px, RIG.left.cy_px
