@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.onnx_session import OnnxSession, Runtime
+from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.training.anchors import by_head, kmeans_anchors, mean_best_iou
 from track_range.detection.training.augmentation import AugmentationSettings
 from track_range.detection.training.data_set import CachedImages, TrainingSets

@@ -23,8 +23,8 @@ from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
 from track_range.detection.detections import FloatArray, Image
-from track_range.detection.onnx_session import Runtime
-from track_range.detection.yolo import YoloDetector, YoloSettings
+from track_range.detection.models.onnx_session import Runtime
+from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 
 SIZES_PX = (320, 416, 640)
 

@@ -22,7 +22,7 @@ from benchmarks.simulated_drives import FPS
 from track_range.commands.run import run
 from track_range.config import RunSettings
 from track_range.detection.detections import BoolArray, Image
-from track_range.detection.lane_lookup import CLASSICAL
+from track_range.detection.lanes.lookup import CLASSICAL
 from track_range.ranging.evaluation import MethodColumn, score_rows
 from track_range.ranging.truth import read_truth
 from track_range.report_series import Columns

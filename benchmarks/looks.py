@@ -33,7 +33,7 @@ from benchmarks.looks_drives import FPS, LooksDrive, class_ids, real, simulated
 from benchmarks.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Descriptors, FloatArray, Image, IntArray
-from track_range.detection.onnx_session import Runtime
+from track_range.detection.models.onnx_session import Runtime
 from track_range.sequence_tracking import track_sequence
 from track_range.simulation.playback import HIDDEN
 from track_range.tracking.appearance import ColourLayout, Descriptor

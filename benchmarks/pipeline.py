@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import LoopedDrive, add_drive_options, looped
-from track_range.detection.letterbox import rectangular_input_hw
-from track_range.detection.onnx_session import OnnxSession, Runtime
-from track_range.detection.yolo import DEFAULT_SIZE_PX
+from track_range.detection.models.onnx_session import OnnxSession, Runtime
+from track_range.detection.yolo.detector import DEFAULT_SIZE_PX
+from track_range.detection.yolo.letterbox import rectangular_input_hw
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

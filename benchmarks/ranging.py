@@ -27,9 +27,9 @@ from rich.table import Table
 from benchmarks.drives import REAL_DATA
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Image
-from track_range.detection.lane_lookup import CLASSICAL, open_lane_finder
-from track_range.detection.lanes import LaneLine, LaneLines
-from track_range.detection.onnx_session import Runtime
+from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
+from track_range.detection.models.onnx_session import Runtime
 from track_range.pipeline import NOISE_SHARES
 from track_range.ranging.fusion import Fusion
 from track_range.ranging.ground_plane import GroundPlaneRanger

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detection_files import RecordedDetections, read_detections
 from track_range.detection.detections import Detections, FloatArray, IntArray
-from track_range.detection.kitti_format import KittiLabels, read_kitti
+from track_range.detection.formats.detection_files import RecordedDetections, read_detections
+from track_range.detection.formats.kitti import KittiLabels, read_kitti
 from track_range.sequences import find_sequences
 from track_range.tracking.evaluation import TrackingCounts
 from track_range.tracking.mot_format import MotRows, read_mot

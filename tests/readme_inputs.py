@@ -26,9 +26,9 @@ from tests.track_range.labelled_drives import F_PX, drive
 from track_range.commands.run import run
 from track_range.config import RunSettings
 from track_range.detection.classes import COCO_CLASSES
-from track_range.detection.darknet import import_darknet
-from track_range.detection.darknet_network import read_network
-from track_range.detection.kitti_format import read_kitti
+from track_range.detection.darknet.importer import import_darknet
+from track_range.detection.darknet.network import read_network
+from track_range.detection.formats.kitti import read_kitti
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render import kitti_like_rig
 from track_range.stereo.boards import ChessBoard

@@ -11,9 +11,9 @@ import numpy as np
 
 from track_range.config import RunSettings
 from track_range.detection.classes import road_class_ids
-from track_range.detection.detection_files import read_detections
 from track_range.detection.detections import Detections, FloatArray, IntArray
 from track_range.detection.detector import Detector
+from track_range.detection.formats.detection_files import read_detections
 from track_range.detector_options import DetectorOptions, open_detector
 from track_range.stereo.frames import Frame
 

@@ -27,10 +27,10 @@ from track_range.commands.demo import demo as run_demo
 from track_range.commands.run import RunStoppedError
 from track_range.config import ConfigError, UsageError
 from track_range.detection.classes import ClassNameError
-from track_range.detection.download import DownloadError
-from track_range.detection.kitti_format import LabelFileError
-from track_range.detection.labelled_images import ImageFileError
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.labelled_images import ImageFileError
+from track_range.detection.models.download import DownloadError
+from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.errors import TrainingError
 from track_range.ranging.ego_speed import EgoSpeedError
 from track_range.ranging.size_curve import CurveError

@@ -14,9 +14,9 @@ from track_range.commands.evaluate_tracks import TruthFormat, evaluate_track_fil
 from track_range.commands.model_files import import_model, list_models, pull_model
 from track_range.commands.models import tell_model
 from track_range.commands.quantize import quantize_model
-from track_range.detection.input_format import LETTERBOXES
-from track_range.detection.labelled_images import LabelFormat
-from track_range.detection.onnx_session import Device
+from track_range.detection.formats.labelled_images import LabelFormat
+from track_range.detection.models.onnx_session import Device
+from track_range.detection.yolo.input_format import LETTERBOXES
 from track_range.detector_options import DetectorOptions, class_names
 from track_range.labelled_source import LabelledSource
 from track_range.stereo.box_matchers import MATCHER_NAMES

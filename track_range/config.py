@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from track_range.detection.model_lookup import DEFAULT_MODEL
+from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.live_address import LiveAddress, live_address
 from track_range.stereo.sgbm import SgbmSettings
 from track_range.written import write_text

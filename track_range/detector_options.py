@@ -8,10 +8,10 @@ from pathlib import Path
 
 from track_range.config import ConfigError, UsageError
 from track_range.detection.classes import road_class_ids
-from track_range.detection.model_facts import ModelOptions
-from track_range.detection.model_lookup import models_folder
-from track_range.detection.onnx_session import Device, Runtime
-from track_range.detection.yolo import YoloDetector, YoloSettings
+from track_range.detection.models.lookup import models_folder
+from track_range.detection.models.metadata import ModelOptions
+from track_range.detection.models.onnx_session import Device, Runtime
+from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,9 +12,9 @@ import numpy as np
 from track_range.config import UsageError
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Image
-from track_range.detection.image_truth import ImageTruth
-from track_range.detection.kitti_format import LabelFileError
-from track_range.detection.labelled_images import (
+from track_range.detection.formats.image_truth import ImageTruth
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.labelled_images import (
     ImageFileError,
     LabelFormat,
     LabelledImage,

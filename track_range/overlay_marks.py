@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from track_range.detection.detections import FloatArray, Image
-from track_range.detection.lanes import LaneLines, points
+from track_range.detection.lanes.lines import LaneLines, points
 from track_range.overlay_colours import BLACK, LANE_COLOUR, Bgr
 from track_range.stereo.patches import inner_halves
 

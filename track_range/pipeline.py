@@ -17,7 +17,7 @@ from threading import Lock
 import numpy as np
 
 from track_range.detection.detections import Detections, FloatArray
-from track_range.detection.lanes import LaneFinder, LaneLines
+from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.overlap import prefetch
 from track_range.ranging.collision_course import CollisionCourse
 from track_range.ranging.ego_speed import EgoSpeed

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.kitti import LabelFileError
 from track_range.ranging.truth import Truth, read_truth
 from track_range.report_series import Columns, methods_measured
 from track_range.report_truth import with_truth

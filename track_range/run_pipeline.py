@@ -8,8 +8,8 @@ import numpy as np
 
 from track_range.box_source import BoxSource
 from track_range.config import RunSettings
-from track_range.detection.lane_lookup import open_lane_finder
-from track_range.detection.onnx_session import Runtime
+from track_range.detection.lanes.lookup import open_lane_finder
+from track_range.detection.models.onnx_session import Runtime
 from track_range.pipeline import Pipeline
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.ground_plane import GroundPlaneRanger, GroundSettings

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from track_range.detection.detection_files import MAX_FRAME
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.detection_files import MAX_FRAME
+from track_range.detection.formats.kitti import LabelFileError
 
 Kind = Literal["det", "gt"]
 

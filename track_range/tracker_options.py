@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from track_range.config import TrackerName
-from track_range.detection.onnx_session import Runtime
+from track_range.detection.models.onnx_session import Runtime
 from track_range.tracking.appearance import ColourLayout, Descriptor
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.reid import ReidModel

@@ -20,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou, share_inside
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.detection.kitti_format import KittiLabels
+from track_range.detection.formats.kitti import KittiLabels
 from track_range.tracking.mot_format import MotRows
 from track_range.tracking.tracked_boxes import TrackedBoxes
 

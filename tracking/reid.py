@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from track_range.detection.detections import Descriptors, FloatArray, Image, check_shape
-from track_range.detection.onnx_session import FloatArray32, ModelError, OnnxSession, Runtime
+from track_range.detection.models.onnx_session import FloatArray32, ModelError, OnnxSession, Runtime
 from track_range.tracking.appearance import are_describable
 from track_range.tracking.gallery import unit_rows
 

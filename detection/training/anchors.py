@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.detection.detections import FloatArray
-from track_range.detection.model_facts import Anchors
+from track_range.detection.models.metadata import Anchors
 
 _MAX_ROUNDS = 300
 _N_STARTS = 5

@@ -15,7 +15,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.model_writing import silent_conversion, written_whole
+from track_range.detection.models.writing import silent_conversion, written_whole
 from track_range.detection.training.network import AnchorNetwork
 
 _OPSET = 17

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.model_facts import Anchors
+from track_range.detection.models.metadata import Anchors
 
 
 class AnchorNetwork(nn.Module):

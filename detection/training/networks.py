@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from track_range.detection.model_facts import Anchors
+from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.network import AnchorNetwork
 from track_range.detection.training.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
 from track_range.detection.training.yolov4_tiny import YoloV4Tiny

@@ -10,7 +10,7 @@ import torch
 from onnx import numpy_helper
 from torch import nn
 
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
 
 

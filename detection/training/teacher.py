@@ -19,8 +19,8 @@ from torch import Tensor
 
 from track_range.detection.classes import COCO_CLASSES, road_class_of_each
 from track_range.detection.detections import IntArray
-from track_range.detection.model_facts import ModelOptions, read_facts
-from track_range.detection.onnx_session import ModelError, OnnxSession
+from track_range.detection.models.metadata import ModelOptions, read_facts
+from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.assignment import Cells
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.network import AnchorNetwork, placed

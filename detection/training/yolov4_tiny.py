@@ -12,11 +12,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.model_facts import Anchors
+from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.blocks import Cbam, ConvolutionBlock
 from track_range.detection.training.network import AnchorNetwork
 from track_range.detection.training.yolov5 import quiet_head
-from track_range.detection.yolo_families import YOLOV4_TINY_ANCHORS
+from track_range.detection.yolo.layouts import YOLOV4_TINY_ANCHORS
 
 DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]
 """Stride 16 first."""

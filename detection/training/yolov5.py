@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.model_facts import Anchors
+from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.blocks import C3, ConvolutionBlock, Sppf
 from track_range.detection.training.network import AnchorNetwork
 

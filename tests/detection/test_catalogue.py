@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from track_range.detection.catalogue import CATALOGUE, entry_named
-from track_range.detection.model_lookup import find_model, model_rows, models_folder
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.catalogue import CATALOGUE, entry_named
+from track_range.detection.models.lookup import find_model, model_rows, models_folder
+from track_range.detection.models.onnx_session import ModelError
 
 DIGITS = {"sha1": 40, "sha256": 64}
 

@@ -8,12 +8,12 @@ import pytest
 
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import section, write_weights
-from track_range.detection.catalogue import CATALOGUE
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.darknet import import_darknet
-from track_range.detection.darknet_network import read_network
-from track_range.detection.onnx_session import ModelError, OnnxSession, Runtime
-from track_range.detection.yolo import YoloDetector
+from track_range.detection.darknet.importer import import_darknet
+from track_range.detection.darknet.network import read_network
+from track_range.detection.models.catalogue import CATALOGUE
+from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
+from track_range.detection.yolo.detector import YoloDetector
 
 DARKNET_EPSILON = 1e-5
 

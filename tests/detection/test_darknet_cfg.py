@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import section
-from track_range.detection.darknet_layers import Convolution
-from track_range.detection.darknet_network import read_network
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.darknet.layers import Convolution
+from track_range.detection.darknet.network import read_network
+from track_range.detection.models.onnx_session import ModelError
 
 NET = "[net]\nwidth=32\nheight=16\n"
 CONV = section("convolutional", filters=6, activation="linear")

@@ -9,9 +9,9 @@ import pytest
 
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import write_weights
-from track_range.detection.darknet import import_darknet
-from track_range.detection.darknet_network import read_network
-from track_range.detection.onnx_session import OnnxSession, Runtime
+from track_range.detection.darknet.importer import import_darknet
+from track_range.detection.darknet.network import read_network
+from track_range.detection.models.onnx_session import OnnxSession, Runtime
 
 PROJECT = Path(__file__).resolve().parents[2]
 OPENCV_EPSILON, DARKNET_EPSILON = 1e-6, 1e-5

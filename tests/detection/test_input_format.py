@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from track_range.detection.input_format import InputFormat, placement_and_grey
-from track_range.detection.letterbox import Letterbox
+from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
+from track_range.detection.yolo.letterbox import Letterbox
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.image_truth import ANY_CLASS
-from track_range.detection.kitti_format import LabelFileError
-from track_range.detection.labelled_images import (
+from track_range.detection.formats.image_truth import ANY_CLASS
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.labelled_images import (
     ImageFileError,
     images_in,
     of_split,

@@ -6,11 +6,11 @@ import pytest
 
 from tests.detection.lane_roads import HW, picture, road_x_px, width_px
 from tests.detection.onnx_models import write_model
-from track_range.detection.lane_decoders import ROW_ANCHORS
-from track_range.detection.lane_edges import EdgeLaneFinder
-from track_range.detection.lane_lookup import CLASSICAL, open_lane_finder
-from track_range.detection.lane_nets import NetLaneFinder
-from track_range.detection.onnx_session import ModelError, Runtime
+from track_range.detection.lanes.decoders import ROW_ANCHORS
+from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
+from track_range.detection.lanes.nets import NetLaneFinder
+from track_range.detection.models.onnx_session import ModelError, Runtime
 
 IMAGE = np.zeros((*HW, 3), np.uint8)
 ROWS = np.array([220.0, 300.0, 350.0])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.lanes import LaneLine, LaneLines, points
+from track_range.detection.lanes.lines import LaneLine, LaneLines, points
 
 
 def line(*coefficients, covariance=None, rows=(200.0, 350.0)):

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.letterbox import Letterbox, rectangular_input_hw
+from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 
 SIDE = st.integers(1, 3000)
 

@@ -5,7 +5,7 @@ import onnxruntime as ort
 import pytest
 
 from tests.detection.onnx_models import write_model, write_rectangle_finder
-from track_range.detection.onnx_session import ModelError, OnnxSession, Runtime
+from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 
 
 def test_a_bound_network_reads_its_own_buffer_each_time(tmp_path):

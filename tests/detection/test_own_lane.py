@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.detection.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
-from track_range.detection.lane_choice import own_pair
-from track_range.detection.lane_markings import Markings, Proposals, proposals, run_middles
-from track_range.detection.lane_model import LaneState
-from track_range.detection.own_lane import OwnLane
+from track_range.detection.lanes.choice import own_pair
+from track_range.detection.lanes.markings import Markings, Proposals, proposals, run_middles
+from track_range.detection.lanes.model import LaneState
+from track_range.detection.lanes.own_lane import OwnLane
 
 ROWS = np.array([220.0, 300.0, 350.0])
 

@@ -8,10 +8,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from track_range.detection import quantize
-from track_range.detection.model_writing import silent_conversion, written_whole
-from track_range.detection.onnx_session import ModelError, OnnxSession, Runtime
-from track_range.detection.quantize import convert_fp16, quantize_int8
+from track_range.detection.models import quantize
+from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
+from track_range.detection.models.quantize import convert_fp16, quantize_int8
+from track_range.detection.models.writing import silent_conversion, written_whole
 
 SIZE_PX = 32
 METADATA = {"family": "yolov5", "names": '["car", "person"]'}

@@ -14,10 +14,10 @@ import pytest
 from tests.detection.onnx_models import write_rectangle_finder
 from track_range.detection.boxes import nms
 from track_range.detection.classes import SAME_OBJECT_GROUP, road_class_of_each
-from track_range.detection.input_format import InputFormat
-from track_range.detection.letterbox import Letterbox
-from track_range.detection.onnx_session import Runtime
-from track_range.detection.yolo import YoloDetector, YoloSettings
+from track_range.detection.models.onnx_session import Runtime
+from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.detection.yolo.input_format import InputFormat
+from track_range.detection.yolo.letterbox import Letterbox
 
 ABOVE = 0.1
 

@@ -5,9 +5,9 @@ import pytest
 
 from tests.detection.onnx_models import write_model
 from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, VOC_CLASSES
-from track_range.detection.model_facts import ModelOptions
-from track_range.detection.onnx_session import ModelError
-from track_range.detection.yolo import YoloDetector
+from track_range.detection.models.metadata import ModelOptions
+from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.yolo.detector import YoloDetector
 
 CELLS = 8 * 8 + 4 * 4 + 2 * 2  # a 64 x 64 input with strides 8, 16, 32
 BLACK = np.zeros((64, 64, 3), np.uint8)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.kitti import LabelFileError
 from track_range.ranging.box_csv import read_box_csv
 from track_range.ranging.curve_comparison import compare_curves
 

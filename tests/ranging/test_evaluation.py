@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.kitti_format import LabelFileError, read_kitti
+from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.ranging.evaluation import MethodColumn, coverage_only, match_truth, score_closing, score_methods
 from track_range.ranging.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
 from track_range.stereo.camera import PinholeCamera

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.kitti import LabelFileError
 from track_range.ranging.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
 from track_range.stereo.rig import RigError
 

@@ -3,8 +3,8 @@ import pytest
 
 from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, picture, row_px, width_px
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.lane_edges import EdgeLaneFinder
-from track_range.detection.lanes import LaneLine, LaneLines
+from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.camera import PinholeCamera

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.kitti_format import read_kitti
+from track_range.detection.formats.kitti import read_kitti
 from track_range.ranging.box_surface import surface_distance_m
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.smoothing import DistanceFilter

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from track_range.detection.kitti_format import read_kitti
+from track_range.detection.formats.kitti import read_kitti
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render import kitti_like_rig
 from track_range.stereo.alignment_file import load_alignment

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
-from track_range.detection.lanes import LaneLine, LaneLines
+from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.overlay import Overlay
 from track_range.overlay_colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
 from track_range.overlay_text import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.detections import Detections
-from track_range.detection.lanes import LaneLine, LaneLines
+from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline import Pipeline
 from track_range.ranging.ground_plane import GroundPlane
 from track_range.ranging.ranges import Ranges

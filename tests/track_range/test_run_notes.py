@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.tracking.test_reid import write_mean_network
-from track_range.detection.onnx_session import OnnxSession, Runtime
+from track_range.detection.models.onnx_session import OnnxSession, Runtime
 
 
 def test_the_reid_networks_notes_are_the_runs(tmp_path, cli, film):

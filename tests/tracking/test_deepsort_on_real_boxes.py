@@ -7,7 +7,7 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.kitti_format import read_kitti
+from track_range.detection.formats.kitti import read_kitti
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation import TrackingScores, evaluate_tracks
 from track_range.tracking.history import FillGates

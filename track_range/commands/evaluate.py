@@ -22,9 +22,9 @@ from track_range.commands.ready_model import ready_model
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections, FloatArray, Image
 from track_range.detection.evaluation import MIN_BOXES, DetectionScores, evaluate_detections
-from track_range.detection.image_truth import ImageTruth
-from track_range.detection.kitti_format import LabelFileError
-from track_range.detection.yolo import YoloDetector, YoloSettings
+from track_range.detection.formats.image_truth import ImageTruth
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.detection_tables import accuracy_grid, class_grid, speed_grid
 from track_range.detector_options import DetectorOptions, open_detector, thresholds
 from track_range.labelled_source import LabelledFrames, LabelledSource

@@ -15,7 +15,7 @@ from track_range.commands.progress import say
 from track_range.config import UsageError
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from track_range.detection.detections import IntArray
-from track_range.detection.kitti_format import LabelFileError, read_kitti
+from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.sequences import (
     KITTI_FOLDER,
     MOT_FOLDER,

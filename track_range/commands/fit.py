@@ -11,7 +11,7 @@ from rich.console import Console
 
 from track_range import tables
 from track_range.config import UsageError
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.kitti import LabelFileError
 from track_range.ranging.box_csv import read_box_csv
 from track_range.ranging.cuboid_sizes import CuboidSizes
 from track_range.ranging.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves

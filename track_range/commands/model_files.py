@@ -10,8 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.commands.ready_model import ready_model
-from track_range.detection.darknet import import_darknet
-from track_range.detection.model_lookup import model_rows, models_folder
+from track_range.detection.darknet.importer import import_darknet
+from track_range.detection.models.lookup import model_rows, models_folder
 from track_range.detector_options import class_names
 
 

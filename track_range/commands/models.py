@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.model_lookup import FoundModel, find_model
-from track_range.detection.yolo import YoloDetector
+from track_range.detection.models.lookup import FoundModel, find_model
+from track_range.detection.yolo.detector import YoloDetector
 from track_range.detector_options import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")

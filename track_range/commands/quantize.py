@@ -14,17 +14,17 @@ from rich.console import Console
 from track_range.commands.evaluate import WORKING_SCORE, evaluate, open_candidates, tell_figures
 from track_range.commands.ready_model import ready_model
 from track_range.detection.detections import Image
-from track_range.detection.image_truth import ImageTruth
-from track_range.detection.labelled_images import ImageFileError, images_in, read_image
-from track_range.detection.onnx_session import FloatArray32, ModelError
-from track_range.detection.quantize import convert_fp16, quantize_int8
-from track_range.detection.yolo import YoloDetector
+from track_range.detection.formats.image_truth import ImageTruth
+from track_range.detection.formats.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.models.onnx_session import FloatArray32, ModelError
+from track_range.detection.models.quantize import convert_fp16, quantize_int8
+from track_range.detection.yolo.detector import YoloDetector
 from track_range.detector_options import DetectorOptions, open_detector
 from track_range.labelled_source import LabelledFrames, LabelledSource
 from track_range.written import make_folder
 
 N_CALIBRATION = 60
-"""Images that tell the range of every layer's numbers; more change nothing (see detection/quantize.py)."""
+"""Images that tell the range of every layer's numbers; more change nothing (see detection/models/quantize.py)."""
 
 N_COMPARED = 100
 """Images on which a copy is compared with its original where there are no labels."""

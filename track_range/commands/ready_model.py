@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
-from track_range.detection.download import pull
-from track_range.detection.model_lookup import find_model, models_folder
+from track_range.detection.models.download import pull
+from track_range.detection.models.lookup import find_model, models_folder
 
 
 def ready_model(word: str | Path, console: Console) -> Path:

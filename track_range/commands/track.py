@@ -12,9 +12,9 @@ from rich.console import Console
 from track_range.commands.progress import frame_progress, say
 from track_range.config import TrackerName, UsageError, check_looks
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
-from track_range.detection.detection_files import DetectionForm, RecordedDetections, read_detections
 from track_range.detection.detections import Detections
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.detection_files import DetectionForm, RecordedDetections, read_detections
+from track_range.detection.formats.kitti import LabelFileError
 from track_range.sequence_tracking import images_of, track_sequence
 from track_range.sequences import (
     KITTI_FOLDER,

@@ -16,7 +16,7 @@ from track_range.commands.progress import say
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.kitti_format import LabelFileError
+from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.training.augmentation import AugmentationSettings
 from track_range.detection.training.data_set import TrainingSets
 from track_range.detection.training.data_yaml import TrainingData, read_data_yaml

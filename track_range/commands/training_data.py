@@ -10,9 +10,9 @@ from rich.console import Console
 
 from track_range.commands.progress import say, step_progress
 from track_range.detection.detections import FloatArray
-from track_range.detection.kitti_format import LabelFileError
-from track_range.detection.labelled_images import LabelledImage
-from track_range.detection.model_facts import Anchors
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.labelled_images import LabelledImage
+from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
 from track_range.detection.training.data_set import CachedImages
 from track_range.detection.training.data_yaml import TrainingData, read_data_yaml

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.detections import FloatArray, Image
-from track_range.detection.kitti_format import KittiLabels
+from track_range.detection.formats.kitti import KittiLabels
 from track_range.simulation.drive_files import (
     EyeWriter,
     disparity_map,

@@ -15,7 +15,7 @@ import yaml
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.detections import Image
-from track_range.detection.kitti_format import KittiLabels
+from track_range.detection.formats.kitti import KittiLabels
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.detection.detections import FloatArray
-from track_range.detection.kitti_format import KittiLabels
+from track_range.detection.formats.kitti import KittiLabels
 
 
 def kitti_text(labels: KittiLabels) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.detection.kitti_format import KittiLabels
+from track_range.detection.formats.kitti import KittiLabels
 
 PLAYED_TYPES = {
     "Car": "Car",

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.detection.training.road_scenes import write_data_set
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.augmentation import PLAIN, AugmentationSettings
 from track_range.detection.training.batches import BatchMaker
 from track_range.detection.training.data_set import CachedImages, TrainingSets

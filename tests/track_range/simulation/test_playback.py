@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.kitti_format import KittiLabels
+from track_range.detection.formats.kitti import KittiLabels
 from track_range.simulation.playback import Flaws, play_back
 
 SIZE_PX = (1240, 376)

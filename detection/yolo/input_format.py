@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.detections import Image
-from track_range.detection.letterbox import Letterbox, Placement
+from track_range.detection.yolo.letterbox import Letterbox, Placement
 
 Colours = Literal["rgb", "bgr"]
 

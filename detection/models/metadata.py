@@ -21,8 +21,8 @@ from typing import Any
 
 import yaml
 
-from track_range.detection.input_format import placement_and_grey
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.yolo.input_format import placement_and_grey
 
 Anchors = tuple[tuple[tuple[float, float], ...], ...]
 """Per output head, coarsest grid first as a rule, (width, height) of each anchor in input pixels."""

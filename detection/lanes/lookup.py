@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from track_range.detection.lane_edges import EdgeLaneFinder
-from track_range.detection.lane_nets import NetLaneFinder
-from track_range.detection.lanes import LaneFinder
-from track_range.detection.onnx_session import Runtime
+from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.detection.lanes.lines import LaneFinder
+from track_range.detection.lanes.nets import NetLaneFinder
+from track_range.detection.models.onnx_session import Runtime
 
 CLASSICAL = "classical"
 """The word for the finder that needs no network."""

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from track_range.detection.catalogue import CATALOGUE, CatalogueEntry, entry_named
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.catalogue import CATALOGUE, CatalogueEntry, entry_named
+from track_range.detection.models.onnx_session import ModelError
 
-PACKAGED_FOLDER = Path(__file__).parent / "weights"
+PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"
 """Models that come with track-range itself."""
 
 DEFAULT_MODEL = "road"

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from track_range.detection.darknet_cfg import Section, read_sections
-from track_range.detection.darknet_layers import (
+from track_range.detection.darknet.cfg import Section, read_sections
+from track_range.detection.darknet.layers import (
     ACTIVATIONS,
     IMAGE,
     Convolution,

@@ -16,7 +16,7 @@ import numpy as np
 from track_range.detection.boxes import are_sound
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
 from track_range.detection.detections import Descriptors, Detections, FloatArray, IntArray
-from track_range.detection.kitti_format import LabelFileError, read_kitti
+from track_range.detection.formats.kitti import LabelFileError, read_kitti
 
 _MOT_COLUMNS = range(7, 11)
 _PLAIN_COLUMNS = 6

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray
-from track_range.detection.lane_markings import Markings
-from track_range.detection.lane_model import LaneState
+from track_range.detection.lanes.markings import Markings
+from track_range.detection.lanes.model import LaneState
 
 SIDES = (-1.0, 1.0)
 """Left and right, as `LaneState` takes them."""

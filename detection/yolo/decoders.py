@@ -16,7 +16,7 @@ import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.detections import FloatArray, IntArray
-from track_range.detection.onnx_session import FloatArray32
+from track_range.detection.models.onnx_session import FloatArray32
 
 
 @dataclass(frozen=True, slots=True)

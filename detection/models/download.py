@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
-from track_range.detection.catalogue import CatalogueEntry, ModelFile
-from track_range.detection.darknet import import_darknet
+from track_range.detection.darknet.importer import import_darknet
+from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
 
 Progress = Callable[[int, int | None], None]
 """Called with the bytes there so far, and all that are to come where the server says so."""

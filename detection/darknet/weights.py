@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.darknet_layers import Convolution, Network
-from track_range.detection.onnx_session import FloatArray32, ModelError
+from track_range.detection.darknet.layers import Convolution, Network
+from track_range.detection.models.onnx_session import FloatArray32, ModelError
 
 _EPSILON = 0.00001
 _VERSION_BYTES = 12

@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError
 
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
 _MOST = 65535

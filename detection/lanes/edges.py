@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.detections import BoolArray, FloatArray, Image, check_shape
-from track_range.detection.lane_markings import Markings, run_middles
-from track_range.detection.lane_model import HORIZON
-from track_range.detection.lanes import LaneLines
-from track_range.detection.own_lane import OwnLane
+from track_range.detection.lanes.lines import LaneLines
+from track_range.detection.lanes.markings import Markings, run_middles
+from track_range.detection.lanes.model import HORIZON
+from track_range.detection.lanes.own_lane import OwnLane
 
 Float32Array = npt.NDArray[np.float32]
 

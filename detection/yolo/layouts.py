@@ -21,10 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import COCO_CLASSES, VOC_CLASSES
-from track_range.detection.input_format import InputFormat, placement_and_grey
-from track_range.detection.model_facts import Anchors, Fact, Facts
-from track_range.detection.onnx_session import ModelError
-from track_range.detection.yolo_decoders import (
+from track_range.detection.models.metadata import Anchors, Fact, Facts
+from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.yolo.decoders import (
     ColumnDecoder,
     CornerDecoder,
     Decoder,
@@ -33,6 +32,7 @@ from track_range.detection.yolo_decoders import (
     HeadDecoder,
     RowDecoder,
 )
+from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
 
 KNOWN_LAYOUTS = (
     "YOLOv5 [1, 3 n, 5 + classes], YOLOX [1, n, 5 + classes], YOLOv8/YOLO11 [1, 4 + classes, n], "

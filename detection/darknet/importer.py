@@ -20,7 +20,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from track_range.detection.darknet_layers import (
+from track_range.detection.darknet.layers import (
     ACTIVATIONS,
     IMAGE,
     Convolution,
@@ -32,10 +32,10 @@ from track_range.detection.darknet_layers import (
     Shortcut,
     Upsample,
 )
-from track_range.detection.darknet_network import read_network
-from track_range.detection.darknet_weights import read_convolutions
-from track_range.detection.model_writing import silent_conversion, written_whole
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.darknet.network import read_network
+from track_range.detection.darknet.weights import read_convolutions
+from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.models.writing import silent_conversion, written_whole
 
 _OPSET = 13
 _IR_VERSION = 8

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-from track_range.detection.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError
 
 
 @contextlib.contextmanager

@@ -1,0 +1,1 @@
+"""Models: the catalogue, downloads, metadata, the ONNX session and quantization."""
