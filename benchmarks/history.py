@@ -35,10 +35,10 @@ from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.sequence_tracking import track_sequence
 from track_range.tracking.association import assigned
+from track_range.tracking.benchmark_rules import KITTI_TYPES
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts
 from track_range.tracking.history import BoxHistory, FillGates, Form, smoothed
-from track_range.tracking.official_rules import KITTI_TYPES
 from track_range.tracking.tracked_boxes import TrackedBoxes
 from track_range.tracking.tracker_settings import TrackerSettings
 

@@ -13,7 +13,7 @@ from track_range.detection.detections import FloatArray, Image
 from track_range.detection.formats.detection_files import RecordedDetections
 from track_range.sequences import SequenceFile
 from track_range.tracking.deepsort import DeepSortTracker
-from track_range.tracking.lookahead import Recording
+from track_range.tracking.offline_refinement import Recording
 from track_range.tracking.tracks import Tracks
 from track_range.video import VideoError, VideoReader
 

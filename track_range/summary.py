@@ -26,8 +26,8 @@ from track_range.ranging.evaluation import (
 )
 from track_range.ranging.truth import Truth
 from track_range.results import FILTERED_METHODS, MEASURED_METHODS
+from track_range.tracking.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation import evaluate_tracks
-from track_range.tracking.official_rules import MIN_HEIGHT_PX
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.written import write_text
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.tracking.overlaps import Overlaps
+from track_range.tracking.similarity import Overlaps
 
 MIN_IOU = 0.5
 _EPSILON = float(np.finfo(np.float64).eps)

@@ -26,9 +26,9 @@ from track_range.tracking import history, motion
 from track_range.tracking.appearance import Descriptor
 from track_range.tracking.association import are_compatible, assigned, iou_cost
 from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.confidence_threshold import ScoreThreshold
 from track_range.tracking.gallery import Gallery, unit_rows
-from track_range.tracking.noise_level import NoiseLevel
-from track_range.tracking.score_threshold import ScoreThreshold
+from track_range.tracking.process_noise import NoiseLevel
 from track_range.tracking.track_table import TrackTable
 from track_range.tracking.tracker_settings import TrackerSettings
 from track_range.tracking.tracks import Tracks

@@ -16,7 +16,7 @@ from track_range.detection.detections import BoolArray
 from track_range.tracking.association import assigned
 from track_range.tracking.clear import MIN_IOU, ClearCounts, count_clear
 from track_range.tracking.hota import HotaCounts, count_hota
-from track_range.tracking.overlaps import Overlaps
+from track_range.tracking.similarity import Overlaps
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 _MIN_SHARE_IGNORED = 0.5

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.detections import FloatArray
-from track_range.tracking.overlaps import Overlaps
+from track_range.tracking.similarity import Overlaps
 
 ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)
 _EPSILON = float(np.finfo(np.float64).eps)

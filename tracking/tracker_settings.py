@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from track_range.tracking.association import Classes
+from track_range.tracking.confidence_threshold import ScoreThresholdSettings
 from track_range.tracking.history import FillGates
 from track_range.tracking.motion import MotionNoise
-from track_range.tracking.noise_level import NoiseLevelSettings
-from track_range.tracking.score_threshold import ScoreThresholdSettings
+from track_range.tracking.process_noise import NoiseLevelSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

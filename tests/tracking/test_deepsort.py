@@ -11,9 +11,9 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.tracking.appearance import ColourLayout
 from track_range.tracking.association import Classes
+from track_range.tracking.confidence_threshold import ScoreThresholdSettings
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.history import FillGates
-from track_range.tracking.score_threshold import ScoreThresholdSettings
 from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 from track_range.tracking.tracks import Tracks
 

@@ -8,11 +8,11 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.kitti import read_kitti
+from track_range.tracking.confidence_threshold import ScoreThresholdSettings
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation import TrackingScores, evaluate_tracks
 from track_range.tracking.history import FillGates
 from track_range.tracking.mot_format import MotRows, read_mot
-from track_range.tracking.score_threshold import ScoreThresholdSettings
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.tracker_settings import TrackerSettings
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.tracking.lookahead import LookaheadSettings, Recording
+from track_range.tracking.offline_refinement import LookaheadSettings, Recording
 from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("truck")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.tracking.noise_level import NoiseLevel, NoiseLevelSettings
+from track_range.tracking.process_noise import NoiseLevel, NoiseLevelSettings
 
 HALF_PX = np.array([20.0, 40.0])
 

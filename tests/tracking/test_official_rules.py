@@ -3,8 +3,8 @@
 import numpy as np
 
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.tracking.benchmark_rules import kitti_cleaned, mot_cleaned
 from track_range.tracking.mot_format import MotRows
-from track_range.tracking.official_rules import kitti_cleaned, mot_cleaned
 from track_range.tracking.tracked_boxes import TrackedBoxes
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.tracking.score_threshold import ScoreThreshold, ScoreThresholdSettings
+from track_range.tracking.confidence_threshold import ScoreThreshold, ScoreThresholdSettings
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 

@@ -28,9 +28,9 @@ from track_range.sequences import (
 )
 from track_range.tables import Column, Grid, figure, grid_of
 from track_range.terminal_tables import tell_grid
+from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation import TrackingCounts, TrackingScores
 from track_range.tracking.mot_format import read_mot
-from track_range.tracking.official_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.tracked_boxes import TrackedBoxes
 from track_range.written import write_text
 
