@@ -19,7 +19,7 @@ from rich.console import Console
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import SimulatedDrive
 from track_range.simulation.faults import Faults
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo_alignment import find_alignment
 
 SCENARIOS = ("town", "highway", "city", "cut-in")

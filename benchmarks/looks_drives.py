@@ -25,8 +25,8 @@ from track_range.simulation.playback import HIDDEN, play_back
 from track_range.simulation.render import Renderer
 from track_range.simulation.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.truth import box_corners_m, label_scene, projected_boxes_px
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.video import VideoReader
 
 FPS = 10.0

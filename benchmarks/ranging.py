@@ -38,8 +38,8 @@ from track_range.ranging.ranger import OncePerFrame, Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_regression import SizeRegressionRanger
 from track_range.ranging.smoothing import DistanceFilters
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 from track_range.video_file import VideoFile
 

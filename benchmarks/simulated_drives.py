@@ -18,7 +18,7 @@ from track_range.simulation.faults import NO_FAULTS, Faults
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.surroundings import SURROUNDINGS
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 
 FPS = 10.0
 NEAREST_M, FARTHEST_M, N_PLACES = 2.0, 90.0, 300

@@ -31,14 +31,14 @@ from benchmarks.stereo_accuracy import add_accuracy_options, measure_accuracy
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
-from track_range.stereo.box_matchers import one_thread
-from track_range.stereo.frames import Image
-from track_range.stereo.kitti_2015 import TRUTH, pair_names, read_pair
-from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.patches import inner_halves
-from track_range.stereo.rectification import Maps, RemappedView
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.sgbm import Mode, Sgbm, SgbmSettings
+from track_range.stereo.evaluation.kitti_2015 import TRUTH, pair_names, read_pair
+from track_range.stereo.geometry.frames import Image
+from track_range.stereo.geometry.rectification import Maps, RemappedView
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.box_matchers import one_thread
+from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.matching.patches import inner_halves
+from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -25,9 +25,9 @@ from rich.table import Table
 from benchmarks.drives import REAL_DATA
 from track_range.drive_pairs import read_drive
 from track_range.simulation.drive import write_drive
-from track_range.stereo.box_matchers import Measured, measure_pairs
-from track_range.stereo.evaluation import Column, figures
-from track_range.stereo.kitti_2015 import StereoPair
+from track_range.stereo.evaluation.disparity_errors import Column, figures
+from track_range.stereo.evaluation.kitti_2015 import StereoPair
+from track_range.stereo.matching.box_matchers import Measured, measure_pairs
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -20,7 +20,7 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_curve import CurveError, SizeModel, load_curves
 from track_range.ranging.size_prior_fit import LabelledSizes, fit_size_priors
 from track_range.ranging.size_regression import SizeRegressionRanger
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 METHODS = (*PLAIN_CURVES, "mono", "ground", "mono+ground")

@@ -19,7 +19,7 @@ import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray
 from track_range.ranging.remembered import TrackMemory
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
 _HALF_CAR_M = 0.9

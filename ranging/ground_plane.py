@@ -34,8 +34,8 @@ from track_range.ranging.measured_boxes import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.surface_offset import surface_offset_m
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 STANDING_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "van")

@@ -9,7 +9,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")
 """Index = size class: the road classes, and what has a size of its own but is no road class."""

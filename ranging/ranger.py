@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 

@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.frames import Frame, whole_image
-from track_range.stereo.patch_matches import BoxMatcher, Outcome
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.sgbm import Sgbm, SgbmSettings, inner_half_median
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome
+from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
 from track_range.tracking.tracks import Tracks
 
 FloatArray32 = npt.NDArray[np.float32]

@@ -19,7 +19,7 @@ from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
 from track_range.ranging.box_surface import surface_distance_m
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 MAX_OCCLUDED = 1
 """Labels hidden more than partly are not scored for distance: their boxes are guesses."""

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from track_range.detection.detections import FloatArray, Image
 from track_range.overlay_colours import BLACK, GREY, WHITE, alarm_colour, track_colour
 from track_range.results import FrameResult
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 Point = tuple[int, int]
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from track_range.detection.detections import Image
 from track_range.detection.formats.labelled_images import IMAGE_SUFFIXES, ImageFileError, images_in, read_image
 from track_range.pairing import StereoVideo
-from track_range.stereo.board_views import RejectedView
+from track_range.stereo.calibration.board_views import RejectedView
 from track_range.video import VideoReader
 from track_range.video_frame import TIME_EPSILON_S
 

@@ -14,9 +14,16 @@ import numpy as np
 
 from track_range.board_images import BoardImages, Shot
 from track_range.detection.detections import Image
-from track_range.stereo.board_views import BoardFinder, BoardView, RejectedView, in_step, markers_seen, sizes_seen
-from track_range.stereo.boards import Board, CalibrationError, CharucoBoard
-from track_range.stereo.coverage import varied
+from track_range.stereo.calibration.board_views import (
+    BoardFinder,
+    BoardView,
+    RejectedView,
+    in_step,
+    markers_seen,
+    sizes_seen,
+)
+from track_range.stereo.calibration.boards import Board, CalibrationError, CharucoBoard
+from track_range.stereo.calibration.coverage import varied
 
 Advance = Callable[[int, int], None]
 Views = tuple[BoardView, ...]

@@ -15,7 +15,7 @@ from track_range.detection.detections import Detections, FloatArray, IntArray
 from track_range.detection.detector import Detector
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detector_options import DetectorOptions, open_detector
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from track_range.board_search import FoundViews
-from track_range.stereo.board_views import RejectedView
-from track_range.stereo.calibration import CameraCalibration, ViewFit
-from track_range.stereo.coverage import view_shape
-from track_range.stereo.pair_calibration import PairCalibration
+from track_range.stereo.calibration.board_views import RejectedView
+from track_range.stereo.calibration.coverage import view_shape
+from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
+from track_range.stereo.calibration.two_cameras import PairCalibration
 
 
 def mono_figures(found: CameraCalibration, search: FoundViews) -> dict[str, Any]:

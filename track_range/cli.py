@@ -34,8 +34,8 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.errors import TrainingError
 from track_range.ranging.ego_speed import EgoSpeedError
 from track_range.ranging.size_curve import CurveError
-from track_range.stereo.kitti_2015 import PairFileError
-from track_range.stereo.rig import RigError
+from track_range.stereo.evaluation.kitti_2015 import PairFileError
+from track_range.stereo.geometry.rig import RigError
 from track_range.tracking.mot_format import MotFormatError
 from track_range.video import VideoError
 from track_range.written import OutputError

@@ -19,7 +19,7 @@ from track_range.detection.models.onnx_session import Device
 from track_range.detection.yolo.input_format import LETTERBOXES
 from track_range.detector_options import DetectorOptions, class_names
 from track_range.labelled_source import LabelledSource
-from track_range.stereo.box_matchers import MATCHER_NAMES
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES
 
 evaluation = typer.Typer(no_args_is_help=True, help="Measure against labels of your own.")
 models = typer.Typer(no_args_is_help=True, help="Detectors: what a file holds, which can be fetched, and making them.")

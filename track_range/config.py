@@ -21,7 +21,7 @@ from pydantic import (
 
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.live_address import LiveAddress, live_address
-from track_range.stereo.sgbm import SgbmSettings
+from track_range.stereo.matching.sgbm import SgbmSettings
 from track_range.written import write_text
 
 TrackerName = Literal["deepsort", "sort"]

@@ -17,10 +17,10 @@ from track_range.detection.detections import BoolArray
 from track_range.pairing import StereoVideo
 from track_range.ranging.evaluation import BANDS_M
 from track_range.ranging.truth import Truth, read_truth
-from track_range.stereo.kitti_2015 import PairFileError, StereoPair
-from track_range.stereo.rectification import Rectifier
-from track_range.stereo.rig import RigError
-from track_range.stereo.rig_files import find_rig, left_from_reference_m, load_rig
+from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair
+from track_range.stereo.geometry.rectification import Rectifier
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_rig
 from track_range.video import VideoReader
 
 LEFT, RIGHT = "left.mp4", "right.mp4"

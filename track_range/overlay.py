@@ -21,7 +21,7 @@ from track_range.overlay_marks import draw_box, draw_inner_windows, draw_lanes, 
 from track_range.overlay_text import BOLD, Lines, corner_lines, label_lines, text_sizes_px
 from track_range.overlay_writing import Pen
 from track_range.results import FrameResult
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 Status = Callable[[], Sequence[str]]
 """Words on how the run goes, such as its frames per second."""

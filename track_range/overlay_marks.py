@@ -10,7 +10,7 @@ import numpy as np
 from track_range.detection.detections import FloatArray, Image
 from track_range.detection.lanes.lines import LaneLines, points
 from track_range.overlay_colours import BLACK, LANE_COLOUR, Bgr
-from track_range.stereo.patches import inner_halves
+from track_range.stereo.matching.patches import inner_halves
 
 _DASH = 7  # line widths from dash to dash
 _MIN_WINDOW_PX = 8

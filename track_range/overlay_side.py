@@ -12,8 +12,8 @@ from track_range.overlay_marks import draw_box, draw_inner_windows
 from track_range.overlay_text import BOLD, REGULAR, Span, text_sizes_px
 from track_range.overlay_writing import Pen
 from track_range.results import FrameResult
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.sgbm import disparity_picture
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.sgbm import disparity_picture
 
 REDDEST_M = 5.0
 """What is as near or nearer is all red."""

@@ -6,10 +6,10 @@ from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
 
-from track_range.stereo.frames import Frame, Image, whole_image
-from track_range.stereo.pair_check import PairCheck, check_pair
-from track_range.stereo.rig import RigError
-from track_range.stereo.step_check import Step, check_step
+from track_range.stereo.alignment.swap_check import PairCheck, check_pair
+from track_range.stereo.alignment.sync_check import Step, check_step
+from track_range.stereo.geometry.frames import Frame, Image, whole_image
+from track_range.stereo.geometry.rig import RigError
 
 MAX_CHECKED_PAIRS = 10
 """So many pairs are looked at until one shows enough to tell left from right."""

@@ -30,8 +30,8 @@ from track_range.ranging.ranges import Ranges
 from track_range.ranging.smoothing import DistanceFilters
 from track_range.ranging.triangulation import DenseRanger
 from track_range.results import FrameResult
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracker import Tracker
 from track_range.tracking.tracks import Tracks
 

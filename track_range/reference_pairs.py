@@ -24,10 +24,10 @@ from track_range.detection.formats.csv_labels import is_whole_label_csv
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.drive_pairs import is_drive, read_drive
 from track_range.ranging.truth import read_truth
-from track_range.stereo.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
-from track_range.stereo.rectification import Rectifier
-from track_range.stereo.rig import RigError, StereoRig
-from track_range.stereo.rig_files import find_rig, left_from_reference_m, load_rig
+from track_range.stereo.evaluation.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
+from track_range.stereo.geometry.rectification import Rectifier
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_rig
 from track_range.stereo_frames import StereoFrames
 
 _BOX = ("x1", "y1", "x2", "y2")

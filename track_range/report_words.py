@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from track_range import tables
-from track_range.stereo.alignment import MAX_ROW_OFFSET_PX
+from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 
 Summary = Mapping[str, Any]
 

@@ -24,7 +24,7 @@ from track_range.detection.detections import FloatArray
 from track_range.detection.lanes.lines import LaneLines
 from track_range.ranging.collision_course import Misses
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.mot_format import mot_lines
 from track_range.tracking.tracks import Tracks
 from track_range.written import OutputError

@@ -20,9 +20,9 @@ from track_range.ranging.truth import Truth, read_truth
 from track_range.report_series import Columns, methods_measured
 from track_range.report_truth import with_truth
 from track_range.run_rows import no_rows, read_run_rows
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import RigError
-from track_range.stereo.rig_files import left_from_reference_m
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.reading import left_from_reference_m
 from track_range.summary import MatchedTruth, matched_truth, range_scores, track_scores
 from track_range.summary_shape import fitting_summary
 from track_range.written import OutputError

@@ -20,10 +20,10 @@ from track_range.ranging.size_regression import SizeRegressionRanger
 from track_range.ranging.size_scaled_stereo import SizeScaledRanger
 from track_range.ranging.triangulation import DenseRanger, PatchRanger
 from track_range.source import Source
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.sgbm import SgbmSettings
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.matching.sgbm import SgbmSettings
 from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair
 

@@ -19,7 +19,7 @@ from track_range.results import FrameResult
 from track_range.run_pictures import pictures
 from track_range.run_pipeline import learnt_scale
 from track_range.source import Source
-from track_range.stereo.patch_matches import REASONS, Outcome
+from track_range.stereo.matching.patch_matches import REASONS, Outcome
 from track_range.summary import Columns, MatchedTruth, range_scores, stage_times_ms, track_scores
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")

@@ -16,12 +16,12 @@ from track_range.detection.detections import FloatArray
 from track_range.live_address import LiveAddress
 from track_range.live_reader import LiveReader
 from track_range.pair_watch import PairWatch
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
-from track_range.stereo.rectification import Rectifier, Undistorter
-from track_range.stereo.rig import RigError, StereoRig
-from track_range.stereo.rig_checks import check_camera
-from track_range.stereo.rig_files import find_rig, left_from_reference_m, load_camera, load_rig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rectification import Rectifier, Undistorter
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import check_camera
+from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
 from track_range.stereo_alignment import FoundAlignment, Progress, find_alignment
 from track_range.stereo_frames import Reader, StereoFrames, eye_reader
 from track_range.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length

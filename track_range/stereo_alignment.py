@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from track_range.pair_watch import order_checked
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_drive import DriveAlignment
-from track_range.stereo.alignment_file import load_alignment
-from track_range.stereo.frames import Frame
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
 
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Opens a progress bar with a text; what it yields is told steps done, and of how many."""

@@ -11,8 +11,8 @@ from track_range.live_address import LiveAddress
 from track_range.live_pair import LivePair
 from track_range.live_reader import LiveReader
 from track_range.pairing import StereoVideo
-from track_range.stereo.frames import Frame
-from track_range.stereo.rectification import Rectifier
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rectification import Rectifier
 from track_range.video import VideoError, VideoReader
 
 Reader = VideoReader | LiveReader

@@ -14,9 +14,9 @@ from itertools import islice
 import numpy as np
 
 from track_range.pair_watch import MAX_CHECKED_PAIRS, checked_pair
-from track_range.stereo.alignment import MAX_ROW_OFFSET_PX
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 
 _ASSUMED_FIELD_DEG = 75.0
 """Horizontal field of view; road cameras have 60 to 90 degrees (KITTI's 81), some wider."""

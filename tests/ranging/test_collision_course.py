@@ -7,7 +7,7 @@ import pytest
 
 from track_range.detection.detections import FloatArray
 from track_range.ranging.collision_course import CollisionCourse, Misses
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)

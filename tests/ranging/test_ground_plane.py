@@ -8,8 +8,8 @@ from track_range.ranging.ground_plane import GroundPlane, GroundPlaneRanger, Gro
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_regression import SizeRegressionRanger
 from track_range.ranging.surface_offset import surface_offset_m
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 F_PX, CY_PX, HEIGHT_M = 700.0, 180.0, 1.65

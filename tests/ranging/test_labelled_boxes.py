@@ -3,7 +3,7 @@ import pytest
 
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.ranging.labelled_boxes import FRAME_STEP_S, box_set, greedy_matches
-from track_range.stereo.rig import RigError
+from track_range.stereo.geometry.rig import RigError
 
 
 def test_a_car_seen_from_behind_by_hand(tmp_path, row, drives):

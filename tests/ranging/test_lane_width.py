@@ -7,8 +7,8 @@ from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(FOCAL_PX, FOCAL_PX, CENTRE_PX, HORIZON_PX, HW[1], HW[0])

@@ -4,7 +4,7 @@ import numpy as np
 
 from track_range.ranging.ranger import OncePerFrame
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 IMAGE = np.zeros((80, 100, 3), np.uint8)

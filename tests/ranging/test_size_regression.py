@@ -7,8 +7,8 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
 from track_range.ranging.measured_boxes import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.ranging.size_regression import SizeRegressionRanger
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)

@@ -5,8 +5,8 @@ import pytest
 
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_scaled_stereo import FocalBaseline, SizeScaledRanger
-from track_range.stereo.frames import Frame
-from track_range.stereo.patch_matches import PatchMatches
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.matching.patch_matches import PatchMatches
 from track_range.tracking.tracks import Tracks
 
 IMAGE = np.zeros((200, 320, 3), np.uint8)

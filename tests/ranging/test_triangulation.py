@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 
 from track_range.ranging.triangulation import DenseRanger, PatchRanger, Triangulation
-from track_range.stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
-from track_range.stereo.patch_matcher import PatchMatcher
-from track_range.stereo.patch_matches import Outcome, PatchMatches
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matcher import PatchMatcher
+from track_range.stereo.matching.patch_matches import Outcome, PatchMatches
 from track_range.tracking.tracks import Tracks
 
 RIG = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 159.5, 99.5, 320, 200), 0.5)

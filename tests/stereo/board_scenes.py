@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.stereo.board_views import BoardView
-from track_range.stereo.boards import Board, CharucoBoard, ChessBoard, charuco_detectors
-from track_range.stereo.calibration import residuals_px
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.calibration.board_views import BoardView
+from track_range.stereo.calibration.boards import Board, CharucoBoard, ChessBoard, charuco_detectors
+from track_range.stereo.calibration.one_camera import residuals_px
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 CAMERA = PinholeCamera(520.0, 523.0, 315.0, 183.0, 640, 360, (-0.12, 0.05, 0.001, -0.0005, 0.0))
 CHESS = ChessBoard(9, 6, 0.03)

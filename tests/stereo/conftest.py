@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import pytest
 
-from track_range.stereo.board_views import BoardFinder, BoardView, RejectedView
-from track_range.stereo.boards import ChessBoard
+from track_range.stereo.calibration.board_views import BoardFinder, BoardView, RejectedView
+from track_range.stereo.calibration.boards import ChessBoard
 
 
 @pytest.fixture(scope="session")

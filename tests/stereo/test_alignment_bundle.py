@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.alignment_bundle import Bundle, Sightings, fit_bundle, linearised
-from track_range.stereo.alignment_start import start_bundle
-from track_range.stereo.alignment_stretch import Stretch, stretch_of, together
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.alignment.bundle_adjustment import Bundle, Sightings, fit_bundle, linearised
+from track_range.stereo.alignment.initial_poses import start_bundle
+from track_range.stereo.alignment.segments import Stretch, stretch_of, together
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,12 +13,12 @@ import pytest
 
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
-from track_range.stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
-from track_range.stereo.alignment_drive import MIN_FRAMES, DriveAlignment
-from track_range.stereo.alignment_tracks import FeatureTracks, row_offset_px
-from track_range.stereo.frames import Frame
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.rig_files import load_rig
+from track_range.stereo.alignment.feature_tracks import FeatureTracks, row_offset_px
+from track_range.stereo.alignment.from_drive import MIN_FRAMES, DriveAlignment
+from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.rig_formats.reading import load_rig
 
 Image = npt.NDArray[np.uint8]
 

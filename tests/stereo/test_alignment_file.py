@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_file import load_alignment, save_alignment
-from track_range.stereo.rig import RigError
+from track_range.stereo.alignment.file import load_alignment, save_alignment
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.rig import RigError
 
 
 def test_round_trip(tmp_path: Path) -> None:

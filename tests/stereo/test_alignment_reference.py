@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_reference import fit_reference
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.kitti_2015 import read_pairs
-from track_range.stereo.patch_matcher import PatchMatcher
-from track_range.stereo.rig import RigError
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.kitti_2015 import read_pairs
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.matching.patch_matcher import PatchMatcher
 
 FloatArray = npt.NDArray[np.float64]
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)

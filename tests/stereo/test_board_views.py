@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, CHESS, drawn, exact_view, pose, rig, varied_poses
-from track_range.stereo.board_views import BoardFinder, BoardView, RejectedView, in_step, markers_seen, sizes_seen
-from track_range.stereo.boards import CharucoBoard, ChessBoard, charuco_detectors
+from track_range.stereo.calibration.board_views import (
+    BoardFinder,
+    BoardView,
+    RejectedView,
+    in_step,
+    markers_seen,
+    sizes_seen,
+)
+from track_range.stereo.calibration.boards import CharucoBoard, ChessBoard, charuco_detectors
 
 CHARUCO = CharucoBoard(8, 6, 0.04, 0.03)
 SMALL = dataclasses.replace(CAMERA, distortion=())

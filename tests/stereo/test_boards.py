@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.stereo.boards import CharucoBoard, ChessBoard, board_of, charuco_detectors, dictionaries
+from track_range.stereo.calibration.boards import CharucoBoard, ChessBoard, board_of, charuco_detectors, dictionaries
 
 
 def test_a_chessboard_counts_inner_corners_row_by_row():

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.stereo.kitti_folder import write_set
-from track_range.stereo.box_matchers import MATCHER_NAMES, measure_pairs, one_thread, open_matcher
-from track_range.stereo.kitti_2015 import read_pairs
+from track_range.stereo.evaluation.kitti_2015 import read_pairs
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs, one_thread, open_matcher
 
 
 def test_every_matcher_reads_exact_pairs(tmp_path: Path) -> None:

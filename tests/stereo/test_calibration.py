@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, drawn, exact_view, exact_views, pose, varied_poses
-from track_range.stereo.board_views import BoardFinder, BoardView
-from track_range.stereo.boards import CalibrationError, ChessBoard
-from track_range.stereo.calibration import calibrate_camera, jackknife_sd, leave_out_groups
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.calibration.board_views import BoardFinder, BoardView
+from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
+from track_range.stereo.calibration.one_camera import calibrate_camera, jackknife_sd, leave_out_groups
+from track_range.stereo.geometry.camera import PinholeCamera
 
 
 def within(found, true: PinholeCamera, n_sds: float) -> bool:

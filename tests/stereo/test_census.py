@@ -8,8 +8,8 @@ import numpy.typing as npt
 import pytest
 
 from tests.stereo.shifted_pairs import pair
-from track_range.stereo.box_windows import BoxWindows, GreyLevels
-from track_range.stereo.census import census, cost_curves
+from track_range.stereo.matching.census import census, cost_curves
+from track_range.stereo.matching.sample_windows import BoxWindows, GreyLevels
 
 Image = npt.NDArray[np.uint8]
 

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.box_windows import BoxWindows
-from track_range.stereo.clarity import Clarity, clarity_of
-from track_range.stereo.surfaces import Surface
+from track_range.stereo.matching.confidence import Clarity, clarity_of
+from track_range.stereo.matching.sample_windows import BoxWindows
+from track_range.stereo.matching.surfaces import Surface
 
 FloatArray = npt.NDArray[np.float64]
 

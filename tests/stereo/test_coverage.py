@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, exact_view, pose, varied_poses
-from track_range.stereo.coverage import coverage_of, lack_of_motion, varied, view_shape
+from track_range.stereo.calibration.coverage import coverage_of, lack_of_motion, varied, view_shape
 
 
 def covered(poses):

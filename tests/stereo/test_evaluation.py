@@ -10,11 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_reference import fit_reference
-from track_range.stereo.box_matchers import measure_pairs
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.evaluation import (
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.disparity_errors import (
     Column,
     Objects,
     common_figures,
@@ -24,7 +22,9 @@ from track_range.stereo.evaluation import (
     left_out_alignments,
     matcher_figures,
 )
-from track_range.stereo.kitti_2015 import read_pairs
+from track_range.stereo.evaluation.kitti_2015 import read_pairs
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.matching.box_matchers import measure_pairs
 
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 NAN = np.nan

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from track_range.stereo.rig import RigError
-from track_range.stereo.rig_files import load_calibration, load_camera, load_rig
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
 
 SIZE = (752, 480)
 CHAIN = """cam0:

@@ -10,8 +10,14 @@ import numpy as np
 import pytest
 
 from tests.stereo.kitti_folder import BASELINE_M, CALIBRATION, CARS, FOCAL_PX, write_pair, write_set
-from track_range.stereo.kitti_2015 import PairFileError, is_kitti_2015, labelled_instances, pair_names, read_pairs
-from track_range.stereo.rig import RigError
+from track_range.stereo.evaluation.kitti_2015 import (
+    PairFileError,
+    is_kitti_2015,
+    labelled_instances,
+    pair_names,
+    read_pairs,
+)
+from track_range.stereo.geometry.rig import RigError
 
 
 def test_pairs_come_by_name_with_boxes_truth_and_rig(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.stereo.rig import RigError
-from track_range.stereo.rig_files import left_from_reference_m, load_camera, load_rig
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.reading import left_from_reference_m, load_camera, load_rig
 
 SIZE = (1280, 720)
 

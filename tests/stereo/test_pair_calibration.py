@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import exact_pairs, exact_view, pose, rig
-from track_range.stereo.board_views import BoardFinder, in_step
-from track_range.stereo.boards import CalibrationError, ChessBoard
-from track_range.stereo.pair_calibration import calibrate_pair, rows_px
+from track_range.stereo.calibration.board_views import BoardFinder, in_step
+from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
+from track_range.stereo.calibration.two_cameras import calibrate_pair, rows_px
 
 TRUE = rig()
 PAIRS = exact_pairs(TRUE, 12)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.pair_check import check_pair
+from track_range.stereo.alignment.swap_check import check_pair
 
 Image = npt.NDArray[np.uint8]
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tests.stereo.shifted_pairs import Image, pair, pair_of_two, shifted, texture, tilted_pair, to_u8
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.patch_matches import REASONS, Outcome, PatchMatches
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.matching.patch_matches import REASONS, Outcome, PatchMatches
 
 FloatArray = npt.NDArray[np.float64]
 

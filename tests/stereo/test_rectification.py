@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import whole_image
-from track_range.stereo.rectification import Rectifier, Undistorter
-from track_range.stereo.rig import RigError, StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.rectification import Rectifier, Undistorter
+from track_range.stereo.geometry.rig import RigError, StereoRig
 
 FloatArray = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.stereo.shifted_pairs import Image, pair, shifted, texture, tilted_pair, to_u8
-from track_range.stereo.box_windows import BoxWindows, GreyLevels
-from track_range.stereo.kitti_2015 import pair_names, read_pair
-from track_range.stereo.patch_matcher import PatchMatcher
-from track_range.stereo.refinement import refined_windows
-from track_range.stereo.surfaces import WindowMatches
+from track_range.stereo.evaluation.kitti_2015 import pair_names, read_pair
+from track_range.stereo.matching.patch_matcher import PatchMatcher
+from track_range.stereo.matching.sample_windows import BoxWindows, GreyLevels
+from track_range.stereo.matching.subpixel import refined_windows
+from track_range.stereo.matching.surfaces import WindowMatches
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

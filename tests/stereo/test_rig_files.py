@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import RigError, StereoRig
-from track_range.stereo.rig_checks import check_rig
-from track_range.stereo.rig_files import find_rig, load_camera, load_rig, save_rig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import check_rig
+from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig, save_rig
 
 SIZE = (1280, 720)
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, rig
-from track_range.stereo.rig import RigError, StereoRig
-from track_range.stereo.rig_files import load_calibration, load_camera, load_rig
-from track_range.stereo.rig_writing import save_camera, save_opencv, save_rig
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
+from track_range.stereo.rig_formats.writing import save_camera, save_opencv, save_rig
 
 SIZE = (640, 360)
 TRUE = rig()

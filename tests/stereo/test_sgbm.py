@@ -7,9 +7,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, disparity_picture, inner_half_median
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.sgbm import (
+    Mode,
+    Sgbm,
+    SgbmSettings,
+    centre_disparity,
+    disparity_picture,
+    inner_half_median,
+)
 
 Image = npt.NDArray[np.uint8]
 

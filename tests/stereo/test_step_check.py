@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.step_check import check_step
+from track_range.stereo.alignment.sync_check import check_step
 
 Image = npt.NDArray[np.uint8]
 

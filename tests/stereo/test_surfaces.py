@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.surfaces import Surface, matched_windows, object_surface
+from track_range.stereo.matching.surfaces import Surface, matched_windows, object_surface
 
 FloatArray = npt.NDArray[np.float64]
 

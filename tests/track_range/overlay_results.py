@@ -9,7 +9,7 @@ import numpy as np
 from track_range.detection.detections import BoolArray, Image
 from track_range.ranging.ranges import Ranges
 from track_range.results import FrameResult
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 HEIGHT, WIDTH = 374, 1242

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, drawn, pose, rig, varied_poses
-from track_range.stereo.boards import CharucoBoard
-from track_range.stereo.rig_files import load_calibration, load_camera, load_rig
+from track_range.stereo.calibration.boards import CharucoBoard
+from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
 
 TRUE = rig()
 N = 8

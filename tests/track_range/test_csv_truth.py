@@ -12,7 +12,7 @@ import pytest
 
 from track_range.ranging.truth import CSV_PROTOCOL, read_truth
 from track_range.simulation.drive import Drive, write_drive
-from track_range.stereo.rig_files import load_rig
+from track_range.stereo.rig_formats.reading import load_rig
 
 N_FRAMES = 12
 

@@ -12,9 +12,9 @@ from tests.stereo.kitti_folder import write_pair, write_set
 from track_range.drive_pairs import read_drive
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render import kitti_like_rig
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_file import save_alignment
-from track_range.stereo.evaluation import BANDS_M
+from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.disparity_errors import BANDS_M
 
 KEYS = {
     "coverage", "failures_pct", "n", "median_relative_error_pct", "mean_relative_error_pct", "p95_relative_error_pct",

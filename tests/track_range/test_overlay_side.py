@@ -7,8 +7,8 @@ import numpy as np
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, result
 from track_range.overlay import Overlay
 from track_range.overlay_side import SCALE_M, DisparityPicture, SidePicture
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 RIG = StereoRig.rectified(PinholeCamera(700.0, 700.0, 620.5, 186.5, WIDTH, HEIGHT), 0.5)
 

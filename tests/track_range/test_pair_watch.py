@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from track_range.pair_watch import MAX_CHECKED_PAIRS, PairWatch, checked_pair, order_checked
-from track_range.stereo.frames import Frame
-from track_range.stereo.rig import RigError
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import RigError
 
 SIZE_PX = (480, 260)
 

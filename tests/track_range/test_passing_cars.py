@@ -8,8 +8,8 @@ from track_range.detection.detections import Detections, FloatArray, Image
 from track_range.pipeline import Pipeline
 from track_range.ranging.ranges import Ranges
 from track_range.results import FrameResult
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.0, 187.0, 1241, 374)

@@ -8,8 +8,8 @@ from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.pipeline import Pipeline
 from track_range.ranging.ground_plane import GroundPlane
 from track_range.ranging.ranges import Ranges
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)

@@ -12,10 +12,10 @@ from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
 from track_range.source import open_source
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.rig_files import save_rig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.rig_formats.reading import save_rig
 from track_range.tracking.tracks import Tracks
 
 IDEAL = kitti_like_rig()

@@ -5,7 +5,7 @@ import pytest
 
 from track_range.ranging.ranges import Ranges
 from track_range.results import COLUMNS, FrameResult, ResultRows, read_tracks_csv
-from track_range.stereo.frames import Frame
+from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 from track_range.written import OutputError
 

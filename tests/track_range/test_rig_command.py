@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, rig
-from track_range.stereo.rig_files import load_calibration, load_rig
-from track_range.stereo.rig_writing import save_camera, save_rig
+from track_range.stereo.rig_formats.reading import load_calibration, load_rig
+from track_range.stereo.rig_formats.writing import save_camera, save_rig
 
 KITTI = "P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -350 0 700 180 0 0 0 1 0\n"
 

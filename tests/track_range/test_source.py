@@ -8,10 +8,10 @@ import pytest
 
 from track_range.config import RunSettings
 from track_range.source import open_source
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.frames import whole_image
-from track_range.stereo.rig import RigError, StereoRig
-from track_range.stereo.rig_files import save_rig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import save_rig
 from track_range.video import VideoError
 
 WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12

@@ -4,10 +4,10 @@ import pytest
 
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
-from track_range.stereo.alignment import UNCORRECTED_SIGMA_PX, Alignment
-from track_range.stereo.alignment_file import save_alignment
-from track_range.stereo.frames import Frame
-from track_range.stereo.rig import RigError
+from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import RigError
 from track_range.stereo_alignment import FoundAlignment, find_alignment
 
 RIG = kitti_like_rig(width_px=620, height_px=188)

@@ -10,8 +10,8 @@ import yaml
 
 from track_range.results import read_tracks_csv
 from track_range.simulation.drive import write_drive
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_file import save_alignment
+from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.model import Alignment
 
 
 @pytest.fixture(scope="module")

@@ -17,16 +17,16 @@ from track_range.config import UsageError
 from track_range.drive_pairs import LEFT, RIGHT
 from track_range.pair_watch import order_checked
 from track_range.reference_pairs import OpenedPair, open_pair, reference_pairs
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_drive import DriveAlignment
-from track_range.stereo.alignment_file import save_alignment
-from track_range.stereo.alignment_reference import fit_reference
-from track_range.stereo.alignment_tracks import row_offset_px
-from track_range.stereo.box_matchers import measure_pairs
-from track_range.stereo.frames import whole_image
-from track_range.stereo.kitti_2015 import StereoPair
-from track_range.stereo.rig import RigError
-from track_range.stereo.rig_files import find_rig
+from track_range.stereo.alignment.feature_tracks import row_offset_px
+from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.kitti_2015 import StereoPair
+from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.matching.box_matchers import measure_pairs
+from track_range.stereo.rig_formats.reading import find_rig
 from track_range.written import check_outputs, write_text
 
 _MATCHER = "patch"

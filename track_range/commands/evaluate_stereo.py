@@ -14,12 +14,18 @@ from track_range import tables
 from track_range.commands.progress import say, step_progress
 from track_range.config import UsageError
 from track_range.drive_pairs import is_drive, read_drive
-from track_range.stereo.alignment import Alignment
-from track_range.stereo.alignment_file import load_alignment
-from track_range.stereo.alignment_reference import fit_reference
-from track_range.stereo.box_matchers import MATCHER_NAMES, Measured, measure_pairs
-from track_range.stereo.evaluation import Column, common_figures, corrected, left_out_alignments, matcher_figures
-from track_range.stereo.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.disparity_errors import (
+    Column,
+    common_figures,
+    corrected,
+    left_out_alignments,
+    matcher_figures,
+)
+from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES, Measured, measure_pairs
 from track_range.terminal_tables import tell_grid
 
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"

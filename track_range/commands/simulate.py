@@ -18,8 +18,8 @@ from track_range.simulation.faults import Faults, WrongRig
 from track_range.simulation.images import write_image_set
 from track_range.simulation.render import NOISE_GREY
 from track_range.simulation.scenarios import SCENARIOS
-from track_range.stereo.rig import RigError, StereoRig
-from track_range.stereo.rig_files import load_calibration
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import load_calibration
 
 DEFAULT_SCENARIO, DEFAULT_SECONDS, DEFAULT_FPS, FIRST_IMAGE_SCENE = "city", 10.0, 10.0, 1000
 LONGEST_S = 600.0

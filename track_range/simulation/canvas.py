@@ -16,7 +16,7 @@ from track_range.detection.detections import FloatArray, Image
 from track_range.simulation.face_table import FaceTable
 from track_range.simulation.pieces import NEAR_M, Projected, projected, seen_pieces
 from track_range.simulation.texture_store import TextureStore
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 HALF_SEEN = 112
 """Alpha from which a sample counts as hit; a little below half, so that no gap opens between pieces of one face."""

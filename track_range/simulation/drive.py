@@ -39,9 +39,9 @@ from track_range.simulation.render import NOISE_GREY, Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.truth import joined, seen_at
 from track_range.simulation.truth_table import HEADER, ego_speed_text, truth_rows
-from track_range.stereo.box_matchers import one_thread
-from track_range.stereo.rig import StereoRig
-from track_range.stereo.rig_files import save_rig
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.box_matchers import one_thread
+from track_range.stereo.rig_formats.reading import save_rig
 from track_range.written import make_folder, write_text
 
 __all__ = ["Drive", "DriveOptions", "kitti_text", "write_drive"]

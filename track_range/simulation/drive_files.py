@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from track_range.detection.detections import FloatArray, Image
 from track_range.simulation.truth import SeenObjects
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.video import VideoWriter
 from track_range.written import make_folder, write_bytes
 

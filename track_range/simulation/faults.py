@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from track_range.detection.detections import Image
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 WrongRig = Literal["baseline", "focal", "principal"]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.detection.detections import FloatArray, Image
 from track_range.simulation.scene import RoadUser, Scene
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)
 """Of a town's sky and distant lamps; blue, green, red."""

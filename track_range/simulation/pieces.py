@@ -16,7 +16,7 @@ import numpy as np
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.simulation.face_table import FaceTable
 from track_range.simulation.texture_store import stepped_up
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 NEAR_M = 0.3
 DEPTH_RATIO = 1.4

@@ -28,8 +28,8 @@ from track_range.simulation.street import FAR_M, Street
 from track_range.simulation.surface import Surface
 from track_range.simulation.texture_store import TextureStore
 from track_range.simulation.truth import corners_m
-from track_range.stereo.camera import PinholeCamera
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 Eye = Literal["left", "right"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from track_range.detection.detections import BoolArray, FloatArray, Image
 from track_range.simulation.canvas import HALF_SEEN
 from track_range.simulation.faces import Face
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 N_TRIES = 15
 """Per side of the grid of rays round the centre, where the one through the centre passes the body by."""

@@ -17,7 +17,7 @@ from track_range.detection.formats.kitti import KittiLabels
 from track_range.ranging.box_surface import surface_distance_m
 from track_range.simulation.road_shape import turned_about_y
 from track_range.simulation.scene import Scene
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 FARTHEST_M = 100.0
 DONT_CARE_BELOW_PX = 10.0

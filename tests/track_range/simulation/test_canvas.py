@@ -7,7 +7,7 @@ from track_range.simulation.canvas import Canvas
 from track_range.simulation.face_table import FaceTable, joined_tables
 from track_range.simulation.faces import Face
 from track_range.simulation.texture_store import TextureStore
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 29.5, 100, 60)
 RED, BLUE, GREY = (0, 0, 250), (250, 0, 0), (100, 100, 100)

@@ -8,7 +8,7 @@ from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.faults import Faults
 from track_range.simulation.render import Renderer, kitti_like_rig, noise_steps
 from track_range.simulation.scenarios import make_scenario
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.rig import StereoRig
 from track_range.video import VideoReader
 
 RIG = kitti_like_rig(width_px=620, height_px=188)

@@ -11,7 +11,7 @@ from track_range.simulation.render import Renderer, kitti_like_rig, render
 from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.street import FAR_M, stretches
 from track_range.simulation.truth import label_scene
-from track_range.stereo.rig import StereoRig
+from track_range.stereo.geometry.rig import StereoRig
 
 RIG = kitti_like_rig()
 F, CX, CY = RIG.left.fx_px, RIG.left.cx_px, RIG.left.cy_px

@@ -11,7 +11,7 @@ from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.road_shape import turned_about_y, turned_on_slope
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.surface import Surface, centre_depth_m, first_depths_m
-from track_range.stereo.camera import PinholeCamera
+from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 500.0, 200.0, 1000, 400)
 RIG = kitti_like_rig()

@@ -1,0 +1,1 @@
+"""Alignment: systematic disparity and row errors of a rig, estimated and corrected."""

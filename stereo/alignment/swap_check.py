@@ -1,0 +1,140 @@
+"""check_pair: does a rectified pair keep its rows, and is left really left? From sparse features of one pair.
+
+    row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for every real point
+
+A pair whose disparities are nearly all negative, in equal rows, has been swapped. Few matches, unequal rows or
+disparities of both signs say nothing, and "unknown" is the answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from track_range.stereo.geometry.frames import Image
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+EyeOrder = Literal["right", "swapped", "unknown"]
+
+_N_FEATURES = 2000
+
+_MAX_RATIO = 0.85
+"""A match must be nearer than this share of the next best one (Lowe 2004)."""
+
+_ROW_TOLERANCE_PX = 2.0
+"""Matches in rows further from the median offset are wrong ones."""
+
+_CLEAR_DISPARITY_PX = 1.0
+"""Disparities below it, of far points and of small errors of alignment, are of no sign."""
+
+_MIN_MATCHES = 30
+
+_MIN_SHARE_OF_SIGN = 0.8
+"""Share of the signed disparities that must agree."""
+
+_MIN_SHARE_IN_ROW = 0.5
+"""Share of all matches that must agree in row; of chance matches about one in a hundred does."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairCheck:
+    """What the matches of one pair say.
+
+    Attributes:
+        n_matches: matches that agree in row.
+        row_offset_px: mean of y_right - y_left over them (features lie on whole rows, so a median would too); NaN
+            without matches.
+        negative_share: share of them with a disparity below -1 px, 0..1; NaN without matches.
+        eye_order: "right", "swapped", or "unknown" where the matches do not tell.
+    """
+
+    n_matches: int
+    row_offset_px: float
+    negative_share: float
+    eye_order: EyeOrder
+
+    @property
+    def is_conclusive(self) -> bool:
+        """Whether the matches tell left from right; only then is the row offset worth a word, too."""
+        return self.eye_order != "unknown"
+
+    @property
+    def is_swapped(self) -> bool:
+        """Whether left and right are certainly swapped."""
+        return self.eye_order == "swapped"
+
+
+def check_pair(left: Image, right: Image) -> PairCheck:
+    """Check one pair, (H, W) or (H, W, 3) uint8 each, taken by a rig that is (or has been) rectified."""
+    left_px, right_px = matched_points(Features.of(left), Features.of(right))
+    if len(left_px) == 0:
+        return PairCheck(0, float("nan"), float("nan"), "unknown")
+    row_offset = right_px[:, 1] - left_px[:, 1]
+    agreeing = is_in_row(left_px, right_px, tolerance_px=_ROW_TOLERANCE_PX)
+    disparity_px = (left_px - right_px)[agreeing, 0]
+    return PairCheck(
+        n_matches=int(agreeing.sum()),
+        row_offset_px=float(row_offset[agreeing].mean()),
+        negative_share=float((disparity_px < -_CLEAR_DISPARITY_PX).mean()),
+        eye_order=_eye_order(disparity_px, float(agreeing.mean())),
+    )
+
+
+def is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float) -> BoolArray:
+    """(N,) which of the matched points (N, 2) are as far apart in y as most, give or take `tolerance_px`."""
+    row_offset = right_px[:, 1] - left_px[:, 1]
+    return np.asarray(np.abs(row_offset - _mode_px(row_offset, tolerance_px)) <= tolerance_px)
+
+
+def _mode_px(offset_px: FloatArray, tolerance_px: float) -> float:
+    """The centre of the fullest row band, which wrong matches, scattered over all rows, do not move."""
+    offsets = np.sort(offset_px)
+    until = np.searchsorted(offsets, offsets + 2 * tolerance_px, side="right")
+    start = int((until - np.arange(len(offsets))).argmax())
+    return float(np.median(offsets[start : until[start]]))
+
+
+def _eye_order(disparity_px: FloatArray, share_agreeing: float) -> EyeOrder:
+    signed = disparity_px[np.abs(disparity_px) > _CLEAR_DISPARITY_PX]
+    if len(signed) < _MIN_MATCHES or share_agreeing < _MIN_SHARE_IN_ROW:
+        return "unknown"
+    share_negative = float((signed < 0).mean())
+    if share_negative > _MIN_SHARE_OF_SIGN:
+        return "swapped"
+    return "right" if share_negative < 1 - _MIN_SHARE_OF_SIGN else "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """ORB features of one image: (N, 2) pixels and (N, 32) descriptors."""
+
+    xy_px: FloatArray
+    words: npt.NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, image: Image) -> Features:
+        """Those of an image (H, W) or (H, W, 3)."""
+        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+        points, words = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey, None)
+        xy_px = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
+        return cls(xy_px, np.zeros((0, 32), np.uint8) if len(points) == 0 else np.asarray(words, np.uint8))
+
+
+def matched_points(left: Features, right: Features) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) pixels of matching features in the left and the right image: each other's best, and clearly so."""
+    if min(len(left.xy_px), len(right.xy_px)) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(right.words, left.words)}
+    pairs = [
+        (first.queryIdx, first.trainIdx)
+        for first, second in matcher.knnMatch(left.words, right.words, k=2)
+        if first.distance < _MAX_RATIO * second.distance and back[first.trainIdx] == first.queryIdx
+    ]
+    chosen = np.array(pairs, np.int64).reshape(-1, 2)
+    return left.xy_px[chosen[:, 0]], right.xy_px[chosen[:, 1]]

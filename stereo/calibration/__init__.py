@@ -1,0 +1,1 @@
+"""Calibration of one camera and of a pair from pictures of boards."""

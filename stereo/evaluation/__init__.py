@@ -1,0 +1,1 @@
+"""Errors of matchers against known disparities."""

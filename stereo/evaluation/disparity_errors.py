@@ -1,0 +1,189 @@
+"""How far measured disparities, and the distances they stand for, are from the truth: the figures of stereo matchers.
+
+    d = f B / disparity        error = d / d_true - 1 = true_px / measured_px - 1
+
+A failure is an object without a value or with an error above 15 %. Intervals are 95 % bootstrap: objects of one pair
+(one track of a drive) err together, so pairs (tracks) are drawn, not objects. As in `ranging/evaluation.py`, `bias_pct`
+is the median error and shares are fractions 0..1; `n` counts all objects, `n_measured` those with a value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))
+"""Bands of true distance that errors are also told in; objects outside them count in the whole."""
+
+FAILURE = 0.15
+"""Relative distance error from which a value is a failure, as no value is."""
+
+N_RESAMPLES = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """What one matcher read of N objects: (N,) disparity and (N,) standard deviation, px; NaN = no value."""
+
+    disparity_px: FloatArray
+    sigma_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """The objects that are measured, with their truth.
+
+    Attributes:
+        true_px: (N,) true disparity.
+        focal_baseline_m: (N,) f B, px m: a disparity divides it into a distance.
+        x_px: (N,) column of the box's middle in the left image.
+        pair: (N,) number of the pair (frame) that each is in, an index into `cameras`.
+        group: (N,) which objects err together: the pair, or the track of a drive.
+        cameras: rectified left camera of each pair.
+    """
+
+    true_px: FloatArray
+    focal_baseline_m: FloatArray
+    x_px: FloatArray
+    pair: IntArray
+    group: IntArray
+    cameras: tuple[PinholeCamera, ...]
+
+    def __len__(self) -> int:
+        return len(self.true_px)
+
+    @property
+    def distance_m(self) -> FloatArray:
+        """(N,) true distance."""
+        return self.focal_baseline_m / self.true_px
+
+
+def corrected(column: Column, objects: Objects, alignments: Mapping[int, Alignment]) -> Column:
+    """The column put right, each pair's disparities by that pair's own alignment; not positive ones become NaN."""
+    disparity_px, sigma_px = column.disparity_px.copy(), column.sigma_px.copy()
+    for number, camera in enumerate(objects.cameras):
+        rows = objects.pair == number
+        disparity_px[rows], sigma_px[rows] = alignments[number].corrected(
+            disparity_px[rows], sigma_px[rows], x_px=objects.x_px[rows], camera=camera
+        )
+    good = disparity_px > 0
+    return Column(np.where(good, disparity_px, np.nan), np.where(good, sigma_px, np.nan))
+
+
+def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
+    """Pairs in order of name, `n_left_out` at a time, the last fold perhaps fewer."""
+    return [range(start, min(start + n_left_out, n_pairs)) for start in range(0, n_pairs, n_left_out)]
+
+
+Fit = Callable[..., Alignment]
+"""`stereo.alignment_reference.fit_reference`, or anything that is called as it is."""
+
+
+def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
+    """Alignment by pair, each fitted on all pairs but the two of its own fold.
+
+    Raises:
+        RigError: a fold leaves too few objects to fit.
+    """
+    found: dict[int, Alignment] = {}
+    for fold in folds(len(objects.cameras)):
+        rest = ~np.isin(objects.pair, list(fold))
+        alignment = fit(
+            column.disparity_px[rest],
+            objects.true_px[rest],
+            x_px=objects.x_px[rest],
+            camera=objects.cameras[0],
+            groups=objects.group[rest],
+            sigma_px=column.sigma_px[rest],
+            seed=seed,
+        )
+        found |= dict.fromkeys(fold, alignment)
+    return found
+
+
+def matcher_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """Figures of each matcher over all objects, with bands and bootstrap intervals."""
+    return {name: _figures_with_intervals(column, objects, seed=seed) for name, column in columns.items()}
+
+
+def common_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
+    """The same over objects that every matcher has a value for, so that none looks good by refusing the hard ones."""
+    everyone = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
+    shared = _selected(objects, everyone)
+    return {
+        name: _figures_with_intervals(_rows(column, everyone), shared, seed=seed) for name, column in columns.items()
+    }
+
+
+def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
+    """Figures of one matcher over objects of the (N,) true disparities; None where there is nothing to say."""
+    found = np.isfinite(column.disparity_px)
+    measured_px, wanted_px, sigma_px = column.disparity_px[found], true_px[found], column.sigma_px[found]
+    error, off_px = wanted_px / measured_px - 1, np.abs(measured_px - wanted_px)
+    n_failed = int((~found).sum() + (np.abs(error) > FAILURE).sum())
+    has_value = len(error) > 0
+    return {
+        "coverage": _rounded(found.mean()) if len(found) else None,
+        "failures_pct": _rounded(100 * n_failed / len(found)) if len(found) else None,
+        "n": len(found),
+        "n_measured": len(error),
+        "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if has_value else None,
+        "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if has_value else None,
+        "p95_relative_error_pct": _rounded(100 * np.percentile(np.abs(error), 95)) if has_value else None,
+        "bias_pct": _rounded(100 * np.median(error)) if has_value else None,
+        "median_abs_error_px": _rounded(np.median(off_px)) if has_value else None,
+        "within_1_sigma": _rounded((off_px <= sigma_px).mean()) if has_value else None,
+        "within_2_sigma": _rounded((off_px <= 2 * sigma_px).mean()) if has_value else None,
+    }
+
+
+def _figures_with_intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, Any]:
+    bands = []
+    for low, high in BANDS_M:
+        rows = (objects.distance_m >= low) & (objects.distance_m < high)
+        inside = _figures_and_intervals(_rows(column, rows), _selected(objects, rows), seed=seed)
+        bands.append({"from_m": low, "to_m": high, **inside})
+    return {**_figures_and_intervals(column, objects, seed=seed), "bands": bands}
+
+
+def _figures_and_intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, Any]:
+    return {**figures(column, objects.true_px), "intervals": _intervals(column, objects, seed=seed)}
+
+
+def _intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, list[float]]:
+    """95 % interval of each figure, by drawing groups with replacement; none from fewer than two groups."""
+    members = [np.flatnonzero(objects.group == number) for number in np.unique(objects.group)]
+    if len(members) < 2:
+        return {}
+    rng = np.random.default_rng(seed)
+    drawn: dict[str, list[float]] = {}
+    for choice in rng.integers(len(members), size=(N_RESAMPLES, len(members))):
+        rows = np.concatenate([members[number] for number in choice])
+        for key, value in figures(_rows(column, rows), objects.true_px[rows]).items():
+            if value is not None and not key.startswith("n"):
+                drawn.setdefault(key, []).append(value)
+    return {key: [_rounded(end) for end in np.percentile(values, [2.5, 97.5])] for key, values in drawn.items()}
+
+
+def _rows(column: Column, rows: BoolArray | IntArray) -> Column:
+    return Column(column.disparity_px[rows], column.sigma_px[rows])
+
+
+def _selected(objects: Objects, rows: BoolArray) -> Objects:
+    parts = {name: getattr(objects, name)[rows] for name in ("true_px", "focal_baseline_m", "x_px", "pair", "group")}
+    return replace(objects, **parts)
+
+
+def _rounded(value: Any) -> float:
+    return round(float(value), 4)

@@ -1,0 +1,200 @@
+"""KITTI's stereo set of 2015: pairs of images with the true disparities of labelled cars.
+
+    FOLDER/image_2/NAME.png     left eye           FOLDER/disp_occ_0/NAME.png  true disparity * 256, 16 bit, 0 = unknown
+    FOLDER/image_3/NAME.png     right eye          FOLDER/obj_map/NAME.png     number of the car, 0 = none
+    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file of the user's
+
+An instance's box is the bounding box of its pixels, its truth the median of its true disparities in the box's inner
+half. (Menze & Geiger, "Object scene flow for autonomous vehicles", CVPR 2015.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from track_range.stereo.geometry.frames import Image, ImageView
+from track_range.stereo.geometry.rectification import Rectifier
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.matching.patches import inner_halves
+from track_range.stereo.rig_formats.reading import load_rig
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
+"""The four folders of a set."""
+
+MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
+"""Pixels of known disparity that an instance needs, in all and in its box's inner half."""
+
+_STEPS_PER_PX = 256.0
+
+
+class PairFileError(Exception):
+    """A set of stereo pairs that cannot be used; the message names the file and what is wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPair:
+    """One pair of a set, N labelled objects in it.
+
+    Attributes:
+        name: of the pair's files, without .png.
+        left: (H, W, 3) uint8 BGR, rectified.
+        right: the same of the right eye, perhaps grey, and only where it is looked at.
+        xyxy_px: (N, 4) boxes in the left image.
+        true_px: (N,) true disparity of each box's inner half.
+        rig: the rectified pair of cameras.
+        notes: what the user should know of the rig.
+        track_id: (N,) who each object is over the frames of a drive; (0,) where pairs are unrelated.
+    """
+
+    name: str
+    left: Image
+    right: ImageView
+    xyxy_px: FloatArray
+    true_px: FloatArray
+    rig: StereoRig
+    notes: tuple[str, ...] = ()
+    track_id: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @property
+    def x_px(self) -> FloatArray:
+        """(N,) column of each box's middle."""
+        return np.asarray((self.xyxy_px[:, 0] + self.xyxy_px[:, 2]) / 2)
+
+
+def is_kitti_2015(folder: Path) -> bool:
+    """Whether a folder, or its `training`, has the set's left images or its truths."""
+    return any((_root(folder) / part).is_dir() for part in (LEFT, TRUTH))
+
+
+def pair_names(folder: Path) -> list[str]:
+    """Names of the set's pairs, in order: those whose truth is there.
+
+    Raises:
+        PairFileError: no such folder, one of its four parts is missing, or there is no truth in it.
+    """
+    if not folder.is_dir():
+        raise PairFileError(f"{folder}: there is no such folder; give one with {LEFT}, {RIGHT}, {TRUTH}, {INSTANCES}.")
+    root = _root(folder)
+    missing = [part for part in (LEFT, RIGHT, TRUTH, INSTANCES) if not (root / part).is_dir()]
+    if missing:
+        raise PairFileError(
+            f"{folder}: the folder {' and '.join(missing)} is missing; KITTI 2015's {LEFT} (left eye), {RIGHT} (right "
+            f"eye), {TRUTH} (true disparities) and {INSTANCES} (cars) are wanted."
+        )
+    names = sorted(path.stem for path in (root / TRUTH).glob("*.png"))
+    if not names:
+        raise PairFileError(f"{root / TRUTH}: no true disparities (*.png) in it.")
+    return names
+
+
+def read_pairs(folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0) -> Iterator[StereoPair]:
+    """The pairs of a set, by name, read one by one.
+
+    Args:
+        folder: the set, or the folder whose `training` it is.
+        rig: a rig file of a rectified pair; None = the set's own calibration.
+        row_offset_px: y_right - y_left, taken out of the right images.
+
+    Raises:
+        PairFileError: a part or an image is missing, damaged, or of another size.
+        RigError: the calibration is missing, or cannot be used.
+    """
+    for name in pair_names(folder):
+        yield read_pair(folder, name, rig=rig, row_offset_px=row_offset_px)
+
+
+def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px: float = 0.0) -> StereoPair:
+    """One pair of a set; see `read_pairs`."""
+    root = _root(folder)
+    left, right, truth, instance = (_read(root / part / f"{name}.png") for part in (LEFT, RIGHT, TRUTH, INSTANCES))
+    for part, image in ((RIGHT, right), (TRUTH, truth), (INSTANCES, instance)):
+        if image.shape[:2] != left.shape[:2]:
+            raise PairFileError(
+                f"{root / part / name}.png: it is {_size(image)} px and its left image {_size(left)} px; equal sizes "
+                "wanted."
+            )
+    if truth.ndim != 2 or truth.dtype != np.uint16:
+        raise PairFileError(f"{root / TRUTH / name}.png: 16 bit grey (256 times the disparity) wanted.")
+    if instance.ndim != 2:
+        raise PairFileError(f"{root / INSTANCES / name}.png: grey (the number of the car) wanted, not colour.")
+    file = rig or _calibration(root, name)
+    cameras, notes = load_rig(file, size_px=(left.shape[1], left.shape[0]))
+    if not cameras.is_rectified:
+        raise RigError(f"{file}: it is of an unrectified pair, but the set's images are rectified; give their rig.")
+    boxes, true_px = labelled_instances(truth / _STEPS_PER_PX, instance)
+    level = Rectifier(cameras, row_offset_px=row_offset_px)
+    return StereoPair(name, *level.rectify(_in_colour(left), _in_colour(right)), boxes, true_px, cameras, notes)
+
+
+def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
+    """(N, 4) boxes and (N,) true disparities of the instances of which enough is known.
+
+    Args:
+        true_px: (H, W) true disparity, 0 = unknown.
+        instance: (H, W) number of each pixel's object, 0 = none.
+    """
+    boxes, found_px = [], []
+    for number in np.unique(instance[instance > 0]).tolist():
+        mask = instance == number
+        rows, columns = np.nonzero(mask)
+        box = np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
+        patch = next(inner_halves(box[None], (mask.shape[0], mask.shape[1]), margin_px=0, min_side_px=1))
+        known = mask & (true_px > 0)
+        if patch is None or known.sum() < MIN_TRUE_PIXELS:
+            continue
+        inner = (slice(patch.top, patch.bottom + 1), slice(patch.left, patch.right + 1))
+        values_px = true_px[inner][known[inner]]
+        if len(values_px) >= MIN_INNER_PIXELS:
+            boxes.append(box)
+            found_px.append(float(np.median(values_px)))
+    return np.array(boxes).reshape(-1, 4), np.array(found_px)
+
+
+def _root(folder: Path) -> Path:
+    inner = folder / "training"
+    return inner if not (folder / LEFT).is_dir() and (inner / LEFT).is_dir() else folder
+
+
+def _calibration(root: Path, name: str) -> Path:
+    """The pair's own file, else the set's."""
+    own = root / "calib_cam_to_cam" / f"{name.removesuffix('_10')}.txt"
+    file = own if own.is_file() else root / "calib.txt"
+    if not file.is_file():
+        raise RigError(
+            f"{root}: no calib.txt in it, nor {own.parent.name}/{own.name}; give the cameras with --rig FILE."
+        )
+    return file
+
+
+def _read(path: Path) -> npt.NDArray[np.integer]:
+    try:
+        encoded = np.fromfile(path, np.uint8)
+    except FileNotFoundError as error:
+        raise PairFileError(f"{path}: it is missing; each pair wants all four images.") from error
+    except OSError as error:
+        raise PairFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if len(encoded) else None
+    if image is None:
+        raise PairFileError(f"{path}: not an image, or a damaged one.")
+    return np.asarray(image)
+
+
+def _in_colour(image: npt.NDArray[np.integer]) -> Image:
+    """(H, W, 3) uint8 BGR of what a file holds."""
+    eight = image if image.dtype == np.uint8 else image >> 8
+    if eight.ndim == 2:
+        return np.repeat(eight.astype(np.uint8)[:, :, None], 3, axis=2)
+    return np.ascontiguousarray(eight[:, :, :3], np.uint8)
+
+
+def _size(image: npt.NDArray[np.integer]) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"

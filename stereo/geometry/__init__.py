@@ -1,0 +1,1 @@
+"""Cameras, rigs, rectification and frames."""

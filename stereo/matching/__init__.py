@@ -1,0 +1,1 @@
+"""Disparity of boxes and of whole images."""

@@ -1,0 +1,104 @@
+"""KITTI's calib.txt: 3 x 4 projection matrices P0..P3 of rectified cameras, P = K [I | t], t from reference camera 0.
+
+    P0, P1  left and right grey eye          P2, P3  left and right colour eye
+    t = K^-1 P[:, 3]                         baseline = -(P3[0, 3] - P2[0, 3]) / fx
+
+The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets, `P_rect_02: ...` in the raw one (which also
+gives the size, as S_rect_02), and some copies lack the colon. (Geiger et al., IJRR 2013.)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig_checks import Calibration
+
+FloatArray = npt.NDArray[np.float64]
+
+_LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
+
+_COLOUR, _GREY = (2, 3), (0, 1)
+
+
+def looks_like_kitti(text: str) -> bool:
+    """Whether any line of a file is one of KITTI's projections."""
+    return any(kind == "P" for kind, _, _ in _LINE.findall(text))
+
+
+def parse_kitti(text: str, source: object, *, is_grey: bool) -> Calibration:
+    """The cameras of a calib.txt: the colour pair, or the grey one where `is_grey` or there is no other.
+
+    Raises:
+        RigError: a matrix is not 12 numbers of the form K [I | t], or the left eye's is missing.
+    """
+    matrix, size = _matrices(text, source), _sizes(text)
+    pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
+    left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
+    if left not in matrix:
+        raise RigError(f"{source}: it has P{right} but not P{left}, the left eye's; give the whole file.")
+    left_camera = _camera(matrix[left], size.get(left, (0, 0)))
+    reference_m = np.linalg.solve(matrix[left][:, :3], matrix[left][:, 3])
+    notes = () if (left, right) == pairs[0] else (f"{source}: cameras {left} and {right} used, it has no others.",)
+    right_camera = right_from_left = None
+    if right in matrix:
+        right_camera = _camera(matrix[right], size.get(right, (0, 0)))
+        right_from_left = np.eye(4)
+        right_from_left[0, 3] = (matrix[right][0, 3] - matrix[left][0, 3]) / left_camera.fx_px
+    x_m, y_m, z_m = reference_m.tolist()
+    return Calibration(left_camera, right_camera, right_from_left, (x_m, y_m, z_m), notes)
+
+
+def missing_eye(text: str, *, is_grey: bool) -> str:
+    """Which matrix a file with one eye lacks, for the message that refuses it."""
+    found = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
+    left, right = _GREY if 0 in found and (is_grey or 2 not in found) else _COLOUR
+    return f"it has P{left} but not P{right}, the right eye's"
+
+
+def _matrices(text: str, source: object) -> Mapping[int, FloatArray]:
+    """The (3, 4) projections by camera number."""
+    found = {}
+    for kind, number, values in _LINE.findall(text):
+        if kind == "P":
+            found[int(number)] = _matrix(values, f"{source}: P{number}")
+    return found
+
+
+def _matrix(values: str, name: str) -> FloatArray:
+    words = values.split()
+    try:
+        matrix = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise RigError(f"{name}: '{values.strip()[:40]}' is not a row of numbers; give 12 of them.") from error
+    if len(words) != 12:
+        raise RigError(f"{name}: 12 numbers are wanted, {len(words)} found; give the whole file.")
+    matrix = matrix.reshape(3, 4)
+    is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
+    if not (is_upper and np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise RigError(
+            f"{name}: it is not a projection K [I | t] (focal lengths {matrix[0, 0]:g}, {matrix[1, 1]:g}); "
+            "give the file of the rectified images."
+        )
+    return matrix
+
+
+def _camera(matrix: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
+    return PinholeCamera(
+        float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]), size_px[0], size_px[1]
+    )
+
+
+def _sizes(text: str) -> Mapping[int, tuple[int, int]]:
+    """(width, height) by camera number, from the raw set's S_rect lines."""
+    found = {}
+    for kind, number, values in _LINE.findall(text):
+        if kind == "S" and re.fullmatch(r"\s*[\d.e+]+\s+[\d.e+]+\s*", values):
+            width, height = (round(float(word)) for word in values.split())
+            found[int(number)] = (width, height)
+    return found

@@ -1,0 +1,120 @@
+"""The files that OpenCV's calibration samples write: matrices in FileStorage (YAML, XML or JSON).
+
+    stereo_calib.cpp   intrinsics.yml  M1 D1 M2 D2     extrinsics.yml  R T (R1 R2 P1 P2 Q are not needed)
+    calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
+
+T is in the unit of the chessboard's squares, which for metres have to be given in metres. OpenCV's own YAML tags are
+not standard YAML, so OpenCV's reader is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig_checks import Calibration
+
+FloatArray = npt.NDArray[np.float64]
+
+_EXTRINSIC = ("R", "T")
+_SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+
+
+def looks_like_opencv(text: str) -> bool:
+    """Whether a file is OpenCV's FileStorage: its matrices carry a tag of their own."""
+    return "opencv-matrix" in text or "<opencv_storage>" in text
+
+
+def parse_opencv(text: str, path: Path) -> Calibration:
+    """The cameras of one file, or of intrinsics and extrinsics side by side, whichever of the two `path` is.
+
+    Raises:
+        RigError: the file is damaged, or it and its sibling lack a matrix.
+    """
+    values = dict(_matrices(text, path))
+    sibling = _sibling(path, values)
+    if sibling is not None:
+        values = {**_matrices(_text(sibling), sibling), **values}
+    if "camera_matrix" in values:
+        values.setdefault("M1", values["camera_matrix"])
+        values.setdefault("D1", values.get("distortion_coefficients", np.zeros(0)))
+    if "M1" not in values:
+        raise RigError(f"{path}: no matrix M1 in it (nor in intrinsics beside it); give stereo_calib's intrinsics.yml.")
+    left = _camera(values, "1", path)
+    if "M2" not in values or not all(key in values for key in _EXTRINSIC):
+        return Calibration(left, None, None)
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = _shaped(values["R"], (3, 3), "R", path)
+    right_from_left[:3, 3] = _shaped(values["T"], (3,), "T", path)
+    baseline_m = float(np.linalg.norm(right_from_left[:3, 3]))
+    note = f"{path}: baseline {baseline_m:.4g} m, if the chessboard's squares were given in metres."
+    return Calibration(left, _camera(values, "2", path), right_from_left, notes=(note,))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}).") from error
+
+
+def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> PinholeCamera:
+    matrix = _shaped(values[f"M{number}"], (3, 3), f"M{number}", path)
+    distortion = values.get(f"D{number}", np.zeros(0)).ravel()
+    width, height = (int(side) for side in values.get("size", np.zeros(2)).ravel()[:2])
+    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
+
+
+def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -> FloatArray:
+    if values.size != np.prod(shape):
+        raise RigError(f"{path}: {name} has {values.size} numbers, {np.prod(shape)} are wanted; calibrate again.")
+    return values.reshape(shape)
+
+
+def _sibling(path: Path, found: Mapping[str, FloatArray]) -> Path | None:
+    """The file beside `path` that has the other half, if it is needed and there."""
+    lacks_extrinsic = "M1" in found and not all(key in found for key in _EXTRINSIC)
+    lacks_intrinsic = "M1" not in found and "R" in found
+    if lacks_extrinsic:
+        stem = path.stem.replace("intrinsic", "extrinsic") if "intrinsic" in path.stem else "extrinsics"
+    elif lacks_intrinsic:
+        stem = path.stem.replace("extrinsic", "intrinsic") if "extrinsic" in path.stem else "intrinsics"
+    else:
+        return None
+    candidates = (path.with_name(stem + suffix) for suffix in (path.suffix, *_SIBLING_SUFFIXES))
+    return next((candidate for candidate in candidates if candidate != path and candidate.is_file()), None)
+
+
+def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
+    """All numbers, sequences of numbers and matrices at the file's top level, and "size" where it gives one."""
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        root = storage.root()
+        found = {key: _numbers(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (a FileNode is no mapping)
+    except (cv2.error, SystemError) as error:
+        raise RigError(f"{path}: OpenCV cannot read it, it is damaged; calibrate again.") from error
+    finite = {key: value for key, value in found.items() if value is not None}
+    if "image_width" in finite and "image_height" in finite:
+        finite["size"] = np.concatenate([finite["image_width"], finite["image_height"]])
+    elif finite.get("imageSize", np.zeros(0)).size == 2:
+        finite["size"] = finite["imageSize"]
+    return finite
+
+
+def _numbers(node: cv2.FileNode) -> FloatArray | None:
+    """A node's numbers; None for text and other things that no calibration needs."""
+    if node.isInt() or node.isReal():
+        return np.array([node.real()])
+    if node.isMap():
+        matrix = node.mat()
+        return None if matrix is None else np.asarray(matrix, np.float64)
+    if node.isSeq() and all(node.at(i).isInt() or node.at(i).isReal() for i in range(node.size())):
+        return np.array([node.at(i).real() for i in range(node.size())])
+    return None
