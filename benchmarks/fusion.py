@@ -23,8 +23,8 @@ from track_range.commands.run import run
 from track_range.config import RunSettings
 from track_range.detection.detections import BoolArray, Image
 from track_range.detection.lanes.lookup import CLASSICAL
-from track_range.ranging.evaluation import MethodColumn, score_rows
-from track_range.ranging.truth import read_truth
+from track_range.ranging.evaluation.errors import MethodColumn, score_rows
+from track_range.ranging.evaluation.truth import read_truth
 from track_range.report_series import Columns
 from track_range.report_truth import with_truth
 from track_range.results import FILTERED_METHODS, read_tracks_csv

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from track_range.detection.detections import FloatArray
-from track_range.ranging.curve_comparison import CurveFit
+from track_range.ranging.evaluation.curve_comparison import CurveFit
 from track_range.written import write_bytes
 
 SCATTER_PATHS = 3000

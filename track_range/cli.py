@@ -33,7 +33,7 @@ from track_range.detection.models.download import DownloadError
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.errors import TrainingError
 from track_range.ranging.ego_speed import EgoSpeedError
-from track_range.ranging.size_curve import CurveError
+from track_range.ranging.size_models.curve import CurveError
 from track_range.stereo.evaluation.kitti_2015 import PairFileError
 from track_range.stereo.geometry.rig import RigError
 from track_range.tracking.mot_format import MotFormatError

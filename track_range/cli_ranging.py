@@ -10,7 +10,7 @@ from rich.console import Console
 
 from track_range.commands.evaluate_ranges import RangesTest, evaluate_ranges, keep_ranges_figures
 from track_range.commands.fit import FitJob, fit_size_curves
-from track_range.ranging.model_fit import MODEL_NAMES
+from track_range.ranging.fitting.model_fit import MODEL_NAMES
 
 _console = Console()
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from track_range.detection.detections import BoolArray
 from track_range.pairing import StereoVideo
-from track_range.ranging.evaluation import BANDS_M
-from track_range.ranging.truth import Truth, read_truth
+from track_range.ranging.evaluation.errors import BANDS_M
+from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError

@@ -19,16 +19,16 @@ import numpy as np
 from track_range.detection.detections import Detections, FloatArray
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.overlap import prefetch
-from track_range.ranging.collision_course import CollisionCourse
 from track_range.ranging.ego_speed import EgoSpeed
-from track_range.ranging.filtered_ranges import FilteredRanges
-from track_range.ranging.fusion import Fusion
-from track_range.ranging.ground_plane import GroundPlane
-from track_range.ranging.lane_width import LaneWidthRanger, doubted
+from track_range.ranging.filtering.collision_course import CollisionCourse
+from track_range.ranging.filtering.distance_filter import DistanceFilters
+from track_range.ranging.filtering.filtered_ranges import FilteredRanges
+from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.methods.ground_plane import GroundPlane
+from track_range.ranging.methods.lane_width import LaneWidthRanger, doubted
+from track_range.ranging.methods.triangulation import DenseRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.smoothing import DistanceFilters
-from track_range.ranging.triangulation import DenseRanger
 from track_range.results import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

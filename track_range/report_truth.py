@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.ranging.evaluation import BANDS_M
+from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.report_series import Columns
 from track_range.summary import MatchedTruth
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import FloatArray
 from track_range.detection.lanes.lines import LaneLines
-from track_range.ranging.collision_course import Misses
+from track_range.ranging.filtering.collision_course import Misses
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.mot_format import mot_lines

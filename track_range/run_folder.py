@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from track_range.detection.formats.kitti import LabelFileError
-from track_range.ranging.truth import Truth, read_truth
+from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.report_series import Columns, methods_measured
 from track_range.report_truth import with_truth
 from track_range.run_rows import no_rows, read_run_rows

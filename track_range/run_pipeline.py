@@ -12,13 +12,13 @@ from track_range.detection.lanes.lookup import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.pipeline import Pipeline
 from track_range.ranging.ego_speed import open_ego_speed
-from track_range.ranging.ground_plane import GroundPlaneRanger, GroundSettings
-from track_range.ranging.lane_width import LaneWidthRanger
-from track_range.ranging.measured_boxes import SizeModel
+from track_range.ranging.methods.ground_plane import GroundPlaneRanger, GroundSettings
+from track_range.ranging.methods.lane_width import LaneWidthRanger
+from track_range.ranging.methods.size_regression import SizeRegressionRanger
+from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
+from track_range.ranging.methods.triangulation import DenseRanger, PatchRanger
 from track_range.ranging.ranger import OncePerFrame, Ranger
-from track_range.ranging.size_regression import SizeRegressionRanger
-from track_range.ranging.size_scaled_stereo import SizeScaledRanger
-from track_range.ranging.triangulation import DenseRanger, PatchRanger
+from track_range.ranging.size_models.size_model import SizeModel
 from track_range.source import Source
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig

@@ -13,8 +13,8 @@ from track_range.box_source import BoxSource
 from track_range.config import RunSettings
 from track_range.frame_meter import FrameMeter
 from track_range.pipeline import Pipeline
-from track_range.ranging.triangulation import PatchRanger
-from track_range.ranging.truth import Truth
+from track_range.ranging.evaluation.truth import Truth
+from track_range.ranging.methods.triangulation import PatchRanger
 from track_range.results import FrameResult
 from track_range.run_pictures import pictures
 from track_range.run_pipeline import learnt_scale

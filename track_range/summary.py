@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
 from track_range.detection.detections import IntArray
-from track_range.ranging.evaluation import (
+from track_range.ranging.evaluation.errors import (
     BANDS_M,
     MethodColumn,
     coverage_only,
@@ -24,7 +24,7 @@ from track_range.ranging.evaluation import (
     score_closing,
     score_methods,
 )
-from track_range.ranging.truth import Truth
+from track_range.ranging.evaluation.truth import Truth
 from track_range.results import FILTERED_METHODS, MEASURED_METHODS
 from track_range.tracking.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation import evaluate_tracks

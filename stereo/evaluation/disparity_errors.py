@@ -3,7 +3,7 @@
     d = f B / disparity        error = d / d_true - 1 = true_px / measured_px - 1
 
 A failure is an object without a value or with an error above 15 %. Intervals are 95 % bootstrap: objects of one pair
-(one track of a drive) err together, so pairs (tracks) are drawn, not objects. As in `ranging/evaluation.py`, `bias_pct`
+(one track of a drive) err together, so pairs (tracks) are drawn, not objects. As in `ranging/evaluation/errors.py`, `bias_pct`
 is the median error and shares are fractions 0..1; `n` counts all objects, `n_measured` those with a value.
 """
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.kitti import LabelFileError
-from track_range.ranging.box_csv import read_box_csv
-from track_range.ranging.curve_comparison import compare_curves
+from track_range.ranging.evaluation.curve_comparison import compare_curves
+from track_range.ranging.fitting.box_csv import read_box_csv
 
 HEADER = "class,x1,y1,x2,y2,distance_m,fx\n"
 

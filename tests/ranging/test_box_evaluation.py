@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.box_evaluation import (
+from track_range.ranging.evaluation.box_evaluation import (
     closing_figures,
     cross_validated,
     figures,
@@ -10,8 +10,8 @@ from track_range.ranging.box_evaluation import (
     true_closing_mps,
     within_drives,
 )
-from track_range.ranging.evaluation import MethodColumn
-from track_range.ranging.labelled_boxes import FRAME_STEP_S, box_set
+from track_range.ranging.evaluation.errors import MethodColumn
+from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, box_set
 
 
 @pytest.fixture

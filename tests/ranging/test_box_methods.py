@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.box_filters import filtered
-from track_range.ranging.box_methods import METHODS, MethodOptions, measured_by
-from track_range.ranging.evaluation import MethodColumn
-from track_range.ranging.labelled_boxes import FRAME_STEP_S, box_set
-from track_range.ranging.plain_curves import PLAIN_CURVES
+from track_range.ranging.evaluation.box_filters import filtered
+from track_range.ranging.evaluation.box_methods import METHODS, MethodOptions, measured_by
+from track_range.ranging.evaluation.errors import MethodColumn
+from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, box_set
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 
 
 @pytest.fixture(scope="module")

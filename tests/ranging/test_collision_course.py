@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.detections import FloatArray
-from track_range.ranging.collision_course import CollisionCourse, Misses
+from track_range.ranging.filtering.collision_course import CollisionCourse, Misses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.cuboid import box_of_cuboid
-from track_range.ranging.cuboid_sizes import CuboidSizes
-from track_range.ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes
-from track_range.ranging.shared_ground import GroundPrior, Stand, seen_by_others
-from track_range.ranging.size_curve import load_curves
-from track_range.ranging.size_prior import TURN_DEG
+from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.prior import TURN_DEG
+from track_range.ranging.size_models.shared_ground import GroundPrior, Stand, seen_by_others
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes
 
 PACKAGED = load_curves()
 NOISE = 1.5 / 720

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from track_range.ranging.cuboid_sizes import CuboidSizes
-from track_range.ranging.curve_file import CURVE_VERSION
-from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
-from track_range.ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes
-from track_range.ranging.plain_curves import SAFE_CURVES
-from track_range.ranging.size_curve import CurveError, load_curves
-from track_range.ranging.table_sizes import TableCurve, TableSizes
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.curve import CurveError, load_curves
+from track_range.ranging.size_models.curve_file import CURVE_VERSION
+from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.plain_curves import SAFE_CURVES
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes
+from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 
 def log_linear(**more):

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.fusion import FUSED_METHODS, Fusion
+from track_range.ranging.fusion.fusion import FUSED_METHODS, Fusion
 from track_range.ranging.ranges import Ranges
 
 ONE = np.array([1])

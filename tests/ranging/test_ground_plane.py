@@ -4,10 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
+from track_range.ranging.methods.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
+from track_range.ranging.methods.size_regression import SizeRegressionRanger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_regression import SizeRegressionRanger
-from track_range.ranging.surface_offset import surface_offset_m
+from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

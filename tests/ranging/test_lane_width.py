@@ -5,7 +5,7 @@ from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, pict
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
+from track_range.ranging.methods.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

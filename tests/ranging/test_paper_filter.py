@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from track_range.ranging.paper_filter import PaperFilter
+from track_range.ranging.evaluation.paper_filter import PaperFilter
 from track_range.ranging.ranges import Ranges
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.plain_curves import PLAIN_CURVES, SAFE_CURVES
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, SAFE_CURVES
 
 RNG = np.random.default_rng(3)
 DISTANCE_M = RNG.uniform(8, 80, 400)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.size_curve import CurveError, load_curves
-from track_range.ranging.size_curve_fit import SizeSamples, fit_curves, leave_one_out_error
+from track_range.ranging.fitting.curve_fit import SizeSamples, fit_curves, leave_one_out_error
+from track_range.ranging.size_models.curve import CurveError, load_curves
 
 
 def world(n=400, n_sequences=4, seed=0):

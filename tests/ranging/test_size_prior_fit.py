@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from track_range.ranging.box_evaluation import cross_validated, figures
-from track_range.ranging.box_methods import measured_by, mono_fitter
-from track_range.ranging.cuboid import box_of_cuboid
-from track_range.ranging.labelled_boxes import box_set
-from track_range.ranging.size_curve import CurveError
-from track_range.ranging.size_prior import TURN_DEG, ShapeTables
-from track_range.ranging.size_prior_fit import STANDARD_SIZES, LabelledSizes, fit_size_priors
+from track_range.ranging.evaluation.box_evaluation import cross_validated, figures
+from track_range.ranging.evaluation.box_methods import measured_by, mono_fitter
+from track_range.ranging.fitting.labelled_boxes import box_set
+from track_range.ranging.fitting.prior_fit import STANDARD_SIZES, LabelledSizes, fit_size_priors
+from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.ranging.size_models.curve import CurveError
+from track_range.ranging.size_models.prior import TURN_DEG, ShapeTables
 
 MEAN_M, SIGMA = np.array([1.45, 1.70, 4.30]), np.array([0.06, 0.05, 0.09])
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
-from track_range.ranging.measured_boxes import SIZE_CLASSES, BoxNoise, measured_boxes
-from track_range.ranging.size_regression import SizeRegressionRanger
+from track_range.ranging.methods.size_regression import SizeRegressionRanger
+from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -6,8 +6,8 @@ from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from track_range.ranging.filtering.distance_filter import DistanceFilter, DistanceFilters, FilterSettings
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.smoothing import DistanceFilter, DistanceFilters, FilterSettings
 
 SETTINGS = FilterSettings(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
 

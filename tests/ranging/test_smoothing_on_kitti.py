@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.kitti import read_kitti
-from track_range.ranging.box_surface import surface_distance_m
+from track_range.ranging.evaluation.box_surface import surface_distance_m
+from track_range.ranging.filtering.distance_filter import DistanceFilter
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.smoothing import DistanceFilter
 
 FOCAL_PX, CENTRE_PX, STEP_S, HEIGHT_M = 721.5377, np.array([609.5593, 172.854]), 0.1036, 1.55
 REACH = 5

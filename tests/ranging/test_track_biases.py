@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.track_biases import TrackBiases, blank_track
+from track_range.ranging.fusion.track_biases import TrackBiases, blank_track
 
 
 def of_two_tracks(m):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.triangulation import DenseRanger, PatchRanger, Triangulation
+from track_range.ranging.methods.triangulation import DenseRanger, PatchRanger, Triangulation
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

@@ -17,7 +17,7 @@ from track_range.overlay_text import (
     closing_span,
     shown_name,
 )
-from track_range.ranging.collision_course import Misses
+from track_range.ranging.filtering.collision_course import Misses
 
 
 def test_the_frame_is_copied_and_never_written_to() -> None:

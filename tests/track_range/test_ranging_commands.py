@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.track_range.labelled_drives import F_PX, drive, row
-from track_range.ranging.model_fit import MODEL_NAMES
-from track_range.ranging.size_curve import load_curves
+from track_range.ranging.fitting.model_fit import MODEL_NAMES
+from track_range.ranging.size_models.curve import load_curves
 
 
 @pytest.fixture

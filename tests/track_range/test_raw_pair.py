@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from track_range.config import RunSettings
-from track_range.ranging.triangulation import PatchRanger
+from track_range.ranging.methods.triangulation import PatchRanger
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene

@@ -15,7 +15,7 @@ import yaml
 from rich.console import Console
 
 from track_range.commands.report import report, short_names
-from track_range.ranging.truth import Truth
+from track_range.ranging.evaluation.truth import Truth
 from track_range.report_truth import with_truth
 from track_range.results import COLUMNS
 from track_range.run_folder import read_run_folder

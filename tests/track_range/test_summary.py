@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from track_range.ranging.truth import Truth
+from track_range.ranging.evaluation.truth import Truth
 from track_range.results import COLUMNS
 from track_range.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
 

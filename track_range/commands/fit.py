@@ -12,13 +12,13 @@ from rich.console import Console
 from track_range import tables
 from track_range.config import UsageError
 from track_range.detection.formats.kitti import LabelFileError
-from track_range.ranging.box_csv import read_box_csv
-from track_range.ranging.cuboid_sizes import CuboidSizes
-from track_range.ranging.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves
-from track_range.ranging.labelled_boxes import BoxSet, box_set
-from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
-from track_range.ranging.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_model, usable_boxes
-from track_range.ranging.table_sizes import TableSizes
+from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves
+from track_range.ranging.fitting.box_csv import read_box_csv
+from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
+from track_range.ranging.fitting.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_model, usable_boxes
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.tables import TableSizes
 from track_range.terminal_tables import tell_grid
 
 

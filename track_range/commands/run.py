@@ -20,8 +20,8 @@ from track_range.frame_meter import FrameMeter
 from track_range.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
 from track_range.live_view import LiveView
 from track_range.overlap import short_switch_interval
-from track_range.ranging.size_curve import load_curves
-from track_range.ranging.truth import read_truth
+from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.size_models.curve import load_curves
 from track_range.report import write_report
 from track_range.report_truth import with_truth
 from track_range.result_video import ResultVideo

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.ranging.box_surface import surface_distance_m
+from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.render import Renderer, kitti_like_rig, render
 from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.street import FAR_M, stretches

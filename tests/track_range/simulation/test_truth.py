@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.box_surface import surface_distance_m
+from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.render import kitti_like_rig
 from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene, make_scene
 from track_range.simulation.truth import box_corners_m, label_scene, projected_boxes_px, visible_shares

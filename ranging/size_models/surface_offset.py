@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.detection.detections import FloatArray, IntArray
-from track_range.ranging.measured_boxes import SIZE_CLASSES
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 
 def _by_class(values: dict[str, float]) -> FloatArray:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.ranging.evaluation import BANDS_M, MethodColumn, score_rows
-from track_range.ranging.labelled_boxes import CLASS_OF, BoxSet
+from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_rows
+from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 
 CLASSES = tuple(CLASS_OF.values())
 """What figures are given for, in their order."""

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.detections import IntArray
-from track_range.ranging.box_evaluation import Fitter, Predictor, cross_validated, frame_rows, within_drives
-from track_range.ranging.evaluation import MethodColumn
-from track_range.ranging.fusion import Fusion
-from track_range.ranging.ground_plane import GroundPlane, GroundSettings
-from track_range.ranging.labelled_boxes import BoxSet
-from track_range.ranging.measured_boxes import SIZE_CLASSES
-from track_range.ranging.plain_curves import PLAIN_CURVES, PlainCurve
+from track_range.ranging.evaluation.box_evaluation import Fitter, Predictor, cross_validated, frame_rows, within_drives
+from track_range.ranging.evaluation.errors import MethodColumn
+from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.fitting.prior_fit import LabelledSizes, fit_size_priors
+from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.methods.ground_plane import GroundPlane, GroundSettings
+from track_range.ranging.methods.size_regression import SizeRegressionRanger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_curve import CurveError, SizeModel, load_curves
-from track_range.ranging.size_prior_fit import LabelledSizes, fit_size_priors
-from track_range.ranging.size_regression import SizeRegressionRanger
+from track_range.ranging.size_models.curve import CurveError, SizeModel, load_curves
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, PlainCurve
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

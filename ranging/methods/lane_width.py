@@ -23,8 +23,8 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import BoolArray, FloatArray
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.measured_boxes import BORDER_PX
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.size_model import BORDER_PX
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

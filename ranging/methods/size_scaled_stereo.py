@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.detection.detections import FloatArray
+from track_range.ranging.methods.triangulation import TrackMatcher
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.triangulation import TrackMatcher
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.matching.patch_matches import BoxMatcher
 from track_range.tracking.tracks import Tracks

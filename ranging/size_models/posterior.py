@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.ranging.measured_boxes import MeasuredBoxes
-from track_range.ranging.shared_ground import GroundPrior, Stand, seen_by_others
-from track_range.ranging.size_prior import NODE_RANGE, ShapeTables
+from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
+from track_range.ranging.size_models.shared_ground import GroundPrior, Stand, seen_by_others
+from track_range.ranging.size_models.size_model import MeasuredBoxes
 
 NO_CHANCE = -1e9  # log weight of the turns of a kind that a box cannot be of
 _UNSEEN = 1e4  # variance of the log width of a box that is cut off at a side

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray
-from track_range.ranging.box_evaluation import cross_validated, folds
-from track_range.ranging.box_methods import plain_fitter
-from track_range.ranging.labelled_boxes import BoxSet
-from track_range.ranging.plain_curves import PLAIN_CURVES, FittedCurve
+from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
+from track_range.ranging.evaluation.box_methods import plain_fitter
+from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, FittedCurve
 
 TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
 """The paper's rows."""

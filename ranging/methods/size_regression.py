@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.ranging.measured_boxes import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.size_curve import load_curves
+from track_range.ranging.size_models.curve import load_curves
+from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -18,7 +18,7 @@ from track_range.detection.classes import KITTI_IGNORED, road_class_of_each
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
-from track_range.ranging.box_surface import surface_distance_m
+from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
 MAX_OCCLUDED = 1

@@ -13,12 +13,12 @@ from typing import Literal
 import numpy as np
 
 from track_range.detection.detections import FloatArray
-from track_range.ranging.box_evaluation import frame_rows
-from track_range.ranging.evaluation import MethodColumn
-from track_range.ranging.labelled_boxes import BoxSet
-from track_range.ranging.paper_filter import PaperFilter
+from track_range.ranging.evaluation.box_evaluation import frame_rows
+from track_range.ranging.evaluation.errors import MethodColumn
+from track_range.ranging.evaluation.paper_filter import PaperFilter
+from track_range.ranging.filtering.distance_filter import DistanceFilter
+from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.smoothing import DistanceFilter
 
 FilterName = Literal["none", "paper", "default"]
 

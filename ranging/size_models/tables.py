@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.detections import FloatArray
-from track_range.ranging.curve_file import write_curve_file
-from track_range.ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
-from track_range.ranging.plain_curves import MEASURES, FittedTable
+from track_range.ranging.size_models.curve_file import write_curve_file
+from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances
 
 KIND = "table"
 _STEP = 0.02  # of the slope by log size, to either side

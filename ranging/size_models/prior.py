@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.detections import FloatArray, IntArray
-from track_range.ranging.cuboid import CuboidBox, Floats, box_of_cuboid
-from track_range.ranging.measured_boxes import SIZE_CLASSES
+from track_range.ranging.size_models.cuboid import CuboidBox, Floats, box_of_cuboid
+from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 TURN_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
 """Angles from the direction of travel that a prior has weights for; denser where the width changes most."""

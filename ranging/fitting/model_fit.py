@@ -15,16 +15,16 @@ from typing import Protocol
 import numpy as np
 
 from track_range.detection.detections import FloatArray
-from track_range.ranging.box_evaluation import cross_validated, folds
-from track_range.ranging.box_methods import labelled_sizes, plain_fitter
-from track_range.ranging.curve_file import CurveError
-from track_range.ranging.labelled_boxes import BoxSet
-from track_range.ranging.log_linear_sizes import SizeCurves
-from track_range.ranging.measured_boxes import SIZE_CLASSES, SizeModel
-from track_range.ranging.plain_curves import SAFE_CURVES, FittedTable
-from track_range.ranging.size_curve_fit import MIN_SAMPLES, SizeSamples, fit_curves
-from track_range.ranging.size_prior_fit import fit_size_priors
-from track_range.ranging.table_sizes import TableCurve, TableSizes
+from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
+from track_range.ranging.evaluation.box_methods import labelled_sizes, plain_fitter
+from track_range.ranging.fitting.curve_fit import MIN_SAMPLES, SizeSamples, fit_curves
+from track_range.ranging.fitting.labelled_boxes import BoxSet
+from track_range.ranging.fitting.prior_fit import fit_size_priors
+from track_range.ranging.size_models.curve_file import CurveError
+from track_range.ranging.size_models.log_linear import SizeCurves
+from track_range.ranging.size_models.plain_curves import SAFE_CURVES, FittedTable
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
+from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 

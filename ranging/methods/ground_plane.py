@@ -30,10 +30,10 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.ranging.measured_boxes import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.surface_offset import surface_offset_m
+from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
+from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

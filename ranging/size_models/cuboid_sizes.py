@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.detections import FloatArray, IntArray
-from track_range.ranging.curve_file import write_curve_file
-from track_range.ranging.measured_boxes import SIZE_CLASSES, MeasuredBoxes, SizedDistances
-from track_range.ranging.shared_ground import GroundPrior, Stand
-from track_range.ranging.size_posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
-from track_range.ranging.size_prior import ShapeTables, SizePrior
+from track_range.ranging.size_models.curve_file import write_curve_file
+from track_range.ranging.size_models.posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
+from track_range.ranging.size_models.prior import ShapeTables, SizePrior
+from track_range.ranging.size_models.shared_ground import GroundPrior, Stand
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances
 
 KIND = "cuboids"
 

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.ranging.cuboid import box_of_cuboid
-from track_range.ranging.cuboid_sizes import CuboidSizes
-from track_range.ranging.curve_file import CurveError
-from track_range.ranging.size_prior import NODE_CAMERA_HEIGHT_M, TURN_DEG, SizePrior
+from track_range.ranging.size_models.cuboid import box_of_cuboid
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.curve_file import CurveError
+from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, TURN_DEG, SizePrior
 
 MIN_OBJECTS, MIN_BOXES = 3, 100
 """Fewer objects or boxes of a class tell nothing: its standard size it is."""

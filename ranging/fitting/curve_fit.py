@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.ranging.curve_file import CurveError
-from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
+from track_range.ranging.size_models.curve_file import CurveError
+from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 
 NEAREST_M, FARTHEST_M = 5.0, 100.0
 """Labels nearer are cut off by the image, labels farther are a few pixels high."""

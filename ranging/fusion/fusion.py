@@ -32,11 +32,11 @@ from typing import TypeVar
 import numpy as np
 
 from track_range.detection.detections import BoolArray, FloatArray, IntArray
-from track_range.ranging.odd_readings import TRUSTED_FRAMES, impossible, odd, other_lane, silent
+from track_range.ranging.fusion.measurements import FUSED_METHODS, MONO, STEREO, Readings, readings_of
+from track_range.ranging.fusion.outliers import TRUSTED_FRAMES, impossible, odd, other_lane, silent
+from track_range.ranging.fusion.track_biases import TrackBiases, blank_track
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.readings import FUSED_METHODS, MONO, STEREO, Readings, readings_of
 from track_range.ranging.remembered import TrackMemory
-from track_range.ranging.track_biases import TrackBiases, blank_track
 
 _M = len(FUSED_METHODS)
 _SHARED_NOISE = np.array([[1.0, 0.5, 0.4, 0.0], [0.5, 1.0, 0.7, 0.0], [0.4, 0.7, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

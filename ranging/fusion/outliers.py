@@ -17,8 +17,8 @@ import math
 import numpy as np
 
 from track_range.detection.detections import BoolArray
-from track_range.ranging.readings import GROUND, LANE, MONO, STEREO, Readings
-from track_range.ranging.track_biases import TrackBiases
+from track_range.ranging.fusion.measurements import GROUND, LANE, MONO, STEREO, Readings
+from track_range.ranging.fusion.track_biases import TrackBiases
 
 _ONLY_WITHOUT = ((GROUND, MONO), (LANE, STEREO))
 """The first counts only where the second is silent: mono's sizes have the frame's ground in them already (a mean of

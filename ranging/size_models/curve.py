@@ -10,10 +10,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from track_range.ranging import cuboid_sizes, log_linear_sizes, table_sizes
-from track_range.ranging.curve_file import CURVE_VERSION, CurveError, read_curve_file
-from track_range.ranging.log_linear_sizes import SizeCurve, SizeCurves
-from track_range.ranging.measured_boxes import SizeModel
+from track_range.ranging.size_models import cuboid_sizes
+from track_range.ranging.size_models import log_linear as log_linear_sizes
+from track_range.ranging.size_models import tables as table_sizes
+from track_range.ranging.size_models.curve_file import CURVE_VERSION, CurveError, read_curve_file
+from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.size_model import SizeModel
 
 __all__ = ["CURVE_VERSION", "CurveError", "SizeCurve", "SizeCurves", "SizeModel", "load_curves"]
 

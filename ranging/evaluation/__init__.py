@@ -1,0 +1,1 @@
+"""Errors of distances against ground truth."""

@@ -1,0 +1,1 @@
+"""Filters over time: distance, closing speed, time to collision, passing offset."""

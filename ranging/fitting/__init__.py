@@ -1,0 +1,1 @@
+"""Fitting of size models to labelled boxes."""

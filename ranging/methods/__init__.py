@@ -1,0 +1,1 @@
+"""Ranging methods, one file each."""

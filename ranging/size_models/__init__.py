@@ -1,0 +1,1 @@
+"""Distance from the size of a box: models of object sizes."""
