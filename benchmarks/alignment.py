@@ -20,7 +20,7 @@ from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import SimulatedDrive
 from track_range.simulation.faults import Faults
 from track_range.stereo.geometry.frames import Frame
-from track_range.stereo_alignment import find_alignment
+from track_range.video.auto_alignment import find_alignment
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
 OFFSETS_PX = (0.0, 0.3, -0.5, 0.8, 0.3, -0.5, 0.0, -0.2)

@@ -20,19 +20,19 @@ from rich.console import Console
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import FPS
 from track_range.commands.run import run
-from track_range.config import RunSettings
 from track_range.detection.detections import BoolArray, Image
 from track_range.detection.lanes.lookup import CLASSICAL
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth
-from track_range.report_series import Columns
-from track_range.report_truth import with_truth
-from track_range.results import FILTERED_METHODS, read_tracks_csv
+from track_range.report.series import Columns
+from track_range.report.truth import with_truth
+from track_range.results.csv_file import FILTERED_METHODS, read_tracks_csv
+from track_range.results.summary import matched_truth
+from track_range.run.settings import RunSettings
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.drive_files import write_png
 from track_range.simulation.render import kitti_like_rig
 from track_range.simulation.scenarios import SCENARIOS as KNOWN
-from track_range.summary import matched_truth
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
 SEED = 230

@@ -34,7 +34,7 @@ from benchmarks.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Descriptors, FloatArray, Image, IntArray
 from track_range.detection.models.onnx_session import Runtime
-from track_range.sequence_tracking import track_sequence
+from track_range.sequences.tracking import track_sequence
 from track_range.simulation.playback import HIDDEN
 from track_range.tracking.appearance import ColourLayout, Descriptor
 from track_range.tracking.camera_motion import CameraMotion

@@ -27,7 +27,7 @@ from track_range.simulation.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWA
 from track_range.simulation.truth import box_corners_m, label_scene, projected_boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video import VideoReader
+from track_range.video.reader import VideoReader
 
 FPS = 10.0
 CAMERA = PinholeCamera(721.5, 721.5, 500.0, 160.0, 1000, 320)

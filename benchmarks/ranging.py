@@ -30,7 +30,6 @@ from track_range.detection.detections import Image
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
-from track_range.pipeline import NOISE_SHARES
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.methods.ground_plane import GroundPlaneRanger
@@ -38,10 +37,11 @@ from track_range.ranging.methods.lane_width import LaneWidthRanger
 from track_range.ranging.methods.size_regression import SizeRegressionRanger
 from track_range.ranging.ranger import OncePerFrame, Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.run.pipeline import NOISE_SHARES
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
-from track_range.video_file import VideoFile
+from track_range.video.file import VideoFile
 
 CAMERA = PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375)
 CAMERA_HEIGHT_M, LANE_WIDTH_M = 1.65, 3.5

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
-from track_range.drive_pairs import read_drive
+from track_range.calibration.drive_pairs import read_drive
 from track_range.simulation.drive import write_drive
 from track_range.stereo.evaluation.disparity_errors import Column, figures
 from track_range.stereo.evaluation.kitti_2015 import StereoPair

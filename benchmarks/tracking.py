@@ -38,7 +38,7 @@ from benchmarks.peer_runs import ONE_THREAD, Answer, made_environments, names_in
 from benchmarks.peer_trackers import PEERS, Array
 from benchmarks.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
 from track_range.detection.detections import Detections
-from track_range.sequence_tracking import track_sequence
+from track_range.sequences.tracking import track_sequence
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts
 from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings

@@ -24,16 +24,16 @@ from tests.stereo.board_scenes import drawn, rig, varied_poses
 from tests.stereo.kitti_folder import write_set
 from tests.track_range.labelled_drives import F_PX, drive
 from track_range.commands.run import run
-from track_range.config import RunSettings
 from track_range.detection.classes import COCO_CLASSES
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.darknet.network import read_network
 from track_range.detection.formats.kitti import read_kitti
+from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render import kitti_like_rig
 from track_range.stereo.calibration.boards import ChessBoard
 from track_range.stereo.rig_formats.reading import load_rig
-from track_range.video import VideoReader
+from track_range.video.reader import VideoReader
 
 SECONDS = 1.0
 N_BOARDS = 7

@@ -25,7 +25,6 @@ from track_range.cli_tracking import track
 from track_range.cli_training import anchors, train
 from track_range.commands.demo import demo as run_demo
 from track_range.commands.run import RunStoppedError
-from track_range.config import ConfigError, UsageError
 from track_range.detection.classes import ClassNameError
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import ImageFileError
@@ -34,11 +33,12 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.training.errors import TrainingError
 from track_range.ranging.ego_speed import EgoSpeedError
 from track_range.ranging.size_models.curve import CurveError
+from track_range.results.output_files import OutputError
+from track_range.run.settings import ConfigError, UsageError
 from track_range.stereo.evaluation.kitti_2015 import PairFileError
 from track_range.stereo.geometry.rig import RigError
 from track_range.tracking.mot_format import MotFormatError
-from track_range.video import VideoError
-from track_range.written import OutputError
+from track_range.video.reader import VideoError
 
 USER_ERRORS = (
     ClassNameError,

@@ -17,8 +17,8 @@ from track_range.commands.quantize import quantize_model
 from track_range.detection.formats.labelled_images import LabelFormat
 from track_range.detection.models.onnx_session import Device
 from track_range.detection.yolo.input_format import LETTERBOXES
-from track_range.detector_options import DetectorOptions, class_names
-from track_range.labelled_source import LabelledSource
+from track_range.run.detector_options import DetectorOptions, class_names
+from track_range.sequences.labelled_images import LabelledSource
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES
 
 evaluation = typer.Typer(no_args_is_help=True, help="Measure against labels of your own.")

@@ -10,11 +10,11 @@ import typer
 from rich.console import Console
 
 from track_range.commands.run import run as run_video
-from track_range.config import settings_from
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.csv_labels import NEEDED, OPTIONAL
 from track_range.detection.yolo.input_format import LETTERBOXES
-from track_range.live_view import open_view
+from track_range.live_view.view import open_view
+from track_range.run.settings import settings_from
 
 _console = Console()
 _INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from track_range.tables import Grid, grids
+from track_range.report.tables import Grid, grids
 
 
 def tell_summary(console: Console, summary: Mapping[str, Any]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from track_range.detection.detections import BoolArray, Image
 from track_range.ranging.ranges import Ranges
-from track_range.results import FrameResult
+from track_range.results.csv_file import FrameResult
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.track_range.overlay_results import BOX, grey, painted, result
-from track_range.birds_eye import BirdsEye, Scale
-from track_range.overlay_colours import RED
+from track_range.overlay.birds_eye import BirdsEye, Scale
+from track_range.overlay.colours import RED
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(700.0, 700.0, 620.5, 186.5, 1242, 374)

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.board_images import board_images
+from track_range.calibration.board_images import board_images
 from track_range.detection.formats.labelled_images import ImageFileError
-from track_range.video import VideoError
+from track_range.video.reader import VideoError
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from track_range.charts import training_chart
+from track_range.report.figures import training_chart
 
 
 def colours(path: Path) -> set[tuple[int, ...]]:

@@ -17,7 +17,7 @@ import yaml
 from benchmarks.drives import loop_video
 from track_range.detection.boxes import iou
 from track_range.detection.formats.kitti import read_kitti
-from track_range.results import COLUMNS, read_tracks_csv
+from track_range.results.csv_file import COLUMNS, read_tracks_csv
 from track_range.simulation.drive import write_drive
 
 TRACK_RANGE = Path(sys.executable).with_name("track-range")

@@ -11,7 +11,7 @@ from tests.detection.onnx_models import write_model, write_rectangle_finder
 from track_range.commands.evaluate import Candidate
 from track_range.commands.evaluate import evaluate as evaluate_frames
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.labelled_source import LabelledSource
+from track_range.sequences.labelled_images import LabelledSource
 
 GREY = 114
 

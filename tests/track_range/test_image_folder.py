@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.video import VideoError, VideoReader
+from track_range.video.reader import VideoError, VideoReader
 
 Level = Callable[..., np.ndarray]
 NumberIn = Callable[[np.ndarray], int]

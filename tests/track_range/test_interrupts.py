@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from track_range.interrupts import (
+from track_range.run.interrupts import (
     deaf_to_interrupts,
     first_interrupt_only,
     interrupts_put_off,

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH
 from track_range.detection.detections import FloatArray
-from track_range.label_places import PLACES, LabelPlacer, covered, free_place, label_places, place_costs, shared_areas
+from track_range.overlay.label_layout import (
+    PLACES,
+    LabelPlacer,
+    covered,
+    free_place,
+    label_places,
+    place_costs,
+    shared_areas,
+)
 
 
 def test_shared_areas_by_hand() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from track_range.live_address import LiveAddress, live_address
+from track_range.video.live.address import LiveAddress, live_address
 
 
 @pytest.mark.parametrize(

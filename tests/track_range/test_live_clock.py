@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.live_clock import StreamClock
+from track_range.video.live.clock import StreamClock
 
 
 def test_stamps_of_this_machines_clock_are_taken_as_they_are() -> None:

@@ -11,13 +11,14 @@ import pytest
 
 from tests.track_range.live_servers import N_LEVELS, RATE_HZ, cameras, number_of, served, sound
 from tests.track_range.overlay_results import result
-from track_range import live_reader, live_stream
-from track_range.live_address import LiveAddress
-from track_range.live_pair import LivePair
-from track_range.live_reader import LiveReader
-from track_range.live_stream import LiveStream
-from track_range.live_view import LiveView
-from track_range.video_frame import VideoError
+from track_range.live_view.view import LiveView
+from track_range.video.frame import VideoError
+from track_range.video.live import reader as live_reader
+from track_range.video.live import stream as live_stream
+from track_range.video.live.address import LiveAddress
+from track_range.video.live.pair import LivePair
+from track_range.video.live.reader import LiveReader
+from track_range.video.live.stream import LiveStream
 
 
 def let_come(reader: LiveReader, n: int) -> None:

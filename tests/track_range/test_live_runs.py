@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from tests.track_range.live_servers import cameras
-from track_range.results import read_tracks_csv
+from track_range.results.csv_file import read_tracks_csv
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import save_rig

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from tests.track_range.overlay_results import grey, result
-from track_range.config import UsageError
 from track_range.detection.detections import Image
-from track_range.live_page import PageError
-from track_range.live_view import LiveView, has_screen, open_view, place_of_page
-from track_range.results import FrameResult
+from track_range.live_view.server import PageError
+from track_range.live_view.view import LiveView, has_screen, open_view, place_of_page
+from track_range.results.csv_file import FrameResult
+from track_range.run.settings import UsageError
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from track_range.method_colours import METHOD_COLOURS, OTHER_COLOURS, colour_of_each
+from track_range.overlay.method_colours import METHOD_COLOURS, OTHER_COLOURS, colour_of_each
 
 CARDS = ("#ffffff", "#1b2128")
 

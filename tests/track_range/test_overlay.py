@@ -11,9 +11,9 @@ import pytest
 
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, grey, painted, result
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.overlay import Overlay
-from track_range.overlay_colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
-from track_range.overlay_text import (
+from track_range.overlay.annotator import Overlay
+from track_range.overlay.colours import CALM, LANE_COLOUR, PALETTE, RED, alarm_colour, track_colour
+from track_range.overlay.labels import (
     closing_span,
     shown_name,
 )

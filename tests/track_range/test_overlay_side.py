@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, result
-from track_range.overlay import Overlay
-from track_range.overlay_side import SCALE_M, DisparityPicture, SidePicture
+from track_range.overlay.annotator import Overlay
+from track_range.overlay.disparity_view import SCALE_M, DisparityPicture, SidePicture
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 

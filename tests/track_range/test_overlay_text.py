@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.track_range.overlay_results import BOX, grey, painted, result
-from track_range.overlay_colours import AMBER, CALM, RED, alarm_colour
-from track_range.overlay_text import (
+from track_range.overlay.colours import AMBER, CALM, RED, alarm_colour
+from track_range.overlay.labels import (
     Span,
     closing_span,
     corner_lines,
@@ -17,8 +17,8 @@ from track_range.overlay_text import (
     sigma_text,
     text_sizes_px,
 )
-from track_range.overlay_writing import Pen
-from track_range.results import FrameResult
+from track_range.overlay.text import Pen
+from track_range.results.csv_file import FrameResult
 
 
 def words(found: FrameResult, row: int = 0) -> list[list[str]]:

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.pair_watch import MAX_CHECKED_PAIRS, PairWatch, checked_pair, order_checked
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError
+from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, PairWatch, checked_pair, order_checked
 
 SIZE_PX = (480, 260)
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.pairing import PairCounts, StereoVideo
-from track_range.video import VideoError, VideoReader
+from track_range.video.pairing import PairCounts, StereoVideo
+from track_range.video.reader import VideoError, VideoReader
 
 Level = Callable[..., np.ndarray]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.detection.detections import Detections, FloatArray, Image
-from track_range.pipeline import Pipeline
 from track_range.ranging.ranges import Ranges
-from track_range.results import FrameResult
+from track_range.results.csv_file import FrameResult
+from track_range.run.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

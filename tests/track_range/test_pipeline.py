@@ -5,9 +5,9 @@ import pytest
 
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.pipeline import Pipeline
 from track_range.ranging.methods.ground_plane import GroundPlane
 from track_range.ranging.ranges import Ranges
+from track_range.run.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

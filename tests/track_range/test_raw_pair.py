@@ -6,17 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.config import RunSettings
 from track_range.ranging.methods.triangulation import PatchRanger
+from track_range.run.settings import RunSettings
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
-from track_range.source import open_source
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.rig_formats.reading import save_rig
 from track_range.tracking.tracks import Tracks
+from track_range.video.source import open_source
 
 IDEAL = kitti_like_rig()
 LEFT = PinholeCamera(770.0, 772.0, 505.0, 172.0, 1000, 340, (-0.25, 0.08, 0.001, -0.0005, 0.0))

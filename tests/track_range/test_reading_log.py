@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.reading_log import ReadingLog
+from track_range.video.decode_log import ReadingLog
 
 
 @given(stamps=st.lists(st.integers(-1000, 1000), min_size=1, unique=True), first=st.integers(0, 30))

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.report import comparison_page, embedded, report_page, run_content, write_comparison, write_report
-from track_range.report_comparison import ComparedRun
-from track_range.results import COLUMNS
-from track_range.written import OutputError
+from track_range.report.comparison import ComparedRun
+from track_range.report.page import comparison_page, embedded, report_page, run_content, write_comparison, write_report
+from track_range.results.csv_file import COLUMNS
+from track_range.results.output_files import OutputError
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

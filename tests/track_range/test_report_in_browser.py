@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.method_colours import METHOD_COLOURS
-from track_range.report import write_comparison, write_report
-from track_range.report_comparison import ComparedRun
-from track_range.results import COLUMNS
-from track_range.video import VideoWriter
+from track_range.overlay.method_colours import METHOD_COLOURS
+from track_range.report.comparison import ComparedRun
+from track_range.report.page import write_comparison, write_report
+from track_range.results.csv_file import COLUMNS
+from track_range.video.reader import VideoWriter
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
 

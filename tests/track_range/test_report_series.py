@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.report_series import LINE_POINTS, MOST_CELLS, methods_measured, packed, thinned, track_records
+from track_range.report.series import LINE_POINTS, MOST_CELLS, methods_measured, packed, thinned, track_records
 
 
 def unpacked(text: str, ticks_per_unit: float) -> list[float]:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from track_range.report_grids import accuracy_grids, mot_grid, speed_grids, stage_bars
-from track_range.report_words import best_method, cards, flattened, geometry_words, run_name, sigma_words
+from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.report.sentences import best_method, cards, flattened, geometry_words, run_name, sigma_words
 
 
 def row(median_pct: float | None, **more: Any) -> dict[str, Any]:

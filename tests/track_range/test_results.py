@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from track_range.ranging.ranges import Ranges
-from track_range.results import COLUMNS, FrameResult, ResultRows, read_tracks_csv
+from track_range.results.csv_file import COLUMNS, FrameResult, ResultRows, read_tracks_csv
+from track_range.results.output_files import OutputError
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
-from track_range.written import OutputError
 
 CONTRACT = (
     "frame,time_s,track_id,class,score,observed,x1_px,y1_px,x2_px,y2_px,mono_m,mono_sigma_m,lane_m,lane_sigma_m,"

@@ -16,11 +16,11 @@ from rich.console import Console
 
 from track_range.commands.report import report, short_names
 from track_range.ranging.evaluation.truth import Truth
-from track_range.report_truth import with_truth
-from track_range.results import COLUMNS
-from track_range.run_folder import read_run_folder
-from track_range.summary import matched_truth
-from track_range.written import OutputError
+from track_range.report.truth import with_truth
+from track_range.results.csv_file import COLUMNS
+from track_range.results.folder import read_run_folder
+from track_range.results.output_files import OutputError
+from track_range.results.summary import matched_truth
 
 N_FRAMES = 6
 

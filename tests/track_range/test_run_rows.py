@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from track_range.run_rows import read_run_rows, whole_rows
-from track_range.written import OutputError
+from track_range.results.output_files import OutputError
+from track_range.results.rows import read_run_rows, whole_rows
 
 HEADER = "frame,time_s,track_id,class,x1_px,y1_px,x2_px,y2_px,fused_m"
 

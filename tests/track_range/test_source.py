@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.config import RunSettings
-from track_range.source import open_source
+from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import save_rig
-from track_range.video import VideoError
+from track_range.video.reader import VideoError
+from track_range.video.source import open_source
 
 WIDTH_PX, HEIGHT_PX, SHIFT_PX = 320, 160, 12
 CAMERA = PinholeCamera(300.0, 300.0, 159.5, 79.5, WIDTH_PX, HEIGHT_PX)

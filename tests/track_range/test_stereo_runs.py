@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from track_range.results import read_tracks_csv
+from track_range.results.csv_file import read_tracks_csv
 from track_range.simulation.drive import write_drive
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment

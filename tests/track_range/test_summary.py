@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results import COLUMNS
-from track_range.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
+from track_range.results.csv_file import COLUMNS
+from track_range.results.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 

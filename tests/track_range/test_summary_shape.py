@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from track_range.report import report_page
-from track_range.run_rows import no_rows
-from track_range.summary_shape import fitting_summary
+from track_range.report.page import report_page
+from track_range.results.rows import no_rows
+from track_range.results.summary_shape import fitting_summary
 
 WHOLE: dict[str, Any] = {
     "frames": 3,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from track_range.tables import SIGMA, Cell, Grid, frames_per_s, grids, markdown, method_grid
+from track_range.report.tables import SIGMA, Cell, Grid, frames_per_s, grids, markdown, method_grid
 from track_range.terminal_tables import tell_grid, tell_summary
 
 STEREO = {

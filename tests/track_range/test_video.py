@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from track_range.video import VideoError, VideoReader
+from track_range.video.reader import VideoError, VideoReader
 
 Film = Callable[..., Path]
 NumberIn = Callable[[np.ndarray], int]

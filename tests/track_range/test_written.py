@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from track_range.written import OutputError, write_text
+from track_range.results.output_files import OutputError, write_text
 
 
 def test_a_file_appears_whole_and_nothing_beside_it(tmp_path: Path) -> None:

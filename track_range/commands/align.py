@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from track_range.calibration.drive_pairs import LEFT, RIGHT
+from track_range.calibration.reference_pairs import OpenedPair, open_pair, reference_pairs
 from track_range.commands.progress import say, step_progress
-from track_range.config import UsageError
-from track_range.drive_pairs import LEFT, RIGHT
-from track_range.pair_watch import order_checked
-from track_range.reference_pairs import OpenedPair, open_pair, reference_pairs
+from track_range.results.output_files import check_outputs, write_text
+from track_range.run.settings import UsageError
 from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
@@ -27,7 +27,7 @@ from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.rig_formats.reading import find_rig
-from track_range.written import check_outputs, write_text
+from track_range.video.pair_monitor import order_checked
 
 _MATCHER = "patch"
 _N_ROW_PAIRS = 12
@@ -42,7 +42,7 @@ class AlignOptions:
         out: alignment file to write.
         stereo: left and right video.
         drives: folders with left.mp4 and right.mp4 of one rig, whose estimates are put together.
-        reference: objects of known distance: see `track_range.reference_pairs`.
+        reference: objects of known distance: see `track_range.calibration.reference_pairs`.
         rig: the rig file; None = the one beside the images.
         seed: of the resampling.
         json_file: the figures are written there, where asked.

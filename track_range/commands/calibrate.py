@@ -12,21 +12,21 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from track_range.board_images import board_images
-from track_range.board_search import FoundViews, find_views
-from track_range.calibration_figures import mono_figures, pair_figures, tilt_deg
-from track_range.calibration_picture import calibration_picture
+from track_range.calibration.board_images import board_images
+from track_range.calibration.board_search import FoundViews, find_views
+from track_range.calibration.figures import mono_figures, pair_figures, tilt_deg
+from track_range.calibration.picture import calibration_picture
 from track_range.commands.progress import say, step_progress
-from track_range.config import UsageError
+from track_range.report.tables import Column, grid_of
+from track_range.results.output_files import check_outputs, write_bytes, write_text
+from track_range.run.settings import UsageError
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.boards import board_of
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit, calibrate_camera
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit, calibrate_pair
 from track_range.stereo.rig_formats.writing import save_camera, save_rig
-from track_range.tables import Column, grid_of
 from track_range.terminal_tables import tell_grid
-from track_range.written import check_outputs, write_bytes, write_text
 
 _BOARD_M = (0.1, 20.0)
 """Usual distance of a board; others make a wrong --square-mm likely."""

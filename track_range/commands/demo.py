@@ -8,9 +8,9 @@ from rich.console import Console
 
 from track_range.commands.progress import say, step_progress
 from track_range.commands.run import run
-from track_range.config import RunSettings
+from track_range.results.output_files import make_folder
+from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
-from track_range.written import make_folder
 
 
 def demo(out: Path, console: Console, *, seed: int = 0, seconds: float = 6.0, is_played_back: bool = False) -> None:

@@ -25,11 +25,11 @@ from track_range.detection.evaluation import MIN_BOXES, DetectionScores, evaluat
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
-from track_range.detection_tables import accuracy_grid, class_grid, speed_grid
-from track_range.detector_options import DetectorOptions, open_detector, thresholds
-from track_range.labelled_source import LabelledFrames, LabelledSource
+from track_range.report.detection_tables import accuracy_grid, class_grid, speed_grid
+from track_range.results.output_files import write_text
+from track_range.run.detector_options import DetectorOptions, open_detector, thresholds
+from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.terminal_tables import tell_grid
-from track_range.written import write_text
 
 LOWEST_SCORE = 0.001
 WORKING_SCORE = 0.25

@@ -12,11 +12,13 @@ import numpy as np
 from rich.console import Console
 
 from track_range.commands.progress import say
-from track_range.config import UsageError
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from track_range.detection.detections import IntArray
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
-from track_range.sequences import (
+from track_range.report.tables import Column, Grid, figure, grid_of
+from track_range.results.output_files import write_text
+from track_range.run.settings import UsageError
+from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,
     SequenceFile,
@@ -26,13 +28,11 @@ from track_range.sequences import (
     passed_over,
     without_truth,
 )
-from track_range.tables import Column, Grid, figure, grid_of
 from track_range.terminal_tables import tell_grid
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation import TrackingCounts, TrackingScores
 from track_range.tracking.mot_format import read_mot
 from track_range.tracking.tracked_boxes import TrackedBoxes
-from track_range.written import write_text
 
 TruthFormat = Literal["mot", "kitti"]
 
@@ -46,7 +46,7 @@ def evaluate_track_files(
     """Figures of all sequences, as `--json` keeps them, printed as a table.
 
     Args:
-        truth: a file, or a folder of sequences (see `track_range.sequences`).
+        truth: a file, or a folder of sequences (see `track_range.sequences.find`).
         results: the same; MOT or KITTI rows, or what `track-range track` wrote.
         truth_format: of the truth; None = told by its first line.
         road_class: which KITTI class; MOTChallenge's is person. None = car for KITTI.

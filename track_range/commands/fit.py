@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from track_range import tables
-from track_range.config import UsageError
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves
 from track_range.ranging.fitting.box_csv import read_box_csv
@@ -19,6 +17,8 @@ from track_range.ranging.fitting.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAM
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 from track_range.ranging.size_models.tables import TableSizes
+from track_range.report import tables
+from track_range.run.settings import UsageError
 from track_range.terminal_tables import tell_grid
 
 
@@ -115,7 +115,7 @@ def _compare(boxes: BoxSet, job: FitJob, console: Console) -> None:
         tell_grid(console, comparison_grid(fits))
     if job.picture is not None:
         points = {name: boxes.select(boxes.class_name == name) for name in names}
-        from track_range.charts import curve_picture  # matplotlib takes a third of a second to load
+        from track_range.report.figures import curve_picture  # matplotlib takes a third of a second to load
 
         curve_picture(
             {name: (points[name].wh_over_f, points[name].distance_m, fits) for name, fits in found.items()}, job.picture

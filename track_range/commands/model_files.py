@@ -12,7 +12,7 @@ from rich.text import Text
 from track_range.commands.ready_model import ready_model
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.lookup import model_rows, models_folder
-from track_range.detector_options import class_names
+from track_range.run.detector_options import class_names
 
 
 def list_models(console: Console) -> None:

@@ -14,7 +14,7 @@ from rich.text import Text
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.lookup import FoundModel, find_model
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.detector_options import DetectorOptions, open_detector
+from track_range.run.detector_options import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")
 """What a model may say of where it comes from."""

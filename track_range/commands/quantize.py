@@ -19,9 +19,9 @@ from track_range.detection.formats.labelled_images import ImageFileError, images
 from track_range.detection.models.onnx_session import FloatArray32, ModelError
 from track_range.detection.models.quantize import convert_fp16, quantize_int8
 from track_range.detection.yolo.detector import YoloDetector
-from track_range.detector_options import DetectorOptions, open_detector
-from track_range.labelled_source import LabelledFrames, LabelledSource
-from track_range.written import make_folder
+from track_range.results.output_files import make_folder
+from track_range.run.detector_options import DetectorOptions, open_detector
+from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
 
 N_CALIBRATION = 60
 """Images that tell the range of every layer's numbers; more change nothing (see detection/models/quantize.py)."""

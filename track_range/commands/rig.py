@@ -10,13 +10,13 @@ import numpy as np
 from rich.console import Console
 
 from track_range.commands.progress import say
-from track_range.config import UsageError
+from track_range.report.tables import Column, grid_of
+from track_range.run.settings import UsageError
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration
 from track_range.stereo.rig_formats.writing import save_camera, save_opencv, save_rig
-from track_range.tables import Column, grid_of
 from track_range.terminal_tables import tell_grid
 
 RigFormat = Literal["ours", "opencv"]

@@ -12,28 +12,28 @@ from typing import Any
 import numpy.typing as npt
 from rich.console import Console
 
-from track_range.box_source import open_box_source
 from track_range.commands.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
-from track_range.config import RunSettings, absolute_settings, save_settings
-from track_range.frame_meter import FrameMeter
-from track_range.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
-from track_range.live_view import LiveView
-from track_range.overlap import short_switch_interval
+from track_range.live_view.view import LiveView
+from track_range.overlay.outputs import overlay_picture, pictures, video_format
+from track_range.overlay.result_video import ResultVideo
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
-from track_range.report import write_report
-from track_range.report_truth import with_truth
-from track_range.result_video import ResultVideo
-from track_range.results import ResultRows, read_tracks_csv
-from track_range.run_pictures import overlay_picture, pictures, video_format
-from track_range.run_pipeline import open_pipeline
-from track_range.run_record import RunRecord, found_by, summary_of
-from track_range.source import open_source
-from track_range.summary import matched_truth, write_summary
-from track_range.tables import markdown
+from track_range.report.page import write_report
+from track_range.report.tables import markdown
+from track_range.report.truth import with_truth
+from track_range.results.csv_file import ResultRows, read_tracks_csv
+from track_range.results.output_files import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
+from track_range.results.summary import matched_truth, write_summary
+from track_range.run.box_source import open_box_source
+from track_range.run.build import open_pipeline
+from track_range.run.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
+from track_range.run.prefetch import short_switch_interval
+from track_range.run.session import RunRecord, found_by, summary_of
+from track_range.run.settings import RunSettings, absolute_settings, save_settings
+from track_range.run.throughput import FrameMeter
 from track_range.terminal_tables import tell_summary
-from track_range.written import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
+from track_range.video.source import open_source
 
 
 class RunStoppedError(Exception):

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from track_range.commands.progress import say, step_progress
-from track_range.config import UsageError
+from track_range.run.settings import UsageError
 from track_range.simulation.drive import Drive, DriveOptions, write_drive
 from track_range.simulation.drive_files import with_even_size
 from track_range.simulation.faults import Faults, WrongRig

@@ -10,13 +10,16 @@ import numpy as np
 from rich.console import Console
 
 from track_range.commands.progress import frame_progress, say
-from track_range.config import TrackerName, UsageError, check_looks
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import DetectionForm, RecordedDetections, read_detections
 from track_range.detection.formats.kitti import LabelFileError
-from track_range.sequence_tracking import images_of, track_sequence
-from track_range.sequences import (
+from track_range.report.tables import Column, Grid, grid_of
+from track_range.results.output_files import OutputError, make_folder
+from track_range.run.settings import TrackerName, UsageError, check_looks
+from track_range.run.tracker_options import new_tracker, open_descriptor
+from track_range.sequences.files import write_kitti, write_mot
+from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,
     SequenceFile,
@@ -25,13 +28,10 @@ from track_range.sequences import (
     listed,
     passed_over,
 )
-from track_range.tables import Column, Grid, grid_of
+from track_range.sequences.tracking import images_of, track_sequence
 from track_range.terminal_tables import tell_grid
-from track_range.track_files import write_kitti, write_mot
-from track_range.tracker_options import new_tracker, open_descriptor
 from track_range.tracking.appearance import Descriptor
-from track_range.video import VideoError
-from track_range.written import OutputError, make_folder
+from track_range.video.reader import VideoError
 
 DEFAULT_FPS = 10.0
 """KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""
@@ -45,7 +45,7 @@ class TrackOptions:
     """What `track` is told.
 
     Attributes:
-        detections: a file, or a folder of sequences (`track_range.sequences`).
+        detections: a file, or a folder of sequences (`track_range.sequences.find`).
         out: folder of the results.
         images: the video of the boxes, or a folder of videos or images (`sequence_tracking.images_of`); None = none.
         form: of the boxes; None = told from the files.

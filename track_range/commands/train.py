@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from track_range.charts import training_chart
 from track_range.commands.progress import say
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images
@@ -30,10 +29,11 @@ from track_range.detection.training.schedule import SGD, Optimiser, ScheduleSett
 from track_range.detection.training.settings import Precision, TrainingSettings, best_precision, usable_device
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, prepare_torch
-from track_range.detection_tables import class_grid
-from track_range.interrupts import termination_as_interrupt
+from track_range.report.detection_tables import class_grid
+from track_range.report.figures import training_chart
+from track_range.results.output_files import OutputError, make_folder
+from track_range.run.interrupts import termination_as_interrupt
 from track_range.terminal_tables import tell_grid
-from track_range.written import OutputError, make_folder
 
 CURVES = "curves.png"
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from track_range.detection.detections import FloatArray, Image
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.results.output_files import make_folder, write_text
 from track_range.simulation.drive_files import (
     EyeWriter,
     disparity_map,
@@ -42,7 +43,6 @@ from track_range.simulation.truth_table import HEADER, ego_speed_text, truth_row
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.rig_formats.reading import save_rig
-from track_range.written import make_folder, write_text
 
 __all__ = ["Drive", "DriveOptions", "kitti_text", "write_drive"]
 

@@ -16,7 +16,7 @@ from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import joined, label_scene, seen_at
 from track_range.stereo.evaluation.kitti_2015 import read_pair
 from track_range.stereo.rig_formats.reading import load_rig
-from track_range.video import VideoReader
+from track_range.video.reader import VideoReader
 
 SMALL = kitti_like_rig(width_px=310, height_px=94)
 

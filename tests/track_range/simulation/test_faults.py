@@ -9,7 +9,7 @@ from track_range.simulation.faults import Faults
 from track_range.simulation.render import Renderer, kitti_like_rig, noise_steps
 from track_range.simulation.scenarios import make_scenario
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video import VideoReader
+from track_range.video.reader import VideoReader
 
 RIG = kitti_like_rig(width_px=620, height_px=188)
 SMALL = kitti_like_rig(width_px=310, height_px=94)

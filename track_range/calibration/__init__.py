@@ -1,0 +1,1 @@
+"""Images and reference pairs for calibration and alignment."""

@@ -1,0 +1,189 @@
+"""Pairs with objects whose distance or disparity the user knows: what the alignment of a rig is fitted on.
+
+    DIR          KITTI 2015's layout, or a drive's left.mp4, right.mp4, rig.yaml and truth.csv (KITTI: label.txt)
+    LABELS       KITTI tracking labels of two videos, or a CSV as `--truth` takes
+    FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown), of two videos, frames
+                 counted from 0
+
+A distance is that of the visible surface in the middle of the box, along the left camera's axis.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from track_range.calibration.drive_pairs import is_drive, read_drive
+from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.detection.formats.csv_labels import is_whole_label_csv
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.ranging.evaluation.truth import read_truth
+from track_range.run.settings import RunSettings, UsageError
+from track_range.stereo.evaluation.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
+from track_range.stereo.geometry.rectification import Rectifier
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_rig
+from track_range.video.stereo_frames import StereoFrames
+
+_BOX = ("x1", "y1", "x2", "y2")
+_KNOWN = ("distance_m", "disparity_px")
+_PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
+_LARGEST_NUMBER = 2**53
+"""Of frames and objects: larger ones are not told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedPair:
+    """Two videos with their rig.
+
+    Attributes:
+        frames: both, in step.
+        rectifier: of the rig.
+        path: of the rig file.
+        notes: what the user should know of it.
+    """
+
+    frames: StereoFrames
+    rectifier: Rectifier
+    path: Path
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """Objects of a drive, one row per object and frame: (N,) frame, id (-1 = unknown), (N, 4) box, (N,) true px."""
+
+    frame: IntArray
+    track_id: IntArray
+    xyxy_px: FloatArray
+    true_px: FloatArray
+
+
+def open_pair(stereo: tuple[Path, Path], rig: Path | None) -> OpenedPair:
+    """Open two videos; `rig` None = the file beside the left one.
+
+    Raises:
+        VideoError: a video cannot be used.
+        RigError: there is no rig, or it cannot be used.
+    """
+    frames = StereoFrames.open(RunSettings(stereo=stereo), stereo)
+    path = rig or find_rig(stereo[0])
+    if path is None:
+        raise RigError(f"{stereo[0]}: no rig.yaml or calib.txt beside it; give the cameras with --rig FILE.")
+    cameras, notes = load_rig(path, size_px=frames.size_px, is_grey=frames.left.is_grey)
+    return OpenedPair(frames, Rectifier(cameras), path, notes)
+
+
+def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:
+    """The pairs with their known objects, read one by one.
+
+    Raises:
+        UsageError: a file without the two videos, or a folder with them.
+        PairFileError, LabelFileError, VideoError, RigError: what is read cannot be used.
+    """
+    if not reference.exists():
+        raise LabelFileError(f"{reference}: there is no such file or folder.")
+    if reference.is_dir():
+        if stereo is not None:
+            raise UsageError("--reference DIR brings its own images: leave --stereo out, or give a file.")
+        return _folder_pairs(reference, rig)
+    if stereo is None:
+        raise UsageError("--reference FILE tells of two videos: give them with --stereo LEFT RIGHT.")
+    return _video_pairs(reference, open_pair(stereo, rig))
+
+
+def _folder_pairs(folder: Path, rig: Path | None) -> Iterator[StereoPair]:
+    if is_drive(folder) and not is_kitti_2015(folder):
+        return read_drive(folder, rig=rig)
+    return read_pairs(folder, rig=rig)
+
+
+def _video_pairs(reference: Path, pair: OpenedPair) -> Iterator[StereoPair]:
+    rectified = pair.rectifier.rig
+    is_table = reference.suffix.lower() == ".csv" and not is_whole_label_csv(reference)
+    known = _of_table(reference, rectified) if is_table else _of_labels(reference, pair)
+    last = int(known.frame.max())
+    with closing(pair.frames.rectified(pair.rectifier)) as frames:
+        for frame in frames:
+            if frame.index > last:
+                return
+            here = known.frame == frame.index
+            if frame.right is None or not here.any():
+                continue
+            yield StereoPair(
+                f"{frame.index:06d}",
+                frame.left,
+                frame.right,
+                known.xyxy_px[here],
+                known.true_px[here],
+                rectified,
+                pair.notes,
+                track_id=_identities(known, here),
+            )
+
+
+def _identities(known: _Known, here: BoolArray) -> IntArray:
+    """Of the objects of a frame; none where one of them is unknown, since identities are for all or for none."""
+    ids = known.track_id[here]
+    return ids if (known.track_id >= 0).all() else np.zeros(0, np.int64)
+
+
+def _of_labels(path: Path, pair: OpenedPair) -> _Known:
+    rig = pair.rectifier.rig
+    shift_m = left_from_reference_m(pair.path, is_grey=pair.frames.left.is_grey)
+    truth = read_truth(path, rig.left, shift_m)
+    truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
+    if not len(truth):
+        raise LabelFileError(f"{path}: no object in it is labelled well enough to know its distance.")
+    return _Known(truth.frame, truth.track_id, truth.xyxy_px, rig.left.fx_px * rig.baseline_m / truth.distance_m)
+
+
+def _of_table(path: Path, rig: StereoRig) -> _Known:
+    rows = _rows(path)
+    given = [column for column in _KNOWN if rows and column in rows[0]]
+    if len(given) != 1 or not {"frame", *_BOX} <= set(rows[0]):
+        raise LabelFileError(
+            f"{path}: a heading and rows of frame,x1,y1,x2,y2 and distance_m or disparity_px wanted (and id, if known)."
+        )
+    frame, box, value = _numbers(rows, ["frame"], path)[:, 0], _numbers(rows, _BOX, path), _numbers(rows, given, path)
+    low, high = _PLAUSIBLE[given[0]]
+    if not ((value >= low) & (value <= high)).all():
+        raise LabelFileError(f"{path}: {given[0]} must be {low:g} .. {high:g} in each row.")
+    _check_whole(frame, "frames", path, least=0)
+    ids = np.full(len(rows), -1)
+    if "id" in rows[0]:
+        given_ids = _numbers(rows, ["id"], path)[:, 0]
+        _check_whole(given_ids, "ids", path, least=-1)
+        ids = given_ids.astype(np.int64)
+    true_px = value[:, 0] if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value[:, 0]
+    return _Known(frame.astype(np.int64), ids, box, true_px)
+
+
+def _check_whole(numbers: FloatArray, name: str, path: Path, *, least: int) -> None:
+    if not ((numbers >= least) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)).all():
+        raise LabelFileError(f"{path}: {name} must be whole numbers from {least}.")
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return list(csv.DictReader(file, skipinitialspace=True))
+    except OSError as error:
+        raise LabelFileError(f"{path}: cannot be read ({error.strerror}).") from error
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise LabelFileError(f"{path}: it is no CSV file; rows of numbers separated by commas wanted.") from error
+
+
+def _numbers(rows: list[dict[str, str]], columns: tuple[str, ...] | list[str], path: Path) -> FloatArray:
+    try:
+        table = np.array([[float(row[column]) for column in columns] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise LabelFileError(f"{path}: a number in each of {', '.join(columns)} wanted, in every row.") from error
+    if not np.isfinite(table).all():
+        raise LabelFileError(f"{path}: a number in each of {', '.join(columns)} wanted, in every row.")
+    return table

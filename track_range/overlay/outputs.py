@@ -1,0 +1,35 @@
+"""What a run shows: overlay, overlay beside disparities, disparities; filmed, or looked at while the run goes on."""
+
+from __future__ import annotations
+
+from track_range.overlay.annotator import Overlay, Status
+from track_range.overlay.disparity_view import DisparityPicture, SidePicture
+from track_range.overlay.result_video import Draw, VideoFormat
+from track_range.run.settings import RunSettings
+from track_range.video.source import Source
+
+
+def pictures(settings: RunSettings, source: Source, status: Status = tuple) -> dict[str, Draw]:
+    """What is filmed, by the name of its file without the ending; `status`: see `Overlay`."""
+    wanted: dict[str, Draw] = {}
+    if settings.overlay:
+        wanted["overlay"] = overlay_picture(settings, source, status)
+    if settings.disparity and source.rig is not None:
+        wanted["disparity"] = DisparityPicture(source.rig).draw
+    return wanted
+
+
+def overlay_picture(settings: RunSettings, source: Source, status: Status = tuple) -> Draw:
+    """A new overlay, with the disparities below it where the settings want them and the source has them."""
+    warning = "uncalibrated" if source.calibration == "estimated" else ""
+    overlay = Overlay(camera=source.camera, status=status, warning=warning)
+    if settings.overlay_side and source.rig is not None:
+        return SidePicture(overlay, source.rig).draw
+    return overlay.draw
+
+
+def video_format(name: str, settings: RunSettings, source: Source) -> VideoFormat:
+    """Size and rate of one of `pictures`."""
+    width_px, height_px = source.size_px
+    is_double = name == "overlay" and settings.overlay_side and source.rig is not None
+    return VideoFormat((width_px, 2 * height_px if is_double else height_px), source.fps)

@@ -1,0 +1,72 @@
+"""Videos of a run in progress, overlay.mp4 and disparity.mp4: drawn and encoded in a thread of their own."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from track_range.detection.detections import Image
+from track_range.results.csv_file import FrameResult
+from track_range.run.pipeline import StageClock
+from track_range.run.prefetch import give_way
+from track_range.video.reader import VideoWriter
+
+_QUANTIZER = 28
+"""To the eye as good as x264's crf 23; a frame of KITTI 0003 takes 2.7 ms and 57 kB in place of 3.3 ms and 72 kB."""
+
+_WRITE_BEHIND = 4  # frames that may wait to be drawn before the run waits for them
+
+
+Draw = Callable[[FrameResult], Image]
+"""A picture of a result, (H, W, 3) uint8 BGR; called from one thread."""
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFormat:
+    """Width and height, and nominal frame rate."""
+
+    size_px: tuple[int, int]
+    fps: float
+
+
+class ResultVideo:
+    """Draws each result and writes it; an error while writing reaches the caller at a later frame."""
+
+    def __init__(self, path: Path, draw: Draw, *, form: VideoFormat, clock: StageClock) -> None:
+        """Begin the video; `clock` is told the time under "write".
+
+        Raises:
+            VideoError: it cannot be written there.
+        """
+        width_px, height_px = form.size_px
+        self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=form.fps, quantizer=_QUANTIZER)
+        self._picture = draw
+        self._clock = clock
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=give_way)
+        self._waiting: deque[Future[None]] = deque()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        try:
+            while self._waiting:
+                self._waiting.popleft().result()
+        finally:
+            self._thread.shutdown()
+            self._writer.close()
+
+    def write(self, result: FrameResult) -> None:
+        """Hand over one frame; waits only when several are waiting already."""
+        self._waiting.append(self._thread.submit(self._draw, result))
+        if len(self._waiting) > _WRITE_BEHIND:
+            self._waiting.popleft().result()
+
+    def _draw(self, result: FrameResult) -> None:
+        with self._clock.stage("write"):
+            self._writer.write(self._picture(result), result.frame.time_s)

@@ -1,0 +1,155 @@
+"""The report: one self-contained page of a run, or of several side by side; it needs no network.
+
+The overlay video stays a file beside the page. Everything that a user or a model could have named (files, classes,
+notes) is escaped, in the text and in the data; the page's own script and style go in as they are, and a content policy
+with the script's checksum lets no other run.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+import numpy as np
+
+from track_range.overlay.method_colours import colour_of_each
+from track_range.report import tables
+from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, error_lines, settings_grid
+from track_range.report.errors import calibration_curves, error_curves
+from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.report.sentences import cards, geometry_words, run_name, settings_groups, sigma_words
+from track_range.report.series import Columns, methods_measured, track_records
+from track_range.results.output_files import write_text
+
+_NEVER_SHOWN_FIRST = "_kf"
+"""Filtered methods lie on top of the measured ones: their lines are there, but wait to be switched on, but for one."""
+
+
+def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> None:
+    """Write the page of a run; the file appears whole or not at all.
+
+    Args:
+        path: the file to write, usually report.html beside overlay.mp4.
+        summary: what summary.json holds.
+        columns: tracks.csv by column, NaN = empty, with the truth (`report_truth`) where there is one; zero rows when
+            nothing was tracked.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write_page(path, report_page(summary, columns))
+
+
+def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
+    """Write the page of several runs side by side; the file appears whole or not at all.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _write_page(path, comparison_page(runs))
+
+
+def _write_page(path: Path, page: str) -> None:
+    # A file name need not be text: what UTF-8 cannot hold becomes a question mark.
+    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
+
+
+def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
+    """The page's HTML."""
+    return _rendered(
+        "report.html.j2",
+        title=run_name(summary),
+        cards=list(cards(summary)),
+        notes=summary.get("notes") or [],
+        video=video_link(summary),
+        truth=summary.get("truth"),
+        accuracy=accuracy_grids(summary),
+        speed=speed_grids(summary),
+        stages=stage_bars(summary),
+        mot=mot_grid(summary.get("tracks") or {}),
+        mot_classes=(summary.get("tracks") or {}).get("classes") or [],
+        sigma_words=sigma_words(summary),
+        geometry=geometry_words(summary),
+        n_tracks=len(np.unique(columns["track_id"])),
+        settings=list(settings_groups(summary)),
+        content=embedded(run_content(summary, columns)),
+    )
+
+
+def comparison_page(runs: Sequence[ComparedRun]) -> str:
+    """The HTML of several runs side by side."""
+    return _rendered(
+        "comparison.html.j2",
+        title=f"{len(runs)} runs side by side",
+        runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
+        notes=comparison_notes(runs),
+        grids=comparison_grids(runs),
+        settings=settings_grid(runs),
+        content=embedded({"lines": error_lines(runs)}),
+    )
+
+
+def run_content(summary: Mapping[str, Any], columns: Columns) -> dict[str, Any]:
+    """What the page's script draws from."""
+    errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
+    names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
+    colours = colour_of_each(names)
+    return {
+        "methods": [{"name": name, "colour": colours[name], "shown": _is_shown_first(name, names)} for name in names],
+        "tracks": list(track_records(columns)),
+        "errors": errors,
+        "signed": any(curve["points"][0] for curve in errors.values()),
+        "calibration": calibration,
+        "starts_s": video_starts_s(summary),
+    }
+
+
+def _is_shown_first(name: str, names: Sequence[str]) -> bool:
+    return not name.endswith(_NEVER_SHOWN_FIRST) or name.removesuffix(_NEVER_SHOWN_FIRST) not in names
+
+
+def video_starts_s(summary: Mapping[str, Any]) -> float:
+    """Time of the overlay's first frame: as the summary says, else the whole drive is taken to be in it."""
+    return round(tables.figure(summary, "starts_s") or 0.0, 6)
+
+
+def video_link(summary: Mapping[str, Any]) -> str | None:
+    """Address of the overlay video relative to the page, None when the run wrote none."""
+    name = (summary.get("files") or {}).get("overlay")
+    return address(str(name)) if name else None
+
+
+def address(path: str) -> str:
+    """A relative path as an address in a page; bytes of a file's name that are no text are kept."""
+    return quote(path, errors="surrogateescape")
+
+
+def embedded(content: Mapping[str, Any]) -> str:
+    """JSON that may stand inside an element of a page: no markup, not even a comment, can begin in it."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _rendered(template: str, **values: Any) -> str:
+    # Autoescape is on by name: the usual choice by file ending does not know `.j2`.
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("track_range.report", "assets"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    script, style = _packaged("report.js"), _packaged("report.css")
+    checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return environment.get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
+
+
+def _packaged(name: str) -> str:
+    return (files("track_range.report") / "assets" / name).read_text(encoding="utf-8")

@@ -1,0 +1,180 @@
+"""A run's folder read again: what its files say, and what can still be told where some of them are missing.
+
+A killed run leaves tracks.csv up to its last whole frame and settings.yaml, but no summary.json: coverage, errors and
+metrics of tracking are then computed anew, as far as the labels that it was measured against are still where they were.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.report.series import Columns, methods_measured
+from track_range.report.truth import with_truth
+from track_range.results.output_files import OutputError
+from track_range.results.rows import no_rows, read_run_rows
+from track_range.results.summary import MatchedTruth, matched_truth, range_scores, track_scores
+from track_range.results.summary_shape import fitting_summary
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.rig_formats.reading import left_from_reference_m
+
+Sections = Mapping[str, Any]
+
+_MOST_NAMED = 5
+_INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunFolder:
+    """What a run left behind.
+
+    Attributes:
+        folder: where it lies.
+        summary: as summary.json has it, or rebuilt; its notes say what is missing.
+        columns: tracks.csv by column, with `truth_m` where the truth could be read again.
+        settings: the section `run` of settings.yaml; empty without one.
+        missing: sentences on what could not be read.
+    """
+
+    folder: Path
+    summary: Sections
+    columns: Columns
+    settings: Sections
+    missing: tuple[str, ...]
+
+
+def read_run_folder(folder: Path) -> RunFolder:
+    """Read the files of a run.
+
+    Raises:
+        OutputError: it is no run's folder, or tracks.csv is not one.
+    """
+    if not folder.is_dir():
+        raise OutputError(f"{folder}: there is no such folder; give the folder of a run's results.")
+    missing: list[str] = []
+    summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
+    columns = _columns_of(folder, missing)
+    if summary is None and columns is None:
+        raise OutputError(f"{folder}: neither tracks.csv nor summary.json is in it, so it is no run's folder.")
+    run, found = _section(settings, "run"), _section(settings, "found")
+    rows = no_rows() if columns is None else columns
+    truth = _truth_of(run, found, missing)
+    matched = None if truth is None else matched_truth(rows, truth)
+    if matched is not None:
+        rows = with_truth(rows, matched)
+    summary = _rebuilt(rows, matched, run) if summary is None else summary
+    kept = _with_what_is_there(folder, summary, settings, missing)
+    return RunFolder(folder=folder, summary=kept, columns=rows, settings=run, missing=tuple(missing))
+
+
+def _section(document: Sections, name: str) -> dict[str, Any]:
+    found = document.get(name)
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
+    try:
+        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        missing.append(
+            "summary.json is missing, so the run was killed or is still at work: how long its stages took, what was "
+            "found of the alignment and its notes are not known; the other figures are of the frames in tracks.csv."
+        )
+        return None
+    except (OSError, ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        missing.append("summary.json cannot be read: figures are of the frames in tracks.csv.")
+        return None
+    return found
+
+
+def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
+    try:
+        found = yaml.safe_load((folder / "settings.yaml").read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        missing.append("settings.yaml is missing or cannot be read: what the run was asked for is not known.")
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
+    path = folder / "tracks.csv"
+    if path.is_file():
+        return read_run_rows(path, missing)
+    missing.append("tracks.csv is missing: there are no charts of tracks.")
+    return None
+
+
+def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | None:
+    """The labels that the run was measured against, None where there were none or they are gone."""
+    if not run.get("truth"):
+        return None
+    try:
+        camera = _camera(found)
+        shift_m = left_from_reference_m(Path(found["rig"]), is_grey=False) if found.get("rig") else np.zeros(3)
+        return read_truth(Path(run["truth"]), camera, shift_m)
+    except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
+        reason = f"settings.yaml does not say {error.args[0]}" if isinstance(error, KeyError) else error
+        missing.append(f"The truth could not be read again, so charts show none ({reason}).")
+        return None
+
+
+def _camera(found: Sections) -> PinholeCamera:
+    """The left camera as the run saw it.
+
+    Raises:
+        KeyError: settings.yaml does not say.
+    """
+    (width_px, height_px), (cx_px, cy_px) = found["image_size_px"], found["principal_point_px"]
+    focal_px = float(found["focal_px"])
+    return PinholeCamera(focal_px, float(found.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
+
+
+def _rebuilt(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
+    """What of a summary the rows alone tell."""
+    truth = None if matched is None else matched.truth
+    frame = columns["frame"].astype(np.int64)
+    first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
+    labelled = np.zeros(0, np.int64) if truth is None else np.unique(truth.frame)
+    methods = tuple(name for name in methods_measured(columns) if f"{name}_sigma_m" in columns)
+    inputs = {key: run[key] for key in _INPUTS if key in run}
+    if isinstance(run.get("stereo"), list) and len(run["stereo"]) == 2:
+        inputs = {"left": run["stereo"][0], "right": run["stereo"][1], **inputs}
+    return {
+        "frames": last - first + 1,
+        **range_scores(columns, matched, methods),
+        "tracks": track_scores(columns, truth, labelled[(labelled >= first) & (labelled <= last)]),
+        "truth": truth.protocol if truth is not None else None,
+        "inputs": inputs,
+        "files": {"overlay": "overlay.mp4"} if run.get("overlay", True) else {},
+    }
+
+
+def _with_what_is_there(folder: Path, summary: Sections, settings: Sections, missing: list[str]) -> dict[str, Any]:
+    """The summary without files that are gone, with the camera that settings.yaml knows, and with notes on the rest."""
+    files = _section(summary, "files")
+    gone = [name for name in files.values() if not (folder / str(name)).is_file()]
+    missing += [f"{name} is missing: it cannot be shown." for name in gone]
+    found = _section(settings, "found")
+    camera = {key: found[key] for key in ("focal_px", "baseline_m", "versions") if found.get(key) is not None}
+    run = {key: value for key, value in _section(settings, "run").items() if value not in ([], {})}
+    told = {**camera, "settings": run, "starts_s": run.get("start_s", 0.0), **summary}
+    told["files"] = {key: name for key, name in files.items() if name not in gone}
+    fitting, misfits = fitting_summary(told)
+    if misfits:
+        more = "" if len(misfits) <= _MOST_NAMED else f" and {len(misfits) - _MOST_NAMED} more"
+        missing.append(
+            f"summary.json and settings.yaml say what no run writes, which is left out: "
+            f"{', '.join(misfits[:_MOST_NAMED])}{more}."
+        )
+    return {**fitting, "notes": [*missing, *(fitting.get("notes") or [])]}

@@ -1,0 +1,136 @@
+"""summary.json: what a run measured, how well, and how fast.
+
+Figures without `_pct` are fractions 0..1, except the MOT metrics, which are per cent, and counts.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.detections import IntArray
+from track_range.ranging.evaluation.errors import (
+    BANDS_M,
+    MethodColumn,
+    coverage_only,
+    match_truth,
+    score_closing,
+    score_methods,
+)
+from track_range.ranging.evaluation.truth import Truth
+from track_range.results.csv_file import FILTERED_METHODS, MEASURED_METHODS
+from track_range.results.output_files import write_text
+from track_range.tracking.benchmark_rules import MIN_HEIGHT_PX
+from track_range.tracking.evaluation import evaluate_tracks
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+
+Columns = Mapping[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedTruth:
+    """The truth of each of N track-frames.
+
+    Attributes:
+        truth: the labels.
+        row: (N,) row of `truth` that matches; -1 = none.
+        distance_m: (N,) its true distance; NaN = none.
+    """
+
+    truth: Truth
+    row: IntArray
+    distance_m: npt.NDArray[np.float64]
+
+
+def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
+    """The rows of a run matched to the truth; once per run, for tables and charts."""
+    row = match_truth(columns["frame"].astype(np.int64), _boxes(columns), truth)
+    distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
+    return MatchedTruth(truth, row, distance_m)
+
+
+def range_scores(columns: Columns, matched: MatchedTruth | None, methods: tuple[str, ...]) -> dict[str, Any]:
+    """The `methods` and `common` sections for the methods that ran; `closing` where the truth knows speeds."""
+    by_name = {
+        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
+        for name in (*MEASURED_METHODS, *FILTERED_METHODS)
+        if name in methods
+    }
+    if matched is None:
+        return {"methods": coverage_only(by_name), "common": {}}
+    truth, row, true_m = matched.truth, matched.row, matched.distance_m
+    labelled = row >= 0
+    is_road_class = labelled & (truth.class_id[row] >= 0)
+    kitti_type = np.where(labelled, truth.kitti_type[row], "")
+    mine, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
+    in_span = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
+    closing = score_closing(
+        columns["closing_mps"], columns["closing_sigma_mps"], np.where(in_span, truth.closing_mps[row], np.nan)
+    )
+    return {"methods": mine, "common": common, **({} if closing is None else {"closing": closing})}
+
+
+def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
+    """The `tracks` section: how many, and with truth the MOT metrics over the classes that the truth labels.
+
+    As on KITTI, what is under 25 px high counts neither way: labels, and tracks that match none.
+    """
+    track_id = columns["track_id"].astype(np.int64)
+    counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
+    if truth is None:
+        return counts
+    truth = truth.select(np.isin(truth.frame, frames))
+    named = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
+    class_id = road_class_of_each([str(name) for name in columns["class"]])
+    wanted, got = truth.select(named), _tracked(columns, class_id)
+    low = got.xyxy_px[:, 3] - got.xyxy_px[:, 1] < MIN_HEIGHT_PX
+    void_frame = np.concatenate([truth.frame[~named], got.frame[low]])
+    void_px = np.concatenate([truth.xyxy_px[~named], got.xyxy_px[low]])
+    scores = evaluate_tracks(
+        TrackedBoxes(wanted.frame, wanted.track_id, wanted.xyxy_px, wanted.class_id),
+        got.select(np.isin(class_id, wanted.class_id)),
+        ignore=IgnoreRegions(void_frame, void_px),
+    )
+    figures = {name: _json_number(value) for name, value in asdict(scores).items() if name != "n"}
+    return {
+        **counts,
+        **figures,
+        "n_truth_boxes": scores.n,
+        "classes": [ROAD_CLASSES[c] for c in _unique(wanted.class_id)],
+    }
+
+
+def _tracked(columns: Columns, class_id: IntArray) -> TrackedBoxes:
+    return TrackedBoxes(
+        columns["frame"].astype(np.int64), columns["track_id"].astype(np.int64), _boxes(columns), class_id
+    )
+
+
+def _unique(values: IntArray) -> list[int]:
+    return [int(value) for value in np.unique(values)]
+
+
+def _json_number(value: float) -> float | None:
+    """JSON has no NaN: null is "nothing to divide by"."""
+    return None if np.isnan(value) else round(value, 4)
+
+
+def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, float]:
+    """Milliseconds per frame of each stage."""
+    return {name: round(1e3 * seconds / max(n_frames, 1), 3) for name, seconds in busy_s.items()}
+
+
+def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
+    """Write summary.json, whole or not at all; NaN is not JSON and may not be in it."""
+    write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+
+
+def _boxes(columns: Columns) -> npt.NDArray[np.float64]:
+    return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)

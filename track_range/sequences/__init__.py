@@ -1,0 +1,1 @@
+"""Labelled sequences: finding and tracking them."""

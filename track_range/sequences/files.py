@@ -1,0 +1,52 @@
+"""Tracks of recorded boxes as files: MOTChallenge's rows, and KITTI's beside them, which know fewer classes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.results.output_files import write_text
+from track_range.sequences.find import KITTI_FOLDER, MOT_FOLDER
+from track_range.tracking.mot_format import mot_lines
+from track_range.tracking.tracks import Tracks
+
+_KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
+
+
+def write_mot(frames: Sequence[Tracks], out: Path, name: str, *, first_frame: int) -> None:
+    """Write mot/NAME.txt in `out`; the first frame has this number.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    lines = (mot_lines(tracks, index, first_frame=first_frame) for index, tracks in enumerate(frames))
+    write_text(out / MOT_FOLDER / f"{name}.txt", "".join(line for of_frame in lines for line in of_frame))
+
+
+def write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ...]:
+    """Write kitti/NAME.txt in `out`, frames from 0; a note on classes that KITTI has no name for, which are left out.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    file = Path(KITTI_FOLDER) / f"{name}.txt"
+    write_text(out / file, "".join(row for frame, tracks in enumerate(frames) for row in _kitti_rows(tracks, frame)))
+    class_id = np.concatenate([np.zeros(0, np.int64), *(tracks.class_id for tracks in frames)])
+    nameless = [i for i in np.unique(class_id) if ROAD_CLASSES[i] not in _KITTI_TYPE]
+    if not nameless:
+        return ()
+    n, names = int(np.isin(class_id, nameless).sum()), ", ".join(ROAD_CLASSES[i] for i in nameless)
+    return (f"{n} of {len(class_id)} boxes are not in {file.as_posix()}: KITTI has no name for {names}.",)
+
+
+def _kitti_rows(tracks: Tracks, frame: int) -> list[str]:
+    rows = []
+    kinds = [_KITTI_TYPE.get(ROAD_CLASSES[i]) for i in tracks.class_id]
+    for kind, track_id, box, score in zip(kinds, tracks.track_id, tracks.xyxy_px, tracks.score, strict=True):
+        if kind is not None:
+            edges = " ".join(f"{edge:.2f}" for edge in box)
+            rows.append(f"{frame} {track_id} {kind} -1 -1 -10 {edges} -1 -1 -1 -1000 -1000 -1000 -10 {score:.4f}\n")
+    return rows

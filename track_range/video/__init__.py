@@ -1,0 +1,1 @@
+"""Reading videos, image folders, pairs and live streams; writing videos."""

@@ -1,0 +1,107 @@
+"""`--align auto|off|FILE`: which correction of the disparities a run uses, and what is told of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.video.pair_monitor import order_checked
+
+Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+"""Opens a progress bar with a text; what it yields is told steps done, and of how many."""
+
+_MAX_LOOK_S = 8.0
+"""So much of the drive is looked at; a vehicle that stands still all the while tells nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundAlignment:
+    """What was found about a pair's alignment, and what is done about it.
+
+    Attributes:
+        measured: as estimated or read.
+        is_applied: whether disparities are corrected by it.
+        look_s: how long the look through the first frames took.
+    """
+
+    measured: Alignment
+    is_applied: bool
+    look_s: float = 0.0
+
+    @property
+    def applied(self) -> Alignment:
+        """The correction that disparities get."""
+        return self.measured if self.is_applied else self.measured.withheld()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know, in plain words."""
+        rows_px = self.measured.rows_to_move_px
+        rows = (
+            f"Rows of left and right are {rows_px:+.1f} px apart: corrected, but the rig does not fit these videos "
+            "well; calibrate anew.",
+        )
+        return (self.applied.sentence(), *(rows if rows_px else ()))
+
+    def summary(self) -> dict[str, Any]:
+        """The section `alignment` of summary.json."""
+        measured = self.measured
+        return {
+            "offset_px": round(measured.offset_px, 4),
+            "bow_px": round(measured.bow_px, 4),
+            "row_offset_px": round(measured.row_offset_px, 4),
+            "residual_px": round(self.applied.residual_px, 4),
+            "source": measured.source,
+            "is_applied": self.is_applied,
+            "look_s": round(self.look_s, 3),
+        }
+
+
+def find_alignment(
+    align: str, rig: StereoRig, frames: Callable[[], Generator[Frame, None, None]], progress: Progress | None = None
+) -> FoundAlignment:
+    """What `--align` asks for.
+
+    Args:
+        align: "auto": estimated from the drive's own first frames; "off": nothing; else an alignment file.
+        rig: the rectified pair.
+        frames: opens the drive's frames, rectified, for a look of its own.
+        progress: told how far that look has come.
+
+    Raises:
+        RigError: the file cannot be used; left and right are swapped.
+    """
+    if align == "off":
+        return FoundAlignment(measured=Alignment(source="off, as asked"), is_applied=False)
+    if align != "auto":
+        return FoundAlignment(measured=load_alignment(Path(align)), is_applied=True)
+    began_s = time.perf_counter()
+    with (progress or _untold)("looking at the pair's alignment") as tell, closing(frames()) as shown:
+        measured = _estimated(rig, shown, tell)
+    return FoundAlignment(measured=measured, is_applied=measured.is_clear, look_s=time.perf_counter() - began_s)
+
+
+def _estimated(rig: StereoRig, frames: Generator[Frame, None, None], tell: Callable[[int, int], None]) -> Alignment:
+    drive, first_s = DriveAlignment(rig), math.nan
+    for number, frame in enumerate(order_checked(frames)):
+        first_s = frame.time_s if number == 0 else first_s
+        tell(round(10 * (frame.time_s - first_s)), round(10 * _MAX_LOOK_S))
+        drive.add(frame)
+        if drive.is_full or frame.time_s - first_s > _MAX_LOOK_S:
+            break
+    return drive.estimate()
+
+
+@contextmanager
+def _untold(_: str) -> Generator[Callable[[int, int], None], None, None]:
+    yield lambda done, total: None
