@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
-from track_range.detection.detections import FloatArray, Image
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.foundation.arrays import FloatArray, Image
 
 SIZES_PX = (320, 416, 640)
 

@@ -31,8 +31,8 @@ from benchmarks.drives import REAL_DATA
 from benchmarks.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.tracking.association import assigned
 from track_range.tracking.benchmark_rules import KITTI_TYPES

@@ -25,10 +25,10 @@ from rich.console import Console
 from benchmarks.drives import REAL_DATA
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import SimulatedDrive
-from track_range.detection.detections import FloatArray, Image
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.scenarios import SCENARIOS as KNOWN
 from track_range.video.reader import VideoReader
 

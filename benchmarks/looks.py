@@ -32,8 +32,9 @@ from benchmarks.drives import REAL_DATA
 from benchmarks.looks_drives import FPS, LooksDrive, class_ids, real, simulated
 from benchmarks.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
-from track_range.detection.detections import Descriptors, FloatArray, Image, IntArray
+from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import Runtime
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.simulation.playback import HIDDEN
 from track_range.tracking.appearance import ColourLayout, Descriptor

@@ -19,8 +19,9 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
-from track_range.detection.detections import Detections, FloatArray, Image, IntArray
+from track_range.detection.detections import Detections
 from track_range.detection.formats.kitti import KittiLabels, read_kitti
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.playback import HIDDEN, play_back
 from track_range.simulation.render import Renderer
 from track_range.simulation.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser, Scene, make_scene

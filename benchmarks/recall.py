@@ -13,10 +13,10 @@ from rich.table import Table
 
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import FloatArray, Image
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario
 from track_range.simulation.truth import label_scene

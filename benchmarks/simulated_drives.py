@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.faults import NO_FAULTS, Faults
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scenarios import make_scenario

@@ -21,26 +21,23 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
 from benchmarks.stereo_accuracy import add_accuracy_options, measure_accuracy
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.simulation.truth import label_scene
 from track_range.stereo.evaluation.kitti_2015 import TRUTH, pair_names, read_pair
-from track_range.stereo.geometry.frames import Image
 from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings
-
-FloatArray = npt.NDArray[np.float64]
 
 N_BOXES = 15
 N_DISPARITIES = 128

@@ -17,20 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.drives import REAL_DATA
 from track_range.calibration.drive_pairs import read_drive
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.drive import write_drive
 from track_range.stereo.evaluation.disparity_errors import Column, figures
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.matching.box_matchers import Measured, measure_pairs
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 FROM_M, TO_M = 15.0, 25.0
 MIN_FRAMES = 8

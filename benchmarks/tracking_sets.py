@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import Detections, FloatArray, IntArray
+from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.kitti import KittiLabels, read_kitti
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.sequences.find import find_sequences
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation import TrackingCounts

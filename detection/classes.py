@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from track_range.detection.detections import IntArray
+from track_range.foundation.arrays import IntArray
 
 ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
 """Index in this tuple = class_id everywhere downstream of a detector."""

@@ -7,26 +7,13 @@ Frame of all boxes: pixels of the image that was handed in, x right, y down, pix
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+
 Descriptors = npt.NDArray[np.float32]
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
-Image = npt.NDArray[np.uint8]
-
-
-def check_shape(name: str, array: npt.NDArray[Any], wanted: tuple[int | None, ...]) -> None:
-    """Raise ValueError unless `array` has the shape `wanted` (None matches any length)."""
-    if array.shape == wanted:
-        return
-    fits = array.ndim == len(wanted) and all(w is None or w == g for w, g in zip(wanted, array.shape, strict=True))
-    if not fits:
-        text = ", ".join("*" if w is None else str(w) for w in wanted)
-        raise ValueError(f"{name}: shape ({text}) wanted, {array.shape} got")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 
 _MPS_PER_KMH = 1 / 3.6
 _FASTEST_MPS = 120.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 
 class TrackMemory:

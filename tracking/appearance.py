@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 
 from track_range.detection.boxes import are_sound, share_inside
-from track_range.detection.detections import BoolArray, Descriptors, FloatArray, Image, check_shape
+from track_range.detection.detections import Descriptors
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.tracking.gallery import unit_rows
 
 MIN_SIDE_PX = 4.0

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou
 from track_range.detection.classes import SAME_OBJECT_GROUP
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Classes = Literal["similar", "same", "any"]
 """Which classes may be one object: those that detectors take for each other, equal ones only, or all."""

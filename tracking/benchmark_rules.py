@@ -19,8 +19,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou, share_inside
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.mot_format import MotRows
 from track_range.tracking.tracked_boxes import TrackedBoxes
 

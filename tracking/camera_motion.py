@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.boxes import are_sound
-from track_range.detection.detections import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 
 FeatureArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex128]

@@ -24,7 +24,8 @@ import numpy as np
 
 from track_range.detection.boxes import iou
 from track_range.detection.classes import SAME_OBJECT_GROUP
-from track_range.detection.detections import Detections, FloatArray, IntArray
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import FloatArray, IntArray
 
 _N_BINS = 10
 _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS

@@ -21,7 +21,8 @@ from dataclasses import replace
 import numpy as np
 
 from track_range.detection.boxes import are_sound
-from track_range.detection.detections import BoolArray, Detections, FloatArray, Image, IntArray
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.tracking import history, motion
 from track_range.tracking.appearance import Descriptor
 from track_range.tracking.association import are_compatible, assigned, iou_cost

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.boxes import iou, share_inside
-from track_range.detection.detections import BoolArray
+from track_range.foundation.arrays import BoolArray
 from track_range.tracking.association import assigned
 from track_range.tracking.clear import MIN_IOU, ClearCounts, count_clear
 from track_range.tracking.hota import HotaCounts, count_hota

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import BoolArray, Descriptors, FloatArray, IntArray, check_shape
+from track_range.detection.detections import Descriptors
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 _SPARSE = 0.1
 """Share of pairs below which they are compared one by one: a pair alone costs ten times one in a matrix product."""

@@ -24,7 +24,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from track_range.detection.boxes import are_sound
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Form = Literal["median-of-steps", "step-of-medians"]
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.tracking.similarity import Overlaps
 
 ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, IntArray, check_shape
 from track_range.detection.formats.detection_files import MAX_FRAME, xyxy_from_mot
+from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.tracking.tracks import Tracks
 
 _FIRST_PIXEL = 1  # see `detection.detection_files.xyxy_from_mot`, the way back

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 _MIN_SIZE_PX = 1.0  # a box predicted to shrink stops here: IoU wants a positive size
 _VAR, _COV, _VAR_RATE = range(3)

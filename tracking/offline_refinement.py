@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.tracks import Tracks
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 
 _MAX_SIGMAS = 2.0
 """Innovations count no further: one wrong box must not speak for the stream."""

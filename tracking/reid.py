@@ -12,8 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from track_range.detection.detections import Descriptors, FloatArray, Image, check_shape
-from track_range.detection.models.onnx_session import FloatArray32, ModelError, OnnxSession, Runtime
+from track_range.detection.detections import Descriptors
+from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
 from track_range.tracking.appearance import are_describable
 from track_range.tracking.gallery import unit_rows
 

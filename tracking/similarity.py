@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.boxes import iou
-from track_range.detection.detections import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.tracking.tracked_boxes import TrackedBoxes
 
 

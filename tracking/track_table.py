@@ -10,7 +10,8 @@ import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import BoolArray, Detections, FloatArray, IntArray
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking import history, motion
 from track_range.tracking.gallery import Gallery
 from track_range.tracking.history import BoxHistory

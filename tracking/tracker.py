@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from track_range.detection.detections import Detections, Image
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import Image
 from track_range.tracking.tracks import Tracks
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.darknet.layers import Convolution, Network
-from track_range.detection.models.onnx_session import FloatArray32, ModelError
+from track_range.detection.models.onnx_session import ModelError
+from track_range.foundation.arrays import FloatArray32
 
 _EPSILON = 0.00001
 _VERSION_BYTES = 12

@@ -27,9 +27,9 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_sound
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, road_class_of_each
-from track_range.detection.detections import FloatArray, IntArray
 from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.foundation.arrays import FloatArray, IntArray
 
 NEEDED = ("frame", "id", "class", "x1", "y1", "x2", "y2", "distance_m")
 OPTIONAL = ("visible_share", "closing_mps")

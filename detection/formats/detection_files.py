@@ -15,8 +15,9 @@ import numpy as np
 
 from track_range.detection.boxes import are_sound
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
-from track_range.detection.detections import Descriptors, Detections, FloatArray, IntArray
+from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.foundation.arrays import FloatArray, IntArray
 
 _MOT_COLUMNS = range(7, 11)
 _PLAIN_COLUMNS = 6

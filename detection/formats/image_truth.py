@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
-from track_range.detection.detections import BoolArray, FloatArray, IntArray, check_shape
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 ANY_CLASS = -1
 """The class_id of what may be taken for anything, such as KITTI's Misc."""

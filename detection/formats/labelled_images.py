@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
-from track_range.detection.detections import BoolArray, Image
 from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
 from track_range.detection.formats.yolo_labels import YoloLabelReader
+from track_range.foundation.arrays import BoolArray, Image
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 

@@ -15,9 +15,9 @@ import yaml
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
-from track_range.detection.detections import FloatArray, IntArray
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.models.metadata import names_of
+from track_range.foundation.arrays import FloatArray, IntArray
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
 _MAX_CLASS = 100_000

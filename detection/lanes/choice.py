@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
 from track_range.detection.lanes.markings import Proposals
 from track_range.detection.lanes.model import HORIZON, HORIZON_SIGMA, WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA, LaneState
+from track_range.foundation.arrays import FloatArray
 
 _MIN_SUPPORT = 0.3  # of the strongest line in the image
 _MAX_SIGMAS = 3.0

@@ -17,9 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import softmax
 
-from track_range.detection.detections import FloatArray, IntArray
 from track_range.detection.lanes.markings import run_middles
-from track_range.detection.models.onnx_session import FloatArray32
+from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
 Points = tuple[FloatArray, IntArray]
 """(N, 2) pixels and the (N,) number of the line of each, -1 = not told."""

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import BoolArray, FloatArray, Image, check_shape
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.lanes.model import HORIZON
 from track_range.detection.lanes.own_lane import OwnLane
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 
 Float32Array = npt.NDArray[np.float32]
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
 from track_range.detection.lanes.markings import Markings
 from track_range.detection.lanes.model import LaneState
+from track_range.foundation.arrays import BoolArray, FloatArray
 
 SIDES = (-1.0, 1.0)
 """Left and right, as `LaneState` takes them."""

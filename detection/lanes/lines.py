@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 _CANVAS_WIDTH_PX = (
     480  # the Hough transform's picture: its cost grows with the votes, and paint is wider than its pixel

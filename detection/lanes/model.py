@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
 from track_range.detection.lanes.lines import LaneLine
+from track_range.foundation.arrays import FloatArray
 
 WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA = 2.3, 0.35
 """Lane width / camera height and its spread: 2.1 with the camera on a car's roof, 2.5 behind a windscreen, 1.4 in a

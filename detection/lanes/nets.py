@@ -15,7 +15,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image, check_shape
 from track_range.detection.lanes.decoders import (
     Points,
     curve_points,
@@ -26,7 +25,8 @@ from track_range.detection.lanes.decoders import (
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.markings import Markings
 from track_range.detection.lanes.own_lane import OwnLane
-from track_range.detection.models.onnx_session import BoundNetwork, FloatArray32, ModelError, OnnxSession, Runtime
+from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
 
 _IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 _LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))  # its own, of blue, green, red

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
 from track_range.detection.lanes.choice import own_pair
 from track_range.detection.lanes.fit import SIDES, LaneFit, fit_lane
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.markings import Markings, Proposals, proposals
 from track_range.detection.lanes.model import LaneState
+from track_range.foundation.arrays import FloatArray
 
 _FORGOTTEN_S = 0.5  # a line unseen for longer is not where it was
 _CONTRADICTED_S = 0.25  # after so long of images that show another lane, that one is followed

@@ -1,8 +1,8 @@
 """The catalogue: detectors by name, where each comes from, under which licence, and with which published checksum.
 
-Nothing of it is part of track-range: `detection/models/download.py` fetches a model from its own project's release into the
-user's cache folder. A model is listed only if every one of its files has a checksum that somebody published (OpenCV's
-opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects), never one we made up.
+Nothing of it is part of track-range: `detection/models/download.py` fetches a model from its own project's release
+into the user's cache folder. A model is listed only if every one of its files has a checksum that somebody published
+(OpenCV's opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects), never one we made up.
 """
 
 from __future__ import annotations

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import onnxruntime as ort
 
+from track_range.foundation.arrays import FloatArray32
+
 Device = Literal["auto", "cpu", "cuda", "tensorrt"]
-FloatArray32 = npt.NDArray[np.float32]
 
 _CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
 _PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}

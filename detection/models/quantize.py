@@ -32,8 +32,9 @@ from onnxruntime.quantization.onnx_model import ONNXModel
 from onnxruntime.quantization.shape_inference import quant_pre_process
 from onnxruntime.transformers.float16 import convert_float_to_float16
 
-from track_range.detection.models.onnx_session import FloatArray32, ModelError, OnnxSession, Runtime
+from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.detection.models.writing import silent_conversion, written_whole
+from track_range.foundation.arrays import FloatArray32
 
 _PER_CHANNEL_OPSET = 13
 """The first ONNX operator set whose DequantizeLinear knows one scale per channel."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
 from track_range.detection.models.metadata import Anchors
+from track_range.foundation.arrays import FloatArray
 
 _MAX_ROUNDS = 300
 _N_STARTS = 5

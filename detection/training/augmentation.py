@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, Image, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 
 PAD_GREY = 114
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)

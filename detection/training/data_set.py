@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import FloatArray, Image, IntArray
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.labelled_images import ImageFileError, LabelledImage, read_image
 from track_range.detection.training.augmentation import LabelledPixels
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 
 _MEMORY_SHARE = 0.5
 """Of the free memory that images may take."""

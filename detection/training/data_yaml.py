@@ -27,7 +27,6 @@ import yaml
 
 from track_range.detection.boxes import are_sound, iou
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
-from track_range.detection.detections import IntArray
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import (
@@ -39,6 +38,7 @@ from track_range.detection.formats.labelled_images import (
 )
 from track_range.detection.formats.yolo_labels import YoloLabelReader
 from track_range.detection.models.metadata import names_of
+from track_range.foundation.arrays import IntArray
 
 _KEYS = frozenset("path train val test names nc format labels manifest labels_pseudo download".split())
 _KITTI_NAMES = ("person", "bicycle", "car", "truck")

@@ -18,13 +18,13 @@ import torch
 from torch import Tensor
 
 from track_range.detection.classes import COCO_CLASSES, road_class_of_each
-from track_range.detection.detections import IntArray
 from track_range.detection.models.metadata import ModelOptions, read_facts
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.assignment import Cells
 from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.network import AnchorNetwork, placed
 from track_range.detection.training.onnx_weights import yolov5_of_export
+from track_range.foundation.arrays import IntArray
 
 CONFIDENT = 0.1
 """Objectness from which a teacher's cell is to find something."""

@@ -9,13 +9,14 @@ import torch
 
 from track_range.detection.boxes import are_sound, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
-from track_range.detection.detections import Detections, Image, IntArray
+from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.training.network import AnchorNetwork
 from track_range.detection.yolo.decoders import RowDecoder
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
+from track_range.foundation.arrays import Image, IntArray
 
 LOWEST_SCORE = 0.001
 _MAX_IOU, _MAX_BOXES = 0.5, 300

@@ -15,8 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.detection.detections import FloatArray, IntArray
-from track_range.detection.models.onnx_session import FloatArray32
+from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
 
 @dataclass(frozen=True, slots=True)

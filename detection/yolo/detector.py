@@ -14,11 +14,12 @@ import numpy as np
 
 from track_range.detection.boxes import are_sound, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_class_of_each
-from track_range.detection.detections import Detections, FloatArray, Image, IntArray
+from track_range.detection.detections import Detections
 from track_range.detection.models.metadata import Fact, Facts, ModelOptions, read_facts
-from track_range.detection.models.onnx_session import BoundNetwork, FloatArray32, ModelError, OnnxSession, Runtime
+from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.layouts import YoloModel, recognise
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
+from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 
 _MAX_BOUND = 8
 """Input sizes whose buffers are kept, for images of changing sizes; binding one anew costs a run of the network."""

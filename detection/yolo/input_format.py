@@ -13,8 +13,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import Image
 from track_range.detection.yolo.letterbox import Letterbox, Placement
+from track_range.foundation.arrays import Image
 
 Colours = Literal["rgb", "bgr"]
 

@@ -18,7 +18,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 
 Placement = Literal["centred", "top-left", "stretch"]
 

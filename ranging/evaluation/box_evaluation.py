@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_rows
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.box_evaluation import frame_rows
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.evaluation.paper_filter import PaperFilter

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.detections import IntArray
+from track_range.foundation.arrays import IntArray
 from track_range.ranging.evaluation.box_evaluation import Fitter, Predictor, cross_validated, frame_rows, within_drives
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 
 
 def surface_distance_m(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
 from track_range.ranging.evaluation.box_methods import plain_fitter
 from track_range.ranging.fitting.labelled_boxes import BoxSet

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import IntArray
+from track_range.foundation.arrays import IntArray
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.remembered import TrackMemory

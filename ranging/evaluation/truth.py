@@ -1,9 +1,9 @@
 """What is known to be true of a drive: boxes, identities and distances from KITTI tracking labels, or from a CSV.
 
 The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
-frame. A CSV (`detection/formats/csv_labels.py`) says it as it is, and how fast the object comes nearer. KITTI's labels have 3-D
-boxes, which riders and people do not fill, in the frame of the rig's reference camera; they are shifted into the left
-one first.
+frame. A CSV (`detection/formats/csv_labels.py`) says it as it is, and how fast the object comes nearer. KITTI's labels
+have 3-D boxes, which riders and people do not fill, in the frame of the rig's reference camera; they are shifted into
+the left one first.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import KITTI_IGNORED, road_class_of_each
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.remembered import TrackMemory
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks

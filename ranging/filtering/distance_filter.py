@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.noise_scale import NoiseScale
 from track_range.ranging.ranges import Ranges

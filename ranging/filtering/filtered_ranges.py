@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3

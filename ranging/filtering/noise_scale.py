@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 
 _PRIOR_SAMPLES = 30.0
 """So many measurements count for the method's own word."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from track_range.detection.boxes import are_sound
 from track_range.detection.classes import ROAD_CLASS_OF
-from track_range.detection.detections import FloatArray
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
 COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")

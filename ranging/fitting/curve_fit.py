@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.size_models.curve_file import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 

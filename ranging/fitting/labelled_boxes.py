@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_sound, iou
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti, read_kitti_image
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU
 from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera

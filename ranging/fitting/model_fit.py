@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.box_evaluation import cross_validated, folds
 from track_range.ranging.evaluation.box_methods import labelled_sizes, plain_fitter
 from track_range.ranging.fitting.curve_fit import MIN_SAMPLES, SizeSamples, fit_curves

@@ -31,7 +31,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.fusion.measurements import FUSED_METHODS, MONO, STEREO, Readings, readings_of
 from track_range.ranging.fusion.outliers import TRUSTED_FRAMES, impossible, odd, other_lane, silent
 from track_range.ranging.fusion.track_biases import TrackBiases, blank_track

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.ranges import Ranges
 
 FUSED_METHODS = ("mono", "ground", "lane", "stereo")

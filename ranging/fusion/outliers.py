@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray
+from track_range.foundation.arrays import BoolArray
 from track_range.ranging.fusion.measurements import GROUND, LANE, MONO, STEREO, Readings
 from track_range.ranging.fusion.track_biases import TrackBiases
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import BoolArray, FloatArray
 from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX
 from track_range.stereo.geometry.camera import PinholeCamera

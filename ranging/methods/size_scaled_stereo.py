@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.methods.triangulation import TrackMatcher
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges

@@ -12,9 +12,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame, whole_image
@@ -22,8 +21,6 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome
 from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
 from track_range.tracking.tracks import Tracks
-
-FloatArray32 = npt.NDArray[np.float32]
 
 _PRIOR_LIFETIME_S = 1.0  # after this long without a match a track is searched over the full range again
 _FULL_RANGE_EVERY_S = 1.0  # and this often in any case, so that a track that followed an occluder is set free

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.curve_file import write_curve_file
 from track_range.ranging.size_models.posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.size_models.curve_file import write_curve_file
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances
 

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 
 Measure = Callable[[FloatArray], FloatArray]
 """(N, 2) width and height over the focal length -> (N,) the one size that a curve is a function of."""

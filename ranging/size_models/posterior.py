@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
 from track_range.ranging.size_models.shared_ground import GroundPrior, Stand, seen_by_others
 from track_range.ranging.size_models.size_model import MeasuredBoxes

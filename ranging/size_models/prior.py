@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.cuboid import CuboidBox, Floats, box_of_cuboid
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 

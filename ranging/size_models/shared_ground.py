@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 
 _ROUNDS = 3  # of reweighting
 _TAIL = 2.0  # in sigma: where an object begins to count less

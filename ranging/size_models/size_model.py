@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")

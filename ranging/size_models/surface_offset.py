@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.size_models.curve_file import write_curve_file
 from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances

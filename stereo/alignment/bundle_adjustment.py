@@ -17,13 +17,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.geometry.rig import StereoRig
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 N_ERRORS = 2
 """Offset and bow."""

@@ -13,14 +13,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from track_range.stereo.geometry.frames import Image
-
-FloatArray = npt.NDArray[np.float64]
-FloatArray32 = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 
 MIN_ROWS = 30
 """Fewer points tell no row offset."""

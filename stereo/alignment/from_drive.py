@@ -10,16 +10,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.bundle_adjustment import Sightings
 from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, grey
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.alignment.segments import Stretch, Together, stretch_of, together
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
-
-FloatArray = npt.NDArray[np.float64]
 
 N_FRAMES = 16
 """Frames of a stretch; some more give points more time to show parallax, but few points live as long."""

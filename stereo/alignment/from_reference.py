@@ -15,13 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.alignment.model import Alignment, column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 MIN_OBJECTS = 5
 

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.bundle_adjustment import Bundle, Sightings
 from track_range.stereo.geometry.rig import StereoRig
-
-FloatArray = npt.NDArray[np.float64]
 
 MIN_SIGHTINGS = 4
 """A point seen less often says little, and is left out."""

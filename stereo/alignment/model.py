@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
-
-FloatArray = npt.NDArray[np.float64]
 
 UNCORRECTED_SIGMA_PX = 0.5
 """Disparity error that a calibrated pair keeps while nobody has measured and corrected it.

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.alignment.bundle_adjustment import (
     N_ERRORS,
     Bundle,
@@ -28,9 +28,6 @@ from track_range.stereo.alignment.bundle_adjustment import (
 )
 from track_range.stereo.alignment.initial_poses import MIN_POINTS, only_points, start_bundle
 from track_range.stereo.geometry.rig import StereoRig
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 N_STRIPS = 8
 _N_ALL = N_ERRORS + N_STRIPS

@@ -15,10 +15,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.stereo.geometry.frames import Image
+from track_range.foundation.arrays import BoolArray, FloatArray, Image
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 EyeOrder = Literal["right", "swapped", "unknown"]
 
 _N_FEATURES = 2000

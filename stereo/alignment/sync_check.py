@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+from track_range.foundation.arrays import Image
 from track_range.stereo.alignment.swap_check import Features, is_in_row, matched_points
-from track_range.stereo.geometry.frames import Image
 
 Step = Literal["same", "right late", "right early", "unknown"]
 

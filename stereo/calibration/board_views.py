@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.stereo.calibration.boards import (
     Board,
     CharucoBoard,
@@ -25,10 +25,6 @@ from track_range.stereo.calibration.boards import (
     dictionaries,
     dictionary_of,
 )
-from track_range.stereo.geometry.frames import Image
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _MIN_CHARUCO_CORNERS = 6
 """Fewer of a ChArUco board fix its pose too badly to help."""

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.rig import RigError
-
-FloatArray = npt.NDArray[np.float64]
 
 SQUARE_M = (0.002, 1.0)
 """Plausible side of a square: a stamp .. a wall."""

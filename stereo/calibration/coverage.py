@@ -14,11 +14,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.calibration.board_views import BoardView
-
-FloatArray = npt.NDArray[np.float64]
 
 _THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))
 

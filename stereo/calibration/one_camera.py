@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import Coverage, coverage_of, lack_of_motion
 from track_range.stereo.geometry.camera import PinholeCamera
 
-FloatArray = npt.NDArray[np.float64]
 Advance = Callable[[int, int], None]
 T = TypeVar("T")
 

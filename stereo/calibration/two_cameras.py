@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import coverage_of
@@ -43,7 +43,6 @@ from track_range.stereo.geometry.rectification import Rectifier, lens_terms, tur
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
-FloatArray = npt.NDArray[np.float64]
 ViewPair = tuple[BoardView, BoardView]
 
 _UPSIDE_DOWN_DEG = 120.0

@@ -3,8 +3,8 @@
     d = f B / disparity        error = d / d_true - 1 = true_px / measured_px - 1
 
 A failure is an object without a value or with an error above 15 %. Intervals are 95 % bootstrap: objects of one pair
-(one track of a drive) err together, so pairs (tracks) are drawn, not objects. As in `ranging/evaluation/errors.py`, `bias_pct`
-is the median error and shares are fractions 0..1; `n` counts all objects, `n_measured` those with a value.
+(one track of a drive) err together, so pairs (tracks) are drawn, not objects. As in `ranging/evaluation/errors.py`,
+`bias_pct` is the median error and shares are fractions 0..1; `n` counts all objects, `n_measured` those with a value.
 """
 
 from __future__ import annotations
@@ -14,14 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))
 """Bands of true distance that errors are also told in; objects outside them count in the whole."""

@@ -18,14 +18,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.stereo.geometry.frames import Image, ImageView
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.matching.patches import inner_halves
 from track_range.stereo.rig_formats.reading import load_rig
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
 """The four folders of a set."""

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import Image, ImageView
+from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_rig
 
-FloatArray = npt.NDArray[np.float64]
 Maps = tuple[npt.NDArray[np.int16], npt.NDArray[np.uint16]]
 
 _MAX_TURN_RAD = math.radians(45.0)

@@ -9,12 +9,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
-
-FloatArray = npt.NDArray[np.float64]
 
 BASELINE_M = (0.01, 5.0)
 """Plausible distance between the two eyes."""

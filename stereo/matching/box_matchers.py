@@ -16,18 +16,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.evaluation.disparity_errors import Column, Objects
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import Image, ImageView, whole_image
+from track_range.stereo.geometry.frames import ImageView, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome, PatchMatches
 from track_range.stereo.matching.sgbm import Mode, Sgbm, SgbmSettings, centre_disparity, inner_half_median
-
-FloatArray = npt.NDArray[np.float64]
 
 CENTRE = "-centre"
 _MODE: dict[str, Mode] = {"sgbm-3way": "3way", "sgbm-5way": "sgbm", "sgbm-hh": "hh", "sgbm-hh4": "hh4"}

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray32
 from track_range.stereo.matching.sample_windows import MARGIN_PX, WINDOW_HW, BoxWindows, GreyLevels
 
-FloatArray32 = npt.NDArray[np.float32]
 Grey = npt.NDArray[np.uint8]
 Census = npt.NDArray[np.uint32]
 

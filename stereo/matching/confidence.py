@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
 from track_range.stereo.matching.sample_windows import BoxWindows
 from track_range.stereo.matching.surfaces import Surface
-
-FloatArray = npt.NDArray[np.float64]
-FloatArray32 = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 _CHANCE_PERCENTILE = 75.0
 """The costs' percentile that stands for a chance match, also about a prior, where half the costs are in the valley."""

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from track_range.stereo.geometry.frames import Image, ImageView
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
+from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.census import cost_curves
 from track_range.stereo.matching.confidence import clarity_of
@@ -26,11 +26,6 @@ from track_range.stereo.matching.patch_matches import Outcome, PatchMatches
 from track_range.stereo.matching.sample_windows import COARSE, FINE, WINDOW_HW, BoxWindows, GreyLevels, band_of
 from track_range.stereo.matching.subpixel import refined_windows
 from track_range.stereo.matching.surfaces import Surface, WindowMatches, matched_windows, object_surface
-
-FloatArray = npt.NDArray[np.float64]
-FloatArray32 = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

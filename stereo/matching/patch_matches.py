@@ -6,13 +6,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
-from track_range.stereo.geometry.frames import Image, ImageView
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.stereo.geometry.frames import ImageView
 
 
 class Outcome(IntEnum):

@@ -13,9 +13,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from track_range.foundation.arrays import FloatArray
 
 _SHARE_CUT = 0.25
 """Share of the box's width (height) cut off at each side."""

@@ -16,10 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.stereo.geometry.frames import Image, ImageView
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.stereo.geometry.frames import ImageView
 
 MARGIN_PX = 2
 """Pixels around a window that are read with it: the 5 x 5 census reaches so far."""

@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.stereo.geometry.frames import Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patches import Patch, inner_halves
 
-FloatArray = npt.NDArray[np.float64]
 DisparityMap = npt.NDArray[np.float32]
 Mode = Literal["3way", "sgbm", "hh", "hh4"]
 

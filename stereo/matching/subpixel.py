@@ -22,12 +22,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from track_range.foundation.arrays import BoolArray, FloatArray32, IntArray
 from track_range.stereo.matching.sample_windows import WINDOW_HW, BoxWindows, GreyLevels
 from track_range.stereo.matching.surfaces import WindowMatches
-
-FloatArray32 = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 _MAX_STEP_PX = 0.5
 

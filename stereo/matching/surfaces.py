@@ -25,10 +25,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-FloatArray32 = npt.NDArray[np.float32]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
 _Value = TypeVar("_Value", bound=np.generic)
 

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import Calibration
-
-FloatArray = npt.NDArray[np.float64]
 
 _CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
 

@@ -14,13 +14,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import Calibration
-
-FloatArray = npt.NDArray[np.float64]
 
 _EXTRINSIC = ("R", "T")
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")

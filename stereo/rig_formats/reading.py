@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
@@ -28,7 +28,6 @@ from track_range.stereo.rig_formats.writing import VERSION, save_rig
 
 __all__ = ["find_rig", "left_from_reference_m", "load_calibration", "load_camera", "load_rig", "save_rig"]
 
-FloatArray = npt.NDArray[np.float64]
 
 _MAX_BYTES = 1_000_000
 """No calibration is as large; a video given by mistake is, and is not read."""

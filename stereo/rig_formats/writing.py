@@ -17,12 +17,11 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import lens_terms, turns_of
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig
-
-FloatArray = npt.NDArray[np.float64]
 
 VERSION = 1
 """Of our format."""

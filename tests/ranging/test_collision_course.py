@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.filtering.collision_course import CollisionCourse, Misses
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks

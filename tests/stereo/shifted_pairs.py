@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Image = npt.NDArray[np.uint8]
-FloatArray = npt.NDArray[np.float64]
+from track_range.foundation.arrays import FloatArray, Image
 
 HEIGHT, WIDTH = 140, 400
 _FINER = 8

@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.bundle_adjustment import Bundle, Sightings, fit_bundle, linearised
 from track_range.stereo.alignment.initial_poses import start_bundle
 from track_range.stereo.alignment.segments import Stretch, stretch_of, together
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-
-FloatArray = npt.NDArray[np.float64]
 
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 RIG = StereoRig.rectified(CAMERA, 0.54)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import Image
 from track_range.simulation.render import Renderer, kitti_like_rig
 from track_range.simulation.scene import make_scene
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, row_offset_px
@@ -19,8 +19,6 @@ from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
-
-Image = npt.NDArray[np.uint8]
 
 RIG = kitti_like_rig(width_px=620, height_px=188)
 N_RENDERED = 13

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.kitti_2015 import read_pairs
@@ -17,7 +18,6 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.matching.patch_matcher import PatchMatcher
 
-FloatArray = npt.NDArray[np.float64]
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 
 

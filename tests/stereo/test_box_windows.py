@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from tests.stereo.shifted_pairs import texture, to_u8
 from track_range.stereo.matching.sample_windows import COARSE, FINE, MARGIN_PX, WINDOW_HW, BoxWindows, Look, band_of
 
-FloatArray = npt.NDArray[np.float64]
 IMAGE_HW = (375, 1242)
 
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.stereo.shifted_pairs import pair
+from track_range.foundation.arrays import Image
 from track_range.stereo.matching.census import census, cost_curves
 from track_range.stereo.matching.sample_windows import BoxWindows, GreyLevels
-
-Image = npt.NDArray[np.uint8]
 
 
 def slow_differing_bits(left: Image, right: Image, xy: tuple[int, int], disparity_px: int) -> int:

@@ -10,8 +10,6 @@ from track_range.stereo.matching.confidence import Clarity, clarity_of
 from track_range.stereo.matching.sample_windows import BoxWindows
 from track_range.stereo.matching.surfaces import Surface
 
-FloatArray = npt.NDArray[np.float64]
-
 N_DISPARITIES = 41
 GRID = np.arange(3) * 10
 WINDOWS = BoxWindows(np.array([0]), np.tile(100 + GRID, 3)[None], np.repeat(50 + GRID, 3)[None])

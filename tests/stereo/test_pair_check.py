@@ -6,12 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import Image
 from track_range.stereo.alignment.swap_check import check_pair
-
-Image = npt.NDArray[np.uint8]
 
 
 def wall(*, disparity_px: int, row_offset_px: int = 0) -> tuple[Image, Image]:

@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tests.stereo.shifted_pairs import Image, pair, pair_of_two, shifted, texture, tilted_pair, to_u8
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.patch_matches import REASONS, Outcome, PatchMatches
-
-FloatArray = npt.NDArray[np.float64]
 
 BOX = (200.0, 40.0, 280.0, 100.0)
 SMALL = (210.0, 50.0, 240.0, 74.0)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
-
-FloatArray = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 
 LEFT = PinholeCamera(700.0, 705.0, 315.0, 245.0, 640, 480, (-0.25, 0.08, 0.001, -0.0005, 0.0))
 RIGHT = PinholeCamera(710.0, 708.0, 330.0, 236.0, 640, 480, (-0.22, 0.06, -0.0008, 0.0007, 0.0))

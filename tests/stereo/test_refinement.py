@@ -6,20 +6,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.stereo.shifted_pairs import Image, pair, shifted, texture, tilted_pair, to_u8
+from track_range.foundation.arrays import BoolArray
 from track_range.stereo.evaluation.kitti_2015 import pair_names, read_pair
 from track_range.stereo.matching.patch_matcher import PatchMatcher
 from track_range.stereo.matching.sample_windows import BoxWindows, GreyLevels
 from track_range.stereo.matching.subpixel import refined_windows
 from track_range.stereo.matching.surfaces import WindowMatches
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 BOX = np.array([[200.0, 20.0, 320.0, 120.0]])
 WHOLE = 20

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import Image
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import (
@@ -17,8 +17,6 @@ from track_range.stereo.matching.sgbm import (
     disparity_picture,
     inner_half_median,
 )
-
-Image = npt.NDArray[np.uint8]
 
 
 def pair(disparity_px: int, *, width: int = 400) -> tuple[Image, Image]:

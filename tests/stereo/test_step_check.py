@@ -6,12 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import Image
 from track_range.stereo.alignment.sync_check import check_step
-
-Image = npt.NDArray[np.uint8]
 
 
 def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[list[Image], list[Image]]:

@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from track_range.foundation.arrays import FloatArray
 from track_range.stereo.matching.surfaces import Surface, matched_windows, object_surface
-
-FloatArray = npt.NDArray[np.float64]
 
 SMALL_STEP, LARGE_STEP, UNSEEN = 1.5, 6.0, 8.0
 NO_PRIOR = np.array([np.nan])

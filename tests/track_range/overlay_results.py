@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, Image
+from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.ranges import Ranges
 from track_range.results.csv_file import FrameResult
 from track_range.stereo.geometry.frames import Frame

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.overlay.label_layout import (
     PLACES,
     LabelPlacer,

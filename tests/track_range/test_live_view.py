@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.track_range.overlay_results import grey, result
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.live_view.server import PageError
 from track_range.live_view.view import LiveView, has_screen, open_view, place_of_page
 from track_range.results.csv_file import FrameResult

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import Detections, FloatArray, Image
+from track_range.detection.detections import Detections
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.ranges import Ranges
 from track_range.results.csv_file import FrameResult
 from track_range.run.pipeline import Pipeline

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from track_range.foundation.arrays import Image
 from track_range.tracking.camera_motion import CameraMotion, CameraMotionSettings
 
 Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.uint8]
 NO_BOXES = np.zeros((0, 4))
 IDENTITY = np.eye(2, 3)
 CROP_PX = 120  # margin of the texture around every image cut from it

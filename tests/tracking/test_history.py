@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.tracking.history import BoxHistory, FillGates, Form, begun, filled, median_prediction, smoothed
 
 BORDER_XYXY_PX = np.array([0.0, 0.0, 1241.0, 374.0])

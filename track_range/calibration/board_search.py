@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from track_range.calibration.board_images import BoardImages, Shot
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.stereo.calibration.board_views import (
     BoardFinder,
     BoardView,

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from track_range.detection.detections import BoolArray
+from track_range.foundation.arrays import BoolArray
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair

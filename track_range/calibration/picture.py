@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 
 _PANEL_PX, _BARS_PX, _MARGIN_PX, _TITLE_PX = 960, 520, 16, 40

@@ -20,11 +20,12 @@ from rich.console import Console
 from track_range.commands.progress import frame_progress
 from track_range.commands.ready_model import ready_model
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import Detections, FloatArray, Image
+from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, DetectionScores, evaluate_detections
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.report.detection_tables import accuracy_grid, class_grid, speed_grid
 from track_range.results.output_files import write_text
 from track_range.run.detector_options import DetectorOptions, open_detector, thresholds

@@ -13,12 +13,12 @@ from rich.console import Console
 
 from track_range.commands.evaluate import WORKING_SCORE, evaluate, open_candidates, tell_figures
 from track_range.commands.ready_model import ready_model
-from track_range.detection.detections import Image
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.labelled_images import ImageFileError, images_in, read_image
-from track_range.detection.models.onnx_session import FloatArray32, ModelError
+from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.quantize import convert_fp16, quantize_int8
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.arrays import FloatArray32, Image
 from track_range.results.output_files import make_folder
 from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.sequences.labelled_images import LabelledFrames, LabelledSource

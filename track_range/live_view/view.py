@@ -16,7 +16,7 @@ from typing import Self
 
 import cv2
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.live_view.server import LOOPBACK, LivePage
 from track_range.results.csv_file import FrameResult
 from track_range.run.prefetch import give_way

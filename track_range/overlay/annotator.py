@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.birds_eye import BirdsEye
 from track_range.overlay.colours import track_colour
 from track_range.overlay.label_layout import LabelPlacer

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.colours import BLACK, GREY, WHITE, alarm_colour, track_colour
 from track_range.results.csv_file import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.annotator import Overlay
 from track_range.overlay.colours import GREY, WHITE, track_colour
 from track_range.overlay.labels import BOLD, REGULAR, Span, text_sizes_px

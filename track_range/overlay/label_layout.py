@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 
 BESIDE = ((0, 0, 0, -1), (1, 0, -1, -1), (0, 1, 0, 0), (1, 1, -1, 0), (1, 0, 0, 0), (0, 0, -1, 0), (0, 0, 0, 0))
 AWAY = tuple((0, 0, across, -1 - up) for up in (0, 1, 2, 3, 4, -1, -2) for across in (0, 0.5, -0.5, 1, -1, 1.5, -1.5))

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
 from track_range.detection.lanes.lines import LaneLines, points
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.colours import BLACK, LANE_COLOUR, Bgr
 from track_range.stereo.matching.patches import inner_halves
 

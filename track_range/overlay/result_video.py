@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.results.csv_file import FrameResult
 from track_range.run.pipeline import StageClock
 from track_range.run.prefetch import give_way

@@ -13,7 +13,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.colours import AMBER, BLACK, WHITE, Bgr
 from track_range.overlay.labels import Line, Lines
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import erfinv
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.report.series import Columns, column, methods_measured, thinned
 from track_range.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """tracks.csv by column: one row per track and frame, NaN = empty; a column may be missing."""

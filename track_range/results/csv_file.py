@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.detections import FloatArray
 from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.filtering.collision_course import Misses
 from track_range.ranging.ranges import Ranges
 from track_range.results.output_files import OutputError

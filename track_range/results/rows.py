@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray
+from track_range.foundation.arrays import BoolArray
 from track_range.report.series import Columns
 from track_range.results.csv_file import COLUMNS, read_tracks_csv
 from track_range.results.output_files import OutputError

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
-from track_range.detection.detections import IntArray
+from track_range.foundation.arrays import IntArray
 from track_range.ranging.evaluation.errors import (
     BANDS_M,
     MethodColumn,

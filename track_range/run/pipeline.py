@@ -16,8 +16,9 @@ from threading import Lock
 
 import numpy as np
 
-from track_range.detection.detections import Detections, FloatArray
+from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.filtering.collision_course import CollisionCourse
 from track_range.ranging.filtering.distance_filter import DistanceFilters

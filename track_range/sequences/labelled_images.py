@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
-from track_range.detection.detections import Image
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import (
@@ -23,6 +22,7 @@ from track_range.detection.formats.labelled_images import (
     read_manifest,
     read_sequence,
 )
+from track_range.foundation.arrays import Image
 from track_range.run.settings import UsageError
 from track_range.video.reader import VideoReader
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
 from track_range.detection.formats.detection_files import RecordedDetections
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.sequences.find import SequenceFile
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.offline_refinement import Recording

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.face_table import FaceTable
 from track_range.simulation.pieces import NEAR_M, Projected, projected, seen_pieces
 from track_range.simulation.texture_store import TextureStore

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.canvas import Canvas
 from track_range.simulation.face_table import FaceTable
 from track_range.simulation.faces import Face

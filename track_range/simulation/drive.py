@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_text
 from track_range.simulation.drive_files import (
     EyeWriter,

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_bytes
 from track_range.simulation.truth import SeenObjects
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.textures import cut_outside, plain
 
 Colour = tuple[float, ...]

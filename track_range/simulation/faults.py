@@ -12,7 +12,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 

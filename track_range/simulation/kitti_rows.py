@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import FloatArray
 
 
 def kitti_text(labels: KittiLabels) -> str:

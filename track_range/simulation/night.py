@@ -12,7 +12,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.scene import RoadUser, Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 

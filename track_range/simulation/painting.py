@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 
 Box = tuple[float, float, float, float]
 """x1, y1, x2, y2 as shares of the picture."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 PLAYED_TYPES = {
     "Car": "Car",

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.bodies import body_of
 from track_range.simulation.canvas import Canvas
 from track_range.simulation.crowd import Crowd

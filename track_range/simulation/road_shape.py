@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 
 WOBBLE_HZ = (0.7, 1.3, 2.1)
 """A car's body on its springs."""

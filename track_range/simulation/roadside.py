@@ -7,7 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image, IntArray
+from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.face_table import FaceTable
 from track_range.simulation.road_shape import RoadShape
 from track_range.simulation.scenery import tree_picture

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.surroundings import PAVEMENT, PERIOD_M, Surroundings
 from track_range.simulation.textures import GLASS_BGR, opaque, value_noise
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.simulation.faces import Face, block
 from track_range.simulation.painting import fill, keep, polygon
 

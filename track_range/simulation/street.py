@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.face_table import FaceTable, joined_tables
 from track_range.simulation.road_shape import STRAIGHT, RoadShape
 from track_range.simulation.roadside import Roadside

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, Image
+from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.simulation.canvas import HALF_SEEN
 from track_range.simulation.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.detection.detections import Image, IntArray
+from track_range.foundation.arrays import Image, IntArray
 
 STEPS_PER_DOUBLING = 4
 STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))

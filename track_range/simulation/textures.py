@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 
 TEXELS_PER_M = 96
 """Of vehicles and people: the density of a camera with f = 721 px at 7.5 m."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import BoolArray, FloatArray, IntArray
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.road_shape import turned_about_y
 from track_range.simulation.scene import Scene

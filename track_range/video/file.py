@@ -24,7 +24,7 @@ from av.sidedata.sidedata import Type as SideDataType
 from av.stream import Disposition
 from av.video.stream import VideoStream
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 from track_range.video.decode_log import ReadingLog
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.detections import Image
+from track_range.foundation.arrays import Image
 
 TIME_EPSILON_S = 1e-6
 """Times closer than this are one: far below any frame interval, far above the rounding of a float64."""

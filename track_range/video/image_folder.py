@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from track_range.detection.detections import FloatArray, Image
+from track_range.foundation.arrays import FloatArray, Image
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})

@@ -6,9 +6,10 @@ from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
 
+from track_range.foundation.arrays import Image
 from track_range.stereo.alignment.swap_check import PairCheck, check_pair
 from track_range.stereo.alignment.sync_check import Step, check_step
-from track_range.stereo.geometry.frames import Frame, Image, whole_image
+from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import RigError
 
 MAX_CHECKED_PAIRS = 10

@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from track_range.detection.detections import FloatArray
+from track_range.foundation.arrays import FloatArray
 from track_range.run.settings import RunSettings, VideoName
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from av.video.frame import PictureType
 from av.video.stream import VideoStream
 
-from track_range.detection.detections import Image, check_shape
+from track_range.foundation.arrays import Image, check_shape
 from track_range.video.frame import VideoError
 
 _ENCODER = "libx264"

@@ -1,0 +1,1 @@
+"""What all packages may import: array aliases, files, statistics and per-track state."""
