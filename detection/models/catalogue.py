@@ -2,7 +2,8 @@
 
 Nothing of it is part of track-range: `detection/models/download.py` fetches a model from its own project's release
 into the user's cache folder. A model is listed only if every one of its files has a checksum that somebody published
-(OpenCV's opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects), never one we made up.
+(OpenCV's opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects), never one we made
+up.
 """
 
 from __future__ import annotations
