@@ -6,11 +6,14 @@ Frame of all boxes: pixels of the image that was handed in, x right, y down, pix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.formats.supervision import read_supervision, supervision_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 Descriptors = npt.NDArray[np.float32]
@@ -57,6 +60,19 @@ class Detections:
     def empty(cls) -> Detections:
         """No detections."""
         return cls.of([], [], [])
+
+    @classmethod
+    def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Detections:
+        """Detections from supervision's `Detections`, or anything with its attributes `xyxy, confidence, class_id`.
+
+        See `formats.supervision.read_supervision`: boxes of other classes than road users are left out.
+        """
+        found = read_supervision(boxes, class_names)
+        return cls.of(found.xyxy_px, found.score, found.class_id)
+
+    def to_supervision(self) -> Any:
+        """Supervision's `Detections` where it is installed, else an object with the same attributes."""
+        return supervision_boxes(self.xyxy_px, self.score, self.class_id)
 
     def select(self, keep: BoolArray | IntArray) -> Detections:
         """The rows that a mask or an index array names, in its order."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from track_range.detection.formats.supervision import read_supervision, supervision_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 
@@ -43,6 +46,29 @@ class Tracks:
         """No tracks."""
         ids = np.zeros(0, np.int64)
         return cls(ids, np.zeros((0, 4)), ids, np.zeros(0), np.zeros(0, np.bool_))
+
+    @classmethod
+    def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Tracks:
+        """Tracks from supervision's `Detections` with `tracker_id`, such as another library's tracker gives.
+
+        Boxes whose identity is below 0 (not confirmed yet) are left out; other identities are kept as they are.
+
+        Raises:
+            ValueError: there is no `tracker_id`, or one id twice.
+        """
+        found = read_supervision(boxes, class_names)
+        if found.tracker_id is None:
+            raise ValueError("tracker_id: expected an identity for each box, got None")
+        rows = np.flatnonzero(found.tracker_id >= 0)
+        track_id = found.tracker_id[rows]
+        if len(np.unique(track_id)) < len(track_id):
+            raise ValueError("tracker_id: expected each identity once in a frame")
+        is_observed = np.ones(len(rows), np.bool_)
+        return cls(track_id, found.xyxy_px[rows], found.class_id[rows], found.score[rows], is_observed)
+
+    def to_supervision(self) -> Any:
+        """Supervision's `Detections` with `tracker_id` where it is installed, else an object with the same attributes."""
+        return supervision_boxes(self.xyxy_px, self.score, self.class_id, self.track_id)
 
     def select(self, keep: BoolArray | IntArray) -> Tracks:
         """The rows that a mask or an index array names, in its order."""

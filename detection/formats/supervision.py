@@ -1,0 +1,135 @@
+"""Boxes from and to supervision's `Detections`, or anything with its attributes; supervision itself is not needed.
+
+supervision's boxes, as those of most networks, are measured between the corners of pixels: the image's left edge is 0.
+Ours are measured between pixel centres, where it is -0.5, so boxes move by half a pixel on the way.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, road_class_of_each
+from track_range.foundation.arrays import FloatArray, IntArray
+
+_CORNER_FROM_CENTRE_PX = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class SupervisionBoxes:
+    """The attributes of supervision's `Detections`, for where supervision is not installed.
+
+    Attributes:
+        xyxy: (N, 4) float32 boxes, px, corner convention.
+        confidence: (N,) float32 in [0, 1].
+        class_id: (N,) int, index into `ROAD_CLASSES`.
+        tracker_id: (N,) int, or None for detections without identities.
+        data: `class_name`, (N,) str.
+    """
+
+    xyxy: npt.NDArray[np.float32]
+    confidence: npt.NDArray[np.float32]
+    class_id: IntArray
+    tracker_id: IntArray | None = None
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.xyxy)
+
+
+@dataclass(frozen=True, slots=True)
+class RoadBoxes:
+    """Boxes read from supervision's attributes: those of road classes only.
+
+    Attributes:
+        xyxy_px: (N, 4) boxes, pixel centres at integers.
+        score: (N,) confidence in [0, 1]; 1 where none was given.
+        class_id: (N,) index into `ROAD_CLASSES`.
+        tracker_id: (N,) identities, or None.
+    """
+
+    xyxy_px: FloatArray
+    score: FloatArray
+    class_id: IntArray
+    tracker_id: IntArray | None
+
+
+def read_supervision(boxes: Any, class_names: Sequence[str] | None = None) -> RoadBoxes:
+    """The road users among `boxes`.
+
+    Args:
+        boxes: an object with `xyxy` (N, 4) and, each perhaps None, `confidence`, `class_id`, `tracker_id` (N,) and
+            `data`; other classes than road users are left out.
+        class_names: names of the class ids; None = `data["class_name"]` where it is there, else COCO's names.
+
+    Raises:
+        ValueError: arrays of unequal length, or a class id without a name.
+    """
+    xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
+    n = len(xyxy)
+    names = _names_of_each(boxes, class_names, n)
+    class_id = road_class_of_each(names)
+    score = _column(boxes, "confidence", n)
+    tracker_id = _column(boxes, "tracker_id", n)
+    rows = np.flatnonzero(class_id >= 0)
+    return RoadBoxes(
+        xyxy_px=xyxy[rows] - _CORNER_FROM_CENTRE_PX,
+        score=np.ones(len(rows)) if score is None else score[rows].astype(np.float64),
+        class_id=class_id[rows],
+        tracker_id=None if tracker_id is None else tracker_id[rows].astype(np.int64),
+    )
+
+
+def supervision_boxes(
+    xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, tracker_id: IntArray | None = None
+) -> Any:
+    """Supervision's `Detections` where it is installed, else `SupervisionBoxes` with the same attributes.
+
+    Args:
+        xyxy_px: (N, 4) boxes, pixel centres at integers.
+        score: (N,) confidence.
+        class_id: (N,) index into `ROAD_CLASSES`.
+        tracker_id: (N,) identities, or None.
+    """
+    attributes: dict[str, Any] = {
+        "xyxy": (xyxy_px + _CORNER_FROM_CENTRE_PX).astype(np.float32),
+        "confidence": score.astype(np.float32),
+        "class_id": class_id.astype(np.int64),
+        "tracker_id": tracker_id,
+        "data": {"class_name": np.array(ROAD_CLASSES)[class_id]},
+    }
+    if importlib.util.find_spec("supervision") is None:
+        return SupervisionBoxes(**attributes)
+    return importlib.import_module("supervision").Detections(**attributes)
+
+
+def _names_of_each(boxes: Any, class_names: Sequence[str] | None, n: int) -> list[str]:
+    """(n,) class names; people where there are neither names nor ids would be a guess, so that is an error."""
+    named = (getattr(boxes, "data", None) or {}).get("class_name")
+    if class_names is None and named is not None:
+        if len(named) != n:
+            raise ValueError(f"class_name: expected {n} names, got {len(named)}")
+        return [str(name) for name in named]
+    class_id = _column(boxes, "class_id", n)
+    if class_id is None:
+        raise ValueError("class_id: expected a class for each box, got None")
+    names = COCO_CLASSES if class_names is None else class_names
+    unknown = [int(i) for i in class_id if not 0 <= i < len(names)]
+    if unknown:
+        raise ValueError(f"class_id: expected 0 to {len(names) - 1}, got {unknown[0]}; give class_names")
+    return [names[int(i)] for i in class_id]
+
+
+def _column(boxes: Any, name: str, n: int) -> npt.NDArray[Any] | None:
+    values = getattr(boxes, name, None)
+    if values is None:
+        return None
+    column = np.asarray(values).reshape(-1)
+    if len(column) != n:
+        raise ValueError(f"{name}: expected {n} values, got {len(column)}")
+    return column
