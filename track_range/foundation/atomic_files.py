@@ -1,0 +1,78 @@
+"""Writing files whole or not at all: to a temporary file in the same folder, fsync, rename.
+
+A reader sees the old content or the new one, never a part, however the program ends. Errors of the file system are
+raised as OSError; callers turn them into their own error class with `describe`.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path`, for libraries that write files themselves; renamed to `path` at the end.
+
+    The temporary file is hidden, has the same suffix, and is removed if the block raises. A device, a pipe or a
+    symbolic link is not replaced: then `path` itself is given, and written in place.
+
+    Raises:
+        OSError: `path` is a folder, or the file cannot be written or renamed.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
+        yield path
+        return
+    partial = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        yield partial
+        _replace(partial, path)
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder beside `path`, for intermediate files; the file named `path.name` in it replaces `path`.
+
+    Raises:
+        OSError: the folder cannot be made, or the file is missing or cannot be renamed.
+    """
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        yield Path(folder)
+        _replace(Path(folder) / path.name, path)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file atomically.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with atomic_path(path) as partial:
+        partial.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically, in UTF-8 with the line ends of `text`.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_bytes(path, text.encode("utf-8"))
+
+
+def describe(error: OSError) -> str:
+    """The reason of an error of the file system, without the path and the number."""
+    return error.strerror or str(error)
+
+
+def _replace(partial: Path, path: Path) -> None:
+    """Flush a finished file to the disk and give it its name."""
+    with partial.open("r+b") as file:
+        os.fsync(file.fileno())
+    partial.replace(path)

@@ -1,0 +1,32 @@
+"""Robust location and scale, and the jackknife."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation (MAD): 1 / 0.6745."""
+
+
+def mad_sigma(values: FloatArray) -> float:
+    """Standard deviation of (N,) values estimated from their median absolute deviation about their median."""
+    return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
+
+
+def weighted_median(values: FloatArray, weight: FloatArray) -> float:
+    """Median of (N,) values with weights (N,) > 0, interpolated between the two values at half of the weight."""
+    order = np.argsort(values)
+    cumulative = np.cumsum(weight[order]) - weight[order] / 2
+    return float(np.interp(weight.sum() / 2, cumulative, values[order]))
+
+
+def jackknife_sigma(estimates: FloatArray) -> FloatArray:
+    """(P,) standard deviations from (G, P) estimates, each without one of G groups of the data.
+
+    sigma^2 = (G - 1) / G sum_g (theta_g - mean theta)^2, the delete-a-group jackknife (Efron, "The jackknife, the
+    bootstrap and other resampling plans", 1982).
+    """
+    n = len(estimates)
+    return np.asarray(np.sqrt((n - 1) / n * ((estimates - estimates.mean(axis=0)) ** 2).sum(axis=0)))
