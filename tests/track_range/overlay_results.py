@@ -8,7 +8,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.ranges import Ranges
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

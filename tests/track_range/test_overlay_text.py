@@ -18,7 +18,7 @@ from track_range.overlay.labels import (
     text_sizes_px,
 )
 from track_range.overlay.text import Pen
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 
 
 def words(found: FrameResult, row: int = 0) -> list[list[str]]:

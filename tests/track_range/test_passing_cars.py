@@ -7,7 +7,7 @@ import numpy as np
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.ranges import Ranges
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from track_range.ranging.ranges import Ranges
-from track_range.results.csv_file import COLUMNS, FrameResult, ResultRows, read_tracks_csv
+from track_range.results.csv_file import COLUMNS, ResultRows, read_tracks_csv
 from track_range.results.output_files import OutputError
+from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

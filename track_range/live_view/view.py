@@ -18,7 +18,7 @@ import cv2
 
 from track_range.foundation.arrays import Image
 from track_range.live_view.server import LOOPBACK, LivePage
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import give_way
 from track_range.run.settings import UsageError
 

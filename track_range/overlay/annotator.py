@@ -20,7 +20,7 @@ from track_range.overlay.label_layout import LabelPlacer
 from track_range.overlay.labels import BOLD, Lines, corner_lines, label_lines, text_sizes_px
 from track_range.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader
 from track_range.overlay.text import Pen
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
 Status = Callable[[], Sequence[str]]

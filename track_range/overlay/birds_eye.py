@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.colours import BLACK, GREY, WHITE, alarm_colour, track_colour
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
 Point = tuple[int, int]

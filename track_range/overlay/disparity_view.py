@@ -11,7 +11,7 @@ from track_range.overlay.colours import GREY, WHITE, track_colour
 from track_range.overlay.labels import BOLD, REGULAR, Span, text_sizes_px
 from track_range.overlay.marks import draw_box, draw_inner_windows
 from track_range.overlay.text import Pen
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from track_range.overlay.colours import AMBER, CALM, GREY, WHITE, Bgr, alarm_colour, track_colour
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 
 METHOD_LETTERS = {"mono": "M", "lane": "L", "ground": "P", "stereo": "S", "sgbm": "G"}
 """The small figures' letters; a legend in the corner spells them out."""

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from track_range.foundation.arrays import Image
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import StageClock
 from track_range.run.prefetch import give_way
 from track_range.video.reader import VideoWriter

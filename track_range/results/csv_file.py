@@ -1,4 +1,4 @@
-"""What a run found in one frame, and the rows that keep it: tracks.csv and mot.txt.
+"""The rows that keep the results of frames: tracks.csv and mot.txt.
 
 Rows are flushed frame by frame, so that a killed run leaves every finished frame readable.
 """
@@ -8,9 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from array import array
-from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from sys import intern
 from types import TracebackType
@@ -20,14 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.filtering.collision_course import Misses
-from track_range.ranging.ranges import Ranges
 from track_range.results.output_files import OutputError
-from track_range.stereo.geometry.frames import Frame
+from track_range.run.frame_result import FrameResult
 from track_range.tracking.mot_format import mot_lines
-from track_range.tracking.tracks import Tracks
 
 MEASURED_METHODS = ("mono", "lane", "stereo", "sgbm", "fused", "ground")
 """Methods with a distance and a sigma in tracks.csv."""
@@ -48,41 +42,6 @@ COLUMNS = (
     *("ground_sigma_m", "closing_sigma_mps", "ttc_sigma_s"),
 )
 """The columns of tracks.csv; an empty cell = not measured."""
-
-
-@dataclass(frozen=True, slots=True)
-class FrameResult:
-    """Everything known about one frame's tracks; all arrays are in the tracks' order.
-
-    Attributes:
-        frame: the images and the time.
-        tracks: boxes with identities.
-        ranges: distance by method name (`MEASURED_METHODS`, `FILTERED_METHODS`); a method that did not run is absent.
-        closing_mps: (N,) speed at which the gap shrinks, from the filtered fused distance; NaN = unknown.
-        closing_sigma_mps: (N,) its standard deviation.
-        ttc_s: (N,) time to collision, distance / closing speed where it closes; NaN elsewhere.
-        ttc_sigma_s: (N,) its standard deviation.
-        xyz_m: (N, 3) ranged point in the left camera's frame, from the fused distance; NaN = unknown.
-        disparity: (H, W) px, NaN = unknown, where dense stereo ran.
-        lanes: the own lane's lines, where they were looked for.
-        misses: where each track will be sideways at that time, where this was looked at.
-    """
-
-    frame: Frame
-    tracks: Tracks
-    ranges: Mapping[str, Ranges]
-    closing_mps: FloatArray
-    closing_sigma_mps: FloatArray
-    ttc_s: FloatArray
-    ttc_sigma_s: FloatArray
-    xyz_m: FloatArray
-    disparity: npt.NDArray[np.float32] | None = None
-    lanes: LaneLines | None = None
-    misses: Misses | None = None
-
-    def may_hit(self, row: int) -> bool:
-        """False where this track is known to pass beside."""
-        return self.misses is None or bool(self.misses.may_hit[row])
 
 
 class ResultRows:

@@ -29,7 +29,7 @@ from track_range.ranging.methods.lane_width import LaneWidthRanger, doubted
 from track_range.ranging.methods.triangulation import DenseRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import prefetch
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from track_range.results.csv_file import FrameResult
+from track_range.run.frame_result import FrameResult
 
 _OVER_S = 2.0  # the rate is that of so much time
 

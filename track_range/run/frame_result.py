@@ -1,0 +1,63 @@
+"""FrameResult: everything that a run knows about one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.detection.lanes.lines import LaneLines
+from track_range.foundation.arrays import FloatArray
+from track_range.ranging.filtering.collision_course import Misses
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.tracks import Tracks
+
+
+@dataclass(frozen=True, slots=True)
+class FrameResult:
+    """Tracks of one frame with their distances; every array is in the order of the tracks.
+
+    Attributes:
+        frame: the images and their time.
+        tracks: N boxes with identities.
+        ranges: distances by name of the method, "fused" and the filtered ones (NAME_kf) included; a method that did
+            not run is absent.
+        closing_mps: (N,) speed at which the gap shrinks, from the filtered fused distance; NaN = unknown.
+        closing_sigma_mps: (N,) its standard deviation.
+        ttc_s: (N,) time to collision, distance / closing speed where the gap shrinks; NaN elsewhere.
+        ttc_sigma_s: (N,) its standard deviation.
+        xyz_m: (N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the fused distance;
+            NaN = unknown.
+        disparity: (H, W) px, NaN = unknown; None where dense stereo did not run.
+        lanes: lines of the own lane; None where no lane finder ran.
+        misses: lateral offset of each track at its time to collision; None where it was not estimated.
+    """
+
+    frame: Frame
+    tracks: Tracks
+    ranges: Mapping[str, Ranges]
+    closing_mps: FloatArray
+    closing_sigma_mps: FloatArray
+    ttc_s: FloatArray
+    ttc_sigma_s: FloatArray
+    xyz_m: FloatArray
+    disparity: npt.NDArray[np.float32] | None = None
+    lanes: LaneLines | None = None
+    misses: Misses | None = None
+
+    @property
+    def index(self) -> int:
+        """Number of the frame in the video, from 0."""
+        return self.frame.index
+
+    @property
+    def time_s(self) -> float:
+        """Seconds from the first frame of the video."""
+        return self.frame.time_s
+
+    def may_hit(self, row: int) -> bool:
+        """False where the track in this row is known to pass beside the camera."""
+        return self.misses is None or bool(self.misses.may_hit[row])
