@@ -67,7 +67,7 @@ class Tracks:
         return cls(track_id, found.xyxy_px[rows], found.class_id[rows], found.score[rows], is_observed)
 
     def to_supervision(self) -> Any:
-        """Supervision's `Detections` with `tracker_id` where it is installed, else an object with the same attributes."""
+        """`supervision.Detections` with `tracker_id` where that is installed, else an object with its attributes."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id, self.track_id)
 
     def select(self, keep: BoolArray | IntArray) -> Tracks:
