@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from track_range.commands.progress import say, step_progress
+from track_range.run.progress import say, step_progress
 from track_range.commands.run import run
 from track_range.results.output_files import make_folder
 from track_range.run.settings import RunSettings

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from track_range.commands.progress import frame_progress
+from track_range.run.progress import frame_progress
 from track_range.commands.ready_model import ready_model
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from rich.console import Console
 
-from track_range.commands.progress import say
+from track_range.run.progress import say
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.foundation.arrays import IntArray

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from track_range.commands.progress import say
+from track_range.run.progress import say
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.results.folder import RunFolder, read_run_folder

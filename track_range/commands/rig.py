@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from rich.console import Console
 
-from track_range.commands.progress import say
+from track_range.run.progress import say
 from track_range.report.tables import Column, grid_of
 from track_range.run.settings import UsageError
 from track_range.stereo.geometry.camera import PinholeCamera

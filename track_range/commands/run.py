@@ -12,7 +12,7 @@ from typing import Any
 import numpy.typing as npt
 from rich.console import Console
 
-from track_range.commands.progress import frame_progress, step_progress
+from track_range.run.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
 from track_range.live_view.view import LiveView
 from track_range.overlay.outputs import overlay_picture, pictures, video_format

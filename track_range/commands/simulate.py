@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from rich.console import Console
 
-from track_range.commands.progress import say, step_progress
+from track_range.run.progress import say, step_progress
 from track_range.run.settings import UsageError
 from track_range.simulation.drive import Drive, DriveOptions, write_drive
 from track_range.simulation.drive_files import with_even_size

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from track_range.commands.progress import frame_progress, say
+from track_range.run.progress import frame_progress, say
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import DetectionForm, RecordedDetections, read_detections

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from track_range.commands.progress import say
+from track_range.run.progress import say
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images
 from track_range.detection.classes import ROAD_CLASSES

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from track_range.commands.progress import say, step_progress
+from track_range.run.progress import say, step_progress
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import LabelledImage
 from track_range.detection.models.metadata import Anchors
