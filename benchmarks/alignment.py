@@ -18,7 +18,7 @@ from rich.console import Console
 
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import SimulatedDrive
-from track_range.simulation.faults import Faults
+from track_range.simulation.camera.faults import Faults
 from track_range.stereo.geometry.frames import Frame
 from track_range.video.auto_alignment import find_alignment
 

@@ -29,10 +29,10 @@ from track_range.report.truth import with_truth
 from track_range.results.csv_file import FILTERED_METHODS, read_tracks_csv
 from track_range.results.summary import matched_truth
 from track_range.run.settings import RunSettings
+from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.drive import DriveOptions, write_drive
-from track_range.simulation.drive_files import write_png
-from track_range.simulation.render import kitti_like_rig
-from track_range.simulation.scenarios import SCENARIOS as KNOWN
+from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.world.scenarios import SCENARIOS as KNOWN
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
 SEED = 230

@@ -29,7 +29,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.scenarios import SCENARIOS as KNOWN
+from track_range.simulation.world.scenarios import SCENARIOS as KNOWN
 from track_range.video.reader import VideoReader
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")

@@ -36,7 +36,7 @@ from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.sequences.tracking import track_sequence
-from track_range.simulation.playback import HIDDEN
+from track_range.simulation.camera.playback import HIDDEN
 from track_range.tracking.appearance import ColourLayout, Descriptor
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import DeepSortTracker

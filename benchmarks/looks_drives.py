@@ -22,10 +22,18 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.simulation.playback import HIDDEN, play_back
-from track_range.simulation.render import Renderer
-from track_range.simulation.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser, Scene, make_scene
-from track_range.simulation.truth import box_corners_m, label_scene, projected_boxes_px
+from track_range.simulation.camera.playback import HIDDEN, play_back
+from track_range.simulation.render.renderer import Renderer
+from track_range.simulation.world.scene import (
+    AWAY_RAD,
+    SIZE_HWL_M,
+    SIZE_SPREAD,
+    TOWARDS_RAD,
+    RoadUser,
+    Scene,
+    make_scene,
+)
+from track_range.simulation.world.truth import box_corners_m, label_scene, projected_boxes_px
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.reader import VideoReader

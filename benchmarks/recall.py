@@ -17,9 +17,9 @@ from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scenarios import make_scenario
-from track_range.simulation.truth import label_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.truth import label_scene
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
 _TIMES_S = (0.0, 1.1, 2.3, 3.7, 5.2)

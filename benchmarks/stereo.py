@@ -28,9 +28,9 @@ from rich.table import Table
 from benchmarks.drives import REAL_DATA
 from benchmarks.stereo_accuracy import add_accuracy_options, measure_accuracy
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scene import make_scene
-from track_range.simulation.truth import label_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scene import make_scene
+from track_range.simulation.world.truth import label_scene
 from track_range.stereo.evaluation.kitti_2015 import TRUTH, pair_names, read_pair
 from track_range.stereo.geometry.rectification import Maps, RemappedView
 from track_range.stereo.geometry.rig import StereoRig

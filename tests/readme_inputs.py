@@ -30,7 +30,7 @@ from track_range.detection.darknet.network import read_network
 from track_range.detection.formats.kitti import read_kitti
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
-from track_range.simulation.render import kitti_like_rig
+from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.calibration.boards import ChessBoard
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.video.reader import VideoReader

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from track_range.simulation.scenario_names import SCENARIO_NAMES
+from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 
 _console = Console()
 _WHAT, _WRITTEN, _FAULTS = "What is driven", "What is written", "What is wrong with the cameras (default: nothing)"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import Image
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scene import make_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.feature_tracks import FeatureTracks, row_offset_px
 from track_range.stereo.alignment.from_drive import MIN_FRAMES, DriveAlignment
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment

@@ -10,7 +10,7 @@ import pytest
 
 from track_range.detection.formats.kitti import read_kitti
 from track_range.simulation.drive import write_drive
-from track_range.simulation.render import kitti_like_rig
+from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig, save_rig

@@ -11,7 +11,7 @@ import pytest
 from tests.stereo.kitti_folder import write_pair, write_set
 from track_range.calibration.drive_pairs import read_drive
 from track_range.simulation.drive import write_drive
-from track_range.simulation.render import kitti_like_rig
+from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.disparity_errors import BANDS_M

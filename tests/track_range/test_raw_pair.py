@@ -8,9 +8,9 @@ import pytest
 
 from track_range.ranging.methods.triangulation import PatchRanger
 from track_range.run.settings import RunSettings
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scene import make_scene
-from track_range.simulation.truth import label_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scene import make_scene
+from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings

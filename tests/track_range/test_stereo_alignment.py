@@ -2,8 +2,8 @@
 
 import pytest
 
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scene import make_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scene import make_scene
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.frames import Frame

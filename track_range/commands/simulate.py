@@ -12,12 +12,12 @@ from rich.console import Console
 
 from track_range.run.progress import say, step_progress
 from track_range.run.settings import UsageError
+from track_range.simulation.camera.drive_files import with_even_size
+from track_range.simulation.camera.faults import Faults, WrongRig
 from track_range.simulation.drive import Drive, DriveOptions, write_drive
-from track_range.simulation.drive_files import with_even_size
-from track_range.simulation.faults import Faults, WrongRig
 from track_range.simulation.images import write_image_set
-from track_range.simulation.render import NOISE_GREY
-from track_range.simulation.scenarios import SCENARIOS
+from track_range.simulation.render.renderer import NOISE_GREY
+from track_range.simulation.world.scenarios import SCENARIOS
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration
 

@@ -25,7 +25,7 @@ import numpy as np
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_text
-from track_range.simulation.drive_files import (
+from track_range.simulation.camera.drive_files import (
     EyeWriter,
     disparity_map,
     eye_writer,
@@ -33,13 +33,13 @@ from track_range.simulation.drive_files import (
     with_even_size,
     write_png,
 )
-from track_range.simulation.faults import NO_FAULTS, Faults
-from track_range.simulation.kitti_rows import kitti_text
-from track_range.simulation.playback import play_back
-from track_range.simulation.render import NOISE_GREY, Renderer, kitti_like_rig
-from track_range.simulation.scenarios import make_scenario
-from track_range.simulation.truth import joined, seen_at
-from track_range.simulation.truth_table import HEADER, ego_speed_text, truth_rows
+from track_range.simulation.camera.faults import NO_FAULTS, Faults
+from track_range.simulation.camera.kitti_rows import kitti_text
+from track_range.simulation.camera.playback import play_back
+from track_range.simulation.camera.truth_table import HEADER, ego_speed_text, truth_rows
+from track_range.simulation.render.renderer import NOISE_GREY, Renderer, kitti_like_rig
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.truth import joined, seen_at
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.box_matchers import one_thread
 from track_range.stereo.rig_formats.reading import save_rig

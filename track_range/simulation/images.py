@@ -17,9 +17,9 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.results.output_files import OutputError, make_folder, write_bytes, write_text
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scene import make_scene
-from track_range.simulation.truth import label_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scene import make_scene
+from track_range.simulation.world.truth import label_scene
 
 WIDTH_PX = 640
 SECONDS = 6.0

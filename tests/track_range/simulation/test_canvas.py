@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from track_range.simulation.canvas import Canvas
-from track_range.simulation.face_table import FaceTable, joined_tables
-from track_range.simulation.faces import Face
-from track_range.simulation.texture_store import TextureStore
+from track_range.simulation.render.canvas import Canvas
+from track_range.simulation.render.face_table import FaceTable, joined_tables
+from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 29.5, 100, 60)

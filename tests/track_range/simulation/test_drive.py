@@ -10,10 +10,10 @@ from track_range.detection.boxes import iou
 from track_range.detection.formats.kitti import read_kitti
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.simulation.drive import N_DRAWING, DriveOptions, kitti_text, write_drive
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scenarios import make_scenario
-from track_range.simulation.scene import make_scene
-from track_range.simulation.truth import joined, label_scene, seen_at
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world.scenarios import make_scenario
+from track_range.simulation.world.scene import make_scene
+from track_range.simulation.world.truth import joined, label_scene, seen_at
 from track_range.stereo.evaluation.kitti_2015 import read_pair
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.video.reader import VideoReader

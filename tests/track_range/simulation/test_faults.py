@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from track_range.simulation.camera.faults import Faults
 from track_range.simulation.drive import DriveOptions, write_drive
-from track_range.simulation.faults import Faults
-from track_range.simulation.render import Renderer, kitti_like_rig, noise_steps
-from track_range.simulation.scenarios import make_scenario
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig, noise_steps
+from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.reader import VideoReader
 

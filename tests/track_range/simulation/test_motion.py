@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.simulation.motion import LaneChange, speed_at_mps, travelled_m
+from track_range.simulation.world.motion import LaneChange, speed_at_mps, travelled_m
 
 
 def test_a_ramp_is_travelled_at_its_mean_speed():

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.simulation.face_table import FaceTable
-from track_range.simulation.faces import Face
-from track_range.simulation.pieces import CUTS, DEPTH_RATIO, NEAR_M, projected, seen_pieces
-from track_range.simulation.texture_store import TextureStore
+from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.pieces import CUTS, DEPTH_RATIO, NEAR_M, projected, seen_pieces
+from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(500.0, 500.0, 320.0, 120.0, 640, 240)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.box_surface import surface_distance_m
-from track_range.simulation.render import Renderer, kitti_like_rig, render
-from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene, make_scene
-from track_range.simulation.street import FAR_M, stretches
-from track_range.simulation.truth import label_scene
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig, render
+from track_range.simulation.render.street import FAR_M, stretches
+from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene
+from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.rig import StereoRig
 
 RIG = kitti_like_rig()

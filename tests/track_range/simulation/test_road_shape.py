@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from track_range.simulation.road_shape import STRAIGHT, RoadShape, Wobble, pose_on_road
-from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene
+from track_range.simulation.world.road_shape import STRAIGHT, RoadShape, Wobble, pose_on_road
+from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene
 
 ROAD = RoadShape(swing_m=7.0, hill_m=3.0, swing_phase_rad=1.0, hill_phase_rad=4.0)
 Z_M = np.array([0.0, 33.0, 120.0, 250.0])

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.simulation import scenarios
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.scenario_names import SCENARIO_NAMES
-from track_range.simulation.scenarios import SCENARIOS, make_scenario
-from track_range.simulation.surroundings import PERIOD_M, SURROUNDINGS
-from track_range.simulation.truth import seen_at
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.world import scenarios
+from track_range.simulation.world.scenario_names import SCENARIO_NAMES
+from track_range.simulation.world.scenarios import SCENARIOS, make_scenario
+from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS
+from track_range.simulation.world.truth import seen_at
 
 SMALL = kitti_like_rig(width_px=310, height_px=94)
 EGO_HW_M = (4.2, 1.8)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.simulation.scene import AWAY_RAD, TOWARDS_RAD, RoadUser, Scene, make_scene
+from track_range.simulation.world.scene import AWAY_RAD, TOWARDS_RAD, RoadUser, Scene, make_scene
 
 
 def user(track_id=0, *, x=0.5, z=20.0, heading=AWAY_RAD, speed=8.0):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.box_surface import surface_distance_m
-from track_range.simulation.render import kitti_like_rig
-from track_range.simulation.scene import AWAY_RAD, RoadUser, Scene, make_scene
-from track_range.simulation.truth import box_corners_m, label_scene, projected_boxes_px, visible_shares
+from track_range.simulation.render.renderer import kitti_like_rig
+from track_range.simulation.world.scene import AWAY_RAD, RoadUser, Scene, make_scene
+from track_range.simulation.world.truth import box_corners_m, label_scene, projected_boxes_px, visible_shares
 
 CAMERA = kitti_like_rig().left
 

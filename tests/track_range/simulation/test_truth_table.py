@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from track_range.simulation.drive import DriveOptions, write_drive
-from track_range.simulation.faces import Face
-from track_range.simulation.render import Renderer, kitti_like_rig
-from track_range.simulation.road_shape import turned_about_y, turned_on_slope
-from track_range.simulation.scenarios import make_scenario
-from track_range.simulation.surface import Surface, centre_depth_m, first_depths_m
+from track_range.simulation.render.renderer import Renderer, kitti_like_rig
+from track_range.simulation.render.surface import Surface, centre_depth_m, first_depths_m
+from track_range.simulation.world.faces import Face
+from track_range.simulation.world.road_shape import turned_about_y, turned_on_slope
+from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 500.0, 200.0, 1000, 400)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.simulation.faces import Colour, Extent, Face, block
-from track_range.simulation.painting import SEAM, fill, keep, number_plate, pane, shade_rows, wheel
-from track_range.simulation.shadows import shadow
+from track_range.simulation.world.faces import Colour, Extent, Face, block
+from track_range.simulation.world.painting import SEAM, fill, keep, number_plate, pane, shade_rows, wheel
+from track_range.simulation.world.shadows import shadow
 
 VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
 CARGO_PAINTS: tuple[Colour, ...] = ((204, 204, 200), (190, 192, 190), (150, 96, 52), (60, 110, 60))

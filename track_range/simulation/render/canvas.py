@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.face_table import FaceTable
-from track_range.simulation.pieces import NEAR_M, Projected, projected, seen_pieces
-from track_range.simulation.texture_store import TextureStore
+from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.pieces import NEAR_M, Projected, projected, seen_pieces
+from track_range.simulation.render.texture_store import TextureStore
 from track_range.stereo.geometry.camera import PinholeCamera
 
 HALF_SEEN = 112

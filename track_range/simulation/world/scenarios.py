@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.simulation.casting import Flow, Part, cast, lights, parked, signs, walkers
-from track_range.simulation.motion import LaneChange, SpeedChanges, travelled_m
-from track_range.simulation.road_shape import RoadShape, Wobble
-from track_range.simulation.scenario_names import SCENARIO_NAMES, ScenarioName
-from track_range.simulation.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
+from track_range.simulation.world.casting import Flow, Part, cast, lights, parked, signs, walkers
+from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
+from track_range.simulation.world.road_shape import RoadShape, Wobble
+from track_range.simulation.world.scenario_names import SCENARIO_NAMES, ScenarioName
+from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
 
 WOBBLE_RAD = np.radians(0.12)
 """Root mean square of pitch; roll has half of it."""

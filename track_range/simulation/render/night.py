@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.scene import RoadUser, Scene
+from track_range.simulation.world.scene import RoadUser, Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 
 AMBIENT = np.array([0.17, 0.14, 0.13], np.float32)

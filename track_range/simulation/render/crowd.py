@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.simulation.canvas import Canvas
-from track_range.simulation.face_table import FaceTable
-from track_range.simulation.faces import Face
-from track_range.simulation.texture_store import TextureStore
+from track_range.simulation.render.canvas import Canvas
+from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.faces import Face
 
 
 class Crowd:

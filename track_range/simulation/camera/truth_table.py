@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF
-from track_range.simulation.render import Renderer
-from track_range.simulation.scene import STEP_S, Scene
-from track_range.simulation.surface import centre_depth_m
-from track_range.simulation.surroundings import SURROUNDINGS
-from track_range.simulation.truth import SeenObjects
+from track_range.simulation.render.renderer import Renderer
+from track_range.simulation.render.surface import centre_depth_m
+from track_range.simulation.world.scene import STEP_S, Scene
+from track_range.simulation.world.surroundings import SURROUNDINGS
+from track_range.simulation.world.truth import SeenObjects
 
 HEADER = "frame,time_s,id,class,x1,y1,x2,y2,visible_share,distance_m,closing_mps,lane\n"
 

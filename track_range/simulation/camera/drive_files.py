@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_bytes
-from track_range.simulation.truth import SeenObjects
+from track_range.simulation.world.truth import SeenObjects
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.reader import VideoWriter

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
-from track_range.simulation.canvas import HALF_SEEN
-from track_range.simulation.faces import Face
+from track_range.simulation.render.canvas import HALF_SEEN
+from track_range.simulation.world.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
 N_TRIES = 15

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.simulation.faces import Face
+from track_range.simulation.world.faces import Face
 
 TEXELS_PER_M = 12
 MARGIN_M = 0.6

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.simulation.motion import LaneChange, SpeedChanges, speed_at_mps, travelled_m
-from track_range.simulation.road_shape import (
+from track_range.simulation.world.motion import LaneChange, SpeedChanges, speed_at_mps, travelled_m
+from track_range.simulation.world.road_shape import (
     STEADY,
     STRAIGHT,
     CameraPose,

@@ -16,18 +16,18 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.bodies import body_of
-from track_range.simulation.canvas import Canvas
-from track_range.simulation.crowd import Crowd
-from track_range.simulation.faults import NO_FAULTS, Faults, rained
-from track_range.simulation.night import lamps_of, lit
-from track_range.simulation.road_shape import CameraPose
-from track_range.simulation.scene import Scene
-from track_range.simulation.scenery import sky_picture
-from track_range.simulation.street import FAR_M, Street
-from track_range.simulation.surface import Surface
-from track_range.simulation.texture_store import TextureStore
-from track_range.simulation.truth import corners_m
+from track_range.simulation.camera.faults import NO_FAULTS, Faults, rained
+from track_range.simulation.render.canvas import Canvas
+from track_range.simulation.render.crowd import Crowd
+from track_range.simulation.render.night import lamps_of, lit
+from track_range.simulation.render.street import FAR_M, Street
+from track_range.simulation.render.surface import Surface
+from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.bodies import body_of
+from track_range.simulation.world.road_shape import CameraPose
+from track_range.simulation.world.scene import Scene
+from track_range.simulation.world.scenery import sky_picture
+from track_range.simulation.world.truth import corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 

@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from track_range.simulation.faces import Colour, Extent, Face, block, coloured_face, prism
-from track_range.simulation.painting import fill
-from track_range.simulation.shadows import shadow
-from track_range.simulation.textures import RUBBER_BGR, cut_outside, paint_box, paint_wheel
+from track_range.simulation.world.faces import Colour, Extent, Face, block, coloured_face, prism
+from track_range.simulation.world.painting import fill
+from track_range.simulation.world.shadows import shadow
+from track_range.simulation.world.textures import RUBBER_BGR, cut_outside, paint_box, paint_wheel
 
 TOPS: tuple[Colour, ...] = (
     (52, 44, 128),

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.simulation.faces import Face, block
-from track_range.simulation.painting import fill, keep, polygon
+from track_range.simulation.world.faces import Face, block
+from track_range.simulation.world.painting import fill, keep, polygon
 
 POLE_M = 4.0
 """Longer than any is high: its foot is in the ground, where the road hides it."""

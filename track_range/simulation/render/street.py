@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.face_table import FaceTable, joined_tables
-from track_range.simulation.road_shape import STRAIGHT, RoadShape
-from track_range.simulation.roadside import Roadside
-from track_range.simulation.scenery import ground_picture, houses_picture, rail_picture, woods_picture
-from track_range.simulation.surroundings import PERIOD_M, SURROUNDINGS
-from track_range.simulation.texture_store import TextureStore
+from track_range.simulation.render.face_table import FaceTable, joined_tables
+from track_range.simulation.render.roadside import Roadside
+from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.road_shape import STRAIGHT, RoadShape
+from track_range.simulation.world.scenery import ground_picture, houses_picture, rail_picture, woods_picture
+from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS
 
 FAR_M = 260.0
 SIDE_HEIGHT_M = 9.0

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.simulation.face_table import FaceTable
-from track_range.simulation.texture_store import stepped_up
+from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.texture_store import stepped_up
 from track_range.stereo.geometry.camera import PinholeCamera
 
 NEAR_M = 0.3

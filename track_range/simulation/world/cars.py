@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.simulation.faces import Colour, Face, Vector, coloured_face, shaded
-from track_range.simulation.painting import SEAM, fill, keep, number_plate, pane, polygon, shade_rows, wheel
-from track_range.simulation.shadows import shadow
+from track_range.simulation.world.faces import Colour, Face, Vector, coloured_face, shaded
+from track_range.simulation.world.painting import SEAM, fill, keep, number_plate, pane, polygon, shade_rows, wheel
+from track_range.simulation.world.shadows import shadow
 
 PAINTS: tuple[Colour, ...] = (
     (205, 206, 205),

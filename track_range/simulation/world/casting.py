@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.simulation.motion import LaneChange, SpeedChanges
-from track_range.simulation.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser
+from track_range.simulation.world.motion import LaneChange, SpeedChanges
+from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser
 
 PARKED_SPACING_M = 7.5
 

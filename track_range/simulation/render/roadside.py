@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
-from track_range.simulation.face_table import FaceTable
-from track_range.simulation.road_shape import RoadShape
-from track_range.simulation.scenery import tree_picture
-from track_range.simulation.surroundings import Row, Surroundings
-from track_range.simulation.texture_store import TextureStore
-from track_range.simulation.textures import plain, value_noise
+from track_range.simulation.render.face_table import FaceTable
+from track_range.simulation.render.texture_store import TextureStore
+from track_range.simulation.world.road_shape import RoadShape
+from track_range.simulation.world.scenery import tree_picture
+from track_range.simulation.world.surroundings import Row, Surroundings
+from track_range.simulation.world.textures import plain, value_noise
 
 SEEN_M = 130.0
 """Farther ones are not drawn."""

@@ -15,8 +15,8 @@ import numpy as np
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
-from track_range.simulation.road_shape import turned_about_y
-from track_range.simulation.scene import Scene
+from track_range.simulation.world.road_shape import turned_about_y
+from track_range.simulation.world.scene import Scene
 from track_range.stereo.geometry.camera import PinholeCamera
 
 FARTHEST_M = 100.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.textures import cut_outside, plain
+from track_range.simulation.world.textures import cut_outside, plain
 
 Colour = tuple[float, ...]
 """Blue, green, red, 0..255."""
