@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.errors import UserError
 
 ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
 """Index in this tuple = class_id everywhere downstream of a detector."""
@@ -60,7 +61,7 @@ VOC_CLASSES = (
 """Pascal VOC's 20 names, in their order."""
 
 
-class ClassNameError(ValueError):
+class ClassNameError(UserError, ValueError):
     """A class name that is no road class; the message names the nearest one."""
 
 

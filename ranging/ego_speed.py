@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import UserError
 
 _MPS_PER_KMH = 1 / 3.6
 _FASTEST_MPS = 120.0
@@ -34,7 +35,7 @@ _OXTS_FORWARD = 8
 _OXTS_COLUMNS = 30
 
 
-class EgoSpeedError(Exception):
+class EgoSpeedError(UserError):
     """An ego speed that cannot be used; the message says what is wanted."""
 
 

@@ -24,40 +24,7 @@ from track_range.cli_simulation import simulate
 from track_range.cli_tracking import track
 from track_range.cli_training import anchors, train
 from track_range.commands.demo import demo as run_demo
-from track_range.commands.run import RunStoppedError
-from track_range.detection.classes import ClassNameError
-from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.formats.labelled_images import ImageFileError
-from track_range.detection.models.download import DownloadError
-from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.training.errors import TrainingError
-from track_range.ranging.ego_speed import EgoSpeedError
-from track_range.ranging.size_models.curve import CurveError
-from track_range.results.output_files import OutputError
-from track_range.run.settings import ConfigError, UsageError
-from track_range.stereo.evaluation.kitti_2015 import PairFileError
-from track_range.stereo.geometry.rig import RigError
-from track_range.tracking.mot_format import MotFormatError
-from track_range.video.reader import VideoError
-
-USER_ERRORS = (
-    ClassNameError,
-    ConfigError,
-    CurveError,
-    DownloadError,
-    EgoSpeedError,
-    ImageFileError,
-    LabelFileError,
-    ModelError,
-    MotFormatError,
-    OutputError,
-    PairFileError,
-    RigError,
-    RunStoppedError,
-    TrainingError,
-    VideoError,
-)
-"""Everything that a user's input can cause; anything else is our bug and keeps its traceback."""
+from track_range.foundation.errors import UserError
 
 app = typer.Typer(
     add_completion=False,
@@ -124,7 +91,7 @@ def main() -> None:
             raise
         Console(stderr=True).print("track-range: stopped by the user.", style="red")
         raise SystemExit(1) from None
-    except USER_ERRORS as error:
+    except UserError as error:
         told = Console(stderr=True)
         told.print(f"track-range: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        raise SystemExit(2 if isinstance(error, UsageError) else 1) from None
+        raise SystemExit(error.exit_status) from None

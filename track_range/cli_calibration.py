@@ -11,7 +11,7 @@ from rich.console import Console
 from track_range.commands.calibrate import CalibrateOptions
 from track_range.commands.calibrate import calibrate as run_calibrate
 from track_range.commands.rig import RigFormat, convert_rig, show_rig
-from track_range.run.settings import UsageError
+from track_range.foundation.errors import UsageError
 
 _console = Console()
 

@@ -16,13 +16,14 @@ import numpy as np
 
 from track_range.detection.formats.detection_files import MAX_FRAME, xyxy_from_mot
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
+from track_range.foundation.errors import UserError
 from track_range.tracking.tracks import Tracks
 
 _FIRST_PIXEL = 1  # see `detection.detection_files.xyxy_from_mot`, the way back
 _COLUMNS_OF_TRUTH = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
 
 
-class MotFormatError(ValueError):
+class MotFormatError(UserError, ValueError):
     """A file that is not in MOTChallenge's format; the message names the file and the line."""
 
 

@@ -17,12 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.errors import UserError
 
 _TRACKING_COLUMNS = 17
 _OBJECT_COLUMNS = 15
 
 
-class LabelFileError(Exception):
+class LabelFileError(UserError):
     """A label or detection file that cannot be read; the message names file, line and what was wanted."""
 
 

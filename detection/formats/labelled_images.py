@@ -25,13 +25,14 @@ from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
 from track_range.detection.formats.yolo_labels import YoloLabelReader
 from track_range.foundation.arrays import BoolArray, Image
+from track_range.foundation.errors import UserError
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
 
 
-class ImageFileError(Exception):
+class ImageFileError(UserError):
     """An image that cannot be read; the message names it."""
 
 

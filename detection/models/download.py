@@ -19,6 +19,7 @@ from urllib.parse import urlparse
 
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
+from track_range.foundation.errors import UserError
 
 Progress = Callable[[int, int | None], None]
 """Called with the bytes there so far, and all that are to come where the server says so."""
@@ -29,7 +30,7 @@ _RANGE_NOT_SATISFIABLE = 416
 _PARTIAL_CONTENT = 206
 
 
-class DownloadError(Exception):
+class DownloadError(UserError):
     """A model that cannot be fetched; the message says why, and where to put the file if it is fetched otherwise."""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import onnxruntime as ort
 
 from track_range.foundation.arrays import FloatArray32
+from track_range.foundation.errors import UserError
 
 Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 
@@ -22,7 +23,7 @@ _CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
 _PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}
 
 
-class ModelError(Exception):
+class ModelError(UserError):
     """A model that cannot be used; the message says why and what to do."""
 
 

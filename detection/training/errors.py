@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from track_range.foundation.errors import UserError
 
-class TrainingError(Exception):
+
+class TrainingError(UserError):
     """Training cannot start or go on; the message says why and what to do."""
 
 

@@ -8,11 +8,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from track_range.foundation.errors import UserError
+
 CURVE_VERSION = 2
 _VERSION_KEY = "track_range_size_curves"
 
 
-class CurveError(Exception):
+class CurveError(UserError):
     """A curve file that cannot be used, or labels that no curve can be fitted on; the message says why."""
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.foundation.errors import UserError
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -34,7 +35,7 @@ MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
 _STEPS_PER_PX = 256.0
 
 
-class PairFileError(Exception):
+class PairFileError(UserError):
     """A set of stereo pairs that cannot be used; the message names the file and what is wanted."""
 
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.errors import UserError
 from track_range.stereo.geometry.camera import PinholeCamera
 
 
-class RigError(Exception):
+class RigError(UserError):
     """A rig or calibration file that cannot be used; the message says why and what to do."""
 
 

@@ -13,10 +13,10 @@ import pytest
 
 from tests.track_range.overlay_results import grey, result
 from track_range.foundation.arrays import Image
+from track_range.foundation.errors import UsageError
 from track_range.live_view.server import PageError
 from track_range.live_view.view import LiveView, has_screen, open_view, place_of_page
 from track_range.run.frame_result import FrameResult
-from track_range.run.settings import UsageError
 
 
 @pytest.fixture

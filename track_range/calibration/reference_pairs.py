@@ -22,8 +22,9 @@ from track_range.calibration.drive_pairs import is_drive, read_drive
 from track_range.detection.formats.csv_labels import is_whole_label_csv
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.truth import read_truth
-from track_range.run.settings import RunSettings, UsageError
+from track_range.run.settings import RunSettings
 from track_range.stereo.evaluation.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig

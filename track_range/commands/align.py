@@ -14,9 +14,9 @@ from rich.console import Console
 
 from track_range.calibration.drive_pairs import LEFT, RIGHT
 from track_range.calibration.reference_pairs import OpenedPair, open_pair, reference_pairs
-from track_range.run.progress import say, step_progress
+from track_range.foundation.errors import UsageError
 from track_range.results.output_files import check_outputs, write_text
-from track_range.run.settings import UsageError
+from track_range.run.progress import say, step_progress
 from track_range.stereo.alignment.feature_tracks import row_offset_px
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment

@@ -16,10 +16,10 @@ from track_range.calibration.board_images import board_images
 from track_range.calibration.board_search import FoundViews, find_views
 from track_range.calibration.figures import mono_figures, pair_figures, tilt_deg
 from track_range.calibration.picture import calibration_picture
-from track_range.run.progress import say, step_progress
+from track_range.foundation.errors import UsageError
 from track_range.report.tables import Column, grid_of
 from track_range.results.output_files import check_outputs, write_bytes, write_text
-from track_range.run.settings import UsageError
+from track_range.run.progress import say, step_progress
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.boards import board_of
 from track_range.stereo.calibration.coverage import view_shape

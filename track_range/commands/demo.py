@@ -6,9 +6,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from track_range.run.progress import say, step_progress
 from track_range.commands.run import run
 from track_range.results.output_files import make_folder
+from track_range.run.progress import say, step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
 

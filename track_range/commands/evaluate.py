@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from track_range.run.progress import frame_progress
 from track_range.commands.ready_model import ready_model
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
@@ -29,6 +28,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.report.detection_tables import accuracy_grid, class_grid, speed_grid
 from track_range.results.output_files import write_text
 from track_range.run.detector_options import DetectorOptions, open_detector, thresholds
+from track_range.run.progress import frame_progress
 from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.terminal_tables import tell_grid
 

@@ -10,13 +10,13 @@ from typing import Any, Literal
 
 from rich.console import Console
 
+from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.box_evaluation import closing_figures, figures, folds
 from track_range.ranging.evaluation.box_filters import FilterName, filtered
 from track_range.ranging.evaluation.box_methods import METHODS, MethodOptions, measured_by
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.report import tables
 from track_range.results.output_files import write_text
-from track_range.run.settings import UsageError
 from track_range.terminal_tables import tell_grid
 
 FitOn = Literal["labels", "boxes"]

@@ -11,9 +11,9 @@ import numpy as np
 from rich.console import Console
 
 from track_range.calibration.drive_pairs import is_drive, read_drive
-from track_range.run.progress import say, step_progress
+from track_range.foundation.errors import UsageError
 from track_range.report import tables
-from track_range.run.settings import UsageError
+from track_range.run.progress import say, step_progress
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_reference import fit_reference
 from track_range.stereo.alignment.model import Alignment

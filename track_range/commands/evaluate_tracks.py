@@ -11,13 +11,13 @@ from typing import Any, Literal
 import numpy as np
 from rich.console import Console
 
-from track_range.run.progress import say
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.errors import UsageError
 from track_range.report.tables import Column, Grid, figure, grid_of
 from track_range.results.output_files import write_text
-from track_range.run.settings import UsageError
+from track_range.run.progress import say
 from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,

@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit, compare_curves
 from track_range.ranging.fitting.box_csv import read_box_csv
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
@@ -18,7 +19,6 @@ from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 from track_range.ranging.size_models.tables import TableSizes
 from track_range.report import tables
-from track_range.run.settings import UsageError
 from track_range.terminal_tables import tell_grid
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from track_range.run.progress import say
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.results.folder import RunFolder, read_run_folder
 from track_range.results.output_files import RESULT_NAMES, check_outputs
+from track_range.run.progress import say
 from track_range.terminal_tables import tell_grid
 
 

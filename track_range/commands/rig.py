@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from rich.console import Console
 
-from track_range.run.progress import say
+from track_range.foundation.errors import UsageError
 from track_range.report.tables import Column, grid_of
-from track_range.run.settings import UsageError
+from track_range.run.progress import say
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig

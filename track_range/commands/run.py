@@ -12,8 +12,8 @@ from typing import Any
 import numpy.typing as npt
 from rich.console import Console
 
-from track_range.run.progress import frame_progress, step_progress
 from track_range.commands.ready_model import ready_model
+from track_range.foundation.errors import RunStoppedError
 from track_range.live_view.view import LiveView
 from track_range.overlay.outputs import overlay_picture, pictures, video_format
 from track_range.overlay.result_video import ResultVideo
@@ -29,15 +29,12 @@ from track_range.run.box_source import open_box_source
 from track_range.run.build import open_pipeline
 from track_range.run.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
 from track_range.run.prefetch import short_switch_interval
+from track_range.run.progress import frame_progress, step_progress
 from track_range.run.session import RunRecord, found_by, summary_of
 from track_range.run.settings import RunSettings, absolute_settings, save_settings
 from track_range.run.throughput import FrameMeter
 from track_range.terminal_tables import tell_summary
 from track_range.video.source import open_source
-
-
-class RunStoppedError(Exception):
-    """The user ended a run early, by Ctrl-C or a polite kill; its finished part is safe."""
 
 
 def run(settings: RunSettings, console: Console, view: LiveView | None = None) -> Path:
@@ -47,7 +44,7 @@ def run(settings: RunSettings, console: Console, view: LiveView | None = None) -
 
     Raises:
         RunStoppedError: the user stopped it.
-        Exception: the error of an input that cannot be used, one of `track_range.cli.USER_ERRORS`.
+        Exception: the error of an input that cannot be used, a `UserError`.
     """
     with first_interrupt_only():
         try:

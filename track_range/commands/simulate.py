@@ -10,8 +10,8 @@ from typing import Any, get_args
 import numpy as np
 from rich.console import Console
 
+from track_range.foundation.errors import UsageError
 from track_range.run.progress import say, step_progress
-from track_range.run.settings import UsageError
 from track_range.simulation.camera.drive_files import with_even_size
 from track_range.simulation.camera.faults import Faults, WrongRig
 from track_range.simulation.drive import Drive, DriveOptions, write_drive

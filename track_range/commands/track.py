@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from track_range.run.progress import frame_progress, say
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import DetectionForm, RecordedDetections, read_detections
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.foundation.errors import UsageError
 from track_range.report.tables import Column, Grid, grid_of
 from track_range.results.output_files import OutputError, make_folder
-from track_range.run.settings import TrackerName, UsageError, check_looks
+from track_range.run.progress import frame_progress, say
+from track_range.run.settings import TrackerName, check_looks
 from track_range.run.tracker_options import new_tracker, open_descriptor
 from track_range.sequences.files import write_kitti, write_mot
 from track_range.sequences.find import (

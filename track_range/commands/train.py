@@ -11,7 +11,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from track_range.run.progress import say
 from track_range.commands.ready_model import ready_model
 from track_range.commands.training_data import own_anchors, read_images
 from track_range.detection.classes import ROAD_CLASSES
@@ -33,6 +32,7 @@ from track_range.report.detection_tables import class_grid
 from track_range.report.figures import training_chart
 from track_range.results.output_files import OutputError, make_folder
 from track_range.run.interrupts import termination_as_interrupt
+from track_range.run.progress import say
 from track_range.terminal_tables import tell_grid
 
 CURVES = "curves.png"

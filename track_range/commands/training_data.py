@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from track_range.run.progress import say, step_progress
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import LabelledImage
 from track_range.detection.models.metadata import Anchors
@@ -17,6 +16,7 @@ from track_range.detection.training.data_set import CachedImages
 from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.networks import NETWORKS
 from track_range.foundation.arrays import FloatArray
+from track_range.run.progress import say, step_progress
 
 _N_TOLD = 20
 """Images told by name that cannot be read."""

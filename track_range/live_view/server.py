@@ -20,7 +20,7 @@ from ipaddress import ip_address
 from socket import AF_INET6, gaierror, gethostname, socket
 from socketserver import TCPServer
 
-from track_range.run.settings import ConfigError
+from track_range.foundation.errors import ConfigError
 
 _PATIENCE_S = 5.0  # a viewer who takes nothing for so long is gone
 _POLL_S = 0.1  # how soon the server notices that it is to end

@@ -17,10 +17,10 @@ from typing import Self
 import cv2
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.errors import UsageError
 from track_range.live_view.server import LOOPBACK, LivePage
 from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import give_way
-from track_range.run.settings import UsageError
 
 _QUALITY = 80  # of JPEG; at 100 a picture takes thrice the bytes
 _WHERE = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")

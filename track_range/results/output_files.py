@@ -6,8 +6,10 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from track_range.foundation.errors import UserError
 
-class OutputError(Exception):
+
+class OutputError(UserError):
     """Results that cannot be written; the message says where and why."""
 
 

@@ -11,7 +11,7 @@ from track_range.detection.models.lookup import models_folder
 from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
-from track_range.run.settings import ConfigError, UsageError
+from track_range.foundation.errors import ConfigError, UsageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from track_range.detection.models.lookup import DEFAULT_MODEL
+from track_range.foundation.errors import ConfigError, UsageError
 from track_range.results.output_files import write_text
 from track_range.stereo.matching.sgbm import SgbmSettings
 from track_range.video.live.address import LiveAddress, live_address
@@ -33,14 +34,6 @@ VideoName = Path | LiveAddress
 
 _NO_OPTION = ("sgbm_options",)
 """Fields that are set in settings.yaml alone."""
-
-
-class ConfigError(Exception):
-    """Settings that make no sense; the message names the one that is wrong."""
-
-
-class UsageError(ConfigError):
-    """Options that contradict each other or are out of range: wrong usage, not a wrong input."""
 
 
 def check_looks(name: TrackerName, reid: Path | None) -> None:

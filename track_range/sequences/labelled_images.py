@@ -23,7 +23,7 @@ from track_range.detection.formats.labelled_images import (
     read_sequence,
 )
 from track_range.foundation.arrays import Image
-from track_range.run.settings import UsageError
+from track_range.foundation.errors import UsageError
 from track_range.video.reader import VideoReader
 
 

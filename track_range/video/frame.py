@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.errors import UserError
 
 TIME_EPSILON_S = 1e-6
 """Times closer than this are one: far below any frame interval, far above the rounding of a float64."""
@@ -15,7 +16,7 @@ _NEUTRAL_DIFFERENCE = 8  # grey levels between channels; lossy chroma of a grey 
 _NEUTRAL_SHARE = 0.999
 
 
-class VideoError(Exception):
+class VideoError(UserError):
     """A video that cannot be read, paired or written; the message names the path and says what to do."""
 
 
