@@ -1,10 +1,10 @@
 """MOTChallenge's text files: frame, id, x, y, w, h, score, then class and visibility or a place in the world.
 
-    theirs  the centre of the first pixel is 1, 1        x = x1 + 1     w = x2 - x1
-    ours    it is 0, 0 (OpenCV)                          x1 = x - 1     x2 = x1 + w
+    in the files   first frame 1, centre of the first pixel 1, 1            x = x1 + 1     w = x2 - x1
+    track-range    first frame 0, centre of the first pixel 0, 0 (OpenCV)   x1 = x - 1     x2 = x1 + w
 
-A box is its outer edges in both, as points of a plane. Frames count from 1 there and from 0 here. Boxes are written
-with 2 decimals: read back, an edge is right to 0.01 px.
+The files count from 1 whatever the input was numbered from. A box is its outer edges in both, as points of a plane;
+boxes are written with 2 decimals, so an edge that is read back is right to 0.01 px.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.tracking.tracks import Tracks
 
-_FIRST_PIXEL = 1  # see `detection.detection_files.xyxy_from_mot`, the way back
+_FIRST_PIXEL = 1  # `detection.formats.detection_files.xyxy_from_mot` is the inverse
+_FIRST_FRAME = 1
 _COLUMNS_OF_TRUTH = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
 
 
@@ -60,39 +61,34 @@ class MotRows:
         return len(self.frame)
 
 
-def mot_lines(tracks: Tracks, frame: int, *, first_frame: int = 1) -> list[str]:
-    """One line per track, with its newline: frame + first_frame,id,x,y,w,h,score,-1,-1,-1.
+def mot_lines(tracks: Tracks, frame: int) -> list[str]:
+    """One line per track, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
 
-    `frame` counts from 0, MOTChallenge's files from 1. Predicted boxes are written like seen
-    ones: the format has no column to tell them apart.
+    `frame` counts from 0. Predicted boxes are written like observed ones: the format has no column for the difference.
     """
     x1, y1, x2, y2 = tracks.xyxy_px.T
     rows = np.stack([x1 + _FIRST_PIXEL, y1 + _FIRST_PIXEL, x2 - x1, y2 - y1, tracks.score], axis=1)
     return [
-        f"{frame + first_frame},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
+        f"{frame + _FIRST_FRAME},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
         for track_id, (x, y, w, h, score) in zip(tracks.track_id.tolist(), rows.tolist(), strict=True)
     ]
 
 
-def read_mot(path: Path, *, first_frame: int = 1) -> MotRows:
+def read_mot(path: Path) -> MotRows:
     """The rows of a gt.txt, det.txt or result file; blank lines are skipped.
 
-    Args:
-        path: the file.
-        first_frame: what the file counts frames from; 1 is MOTChallenge's way.
-
     Raises:
-        MotFormatError: no such file, or a line that is not 7 to 10 numbers with a whole frame >= first_frame and id, or
-            w, h < 0.
+        MotFormatError: no such file, or a line that is not 7 to 10 numbers with a whole frame >= 1, a whole id and
+            w, h >= 0.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise MotFormatError(f"{path}: cannot be read as text ({error}).") from error
-    rows = [_row(line, f"{path}, line {i}", first_frame) for i, line in enumerate(lines, start=1) if line.strip()]
+    rows = [_row(line, f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
     table = np.array(rows, np.float64).reshape(-1, 9)
     return MotRows(
-        frame=table[:, 0].astype(np.int64) - first_frame,
+        frame=table[:, 0].astype(np.int64) - _FIRST_FRAME,
         track_id=table[:, 1].astype(np.int64),
         xyxy_px=xyxy_from_mot(table[:, 2:6]),
         score=table[:, 6],
@@ -101,7 +97,7 @@ def read_mot(path: Path, *, first_frame: int = 1) -> MotRows:
     )
 
 
-def _row(line: str, where: str, first_frame: int) -> list[float]:
+def _row(line: str, where: str) -> list[float]:
     """frame, id, x, y, w, h, score, class, visibility of one line."""
     cells = [cell.strip() for cell in line.strip().rstrip(",").split(",")]
     if not 7 <= len(cells) <= 10:
@@ -112,9 +108,10 @@ def _row(line: str, where: str, first_frame: int) -> list[float]:
         raise MotFormatError(f"{where}: a number wanted ({error}).") from error
     if not np.isfinite(row).all():
         raise MotFormatError(f"{where}: finite numbers wanted, '{line.strip()}' got.")
-    if not first_frame <= row[0] <= MAX_FRAME or row[0] % 1 or row[1] % 1:
+    if not _FIRST_FRAME <= row[0] <= MAX_FRAME + _FIRST_FRAME or row[0] % 1 or row[1] % 1:
         raise MotFormatError(
-            f"{where}: a whole frame from {first_frame} on and a whole id wanted, {cells[0]} and {cells[1]} got."
+            f"{where}: expected a whole frame number from {_FIRST_FRAME} on and a whole id, found {cells[0]} and "
+            f"{cells[1]}; MOTChallenge's files count frames from 1."
         )
     if min(row[4:6]) < 0:
         raise MotFormatError(f"{where}: width and height >= 0 wanted, {cells[4]} and {cells[5]} got.")

@@ -24,7 +24,7 @@ _PLAIN_COLUMNS = 6
 _FEATURES_NAME = "feat.npy"
 
 MAX_FRAME = 1_000_000
-"""Largest frame number that is believed: nine hours at 30 Hz."""
+"""Largest frame number accepted, counted from 0: nine hours at 30 Hz."""
 
 _FAR_PX = 1e7
 """Edges further out are no image's."""
@@ -48,11 +48,6 @@ class RecordedDetections:
     detections: Detections
     form: DetectionForm
     notes: tuple[str, ...]
-
-    @property
-    def first_frame(self) -> int:
-        """What the file counts frames from."""
-        return 1 if self.form == "mot" else 0
 
     @property
     def is_rectified(self) -> bool:
@@ -135,7 +130,7 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
     except ValueError as error:
         raise LabelFileError(f"{path}: rows of numbers separated by commas, all of one length, wanted.") from error
     number = table[:, 0]
-    if not np.all((np.abs(number) <= MAX_FRAME) & (np.rint(number) == number)):  # NaN fails too
+    if not np.all((np.abs(number) <= MAX_FRAME + 1) & (np.rint(number) == number)):  # NaN fails too; MOT counts from 1
         raise LabelFileError(f"{path}: frames must be whole numbers up to {MAX_FRAME}.")
     class_id = np.full(len(table), unnamed_class_id)
     name = ROAD_CLASSES[unnamed_class_id]

@@ -30,8 +30,9 @@ def kitti(tmp_path):
 def test_sequences_and_together(kitti, tmp_path, cli):
     results = tmp_path / "out/mot"
     results.mkdir(parents=True)
-    # frames as in the truth, from 0; a switch in the first, nothing in the second; who tracks the van is not punished
-    rows = [(0, 7, 100), (1, 7, 100), (2, 8, 100), (3, 8, 100), (0, 9, 300), (1, 9, 300)]
+    # MOT rows count frames from 1, the truth from 0; a switch in the first, nothing in the second; a tracked van counts
+    # neither way
+    rows = [(1, 7, 100), (2, 7, 100), (3, 8, 100), (4, 8, 100), (1, 9, 300), (2, 9, 300)]
     (results / "0001.txt").write_text(mot_rows(*rows))
     (results / "0002.txt").write_text("")
     figures = tmp_path / "figures.json"
@@ -53,7 +54,7 @@ def test_results_without_truth_are_named(kitti, tmp_path, cli):
     results = tmp_path / "results"
     results.mkdir()
     for name in ("0001", "0002", "0003"):
-        (results / f"{name}.txt").write_text(mot_rows((0, 7, 100)))
+        (results / f"{name}.txt").write_text(mot_rows((1, 7, 100)))
     figures = tmp_path / "figures.json"
     status, told, _ = cli("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", figures)
     note = "1 of 3 sequences of results have no truth and do not count: 0003."
@@ -93,8 +94,8 @@ def test_motchallenge_folders(tmp_path, cli):
     [
         ("0003.txt", "", "no results for 0001, 0002"),
         ("0001.txt", "junk,junk\n", "0001.txt, line 1: 7 to 10 numbers"),
-        ("0001.txt", "0,1,1,1,1,1,1\n0,1,1,1,1,1,1\n", "an identity is there twice in one frame"),
-        ("0001.txt", "-1,1,1,1,1,1,1\n", "a whole frame from 0 on"),
+        ("0001.txt", "1,1,1,1,1,1,1\n1,1,1,1,1,1,1\n", "an identity is there twice in one frame"),
+        ("0001.txt", "0,1,1,1,1,1,1\n", "count frames from 1"),
         ("0001.txt", b"\xff\xfe\x00", "cannot be read as text"),
     ],
 )

@@ -1,4 +1,4 @@
-"""`track`: boxes of files to identities, in the files' own way of counting frames."""
+"""`track`: boxes of files to identities; MOT files count frames from 1, KITTI files from 0."""
 
 import json
 
@@ -21,14 +21,14 @@ def rows_of(path):
     return [[float(cell) for cell in line.split(",")] for line in path.read_text().splitlines()]
 
 
-def test_plain_rows_keep_their_frames_and_the_result_can_be_evaluated(tmp_path, cli, moving):
+def test_plain_rows_tracked_and_evaluated(tmp_path, cli, moving):
     folder = tmp_path / "Car"
     folder.mkdir()
     (folder / "0007.txt").write_text(plain(*moving))
     status, told, _ = cli("track", folder, "--out", tmp_path / "out", "--kitti")
     assert status == 0, told
     rows = rows_of(tmp_path / "out/mot/0007.txt")
-    assert {row[0] for row in rows} == set(range(10))
+    assert {row[0] for row in rows} == set(range(1, 11))
     assert {row[1] for row in rows} == {1, 2}
     assert rows[0][2:6] == [101.0, 11.0, 40.0, 40.0]  # MOT's pixels count from 1
     kitti = (tmp_path / "out/kitti/0007.txt").read_text().splitlines()
@@ -64,6 +64,34 @@ def test_motchallenge_folders_count_from_one(tmp_path, cli, moving):
     assert sorted(path.name for path in (tmp_path / "out/mot").iterdir()) == ["A.txt", "B.txt"]
     assert min(row[0] for row in rows_of(tmp_path / "out/mot/A.txt")) == 1
     assert not (tmp_path / "out/kitti").exists()
+
+
+def kitti_row(frame, x):
+    return f"{frame} -1 Car -1 -1 -10 {x} 10 {x + 40} 50 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
+
+
+def mot_row(frame, x):
+    return f"{frame + 1},-1,{x + 1},11,40,40,0.9\n"
+
+
+@pytest.mark.parametrize("row", [kitti_row, mot_row])
+def test_frame_numbers_of_both_formats(tmp_path, cli, row):
+    boxes = tmp_path / "boxes.txt"
+    boxes.write_text("".join(row(frame, 100 + 3 * frame) for frame in (*range(2, 8), *range(30, 36))))
+    assert cli("track", boxes, "--out", tmp_path / "out", "--kitti", "--online", "--classes", "car")[0] == 0
+    mot = rows_of(tmp_path / "out/mot/boxes.txt")
+    kitti = [line.split() for line in (tmp_path / "out/kitti/boxes.txt").read_text().splitlines()]
+    assert [line[0] for line in mot] == [int(line[0]) + 1 for line in kitti]
+    assert [line[2] for line in mot] == [float(line[6]) + 1 for line in kitti]
+    assert {8, 36} <= {line[0] for line in mot} <= {*range(3, 9), *range(31, 37)}
+    # against the same boxes as truth, in either format, each result scores 100
+    truth = {name: tmp_path / f"{name}-truth.txt" for name in ("kitti", "mot")}
+    truth["kitti"].write_text("".join(" ".join([*line[:3], "0", "0", *line[5:17]]) + "\n" for line in kitti))
+    truth["mot"].write_text("".join(",".join(f"{cell:g}" for cell in [*line[:6], 1, 1, 1]) + "\n" for line in mot))
+    for expected, results in (("kitti", "kitti"), ("kitti", "mot"), ("mot", "mot")):
+        pair = ("--truth", truth[expected], "--results", tmp_path / f"out/{results}/boxes.txt")
+        assert cli("evaluate", "tracks", *pair, "--json", tmp_path / "figures.json")[0] == 0
+        assert json.loads((tmp_path / "figures.json").read_text())["combined"]["hota"] == pytest.approx(100.0)
 
 
 def test_the_same_boxes_give_the_same_tracks(tmp_path, cli, moving):
@@ -118,7 +146,7 @@ def test_gaps_are_filled_unless_it_is_to_say_what_a_live_run_says(tmp_path, cli,
         rows = rows_of(tmp_path / name / "mot/boxes.txt")
         n_rows[name] = len(rows)
     assert n_rows == {"whole": 20, "live": 19}  # 400 px pauses in frame 5
-    filled = next(row for row in rows_of(tmp_path / "whole/mot/boxes.txt") if row[0] == 5 and row[2] > 300)
+    filled = next(row for row in rows_of(tmp_path / "whole/mot/boxes.txt") if row[0] == 6 and row[2] > 300)
     assert filled[2:6] == [401.0, 11.0, 40.0, 40.0]
 
 
@@ -144,7 +172,7 @@ def test_fewer_images_than_frames_are_told_and_the_rest_is_tracked(tmp_path, cli
     (tmp_path / "boxes.txt").write_text(plain(*moving))
     status, told, _ = cli("track", tmp_path / "boxes.txt", "--images", images, "--out", tmp_path / "out")
     assert (status, "images of 6 of 10 frames; the others are tracked without" in told) == (0, True)
-    assert {row[0] for row in rows_of(tmp_path / "out/mot/boxes.txt")} == set(range(10))
+    assert {row[0] for row in rows_of(tmp_path / "out/mot/boxes.txt")} == set(range(1, 11))
 
 
 def test_a_missing_image_is_a_frame_without_one(tmp_path, cli, moving):

@@ -107,21 +107,21 @@ def _counts(truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_
     if form == "mot":
         wanted = read_mot(truth.path)
         _check_once(truth.path, wanted.frame, wanted.track_id)
-        return TrackingCounts.of(*mot_cleaned(wanted, _read_results(results.path, road_class, first_frame=1)))
+        return TrackingCounts.of(*mot_cleaned(wanted, _read_results(results.path, road_class)))
     labels = read_kitti(truth.path)
     named = labels.track_id >= 0
     _check_once(truth.path, labels.frame[named], labels.track_id[named])
-    return TrackingCounts.of(*kitti_cleaned(labels, _read_results(results.path, road_class, first_frame=0), road_class))
+    return TrackingCounts.of(*kitti_cleaned(labels, _read_results(results.path, road_class), road_class))
 
 
-def _read_results(path: Path, road_class: str, *, first_frame: int) -> TrackedBoxes:
-    """Tracks of one class from MOT rows, which name none and count frames as the truth does, or from KITTI rows."""
+def _read_results(path: Path, road_class: str) -> TrackedBoxes:
+    """Tracks of one class, frames from 0, from MOT rows (no class, frames from 1) or KITTI rows (frames from 0)."""
     class_id = ROAD_CLASSES.index(road_class)
     first = first_line(path)
     if not first:
         return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
     if "," in first:
-        rows = read_mot(path, first_frame=first_frame)
+        rows = read_mot(path)
         return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
     labels = read_kitti(path)
     mine = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id

@@ -82,7 +82,7 @@ class _Done:
 
 
 def track(options: TrackOptions, console: Console) -> None:
-    """Track every sequence and write `mot/NAME.txt`, frames counted as in the input.
+    """Track every sequence and write `mot/NAME.txt`, frames counted from 1 as MOTChallenge defines.
 
     A sequence of several that cannot be read does not keep the others from being tracked.
 
@@ -187,7 +187,7 @@ def _track_one(
             advance=advance,
         )
     frames, notes = tracked.frames, (*recorded.notes, *tracked.notes)
-    write_mot(frames, options.out, sequence.name, first_frame=recorded.first_frame)
+    write_mot(frames, options.out, sequence.name)
     if options.is_kitti_written:
         notes = (*notes, *write_kitti(frames, options.out, sequence.name))
     for note in notes:

@@ -1,4 +1,8 @@
-"""Tracks of recorded boxes as files: MOTChallenge's rows, and KITTI's beside them, which know fewer classes."""
+"""Tracks of recorded boxes as files, in MOTChallenge's and in KITTI's format.
+
+MOTChallenge's files count frames and pixels from 1, KITTI's from 0, whatever the boxes were read from. KITTI's format
+has fewer classes.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +20,13 @@ from track_range.tracking.tracks import Tracks
 _KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
 
 
-def write_mot(frames: Sequence[Tracks], out: Path, name: str, *, first_frame: int) -> None:
-    """Write mot/NAME.txt in `out`; the first frame has this number.
+def write_mot(frames: Sequence[Tracks], out: Path, name: str) -> None:
+    """Write mot/NAME.txt in `out`; the first of `frames` is frame 1.
 
     Raises:
         OutputError: it cannot be written.
     """
-    lines = (mot_lines(tracks, index, first_frame=first_frame) for index, tracks in enumerate(frames))
+    lines = (mot_lines(tracks, index) for index, tracks in enumerate(frames))
     write_text(out / MOT_FOLDER / f"{name}.txt", "".join(line for of_frame in lines for line in of_frame))
 
 
