@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.remembered import TrackMemory
 
 _NOISE = 0.1
 _MAX_GAP_S = 1.0
@@ -25,13 +25,13 @@ class PaperFilter:
 
     def __init__(self) -> None:
         """Start without tracks."""
-        self._memory = TrackMemory(np.full(4, np.nan))
+        self._tracks = TrackState(np.full(4, np.nan))
 
     def update(
         self, measured: Ranges, time_s: float, *, way: IntArray | None = None, ego_speed_mps: float = np.nan
     ) -> FilteredRanges:
         """Every track's filtered range at `time_s`; the rate is the difference to the frame before."""
-        columns = self._memory.recall(measured.track_id)
+        columns = self._tracks.get(measured.track_id)
         distance_m, variance, before_s, measured_s = columns  # views: what is written here is remembered
         distance_m[time_s - measured_s > _MAX_GAP_S] = np.nan
         before_m, dt = distance_m.copy(), time_s - before_s
@@ -45,8 +45,8 @@ class PaperFilter:
         variance[:] = np.where(fresh, _NOISE, (1 - gain) * variance)
         before_s[:] = time_s
         measured_s[there] = time_s
-        is_recent = time_s - self._memory.known[-1] <= _MAX_GAP_S
-        self._memory.remember(measured.track_id, columns, is_recent=is_recent)
+        is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
+        self._tracks.put(measured.track_id, columns, keep=is_recent)
         with np.errstate(divide="ignore", invalid="ignore"):  # no step, no rate
             rate_mps = np.where(dt > 0, (distance_m - before_m) / dt, np.nan)
             rate_variance = np.where(np.isfinite(rate_mps), 2 * variance / dt**2, np.nan)

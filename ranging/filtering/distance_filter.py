@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.noise_scale import NoiseScale
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.remembered import TrackMemory
 
 _LEAST_NOISE_SHARE = 0.1
 """No measurement is quite free of noise, even where its method says so."""
@@ -122,7 +122,7 @@ class DistanceFilters:
         self._methods = tuple(noise_shares)
         self._shares = np.array(list(noise_shares.values()))[:, None] ** 2
         self._noise = NoiseScale(len(self._methods))
-        self._memory = TrackMemory(np.repeat(_BLANK[:, None], len(self._methods), axis=1))
+        self._tracks = TrackState(np.repeat(_BLANK[:, None], len(self._methods), axis=1))
 
     @property
     def noise_shares(self) -> dict[str, float]:
@@ -150,7 +150,7 @@ class DistanceFilters:
         if not given:
             return {}
         track_id = by_method[given[0]].track_id
-        columns = self._memory.recall(track_id)
+        columns = self._tracks.get(track_id)
         state, seen = _State(*columns), self._seen(by_method, len(track_id))
         self._predict(state, time_s, ego_speed_mps)
         self._take_ways(state, seen, ways or {})
@@ -164,8 +164,8 @@ class DistanceFilters:
             self._start(state, seen, fresh)
         np.copyto(state.measured_s, time_s, where=seen.there)
         np.copyto(state.kept_variance, seen.kept, where=seen.there)
-        is_recent = time_s - _State(*self._memory.known).measured_s <= self._settings.max_gap_s
-        self._memory.remember(track_id, columns, is_recent=np.logical_or.reduce(is_recent))
+        is_recent = time_s - _State(*self._tracks.known).measured_s <= self._settings.max_gap_s
+        self._tracks.put(track_id, columns, keep=np.logical_or.reduce(is_recent))
         results = self._results(state, track_id)
         return {name: results[name] for name in given}
 

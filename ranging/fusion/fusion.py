@@ -32,11 +32,11 @@ from typing import TypeVar
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.track_state import TrackState
 from track_range.ranging.fusion.measurements import FUSED_METHODS, MONO, STEREO, Readings, readings_of
 from track_range.ranging.fusion.outliers import TRUSTED_FRAMES, impossible, odd, other_lane, silent
 from track_range.ranging.fusion.track_biases import TrackBiases, blank_track
 from track_range.ranging.ranges import Ranges
-from track_range.ranging.remembered import TrackMemory
 
 _M = len(FUSED_METHODS)
 _SHARED_NOISE = np.array([[1.0, 0.5, 0.4, 0.0], [0.5, 1.0, 0.7, 0.0], [0.4, 0.7, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -111,11 +111,11 @@ class Fusion:
 
     def __init__(self) -> None:
         """Start without tracks."""
-        self._memory = TrackMemory(blank_track(_M))
+        self._tracks = TrackState(blank_track(_M))
 
     def fuse(self, by_method: Mapping[str, Ranges], track_id: IntArray, time_s: float) -> Fused:
         """The fused ranges of `track_id` from those of `FUSED_METHODS` and sgbm that are there, all in its order."""
-        columns = self._memory.recall(track_id)
+        columns = self._tracks.get(track_id)
         biases = TrackBiases.in_columns(columns, _M)
         heard = readings_of(by_method, len(track_id))
         # Once for a gap, when it ends: until then `biases.time_s` stays.
@@ -132,8 +132,8 @@ class Fusion:
             contradicts = wrong.any(axis=0) | (estimate.chi2 > _CONTRADICTION)
         _learn(biases, readings, estimate, contradicts=contradicts)
         _place(biases, readings, estimate, time_s)
-        is_recent = time_s - TrackBiases.in_columns(self._memory.known, _M).time_s <= _MAX_GAP_S
-        self._memory.remember(track_id, columns, is_recent=is_recent)
+        is_recent = time_s - TrackBiases.in_columns(self._tracks.known, _M).time_s <= _MAX_GAP_S
+        self._tracks.put(track_id, columns, keep=is_recent)
         distance_m = np.where(readings.there.any(axis=0), np.exp(estimate.log_m), np.nan)
         sigma_m = distance_m * np.sqrt(estimate.variance * np.maximum(1.0, estimate.chi2))
         by_stereo = (time_s - biases.stereo_s <= _TAUGHT_S) | (biases.own_variance[MONO] < _TAUGHT_VARIANCE)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.filtering.collision_course import CollisionCourse, Misses
+from track_range.ranging.filtering.collision_course import CollisionCourse, PassingOffsets
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.tracking.tracks import Tracks
 
@@ -34,7 +34,7 @@ def drive(
     n: int = 10,
     width_m: float = 1.8,
     noise_px: float = 0.0,
-) -> Misses:
+) -> PassingOffsets:
     """What is known after n frames of one object with this x, z and their rates."""
     rng = np.random.default_rng(7)
     found = None
@@ -53,7 +53,7 @@ def drive(
 
 
 @pytest.mark.parametrize(
-    ("start_m", "speed_mps", "miss_m", "may_hit"),
+    ("start_m", "speed_mps", "offset_m", "may_hit"),
     [
         ((0.0, 40.0), (0.0, -20.0), 0.0, True),  # ahead in our lane
         ((-3.5, 40.0), (0.0, -20.0), -3.5, False),  # oncoming, in the lane beside
@@ -63,10 +63,10 @@ def drive(
     ],
 )
 def test_the_miss_is_where_the_object_will_be(
-    start_m: tuple[float, float], speed_mps: tuple[float, float], miss_m: float, may_hit: bool
+    start_m: tuple[float, float], speed_mps: tuple[float, float], offset_m: float, may_hit: bool
 ) -> None:
     found = drive(CollisionCourse(CAMERA), start_m, speed_mps)
-    assert found.miss_m[0] == pytest.approx(miss_m, abs=0.25)
+    assert found.lateral_offset_m[0] == pytest.approx(offset_m, abs=0.25)
     assert found.half_width_m[0] == pytest.approx(0.9)
     assert found.may_hit.tolist() == [may_hit]
 
@@ -74,7 +74,7 @@ def test_the_miss_is_where_the_object_will_be(
 def test_by_hand_from_the_first_frame() -> None:
     """One look: the rate is 0 +- 5 m/s, and 2 s ahead may be 10 m to either side."""
     found = CollisionCourse(CAMERA).update(tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0)
-    assert found.miss_m[0] == pytest.approx(3.5)
+    assert found.lateral_offset_m[0] == pytest.approx(3.5)
     edge_m = (1.0 + 0.02 * 700 * 1.8 / 20) * 20 / 700
     assert found.sigma_m[0] == pytest.approx(np.sqrt(edge_m**2 + (2.0 * 5.0) ** 2 + (0.25 * 2.0**2 / 2) ** 2))
     assert found.may_hit.tolist() == [True]
@@ -82,7 +82,7 @@ def test_by_hand_from_the_first_frame() -> None:
 
 def test_noise_of_boxes_is_within_what_is_told() -> None:
     found = drive(CollisionCourse(CAMERA), (-3.5, 45.0), (0.0, -20.0), n=14, noise_px=1.0)
-    assert abs(found.miss_m[0] + 3.5) < 2 * found.sigma_m[0]
+    assert abs(found.lateral_offset_m[0] + 3.5) < 2 * found.sigma_m[0]
     assert 0.3 < found.sigma_m[0] < 2.0
 
 
@@ -90,7 +90,7 @@ def test_what_does_not_close_or_has_no_distance_cannot_be_told() -> None:
     course = CollisionCourse(CAMERA)
     boxes = [box(-3.5, 20.0, 1.8), box(3.5, 20.0, 1.8)]
     found = course.update(tracks(boxes), np.array([20.0, np.nan]), np.array([np.nan, np.nan]), 0.0)
-    assert np.isnan(found.miss_m).all()
+    assert np.isnan(found.lateral_offset_m).all()
     assert found.may_hit.all()
 
 
@@ -103,7 +103,7 @@ def test_a_box_that_the_edge_cuts_does_not_come_to_a_halt() -> None:
         cut = np.maximum(box(-4.0, z_m, 1.8), 0.0)
         n += int(cut[0] == 0.0)
         found = course.update(tracks([cut.tolist()]), np.array([z_m]), np.array([z_m / 8.0]), number * STEP_S)
-        assert found.miss_m[0] == pytest.approx(-4.0, abs=0.3)
+        assert found.lateral_offset_m[0] == pytest.approx(-4.0, abs=0.3)
         assert not found.may_hit[0]
     assert n == 4
 
@@ -112,7 +112,7 @@ def test_another_object_under_the_same_name_is_a_new_one() -> None:
     course = CollisionCourse(CAMERA)
     drive(course, (-6.0, 40.0), (0.0, -10.0))
     found = course.update(tracks([box(0.5, 30.0, 1.8)]), np.array([30.0]), np.array([3.0]), 1.0)
-    assert found.miss_m[0] == pytest.approx(0.5)
+    assert found.lateral_offset_m[0] == pytest.approx(0.5)
     assert found.sigma_m[0] > 10.0
 
 
@@ -122,10 +122,10 @@ def test_a_predicted_box_tells_nothing_and_a_long_absence_forgets() -> None:
     far: FloatArray = np.array([30.0])
     wrong = tracks([box(5.0, 30.0, 1.8)], observed=False)
     carried = course.update(wrong, far, far / 10, 1.0)
-    assert carried.miss_m[0] == pytest.approx(sure.miss_m[0], abs=0.1)
+    assert carried.lateral_offset_m[0] == pytest.approx(sure.lateral_offset_m[0], abs=0.1)
     assert carried.sigma_m[0] > 0
     course.update(tracks([], first_id=2), np.zeros(0), np.zeros(0), 1.5)
-    assert np.isnan(course.update(wrong, far, far / 10, 2.1).miss_m[0])
+    assert np.isnan(course.update(wrong, far, far / 10, 2.1).lateral_offset_m[0])
 
 
 def test_no_tracks() -> None:

@@ -17,7 +17,7 @@ from track_range.overlay.labels import (
     closing_span,
     shown_name,
 )
-from track_range.ranging.filtering.collision_course import Misses
+from track_range.ranging.filtering.collision_course import PassingOffsets
 
 
 def test_the_frame_is_copied_and_never_written_to() -> None:
@@ -94,9 +94,9 @@ def test_with_no_tracks_only_the_corners_and_the_inset_are_drawn_on() -> None:
     assert changed[300, 60]  # the road from above
 
 
-def passing(*may_hit: bool) -> Misses:
+def passing(*may_hit: bool) -> PassingOffsets:
     nan = np.full(len(may_hit), np.nan)
-    return Misses(nan, nan, nan, np.array(may_hit))
+    return PassingOffsets(nan, nan, nan, np.array(may_hit))
 
 
 def test_what_passes_beside_is_said_to_and_never_red() -> None:

@@ -50,5 +50,5 @@ def test_the_car_ahead_warns_and_the_oncoming_one_passes() -> None:
     assert (last.ttc_s < 2).all()
     assert [last.may_hit(row) for row in range(2)] == [True, False]
     assert last.misses is not None
-    np.testing.assert_allclose(last.misses.miss_m, X_M, atol=0.3)
+    np.testing.assert_allclose(last.misses.lateral_offset_m, X_M, atol=0.3)
     assert all(result.may_hit(0) for result in results)

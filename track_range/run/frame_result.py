@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.filtering.collision_course import Misses
+from track_range.ranging.filtering.collision_course import PassingOffsets
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -46,7 +46,7 @@ class FrameResult:
     xyz_m: FloatArray
     disparity: npt.NDArray[np.float32] | None = None
     lanes: LaneLines | None = None
-    misses: Misses | None = None
+    misses: PassingOffsets | None = None
 
     @property
     def index(self) -> int:

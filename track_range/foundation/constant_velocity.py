@@ -1,0 +1,76 @@
+"""ConstantVelocity: Kalman filters of values x and their rates v, one per element of arrays of any shape.
+
+    predict    x' = x + v dt     v' = v     P' = F P F^T + Q     F = [[1, dt], [0, 1]]
+               Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]] + drift [[dt, 0], [0, 0]]
+    update     S = P_xx + R      K = [P_xx, P_xv] / S      [x, v]' = [x, v] + K nu      P' = P - K S K^T
+
+q and drift are densities of continuous noise: two steps of dt/2 give what one step of dt gives. nu = z - x is the
+innovation of a measurement z of x with variance R.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantVelocity:
+    """States [x, v] and their covariances P; the covariances may have axes of length 1 where elements share them.
+
+    Attributes:
+        x: value.
+        v: rate, per second.
+        P_xx: variance of the value.
+        P_xv: covariance of value and rate.
+        P_vv: variance of the rate.
+    """
+
+    x: FloatArray
+    v: FloatArray
+    P_xx: FloatArray
+    P_xv: FloatArray
+    P_vv: FloatArray
+
+    def predict(
+        self, dt: FloatArray | float, *, q: FloatArray | float, drift: FloatArray | float = 0.0
+    ) -> ConstantVelocity:
+        """The states after `dt` >= 0 seconds.
+
+        Args:
+            dt: time step, s.
+            q: growth of the rate's variance per second.
+            drift: growth of the value's variance per second beyond what its rate explains.
+        """
+        P_xv = self.P_xv + dt * self.P_vv
+        return ConstantVelocity(
+            x=self.x + dt * self.v,
+            v=self.v,
+            P_xx=self.P_xx + dt * (self.P_xv + P_xv + q * dt * dt / 3 + drift),
+            P_xv=P_xv + q * dt * dt / 2,
+            P_vv=self.P_vv + q * dt,
+        )
+
+    def update(
+        self, innovation: FloatArray, R: FloatArray | float, *, valid: BoolArray | bool = True
+    ) -> ConstantVelocity:
+        """The states after measurements.
+
+        Args:
+            innovation: nu, measurement minus `x`.
+            R: variance of the measurement, > 0.
+            valid: where there is a measurement; elsewhere the state stays as it is.
+        """
+        weight = np.where(valid, 1.0 / (self.P_xx + R), 0.0)
+        K_x, K_v = weight * self.P_xx, weight * self.P_xv
+        nu = np.where(valid, innovation, 0.0)
+        return ConstantVelocity(
+            x=self.x + K_x * nu,
+            v=self.v + K_v * nu,
+            P_xx=self.P_xx - K_x * self.P_xx,
+            P_xv=self.P_xv - K_x * self.P_xv,
+            P_vv=self.P_vv - K_v * self.P_xv,
+        )
