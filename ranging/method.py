@@ -1,18 +1,22 @@
-"""RangingMethod: everything the program knows of one way to measure distance, and the registry of all of them.
+"""RangingMethod: everything the program knows of one way to measure distance.
 
-A method is one file with a `Ranger` and one `RangingMethod` that describes it. The pipeline, the columns of the
-results, fusion, filters, overlay, tables, report and `evaluate ranges` iterate over the registry; none of them names a
-method.
-Packages outside of track-range register theirs through the entry point group `track_range.ranging_methods`.
+A method is one file with a `Ranger` and one `RangingMethod` that describes it, registered in `ranging.registry`.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from track_range.detection.models.onnx_session import Runtime
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.size_models.size_model import SizeModel
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
 
 SourceName = Literal["size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "own"]
 """What a distance error comes from.
@@ -23,7 +27,67 @@ lane_width: the width of the lane; own: what no other method has any part of.
 """
 
 Requirement = Literal["rig", "right_image", "dense_disparity", "lane_lines", "camera_height"]
-"""What a method cannot do without."""
+"""What a method cannot do without.
+
+rig: a calibrated stereo pair; right_image: a pair whose rows agree, calibrated or not; dense_disparity: dense stereo is
+switched on; lane_lines: a lane finder runs; camera_height: the camera's height above the road was given.
+"""
+
+RESERVED_NAMES = ("fused", "fuse", "read", "lanes", "detect", "track", "write", "x", "y")
+"""Names of columns and stages that are no method's."""
+
+
+class MethodError(ValueError):
+    """A description of a method that cannot be used; the message says which and why."""
+
+
+@dataclass(slots=True, kw_only=True)
+class MethodContext:
+    """What a run, or an evaluation of boxes, gives to the methods it creates.
+
+    Attributes:
+        camera: the (left) camera, undistorted.
+        rig: the calibrated, rectified pair; None = one camera, or an uncalibrated pair.
+        assumed_rig: an uncalibrated pair whose rows agree, with an assumed baseline; None = there is none.
+        alignment: correction of the rig's disparities.
+        focal_sigma: relative standard deviation of the focal length, which all methods share; 0 = calibrated.
+        size_model: sizes of road users; None = the packaged model.
+        box_sigma_px: standard deviation of one edge of the boxes; None = a detector's boxes.
+        camera_height_m: of the camera above the road; None = unknown.
+        lane_width_m: between the middles of the lane's lines, as given or assumed.
+        has_lane_lines: whether a lane finder runs.
+        has_dense_disparity: whether dense stereo is switched on.
+        sgbm_options: parameters of dense stereo chosen by the user.
+        runtime: threads and device for networks.
+        rangers: those created so far, by method; `RangingMethod.reads` are created first.
+    """
+
+    camera: PinholeCamera
+    rig: StereoRig | None = None
+    assumed_rig: StereoRig | None = None
+    alignment: Alignment = field(default_factory=Alignment)
+    focal_sigma: float = 0.0
+    size_model: SizeModel | None = None
+    box_sigma_px: float | None = None
+    camera_height_m: float | None = None
+    lane_width_m: float = 3.5
+    has_lane_lines: bool = False
+    has_dense_disparity: bool = False
+    sgbm_options: Mapping[str, Any] = field(default_factory=dict)
+    runtime: Runtime = field(default_factory=Runtime)
+    rangers: dict[str, Ranger] = field(default_factory=dict)
+
+    @property
+    def available(self) -> frozenset[Requirement]:
+        """The requirements that are met."""
+        is_met: dict[Requirement, bool] = {
+            "rig": self.rig is not None,
+            "right_image": self.rig is not None or self.assumed_rig is not None,
+            "dense_disparity": self.has_dense_disparity,
+            "lane_lines": self.has_lane_lines,
+            "camera_height": self.camera_height_m is not None,
+        }
+        return frozenset(name for name, met in is_met.items() if met)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +115,8 @@ class RangingMethod:
         letter: one letter for the small figures of the overlay.
         colour: "#rrggbb" in charts and in the overlay.
         create: makes the method's `Ranger` for a run; None where this run cannot have it.
-        needs: what it cannot do without.
-        reads: methods whose ranges of the same frame it uses; they are measured first.
+        needs: what it cannot do without; where that is missing `create` is not called.
+        reads: methods whose ranges of the same frame it uses where they are there; they are measured first.
         error_sources: the parts of its variance; together they are 1.
         fallback_for: a method that makes this one superfluous where both have measured a track (it is in fusion only
             where the other one has no value), since it shares nearly all of its errors or has taught it.
@@ -65,7 +129,7 @@ class RangingMethod:
     title: str
     letter: str
     colour: str
-    create: Callable[[Any], Any]
+    create: Callable[[MethodContext], Ranger | None]
     error_sources: tuple[ErrorSource, ...]
     needs: frozenset[Requirement] = frozenset()
     reads: tuple[str, ...] = ()
@@ -74,11 +138,28 @@ class RangingMethod:
     is_filtered: bool = False
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name) or self.name.endswith("_kf"):
-            raise ValueError(f"{self.name!r}: expected a lower-case name for columns, without _kf at its end")
-        total = sum(source.systematic + source.independent for source in self.error_sources)
-        if not math.isclose(total, 1.0, abs_tol=1e-6):
-            raise ValueError(f"{self.name}: expected error sources that add up to 1, got {total:.4f}")
+        sources, needs = get_args(SourceName), get_args(Requirement)
+        parts = [part for source in self.error_sources for part in (source.systematic, source.independent)]
+        checks = (
+            (re.fullmatch(r"[a-z][a-z0-9_]*", self.name), "expected a lower-case name for columns"),
+            (not self.name.endswith(("_kf", "_sigma")), "expected a name without _kf or _sigma at its end"),
+            (self.name not in RESERVED_NAMES, f"expected another name than {', '.join(RESERVED_NAMES)}"),
+            (len(self.letter) == 1 and self.letter.isprintable(), f"expected one letter, got {self.letter!r}"),
+            (re.fullmatch(r"#[0-9a-f]{6}", self.colour), f"expected a colour as #rrggbb, got {self.colour!r}"),
+            (self.name not in (*self.reads, self.fallback_for), "expected other methods in reads and fallback_for"),
+            (self.needs <= set(needs), f"expected needs of {', '.join(needs)}, got {', '.join(self.needs)}"),
+            (
+                {source.name for source in self.error_sources} <= set(sources),
+                f"expected error sources of {', '.join(sources)}",
+            ),
+            (
+                math.isclose(sum(parts), 1.0, abs_tol=1e-6) and min(parts) >= 0,
+                f"expected error sources that are parts of 1, got {sum(parts):.4f}",
+            ),
+        )
+        for is_met, expected in checks:
+            if not is_met:
+                raise MethodError(f"ranging method {self.name!r}: {expected}")
 
     @property
     def noise_share(self) -> float:

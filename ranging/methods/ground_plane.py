@@ -24,12 +24,13 @@ box's centre meets the object: a car seen from its side is met up to half a metr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
@@ -260,7 +261,7 @@ class GroundPlane:
         return np.asarray(self._variance_px2 + edge_px2 + (self._settings.kerb_m * slope_px) ** 2)
 
 
-class GroundPlaneRanger:
+class GroundPlaneRanger(Ranger):
     """The ground plane as a method of its own: asks a size ranger what the tracks' sizes say."""
 
     def __init__(self, camera: PinholeCamera, by_size: Ranger, settings: GroundSettings | None = None) -> None:
@@ -285,3 +286,28 @@ def _solved(terms: FloatArray) -> _Plane:
     a, b, c, u, v = terms
     scale = 1.0 / (a * c - b * b)
     return _Plane((c * u - b * v) * scale, (a * v - b * u) * scale, c * scale, -b * scale, a * scale)
+
+
+def _create(context: MethodContext) -> Ranger:
+    height_m, box_sigma_px = context.camera_height_m, context.box_sigma_px
+    settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
+    if box_sigma_px is not None:
+        settings = replace(settings, box_sigma_px=box_sigma_px)
+    return GroundPlaneRanger(context.camera, context.rangers["mono"], settings)
+
+
+GROUND = RangingMethod(
+    name="ground",
+    title="ground plane",
+    letter="P",
+    colour="#a0714f",
+    create=_create,
+    reads=("mono",),
+    error_sources=(
+        ErrorSource("horizon", systematic=0.64),
+        ErrorSource("contact_point", independent=0.315),
+        ErrorSource("own", independent=0.045),
+    ),
+    fallback_for="mono",
+)
+"""The horizon is found by mono's sizes: where mono has measured a track, ground adds nothing to it."""

@@ -23,6 +23,8 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import BORDER_PX
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -86,7 +88,7 @@ class LaneWidth:
         return LaneWidth(self.width_m * float(np.exp(gain * found)), max(self.sigma * (1 - gain) ** 0.5, _SUREST))
 
 
-class LaneWidthRanger:
+class LaneWidthRanger(Ranger):
     """Ranges observed boxes that stand in the own lane or in a neighbour of it.
 
     Lines come from outside, image by image: `see` them, then `measure`.
@@ -224,3 +226,25 @@ def _reached_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tuple[flo
     constant, slope, bend = width.tolist()
     top_px, bottom_px = (constant + y_px * (slope + y_px * bend) for y_px in (top, bottom))
     return bottom_px / _NEAREST_SEEN, top_px / _FARTHEST_SEEN
+
+
+def _create(context: MethodContext) -> Ranger:
+    return LaneWidthRanger(context.camera, width_m=context.lane_width_m)
+
+
+LANE = RangingMethod(
+    name="lane",
+    title="lane",
+    letter="L",
+    colour="#9467bd",
+    create=_create,
+    needs=frozenset({"lane_lines"}),
+    reads=("mono", "stereo"),
+    error_sources=(
+        ErrorSource("lane_width", systematic=0.64),
+        ErrorSource("contact_point", independent=0.2016),
+        ErrorSource("own", independent=0.1584),
+    ),
+    fallback_for="stereo",
+)
+"""Stereo teaches it the width of the lane: where stereo has measured a track, lane adds nothing to it."""

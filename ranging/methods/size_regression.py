@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.size_model import BORDER_PX, BoxNoise, SizeModel, measured_boxes
@@ -14,7 +16,7 @@ from track_range.tracking.tracks import Tracks
 _MIN_HEIGHT_PX = 4.0
 
 
-class SizeRegressionRanger:
+class SizeRegressionRanger(Ranger):
     """Ranges observed boxes that the image does not cut at top or bottom; a cut side is left out of the measure."""
 
     def __init__(
@@ -58,3 +60,22 @@ class SizeRegressionRanger:
         columns = np.full((3, len(tracks)), np.nan)
         columns[:, rows] = found.distance_m, found.sigma_m, found.sigma_kept_m
         return Ranges(tracks.track_id, *columns)
+
+
+def _create(context: MethodContext) -> Ranger:
+    return SizeRegressionRanger(context.camera, context.size_model, box_sigma_px=context.box_sigma_px)
+
+
+MONO = RangingMethod(
+    name="mono",
+    title="mono",
+    letter="M",
+    colour="#cf7410",
+    create=_create,
+    error_sources=(
+        ErrorSource("size", systematic=0.64),
+        ErrorSource("box_height", independent=0.2571),
+        ErrorSource("contact_point", independent=0.1029),
+    ),
+    is_filtered=True,
+)

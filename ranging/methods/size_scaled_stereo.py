@@ -102,7 +102,7 @@ def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
     return float(np.interp(weight.sum() / 2, below, values[order]))
 
 
-class SizeScaledRanger:
+class SizeScaledRanger(Ranger):
     """Ranges boxes of an uncalibrated pair; the first ones of a video by few sizes, later ones by more.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""Stereo distance: Z = f B / d from the disparity d of a track's box, by patches or from a dense disparity image.
+"""Triangulation: Z = f B / d from the disparity d of a track's box.
 
     sigma_Z = Z^2 / (f B) sigma_d: the error grows with the square of the distance.
 (Guo, the binocular paper's eq. 5-6, which takes the disparity at the box's centre.)
@@ -6,20 +6,17 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.alignment.model import Alignment
-from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome
-from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
 from track_range.tracking.tracks import Tracks
 
 _PRIOR_LIFETIME_S = 1.0  # after this long without a match a track is searched over the full range again
@@ -79,24 +76,6 @@ class TrackMatcher:
         return disparity_px, sigma_px
 
 
-class PatchRanger:
-    """Ranges each observed box by matching it alone."""
-
-    def __init__(self, rig: StereoRig, matcher: BoxMatcher, *, alignment: Alignment | None = None) -> None:
-        """Range for a rectified rig; disparities are put right by `alignment`."""
-        self._triangulate = Triangulation(rig, alignment or Alignment())
-        self._matcher = TrackMatcher(matcher)
-
-    @property
-    def outcomes(self) -> Counter[Outcome]:
-        """How many boxes were matched so far, and how many were not, by the reason."""
-        return self._matcher.outcomes
-
-    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
-        return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame))
-
-
 @dataclass(frozen=True, slots=True)
 class _Disparities:
     """What was matched last: (N,) track, disparity, when, and when the full range was last searched for it."""
@@ -136,49 +115,3 @@ class _Disparities:
             np.concatenate([self.time_s[old], np.full(int(new.sum()), time_s)]),
             np.concatenate([self.searched_s[old], searched_s[new]]),
         )
-
-
-class DenseRanger:
-    """Ranges each box by the median of dense disparity in its inner half; matching runs in a thread of its own.
-
-    Attributes:
-        disparity: (H, W) px of the frame measured last, NaN where unknown, as matched (the alignment is not in it).
-        busy_s: time spent matching so far.
-    """
-
-    def __init__(
-        self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: Alignment | None = None
-    ) -> None:
-        """Range for a rectified rig; disparities are put right by `alignment`."""
-        self._triangulate = Triangulation(rig, alignment or Alignment())
-        self._settings = settings or SgbmSettings.for_rig(rig)
-        self._sgbm = Sgbm(self._settings)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
-        self._pending: dict[int, Future[FloatArray32]] = {}
-        self.busy_s = 0.0
-        self.disparity: FloatArray32 | None = None
-
-    def start(self, frame: Frame) -> None:
-        """Begin on a frame's disparity image in the background; `measure` waits for it."""
-        self._pending[frame.index] = self._thread.submit(self._disparity, frame)
-
-    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the observed boxes with enough valid disparities; NaN for the rest."""
-        if frame.index not in self._pending:
-            self.start(frame)
-        self.disparity = disparity = self._pending.pop(frame.index).result()
-        disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px, settings=self._settings)
-        disparity_px = np.where(tracks.observed, disparity_px, np.nan)
-        return self._triangulate.ranges(tracks, disparity_px, sigma_px)
-
-    def close(self) -> None:
-        """Drop what is pending and end the thread."""
-        self._thread.shutdown(wait=True, cancel_futures=True)
-
-    def _disparity(self, frame: Frame) -> FloatArray32:
-        if frame.right is None:
-            return np.full(frame.left.shape[:2], np.nan, np.float32)
-        began_s = time.perf_counter()
-        disparity = self._sgbm.dense_disparity(frame.left, whole_image(frame.right))
-        self.busy_s += time.perf_counter() - began_s
-        return disparity

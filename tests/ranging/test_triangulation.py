@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from track_range.ranging.methods.triangulation import DenseRanger, PatchRanger, Triangulation
+from track_range.ranging.methods.dense_stereo import DenseRanger
+from track_range.ranging.methods.patch_stereo import PatchRanger
+from track_range.ranging.methods.triangulation import Triangulation
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -101,7 +103,7 @@ def test_dense_ranging_of_a_textured_wall():
     ranges = dense.measure(tracks_of(1), frame)
     dense.close()
     assert ranges.distance_m == pytest.approx([25.0], rel=0.01)  # 500 / 20 px
-    assert dense.busy_s > 0
+    assert dense.background_s > 0
 
 
 def test_dense_sigma_carries_what_the_alignment_leaves():

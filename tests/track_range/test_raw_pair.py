@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.ranging.methods.triangulation import PatchRanger
+from track_range.ranging.methods.patch_stereo import PatchRanger
 from track_range.run.settings import RunSettings
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene

@@ -9,11 +9,12 @@ import numpy as np
 from track_range.detection.lanes.lookup import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.ranging.ego_speed import open_ego_speed
+from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.ground_plane import GroundPlaneRanger, GroundSettings
 from track_range.ranging.methods.lane_width import LaneWidthRanger
+from track_range.ranging.methods.patch_stereo import PatchRanger
 from track_range.ranging.methods.size_regression import SizeRegressionRanger
 from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
-from track_range.ranging.methods.triangulation import DenseRanger, PatchRanger
 from track_range.ranging.ranger import OncePerFrame, Ranger
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.run.box_source import BoxSource

@@ -24,9 +24,9 @@ from track_range.ranging.filtering.collision_course import CollisionCourse
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges
 from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.methods.dense_stereo import DenseRanger
 from track_range.ranging.methods.ground_plane import GroundPlane
 from track_range.ranging.methods.lane_width import LaneWidthRanger, doubted
-from track_range.ranging.methods.triangulation import DenseRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.run.frame_result import FrameResult
@@ -134,7 +134,7 @@ class Pipeline:
     def _end_dense(self) -> None:
         if self.dense is not None:
             self.dense.close()
-            self.clock.busy_s["sgbm"] = self.dense.busy_s
+            self.clock.busy_s["sgbm"] = self.dense.background_s
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, LaneLines | None]]:
         """Frames with the lane's lines, looked for ten times a second; between, those of the last look."""

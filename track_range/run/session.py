@@ -11,7 +11,7 @@ import numpy as np
 
 from track_range.overlay.outputs import pictures
 from track_range.ranging.evaluation.truth import Truth
-from track_range.ranging.methods.triangulation import PatchRanger
+from track_range.ranging.methods.patch_stereo import PatchRanger
 from track_range.results.summary import Columns, MatchedTruth, range_scores, stage_times_ms, track_scores
 from track_range.run.box_source import BoxSource
 from track_range.run.build import learnt_scale

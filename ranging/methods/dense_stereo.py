@@ -1,0 +1,82 @@
+"""DenseRanger: stereo distance from the dense disparity image of semi-global matching (SGBM)."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray32
+from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.methods.triangulation import Triangulation
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.sgbm import Sgbm, SgbmSettings, inner_half_median
+from track_range.tracking.tracks import Tracks
+
+
+class DenseRanger(Ranger):
+    """Ranges each box by the median of dense disparity in its inner half; matching runs in a thread of its own.
+
+    Attributes:
+        disparity: (H, W) px of the frame measured last, NaN where unknown, as matched (the alignment is not in it).
+        background_s: time spent matching so far.
+    """
+
+    def __init__(
+        self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: Alignment | None = None
+    ) -> None:
+        """Range for a rectified rig; disparities are put right by `alignment`."""
+        self._triangulate = Triangulation(rig, alignment or Alignment())
+        self._settings = settings or SgbmSettings.for_rig(rig)
+        self._sgbm = Sgbm(self._settings)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="sgbm")
+        self._pending: dict[int, Future[FloatArray32]] = {}
+
+    def start(self, frame: Frame) -> None:
+        """Begin on a frame's disparity image in the background; `measure` waits for it."""
+        self._pending[frame.index] = self._thread.submit(self._disparity, frame)
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the observed boxes with enough valid disparities; NaN for the rest."""
+        if frame.index not in self._pending:
+            self.start(frame)
+        self.disparity = disparity = self._pending.pop(frame.index).result()
+        disparity_px, sigma_px = inner_half_median(disparity, tracks.xyxy_px, settings=self._settings)
+        disparity_px = np.where(tracks.observed, disparity_px, np.nan)
+        return self._triangulate.ranges(tracks, disparity_px, sigma_px)
+
+    def close(self) -> None:
+        """Drop what is pending and end the thread."""
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    def _disparity(self, frame: Frame) -> FloatArray32:
+        if frame.right is None:
+            return np.full(frame.left.shape[:2], np.nan, np.float32)
+        began_s = time.perf_counter()
+        disparity = self._sgbm.dense_disparity(frame.left, whole_image(frame.right))
+        self.background_s += time.perf_counter() - began_s
+        return disparity
+
+
+def _create(context: MethodContext) -> Ranger | None:
+    if context.rig is None:
+        return None
+    settings = SgbmSettings.for_rig(context.rig, chosen=context.sgbm_options)
+    return DenseRanger(context.rig, settings, alignment=context.alignment)
+
+
+SGBM = RangingMethod(
+    name="sgbm",
+    title="dense stereo",
+    letter="G",
+    colour="#7f8a95",
+    create=_create,
+    needs=frozenset({"rig", "right_image", "dense_disparity"}),
+    error_sources=(ErrorSource("baseline", systematic=0.91), ErrorSource("own", independent=0.09)),
+    fallback_for="stereo",
+)

@@ -1,0 +1,65 @@
+"""PatchRanger: stereo distance of each box, matched alone in the right image."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
+from track_range.ranging.methods.size_scaled_stereo import SizeScaledRanger
+from track_range.ranging.methods.triangulation import TrackMatcher, Triangulation
+from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
+from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outcome
+from track_range.tracking.tracks import Tracks
+
+
+class PatchRanger(Ranger):
+    """Ranges each observed box by matching it alone."""
+
+    def __init__(self, rig: StereoRig, matcher: BoxMatcher, *, alignment: Alignment | None = None) -> None:
+        """Range for a rectified rig; disparities are put right by `alignment`."""
+        self._triangulate = Triangulation(rig, alignment or Alignment())
+        self._matcher = TrackMatcher(matcher)
+
+    @property
+    def outcomes(self) -> Counter[Outcome]:
+        """How many boxes were matched so far, and how many were not, by the reason."""
+        return self._matcher.outcomes
+
+    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
+        """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
+        return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame))
+
+    def summary(self) -> dict[str, Any]:
+        """How many boxes were not matched, by the reason."""
+        unmatched = {REASONS[why]: n for why, n in self.outcomes.most_common() if why is not Outcome.MATCHED}
+        return {"stereo_unmatched": unmatched}
+
+
+def _create(context: MethodContext) -> Ranger | None:
+    rig = context.rig or context.assumed_rig
+    if rig is None:
+        return None
+    matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
+    if context.rig is None:
+        return SizeScaledRanger(matcher, context.rangers["mono"])
+    return PatchRanger(rig, matcher, alignment=context.alignment)
+
+
+STEREO = RangingMethod(
+    name="stereo",
+    title="stereo",
+    letter="S",
+    colour="#1aa36b",
+    create=_create,
+    needs=frozenset({"right_image"}),
+    reads=("mono",),
+    error_sources=(ErrorSource("baseline", systematic=0.91), ErrorSource("own", independent=0.09)),
+    is_scale_reference=True,
+    is_filtered=True,
+)

@@ -1,0 +1,125 @@
+"""The registry of ranging methods: order, checks of descriptions, entry points of other packages."""
+
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from track_range.ranging import registry
+from track_range.ranging.method import ErrorSource, MethodContext, MethodError, RangingMethod
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import StereoRig
+
+CAMERA = PinholeCamera(700.0, 700.0, 599.5, 179.5, 1200, 360)
+
+RADAR = RangingMethod(
+    name="radar",
+    title="radar",
+    letter="R",
+    colour="#123456",
+    create=lambda context: None,
+    error_sources=(ErrorSource("own", independent=1.0),),
+)
+
+
+def names(listed):
+    return [method.name for method in listed]
+
+
+@pytest.fixture
+def fresh():
+    """The registry as a new process finds it, before and after."""
+    registry._installed.cache_clear()
+    yield
+    registry._installed.cache_clear()
+
+
+def correlation(one, other):
+    """Of the parts of two methods' errors that are independent from frame to frame."""
+    parts = [
+        {s.name: s.independent / m.noise_share**2 for s in m.error_sources if s.name != "own"} for m in (one, other)
+    ]
+    return sum((parts[0][name] * parts[1].get(name, 0.0)) ** 0.5 for name in parts[0])
+
+
+def test_built_in_methods_in_order_with_their_noise():
+    listed = registry.methods()[:5]
+    assert names(listed) == ["mono", "ground", "lane", "stereo", "sgbm"]
+    assert [method.noise_share for method in listed] == pytest.approx([0.6, 0.6, 0.6, 0.3, 0.3])
+    mono, ground, lane, stereo, _ = listed
+    pairs = ((mono, ground), (mono, lane), (ground, lane), (mono, stereo))
+    assert [correlation(*pair) for pair in pairs] == pytest.approx([0.5, 0.4, 0.7, 0.0], abs=1e-3)
+
+
+def test_registered_ends_with_the_block():
+    with registry.registered(RADAR):
+        assert names(registry.methods())[-1] == "radar"
+        with pytest.raises(MethodError, match="radar"):
+            registry.register(RADAR)
+        with pytest.raises(MethodError, match="letter"):
+            registry.register(replace(RADAR, name="sonar"))
+    assert "radar" not in names(registry.methods())
+
+
+def test_methods_measure_after_those_that_they_read():
+    first, second = replace(RADAR, name="a", reads=("b", "absent")), replace(RADAR, name="b")
+    assert names(registry.in_reading_order([first, second])) == ["b", "a"]
+    with pytest.raises(MethodError, match="circle"):
+        registry.in_reading_order([first, replace(second, reads=("a",))])
+    order = names(registry.in_reading_order(registry.methods()))
+    assert order.index("lane") > order.index("stereo")
+
+
+def test_created_are_the_methods_whose_needs_are_met():
+    assert list(registry.create_rangers(MethodContext(camera=CAMERA))) == ["mono", "ground"]
+    rig = StereoRig.rectified(CAMERA, 0.5)
+    assert list(registry.create_rangers(MethodContext(camera=CAMERA, rig=rig))) == ["mono", "ground", "stereo"]
+    everything = MethodContext(camera=CAMERA, rig=rig, has_lane_lines=True, has_dense_disparity=True)
+    rangers = registry.create_rangers(everything)
+    assert list(rangers) == ["mono", "ground", "stereo", "lane", "sgbm"]
+    for ranger in rangers.values():
+        ranger.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"name": "Radar"}, "lower-case"),
+        ({"name": "radar_kf"}, "_kf"),
+        ({"name": "fused"}, "fused"),
+        ({"letter": "RD"}, "letter"),
+        ({"colour": "red"}, "#rrggbb"),
+        ({"reads": ("radar",)}, "reads"),
+        ({"needs": frozenset({"radar"})}, "needs"),
+        ({"error_sources": (ErrorSource("weather", independent=1.0),)}, "contact_point"),
+        ({"error_sources": (ErrorSource("own", independent=0.5),)}, "0.5000"),
+        ({"error_sources": (ErrorSource("own", independent=1.5, systematic=-0.5),)}, "parts"),
+        ({"error_sources": ()}, "parts"),
+    ],
+)
+def test_a_description_that_cannot_be(change, word):
+    with pytest.raises(MethodError, match=word):
+        replace(RADAR, **change)
+
+
+def test_entry_points(fresh, monkeypatch, tmp_path):
+    (tmp_path / "radar_package.py").write_text(
+        "from dataclasses import replace\n"
+        "from track_range.ranging.methods.size_regression import MONO\n"
+        "RADAR = replace(MONO, name='radar', letter='R')\n"
+        "WORD = 'radar'\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    targets = {
+        "absent": "radar_package:ABSENT",
+        "good": "radar_package:RADAR",
+        "other": "radar_package:WORD",
+        "unknown": "no_such_package_of_radars:RADAR",
+        "zweimal": "radar_package:RADAR",
+    }
+    entries = [EntryPoint(name, value, registry.ENTRY_POINT_GROUP) for name, value in targets.items()]
+    monkeypatch.setattr(registry, "entry_points", lambda group: entries)
+    assert names(registry.methods())[5:] == ["radar"]
+    notes = registry.method_notes()
+    assert [note.split()[3] for note in notes] == ["absent", "other", "unknown", "zweimal"]
+    assert all("\n" not in note for note in notes)
