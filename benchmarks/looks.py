@@ -37,12 +37,13 @@ from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.simulation.camera.playback import HIDDEN
-from track_range.tracking.appearance import ColourLayout, Descriptor
+from track_range.tracking.appearance import ColourLayout
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
 from track_range.tracking.reid import ReidModel
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.tracker import AppearanceModel
 from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 from track_range.tracking.tracks import Tracks
 
@@ -60,15 +61,15 @@ Figures = dict[str, Any]
 class Timed:
     """A descriptor whose time per call is kept."""
 
-    inner: Descriptor
+    inner: AppearanceModel
     max_distance: float
     notes: tuple[str, ...] = ()
     times_ms: list[float] = field(default_factory=list)
 
-    def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
+    def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
         """As the inner one."""
         began_s = time.thread_time()
-        found = self.inner.describe(image, xyxy_px)
+        found = self.inner.embed(image, xyxy_px)
         self.times_ms.append(1e3 * (time.thread_time() - began_s))
         return found
 
@@ -91,7 +92,7 @@ class Row:
         """With a new tracker."""
         looks = NO_LOOKS if self.descriptor is None else AppearanceGates()
         settings = TrackerSettings(is_camera_followed=self.is_camera_followed, appearance=looks)
-        tracker = DeepSortTracker(settings, descriptor=self.descriptor)
+        tracker = DeepSortTracker(settings, appearance_model=self.descriptor)
         frames = enumerate(zip(drive.found, drive.images, strict=True))
         self.parts.append([tracker.update(found, k / FPS, image) for k, (found, image) in frames])
 
@@ -139,7 +140,7 @@ def _rows(reid: Path) -> dict[str, Row]:
     return rows
 
 
-def _timed(descriptor: Descriptor) -> Timed:
+def _timed(descriptor: AppearanceModel) -> Timed:
     return Timed(descriptor, descriptor.max_distance)
 
 

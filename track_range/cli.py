@@ -93,5 +93,5 @@ def main() -> None:
         raise SystemExit(1) from None
     except UserError as error:
         told = Console(stderr=True)
-        told.print(f"track-range: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        told.print(f"track-range: {error}", style="red", highlight=False, markup=False, emoji=False, soft_wrap=True)
         raise SystemExit(error.exit_status) from None

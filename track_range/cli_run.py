@@ -200,15 +200,15 @@ def run(
     tracker: Annotated[
         str | None,
         typer.Option(
-            metavar="deepsort|sort",
-            help="deepsort, the default, tells boxes apart by their looks too; sort does not.",
+            metavar="NAME|MODULE:CLASS",
+            help="deepsort, the default, compares appearance too; sort does not; or a tracker of your own.",
             rich_help_panel=_HOW,
         ),
     ] = None,
     reid: Annotated[
         Path | None,
         typer.Option(
-            help="A re-identification network (ONNX) for looks (default: a built-in description of colours).",
+            help="A re-identification network (ONNX) for appearance (default: a built-in description of colours).",
             rich_help_panel=_HOW,
         ),
     ] = None,

@@ -46,11 +46,15 @@ def track(
         float | None, typer.Option(min=0.01, max=1000, help="Frames per second (default: seqinfo.ini's, else 10).")
     ] = None,
     tracker: Annotated[
-        Literal["deepsort", "sort"], typer.Option(help="deepsort tells boxes apart by their looks too; sort does not.")
+        str,
+        typer.Option(
+            metavar="NAME|MODULE:CLASS",
+            help="deepsort compares appearance too; sort does not; or a tracker of your own.",
+        ),
     ] = "deepsort",
     reid: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A re-identification network (ONNX) for looks; wants --images."),
+        typer.Option(metavar="FILE", help="A re-identification network (ONNX) for appearance; needs --images."),
     ] = None,
     online: Annotated[
         bool,

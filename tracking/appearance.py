@@ -11,7 +11,6 @@ looked like is `tracking.gallery`'s.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -43,23 +42,7 @@ _STEP_PX = 16
 """Pixels that are looked at to tell a grey picture are so far apart."""
 
 
-class Descriptor(Protocol):
-    """Says what boxes look like.
-
-    Attributes:
-        max_distance: cosine distance up to which two descriptors are taken for one object's.
-        notes: sentences for the user.
-    """
-
-    max_distance: float
-    notes: tuple[str, ...]
-
-    def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """(N, D) descriptors of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
-        ...
-
-
-def are_describable(image: Image, xyxy_px: FloatArray) -> BoolArray:
+def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
     """(N,) which boxes are large enough, and lie far enough inside the image, to have looks."""
     height, width = image.shape[:2]
     boxes = np.clip(np.where(are_sound(xyxy_px)[:, None], xyxy_px, 0.0), -_FAR_PX, _FAR_PX)
@@ -79,7 +62,7 @@ class ColourLayoutSettings:
         chroma_span: a* and b* are told apart up to this far from grey, CIELAB units.
         spread_x, spread_y: a point's weight falls off from the box's middle like a normal distribution with this
             standard deviation, in widths and heights: corners are background.
-        max_distance: see `Descriptor`.
+        max_distance: see `AppearanceModel`.
     """
 
     n_columns: int = 16
@@ -133,15 +116,15 @@ class ColourLayout:
         """Length D of a descriptor."""
         return 3 * self._settings.n_bands * self._settings.n_bins
 
-    def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """As `Descriptor.describe`; parts of a box outside the image do not count.
+    def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
+        """As `AppearanceModel.embed`; parts of a box outside the image do not count.
 
         Raises:
             ValueError: the image is not (H, W, 3).
         """
         check_shape("image", image, (None, None, 3))
         descriptor = np.zeros((len(xyxy_px), self.n_values), np.float32)
-        good = np.flatnonzero(are_describable(image, xyxy_px))
+        good = np.flatnonzero(has_appearance(image, xyxy_px))
         coloured = not _is_neutral(image)
         for start in range(0, len(good), _BOX_BLOCK):
             rows = good[start : start + _BOX_BLOCK]

@@ -24,14 +24,15 @@ from track_range.detection.boxes import are_sound
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.tracking import history, motion
-from track_range.tracking.appearance import Descriptor
+from track_range.tracking.appearance import ColourLayout
 from track_range.tracking.association import are_compatible, assigned, iou_cost
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.confidence_threshold import ScoreThreshold
 from track_range.tracking.gallery import Gallery, unit_rows
 from track_range.tracking.process_noise import NoiseLevel
 from track_range.tracking.track_table import TrackTable
-from track_range.tracking.tracker_settings import TrackerSettings
+from track_range.tracking.tracker import AppearanceModel, TrackerOptions
+from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 from track_range.tracking.tracks import Tracks
 
 _MAX_DISTANCE_OF_FILES = 0.2
@@ -49,16 +50,18 @@ class DeepSortTracker:
     are ignored.
     """
 
-    def __init__(self, settings: TrackerSettings | None = None, *, descriptor: Descriptor | None = None) -> None:
+    def __init__(
+        self, settings: TrackerSettings | None = None, *, appearance_model: AppearanceModel | None = None
+    ) -> None:
         """A tracker that has seen nothing.
 
         Args:
             settings: thresholds.
-            descriptor: says what boxes look like, where there are images and detections bring no descriptors; None =
-                nobody does.
+            appearance_model: computes embeddings of boxes, where there are images and detections bring no embeddings;
+                None = nothing does.
         """
         self._settings = keep = settings or TrackerSettings()
-        self._descriptor = descriptor
+        self._appearance_model = appearance_model
         self._camera = CameraMotion() if keep.is_camera_followed else None
         self._strong, self._level = ScoreThreshold(keep.strong_score), NoiseLevel(keep.level)
         self._table = TrackTable(n_kept=keep.fill.n_kept, gallery=Gallery.empty(n_kept=keep.appearance.n_kept))
@@ -98,7 +101,7 @@ class DeepSortTracker:
         table = self._table
         return self._as_tracks(np.flatnonzero((table.last_s == self._last_s) & ~table.is_confirmed))
 
-    def strong_score(self, class_id: IntArray) -> FloatArray:
+    def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
         """(N,) from which score on boxes of these classes are taken to be objects, as learnt so far."""
         return self._strong.of(class_id)
 
@@ -118,9 +121,9 @@ class DeepSortTracker:
         if found.descriptor.shape[1]:
             clear, limit = self._are_clear(found, strong), _MAX_DISTANCE_OF_FILES
             of_clear = unit_rows(found.descriptor[clear])
-        elif image is not None and self._descriptor is not None:
-            clear, limit = self._are_clear(found, strong), self._descriptor.max_distance
-            of_clear = self._descriptor.describe(image, found.xyxy_px[clear])
+        elif image is not None and self._appearance_model is not None:
+            clear, limit = self._are_clear(found, strong), self._appearance_model.max_distance
+            of_clear = self._appearance_model.embed(image, found.xyxy_px[clear])
         else:
             return nobody
         descriptor = np.zeros((len(found), of_clear.shape[1]), np.float32)
@@ -296,3 +299,13 @@ class _Pairing:
 def _part_of(cost: FloatArray) -> Callable[[IntArray, IntArray], FloatArray]:
     """What `_Pairing.add` asks for, from a matrix of all tracks and boxes."""
     return lambda i, j: cost[i[:, None], j]
+
+
+def deepsort(options: TrackerOptions) -> DeepSortTracker:
+    """`--tracker deepsort`: the defaults, with the user's re-identification network or colour histograms."""
+    return DeepSortTracker(appearance_model=options.reid or ColourLayout())
+
+
+def sort(_options: TrackerOptions) -> DeepSortTracker:
+    """`--tracker sort`: the same without appearance."""
+    return DeepSortTracker(TrackerSettings(appearance=AppearanceGates(max_distance=0.0)))

@@ -1,9 +1,9 @@
-"""Look-ahead: what a whole recording tells of its tracks that a live stream could not know yet.
+"""Offline refinement: tracks of a whole recording, corrected by what later frames show.
 
-    a track's first boxes     belong to it, once it was confirmed later
-    a gap                     lies on the line between the boxes on either side, scores too (observed False)
-    a track of few or
-    of weak boxes             was a false alarm: fewer than `min_boxes`, or a mean score below what is strong
+    tentative boxes           of a track that was confirmed later are its first boxes
+    gaps                      are interpolated linearly between the boxes on either side, scores too (observed False)
+    false tracks              are dropped: fewer than `min_boxes` boxes, or a mean score below the track-activation
+                              threshold
 
 Identities stay those of the tracker, which saw the frames in their order.
 """
@@ -21,13 +21,13 @@ from track_range.tracking.tracks import Tracks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LookaheadSettings:
-    """What is filled in and what is left out.
+class RefinementSettings:
+    """What is interpolated and what is dropped.
 
     Attributes:
-        max_gap_s: longer gaps stay open.
-        min_boxes: a track needs, unless there are fewer frames.
-        min_score_share: of the strong score of its class, which the mean of its scores needs.
+        max_gap_s: longest gap that is interpolated.
+        min_boxes: fewest boxes of a track, unless there are fewer frames.
+        min_score_share: least mean score of a track, as a share of its class's track-activation threshold.
     """
 
     max_gap_s: float = 1.0
@@ -35,8 +35,12 @@ class LookaheadSettings:
     min_score_share: float = 1.0
 
 
-class Recording:
-    """Gathers a tracker's output frame by frame, and completes it at the end."""
+ActivationThreshold = Callable[[IntArray], FloatArray]
+"""Track-activation threshold (N,) of classes (N,): see `track_range.tracking.tracker.RefinableTracker`."""
+
+
+class OfflineRefinement:
+    """Gathers a tracker's output frame by frame, and refines it at the end."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[int, Tracks, bool]] = []
@@ -48,20 +52,18 @@ class Recording:
         self._time_s.append(time_s)
         self._parts += [(frame, tracks.select(tracks.observed), True), (frame, tentative, False)]
 
-    def completed(
-        self, strong_score: Callable[[IntArray], FloatArray], settings: LookaheadSettings | None = None
-    ) -> list[Tracks]:
-        """The tracks of every frame.
+    def refine(self, threshold: ActivationThreshold | None, settings: RefinementSettings | None = None) -> list[Tracks]:
+        """The refined tracks of every frame, by id.
 
         Args:
-            strong_score: of classes (N,): from which score on boxes are objects, as the tracker has learnt it.
+            threshold: what the tracker has estimated; None = no track is dropped for its scores.
             settings: None = the defaults.
         """
-        settings = settings or LookaheadSettings()
+        settings = settings or RefinementSettings()
         rows = _Rows.of(self._parts)
         time_s = np.array(self._time_s)
-        rows = rows.select(rows.are_worth(strong_score, settings, n_frames=len(time_s)))
-        return _by_frame(rows.with_gaps_filled(time_s, settings.max_gap_s), len(time_s))
+        rows = rows.select(rows.are_reliable(threshold, settings, n_frames=len(time_s)))
+        return _by_frame(rows.with_gaps_interpolated(time_s, settings.max_gap_s), len(time_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +90,19 @@ class _Rows:
     def select(self, keep: BoolArray) -> _Rows:
         return _Rows(self.frame[keep], self.tracks.select(keep))
 
-    def are_worth(
-        self, strong_score: Callable[[IntArray], FloatArray], settings: LookaheadSettings, *, n_frames: int
+    def are_reliable(
+        self, threshold: ActivationThreshold | None, settings: RefinementSettings, *, n_frames: int
     ) -> BoolArray:
-        """(N,) which rows belong to tracks of enough boxes and scores."""
-        _, place, n = np.unique(self.tracks.track_id, return_inverse=True, return_counts=True)
-        mean = np.bincount(place, self.tracks.score, len(n)) / np.maximum(n, 1)
-        enough = mean[place] >= settings.min_score_share * strong_score(self.tracks.class_id)
-        return np.asarray(enough & (n[place] >= min(settings.min_boxes, n_frames)))
+        """(N,) which rows belong to tracks with enough boxes and high enough scores."""
+        _, track, n_boxes = np.unique(self.tracks.track_id, return_inverse=True, return_counts=True)
+        is_reliable = np.asarray(n_boxes[track] >= min(settings.min_boxes, n_frames))
+        if threshold is not None:
+            mean_score = np.bincount(track, self.tracks.score, len(n_boxes)) / np.maximum(n_boxes, 1)
+            is_reliable &= mean_score[track] >= settings.min_score_share * threshold(self.tracks.class_id)
+        return is_reliable
 
-    def with_gaps_filled(self, time_s: FloatArray, max_gap_s: float) -> _Rows:
-        """With boxes on the line between a gap's ends, in every frame of it."""
+    def with_gaps_interpolated(self, time_s: FloatArray, max_gap_s: float) -> _Rows:
+        """With interpolated boxes in every frame of each gap of at most `max_gap_s`."""
         if len(self.frame) < 2:
             return self
         tracks = self.tracks

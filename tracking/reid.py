@@ -15,7 +15,7 @@ import numpy as np
 from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
-from track_range.tracking.appearance import are_describable
+from track_range.tracking.appearance import has_appearance
 from track_range.tracking.gallery import unit_rows
 
 OPEN_INPUT_HW = (256, 128)
@@ -32,7 +32,7 @@ class ReidModel:
     """Describes boxes by a network.
 
     Attributes:
-        max_distance: see `tracking.appearance.Descriptor`; 0.27 suits OSNet x0.25 on KITTI 0003 and 0005 and simulated
+        max_distance: see `AppearanceModel`; 0.27 suits OSNet x0.25 on KITTI 0003 and 0005 and simulated
             drives, on which it was chosen: 0 to 10 % of the same missed, 0 to 16 % of the others passed.
         input_hw: (height, width) that crops are resized to.
         notes: sentences for the user.
@@ -57,7 +57,7 @@ class ReidModel:
         # Two images: a network that calls its batch open and then mixes it up is found out here.
         self.n_values = self._run(np.zeros((batch or 2, 3, *self.input_hw), np.float32)).shape[1]
 
-    def describe(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
+    def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
         """(N, D) descriptors of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown.
 
         Raises:
@@ -66,7 +66,7 @@ class ReidModel:
         """
         check_shape("image", image, (None, None, 3))
         descriptor = np.zeros((len(xyxy_px), self.n_values), np.float32)
-        good = np.flatnonzero(are_describable(image, xyxy_px))
+        good = np.flatnonzero(has_appearance(image, xyxy_px))
         step = self._fixed_batch or _LARGEST_BATCH
         for start in range(0, len(good), step):
             rows = good[start : start + step]

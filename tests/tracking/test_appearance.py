@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.formats.kitti import read_kitti
-from track_range.tracking.appearance import ColourLayout, ColourLayoutSettings, are_describable
+from track_range.tracking.appearance import ColourLayout, ColourLayoutSettings, has_appearance
 
 RED, BLUE, GREY = (40, 40, 200), (200, 60, 40), (110, 110, 110)
 LAYOUT = ColourLayout()
@@ -24,7 +24,7 @@ def painted(upper, lower, *, size=1, ground=(60, 120, 60)):
 
 
 def distance(a, b):
-    return float(1 - LAYOUT.describe(*a)[0] @ LAYOUT.describe(*b)[0])
+    return float(1 - LAYOUT.embed(*a)[0] @ LAYOUT.embed(*b)[0])
 
 
 def scene(seed=0):
@@ -38,7 +38,7 @@ def test_one_colour_by_hand():
     # L*, a*, b* in OpenCV's bytes; levels are counted in fours, so 113 stands at 113.5: 113.5 / 255 * 7 = 3.116, which
     # goes to bins 3 and 4 as 0.884 to 0.116. a* and b* are 61 and 41 from grey, beyond the span of 40: the last bin.
     assert cv2.cvtColor(np.uint8([[RED]]), cv2.COLOR_BGR2LAB)[0, 0].tolist() == [113, 189, 169]
-    weight = (LAYOUT.describe(*painted(RED, RED))[0].astype(float) ** 2).reshape(3, 6, 8)
+    weight = (LAYOUT.embed(*painted(RED, RED))[0].astype(float) ** 2).reshape(3, 6, 8)
     band = weight.sum(axis=2)
     np.testing.assert_allclose(band, np.broadcast_to(band[0], band.shape), rtol=1e-5)  # the channels weigh the same
     np.testing.assert_allclose(band.sum(), 1, rtol=1e-5)
@@ -86,25 +86,25 @@ def test_the_middle_counts_more_than_the_corners():
 def test_the_ground_around_a_box_does_not_matter():
     image, box = painted(RED, BLUE)
     other, _ = painted(RED, BLUE, ground=(250, 20, 200))
-    np.testing.assert_array_equal(LAYOUT.describe(image, box), LAYOUT.describe(other, box))
+    np.testing.assert_array_equal(LAYOUT.embed(image, box), LAYOUT.embed(other, box))
 
 
 def test_pictures_without_colour_are_told_apart_by_lightness():
     # Were grey's a* and b*, which all share, counted, no two grey things could be further apart than 1/3.
     dark, light = painted((40,) * 3, (40,) * 3, ground=(90,) * 3), painted((200,) * 3, (200,) * 3, ground=(90,) * 3)
     assert distance(dark, light) == pytest.approx(1.0)
-    assert LAYOUT.describe(*dark)[0].reshape(3, -1)[1:].max() == 0
-    np.testing.assert_allclose(np.linalg.norm(LAYOUT.describe(*dark)), 1, rtol=1e-6)
+    assert LAYOUT.embed(*dark)[0].reshape(3, -1)[1:].max() == 0
+    np.testing.assert_allclose(np.linalg.norm(LAYOUT.embed(*dark)), 1, rtol=1e-6)
     coloured = painted((40,) * 3, (40,) * 3)
-    assert LAYOUT.describe(*coloured)[0].reshape(3, -1)[1:].max() > 0
+    assert LAYOUT.embed(*coloured)[0].reshape(3, -1)[1:].max() > 0
 
 
 def test_parts_outside_the_image_do_not_count():
     image, box = painted(RED, RED)
     edged = image.copy()
     edged[:, 48:50] = BLUE
-    whole, cut = LAYOUT.describe(edged, box), LAYOUT.describe(edged[:, :50], box)  # cut: its right half is outside
-    plain = LAYOUT.describe(image, box)
+    whole, cut = LAYOUT.embed(edged, box), LAYOUT.embed(edged[:, :50], box)  # cut: its right half is outside
+    plain = LAYOUT.embed(image, box)
     assert (
         0.01 < float(1 - whole[0] @ plain[0]) < float(1 - cut[0] @ plain[0]) < 0.1
     )  # 1 of 16 columns of points, 1 of 8
@@ -127,17 +127,17 @@ def test_parts_outside_the_image_do_not_count():
 )
 def test_boxes_that_nobody_could_describe(box):
     image, good = painted(RED, BLUE)
-    described = LAYOUT.describe(image, np.concatenate([good, [box]]))
+    described = LAYOUT.embed(image, np.concatenate([good, [box]]))
     np.testing.assert_allclose(np.linalg.norm(described, axis=1), [1, 0], atol=1e-6)
-    assert are_describable(image, np.array([box])).tolist() == [False]
+    assert has_appearance(image, np.array([box])).tolist() == [False]
 
 
 def test_no_boxes_and_tiny_pictures():
     image, box = painted(RED, BLUE)
-    assert LAYOUT.describe(image, np.zeros((0, 4))).shape == (0, LAYOUT.n_values)
+    assert LAYOUT.embed(image, np.zeros((0, 4))).shape == (0, LAYOUT.n_values)
     for shape in ((1, 1, 3), (0, 0, 3), (0, 5, 3)):
-        assert not LAYOUT.describe(np.zeros(shape, np.uint8), box).any()
-    two_px = LAYOUT.describe(np.full((5, 2, 3), RED, np.uint8), np.array([[-1.5, -0.5, 2.5, 4.5]]))
+        assert not LAYOUT.embed(np.zeros(shape, np.uint8), box).any()
+    two_px = LAYOUT.embed(np.full((5, 2, 3), RED, np.uint8), np.array([[-1.5, -0.5, 2.5, 4.5]]))
     np.testing.assert_allclose(np.linalg.norm(two_px), 1, rtol=1e-6)
 
 
@@ -146,20 +146,20 @@ def test_ten_thousand_boxes_are_the_same_as_one_by_one():
     corner = rng.uniform(-40, 300, (10_000, 2))
     boxes = np.concatenate([corner, corner + rng.uniform(0, 120, corner.shape)], axis=1)
     image = scene()
-    described = LAYOUT.describe(image, boxes)
+    described = LAYOUT.embed(image, boxes)
     length = np.linalg.norm(described, axis=1)
     np.testing.assert_allclose(length[length > 0], 1, rtol=1e-5)
-    np.testing.assert_array_equal(length > 0, are_describable(image, boxes))
+    np.testing.assert_array_equal(length > 0, has_appearance(image, boxes))
     assert 1000 < (length > 0).sum() < 9000
     for row in range(0, 10_000, 997):
-        np.testing.assert_allclose(described[row], LAYOUT.describe(image, boxes[row : row + 1])[0], atol=1e-6)
+        np.testing.assert_allclose(described[row], LAYOUT.embed(image, boxes[row : row + 1])[0], atol=1e-6)
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(*[st.floats(width=32)] * 4), max_size=5), st.integers(1, 40), st.integers(1, 40))
 def test_any_box_gives_length_1_or_zeros(boxes, height, width):
     image = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    length = np.linalg.norm(LAYOUT.describe(image, np.array(boxes, np.float64).reshape(-1, 4)), axis=1)
+    length = np.linalg.norm(LAYOUT.embed(image, np.array(boxes, np.float64).reshape(-1, 4)), axis=1)
     assert (np.isclose(length, 1, atol=1e-5) | (length == 0)).all()
 
 
@@ -167,13 +167,13 @@ def test_nothing_is_written_to():
     image, box = painted(RED, BLUE)
     image.setflags(write=False)
     box.setflags(write=False)
-    first = LAYOUT.describe(image, box)
-    np.testing.assert_array_equal(first, LAYOUT.describe(image, box))
+    first = LAYOUT.embed(image, box)
+    np.testing.assert_array_equal(first, LAYOUT.embed(image, box))
 
 
 def test_what_is_refused():
     with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) wanted, \(10, 10\) got"):
-        LAYOUT.describe(np.zeros((10, 10), np.uint8), np.zeros((0, 4)))
+        LAYOUT.embed(np.zeros((10, 10), np.uint8), np.zeros((0, 4)))
     with pytest.raises(ValueError, match="n_rows: a multiple of n_bands = 7 wanted, 24 got"):
         ColourLayout(ColourLayoutSettings(n_bands=7))
 
@@ -186,7 +186,7 @@ def test_real_cars_are_nearer_to_themselves(shared_data):
     before = None
     for frame in range(16):
         rows = labels.select((labels.frame == frame) & (labels.track_id >= 0) & (labels.kitti_type == "Car"))
-        now = rows.track_id, LAYOUT.describe(video.read()[1], rows.xyxy_px)
+        now = rows.track_id, LAYOUT.embed(video.read()[1], rows.xyxy_px)
         if before is not None:
             apart, is_same = 1 - before[1] @ now[1].T, before[0][:, None] == now[0]
             same.append(apart[is_same])

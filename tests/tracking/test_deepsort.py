@@ -86,7 +86,7 @@ def test_frames_too_far_apart_to_overlap_say_nothing_of_scores() -> None:
     tracker = DeepSortTracker()
     for i in range(40):
         tracker.update(both(*(car_at(200 * k + 70 * (i % 3), score=0.8) for k in range(3))), 0.5 * i, None)
-    assert tracker.strong_score(np.array([CAR])).tolist() == [0.4]
+    assert tracker.track_activation_threshold(np.array([CAR])).tolist() == [0.4]
 
 
 def test_a_new_track_is_found_again_though_it_moved_by_more_than_its_width() -> None:
@@ -329,7 +329,7 @@ def test_looks_are_told_from_images_where_the_detector_brings_none() -> None:
         return tracks
 
     assert last(DeepSortTracker(settings)).xyxy_px[:, 0].tolist() == [300.0, 380.0]
-    assert last(DeepSortTracker(settings, descriptor=ColourLayout())).xyxy_px[:, 0].tolist() == [380.0, 300.0]
+    assert last(DeepSortTracker(settings, appearance_model=ColourLayout())).xyxy_px[:, 0].tolist() == [380.0, 300.0]
 
 
 def test_predictions_move_with_the_camera() -> None:
@@ -399,4 +399,4 @@ def test_what_is_strong_is_learnt_from_the_detector(min_share: float, least: int
         tracker.update(both(*[car_at(60 * k, score=0.85) for k in range(3)], *false), 0.1 * i, None)
         n_new.append(len(tracker.tentative))
     assert least <= sum(n_new[5:]) <= most
-    assert (tracker.strong_score(np.array([CAR]))[0] > 0.55) == (min_share > 0)
+    assert (tracker.track_activation_threshold(np.array([CAR]))[0] > 0.55) == (min_share > 0)

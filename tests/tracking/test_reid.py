@@ -57,7 +57,7 @@ def test_features_by_hand_for_every_batch(tmp_path, batch, n):
     model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[batch, 3, 60, 30]), ONE_THREAD)
     assert (model.input_hw, model.n_values) == ((60, 30), 6)
     image, boxes, wanted = picture(n)
-    described = model.describe(image, boxes)
+    described = model.embed(image, boxes)
     assert (described.dtype, described.shape) == (np.float32, (n, 6))
     np.testing.assert_allclose(described, wanted, atol=1e-5)
 
@@ -66,7 +66,7 @@ def test_features_by_hand_for_every_batch(tmp_path, batch, n):
 def test_crops_are_resized_to_the_networks_input(tmp_path, size):
     model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=["batch", 3, *size]), ONE_THREAD)
     image, boxes, wanted = picture(3)
-    np.testing.assert_allclose(model.describe(image, boxes), wanted, atol=0.03)  # the edge between the halves blurs
+    np.testing.assert_allclose(model.embed(image, boxes), wanted, atol=0.03)  # the edge between the halves blurs
 
 
 def test_an_open_size_is_that_of_people(tmp_path):
@@ -74,25 +74,25 @@ def test_an_open_size_is_that_of_people(tmp_path):
     model = ReidModel(path, ONE_THREAD)
     assert model.input_hw == (256, 128)
     image, boxes, wanted = picture(2)
-    np.testing.assert_allclose(model.describe(image, boxes), wanted, atol=0.01)
+    np.testing.assert_allclose(model.embed(image, boxes), wanted, atol=0.01)
 
 
 def test_boxes_that_nobody_could_describe_are_zeros_and_parts_outside_are_cut(tmp_path):
     model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[2, 3, 60, 30]), ONE_THREAD)
     image, boxes, wanted = picture(2)
     bad = [[-50, 0, -10, 90], [5, 5, 5, 90], [np.nan, 0, 10, 10], [10, 20, 12, 80], [-1e300, -1e300, 1e300, 1e300]]
-    described = model.describe(image, np.concatenate([boxes[:1], bad, boxes[1:]]))
+    described = model.embed(image, np.concatenate([boxes[:1], bad, boxes[1:]]))
     np.testing.assert_allclose(described, [wanted[0], *np.zeros((5, 6)), wanted[1]], atol=1e-5)
-    cut = model.describe(image[:, 25:], boxes - [25, 0, 25, 0])  # half of the first is gone
+    cut = model.embed(image[:, 25:], boxes - [25, 0, 25, 0])  # half of the first is gone
     np.testing.assert_allclose(cut, wanted, atol=1e-5)
-    assert not model.describe(np.zeros((1, 1, 3), np.uint8), boxes).any()
+    assert not model.embed(np.zeros((1, 1, 3), np.uint8), boxes).any()
 
 
 def test_slivers_inside_a_picture_of_two_pixels(tmp_path):
     model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 60, 30]), ONE_THREAD)
     for shift in np.linspace(0, 1, 11):
         box = np.array([[-2.9 + shift, -2.9 + shift, 1.1 + shift, 1.1 + shift]])
-        described = model.describe(np.full((2, 2, 3), 200, np.uint8), box)
+        described = model.embed(np.full((2, 2, 3), 200, np.uint8), box)
         assert np.linalg.norm(described) == pytest.approx(1 if described.any() else 0, abs=1e-6)
 
 
@@ -125,7 +125,7 @@ def test_a_device_that_is_not_to_be_had_is_told(tmp_path):
     path = write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 60, 30])
     assert ReidModel(path, ONE_THREAD).notes == ()
     with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) wanted, \(9, 9\) got"):
-        ReidModel(path, ONE_THREAD).describe(np.zeros((9, 9), np.uint8), np.zeros((0, 4)))
+        ReidModel(path, ONE_THREAD).embed(np.zeros((9, 9), np.uint8), np.zeros((0, 4)))
 
 
 def test_osnet_finds_real_cars_again(shared_data):
@@ -139,7 +139,7 @@ def test_osnet_finds_real_cars_again(shared_data):
         rows = labels.select((labels.frame == frame) & (labels.kitti_type == "Car"))
         if frame in (6, 7):
             order = np.argsort(rows.track_id)
-            described[frame] = rows.track_id[order], model.describe(image, rows.xyxy_px[order])
+            described[frame] = rows.track_id[order], model.embed(image, rows.xyxy_px[order])
     (id_a, a), (id_b, b) = described.values()
     np.testing.assert_array_equal(id_a, id_b)
     assert len(id_a) >= 3

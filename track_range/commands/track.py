@@ -17,8 +17,8 @@ from track_range.foundation.errors import UsageError
 from track_range.report.tables import Column, Grid, grid_of
 from track_range.results.output_files import OutputError, make_folder
 from track_range.run.progress import frame_progress, say
-from track_range.run.settings import TrackerName, check_looks
-from track_range.run.tracker_options import new_tracker, open_descriptor
+from track_range.run.settings import check_tracker
+from track_range.run.tracker_options import open_tracker_options
 from track_range.sequences.files import write_kitti, write_mot
 from track_range.sequences.find import (
     KITTI_FOLDER,
@@ -31,7 +31,8 @@ from track_range.sequences.find import (
 )
 from track_range.sequences.tracking import images_of, track_sequence
 from track_range.terminal_tables import tell_grid
-from track_range.tracking.appearance import Descriptor
+from track_range.tracking.registry import create_tracker
+from track_range.tracking.tracker import TrackerOptions
 from track_range.video.reader import VideoError
 
 DEFAULT_FPS = 10.0
@@ -52,8 +53,8 @@ class TrackOptions:
         form: of the boxes; None = told from the files.
         road_class: of rows that name none; None = from the folder's name, else person.
         fps: None = seqinfo.ini's, else `DEFAULT_FPS`.
-        tracker: with looks, or without.
-        reid: network that describes boxes; None = descriptors of the file, else the built-in ones.
+        tracker: a name of `tracking.registry`, or package.module:Class.
+        reid: re-identification network; None = embeddings of the file, else the tracker's own.
         is_online: each frame says what was known then, as a live run would.
         is_kitti_written: KITTI files are written beside the MOT ones.
     """
@@ -64,7 +65,7 @@ class TrackOptions:
     form: DetectionForm | None
     road_class: str | None
     fps: float | None
-    tracker: TrackerName
+    tracker: str
     reid: Path | None
     is_online: bool
     is_kitti_written: bool
@@ -89,26 +90,28 @@ def track(options: TrackOptions, console: Console) -> None:
     Raises:
         LabelFileError: boxes cannot be read; of several sequences, after all have been tried.
         VideoError: images cannot.
+        TrackerError: the tracker cannot be made.
         ModelError: `reid` is no re-identification network.
         ClassNameError, UsageError: the class is unknown, or none is meant.
         OutputError: `out` cannot be written to.
     """
-    check_looks(options.tracker, options.reid)
+    check_tracker(options.tracker, options.reid)
     sequences = find_sequences(options.detections, "det")
     class_id = _class_of(options)
     places = [images_of(each, options.images, is_alone=len(sequences) == 1) for each in sequences]
     if options.reid is not None and None in places:
-        raise UsageError("--reid describes pictures: give --images with the frames of every sequence.")
+        raise UsageError("--reid needs images: give --images with the frames of every sequence.")
     _check_inputs_stay(sequences, options)
-    descriptor = open_descriptor(options.tracker, options.reid)
-    for note in (*passed_over(options.detections, sequences), *(() if descriptor is None else descriptor.notes)):
+    tracker_options = open_tracker_options(options.reid)
+    reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
+    for note in (*passed_over(options.detections, sequences), *reid_notes):
         say(console, f"- {note}")
     _make_folders(options)
     done, failed = [], []
     for sequence, images in zip(sequences, places, strict=True):
         try:
             recorded = _read(sequence.path, class_id, options)
-            done.append(_track_one(sequence, recorded, images, descriptor, options, console))
+            done.append(_track_one(sequence, recorded, images, tracker_options, options, console))
         except (LabelFileError, VideoError) as error:
             if len(sequences) == 1:
                 raise
@@ -170,7 +173,7 @@ def _track_one(
     sequence: SequenceFile,
     recorded: RecordedDetections,
     images: Path | None,
-    descriptor: Descriptor | None,
+    tracker_options: TrackerOptions,
     options: TrackOptions,
     console: Console,
 ) -> _Done:
@@ -179,7 +182,7 @@ def _track_one(
     with frame_progress(console, n_frames) as advance:
         tracked = track_sequence(
             recorded,
-            new_tracker(options.tracker, descriptor),
+            create_tracker(options.tracker, tracker_options),
             n_frames=n_frames,
             fps=options.fps or sequence.info.fps or DEFAULT_FPS,
             images=images,

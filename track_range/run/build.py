@@ -20,11 +20,12 @@ from track_range.ranging.size_models.size_model import SizeModel
 from track_range.run.box_source import BoxSource
 from track_range.run.pipeline import Pipeline
 from track_range.run.settings import RunSettings
-from track_range.run.tracker_options import new_tracker, open_descriptor
+from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.matching.sgbm import SgbmSettings
+from track_range.tracking.registry import create_tracker
 from track_range.video.source import Source
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair
 
@@ -34,6 +35,7 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
 
     Raises:
         ModelError: the network for looks or for lanes cannot be used.
+        TrackerError: the tracker cannot be made.
         EgoSpeedError: the ego speed cannot be used.
     """
     by_size = OncePerFrame(SizeRegressionRanger(source.camera, curves))  # ground and scale ask it too
@@ -50,11 +52,11 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         guessed = StereoRig.rectified(taken.camera, ASSUMED_BASELINE_M)
         rangers["stereo"] = SizeScaledRanger(_patch_matcher(guessed), by_size)
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
-    descriptor = open_descriptor(settings.tracker, settings.reid, runtime)
+    tracker_options = open_tracker_options(settings.reid, runtime)
     return Pipeline(
         camera=source.camera,
         detect=boxes.detect,
-        tracker=new_tracker(settings.tracker, descriptor),
+        tracker=create_tracker(settings.tracker, tracker_options),
         rangers=rangers,
         lane_finder=None if settings.lanes == "off" else open_lane_finder(settings.lanes, runtime),
         ground=ground.plane,
@@ -63,7 +65,7 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, curve
         ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),
         shared_sigma=taken.focal_sigma if taken is not None else 0.0,
         is_live=source.live is not None,
-        notes=() if descriptor is None else descriptor.notes,
+        notes=() if tracker_options.reid is None else tracker_options.reid.notes,
     )
 
 

@@ -23,11 +23,8 @@ from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.results.output_files import write_text
 from track_range.stereo.matching.sgbm import SgbmSettings
+from track_range.tracking.registry import TrackerError, find_tracker
 from track_range.video.live.address import LiveAddress, live_address
-
-TrackerName = Literal["deepsort", "sort"]
-"""With looks, or without."""
-
 
 VideoName = Path | LiveAddress
 """A video file or folder of images, or a camera or stream."""
@@ -36,14 +33,18 @@ _NO_OPTION = ("sgbm_options",)
 """Fields that are set in settings.yaml alone."""
 
 
-def check_looks(name: TrackerName, reid: Path | None) -> None:
-    """A network that describes looks wants a tracker that compares them.
+def check_tracker(name: str, reid: Path | None) -> None:
+    """Check that there is a tracker of this name, and that it uses a re-identification network where one is given.
 
     Raises:
-        UsageError: it does not.
+        UsageError: there is none, or it does not.
     """
-    if reid is not None and name == "sort":
-        raise UsageError("--reid describes looks, which --tracker sort does not compare; take one of them.")
+    try:
+        tracker = find_tracker(name)
+    except TrackerError as error:
+        raise UsageError(f"--tracker: {error}") from error
+    if reid is not None and not tracker.uses_reid:
+        raise UsageError(f"--reid: --tracker {name} does not compare appearance; give one of the two.")
 
 
 class RunSettings(BaseModel):
@@ -90,8 +91,8 @@ class RunSettings(BaseModel):
     threads: int = Field(default=0, ge=0, le=256)
     """Threads of the network; 0 = one per core."""
     device: Literal["auto", "cpu", "cuda", "tensorrt"] = "auto"
-    tracker: TrackerName = "deepsort"
-    """Whether boxes are told apart by their looks too."""
+    tracker: str = "deepsort"
+    """A name of `tracking.registry`, or package.module:Class."""
     reid: Path | None = None
     """A re-identification network for looks; None = the built-in descriptor."""
     overlay: bool = True
@@ -164,7 +165,7 @@ class RunSettings(BaseModel):
             raise ValueError(
                 "--disparity shows what dense stereo finds; it needs --stereo, and goes not with --no-sgbm"
             )
-        check_looks(self.tracker, self.reid)
+        check_tracker(self.tracker, self.reid)
         return self
 
     @property

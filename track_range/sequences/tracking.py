@@ -12,8 +12,8 @@ import numpy as np
 from track_range.detection.formats.detection_files import RecordedDetections
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.sequences.find import SequenceFile
-from track_range.tracking.deepsort import DeepSortTracker
-from track_range.tracking.offline_refinement import Recording
+from track_range.tracking.offline_refinement import OfflineRefinement
+from track_range.tracking.tracker import RefinableTracker, Tracker
 from track_range.tracking.tracks import Tracks
 from track_range.video.reader import VideoError, VideoReader
 
@@ -72,7 +72,7 @@ def _videos(place: Path, name: str) -> list[Path]:
 
 def track_sequence(
     recorded: RecordedDetections,
-    tracker: DeepSortTracker,
+    tracker: Tracker,
     *,
     n_frames: int,
     fps: float,
@@ -88,14 +88,15 @@ def track_sequence(
         n_frames: frames to go through; those without boxes too.
         fps: of frames whose time no video tells; a video's own rate wins.
         images: video or folder whose frame k is that of the boxes' frame k.
-        is_online: say of each frame what was known then; else what the whole sequence tells (`tracking.lookahead`).
+        is_online: say of each frame what was known then; else refined by later frames (`tracking.offline_refinement`).
         advance: told after each frame.
 
     Raises:
         VideoError: the images cannot be read.
     """
     video = None if images is None else VideoReader(images, folder_fps=fps)
-    recording, online, spent_s, seen = Recording(), [], 0.0, _Seen()
+    refinable = tracker if isinstance(tracker, RefinableTracker) else None
+    refinement, online, spent_s, seen = OfflineRefinement(), [], 0.0, _Seen()
     for frame, time_s, image in _frames(video, n_frames, fps):
         found = recorded.at(frame)
         seen.add(found.xyxy_px, image)
@@ -104,11 +105,11 @@ def track_sequence(
         if is_online:
             online.append(tracks)
         else:
-            recording.add(time_s, tracks, tracker.tentative)
+            refinement.add(time_s, tracks, refinable.tentative if refinable else Tracks.empty())
         spent_s += time.perf_counter() - began_s
         advance()
     began_s = time.perf_counter()
-    frames = online if is_online else recording.completed(tracker.strong_score)
+    frames = online if is_online else refinement.refine(refinable.track_activation_threshold if refinable else None)
     spent_s += time.perf_counter() - began_s
     notes = () if video is None else (*video.notes, *seen.notes(images, n_frames))
     return TrackedSequence(frames, 1e6 * spent_s / max(n_frames, 1), notes)

@@ -1,0 +1,99 @@
+"""Trackers by name, by `module:Class` and by entry point; `tests/toy_tracker.py` is one of another package."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from tests.toy_tracker import GreedyIouTracker
+from track_range.detection.detections import Detections
+from track_range.tracking import registry
+from track_range.tracking.registry import TrackerError, create_tracker, find_tracker, register_tracker, tracker_names
+from track_range.tracking.tracker import RefinableTracker, TrackerOptions
+
+BOX = Detections.of([[10, 10, 50, 50]], [0.9], [2])
+
+
+@pytest.fixture
+def _restored(monkeypatch):
+    monkeypatch.setattr(registry, "_registered", dict(registry._registered))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+
+
+@pytest.mark.parametrize("name", ["deepsort", "sort"])
+def test_built_in_trackers(name):
+    assert name in tracker_names()
+    tracker = create_tracker(name)
+    assert tracker.update(BOX, 0.0, None).track_id.tolist() == [1]
+    assert isinstance(tracker, RefinableTracker)
+    assert find_tracker(name).uses_reid == (name == "deepsort")
+
+
+def test_reid_is_handed_to_deepsort():
+    class Counting:
+        max_distance, notes, n_calls = 0.1, (), 0
+
+        def embed(self, image, xyxy_px):
+            self.n_calls += 1
+            return np.tile(np.eye(4, dtype=np.float32)[:1], (len(xyxy_px), 1))
+
+    for name, n_calls in (("deepsort", 1), ("sort", 0)):
+        reid = Counting()
+        create_tracker(name, TrackerOptions(reid=reid)).update(BOX, 0.0, np.zeros((60, 60, 3), np.uint8))
+        assert reid.n_calls == n_calls
+
+
+@pytest.mark.usefixtures("_restored")
+def test_registered_class():
+    register_tracker("greedy", GreedyIouTracker)
+    assert tracker_names()[-1] == "greedy"
+    tracker = create_tracker("greedy")
+    assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
+    assert not isinstance(tracker, RefinableTracker)
+
+
+def test_class_by_its_module():
+    tracker = create_tracker("tests.toy_tracker:GreedyIouTracker")
+    assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
+
+
+@pytest.mark.usefixtures("_restored")
+def test_module_in_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "mine_here.py").write_text("from tests.toy_tracker import GreedyIouTracker as Mine\n")
+    monkeypatch.chdir(tmp_path)
+    assert create_tracker("mine_here:Mine").update(BOX, 0.0, None).track_id.tolist() == [101]
+
+
+@pytest.mark.usefixtures("_restored")
+def test_entry_point(tmp_path, monkeypatch):
+    info = tmp_path / "other-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[track_range.trackers]\nother = tests.toy_tracker:GreedyIouTracker\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "other" in tracker_names()
+    assert create_tracker("other").update(BOX, 0.0, None).track_id.tolist() == [101]
+
+
+@pytest.mark.parametrize(
+    ("name", "key_word"),
+    [
+        ("bytetrack", "deepsort, sort"),
+        ("no_such_module:Tracker", "no_such_module"),
+        ("tests.toy_tracker:Missing", "Missing"),
+        ("tests.toy_tracker:", "tests.toy_tracker"),
+        (":Tracker", ":Tracker"),
+        ("tests.toy_tracker:NOT_CALLABLE", "class"),
+        ("tests.toy_tracker:TakesNothing", "TrackerOptions"),
+        ("tests.toy_tracker:NotATracker", "update"),
+    ],
+)
+def test_wrong_names_and_classes(name, key_word):
+    with pytest.raises(TrackerError, match=key_word):
+        create_tracker(name)
+
+
+@pytest.mark.parametrize("name", ["", "a:b"])
+def test_names_that_cannot_be_registered(name):
+    with pytest.raises(ValueError, match="colon"):
+        register_tracker(name, GreedyIouTracker)
