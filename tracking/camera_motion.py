@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_sound
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA
 
 FeatureArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex128]
@@ -228,7 +229,7 @@ def _median(values: FloatArray) -> float:
 
 def _weights(residual_px: FloatArray, noise_px: float) -> FloatArray:
     """(N,) Tukey's, of residuals (N,) >= 0, against their own spread, or against the noise where they are smaller."""
-    limit_px = _TUKEY * max(1.4826 * _median(residual_px), noise_px)
+    limit_px = _TUKEY * max(MAD_TO_SIGMA * _median(residual_px), noise_px)
     return np.asarray((1 - np.minimum(residual_px / limit_px, 1) ** 2) ** 2)
 
 

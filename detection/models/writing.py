@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 from track_range.detection.models.onnx_session import ModelError
+from track_range.foundation.atomic_files import atomic_folder, describe
 
 
 @contextlib.contextmanager
@@ -45,8 +45,7 @@ def written_whole(out: Path) -> Iterator[Path]:
     if not out.parent.is_dir():
         raise ModelError(f"{out}: no such folder to write into.")
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as name:
-            yield Path(name)
-            (Path(name) / out.name).replace(out)
+        with atomic_folder(out) as folder:
+            yield folder
     except OSError as error:
-        raise ModelError(f"{out}: cannot be written ({error.strerror or error}).") from error
+        raise ModelError(f"{out}: cannot be written ({describe(error)}).") from error

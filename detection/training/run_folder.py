@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -12,6 +13,7 @@ from typing import Any
 import torch
 
 from track_range.detection.training.errors import CheckpointError
+from track_range.foundation.atomic_files import atomic_path, describe, write_text
 
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 
@@ -45,20 +47,13 @@ def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
     Raises:
         CheckpointError: it cannot be written.
     """
-    partial = path.with_name(f".{path.name}.part")
     try:
-        with partial.open("wb") as file:
-            torch.save({"format": _FORMAT, **content}, file)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        with atomic_path(path) as partial:
+            torch.save({"format": _FORMAT, **content}, partial)
     except RuntimeError as error:  # torch's word for a full disk
         raise CheckpointError(f"{path}: cannot be written (no space left, or the file is too large).") from error
     except OSError as error:
-        raise CheckpointError(f"{path}: cannot be written ({error.strerror or error}).") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
+        raise CheckpointError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -136,12 +131,11 @@ def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:
         CheckpointError: it cannot be written.
     """
     columns = list(dict.fromkeys(key for row in history for key in row))
-    partial = path.with_name(f".{path.name}.part")
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, columns, restval="")
+    writer.writeheader()
+    writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
     try:
-        with partial.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, columns, restval="")
-            writer.writeheader()
-            writer.writerows({key: f"{value:.6g}" for key, value in row.items()} for row in history)
-        partial.replace(path)
+        write_text(path, text.getvalue())
     except OSError as error:
-        raise CheckpointError(f"{path}: cannot be written ({error.strerror or error}).") from error
+        raise CheckpointError(f"{path}: cannot be written ({describe(error)}).") from error

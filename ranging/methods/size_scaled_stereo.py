@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import MAD_TO_SIGMA, weighted_median
 from track_range.ranging.methods.triangulation import TrackMatcher
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
@@ -88,8 +89,8 @@ class FocalBaseline:
             return float("nan"), float("nan")
         log_k = np.array([told.median for told in self._told.values()])
         weight = np.array([told.weight for told in self._told.values()])
-        middle = _weighted_median(log_k, weight)
-        scatter = 1.4826 * _weighted_median(np.abs(log_k - middle), weight)
+        middle = weighted_median(log_k, weight)
+        scatter = MAD_TO_SIGMA * weighted_median(np.abs(log_k - middle), weight)
         n_effective = float(weight.sum() ** 2 / (weight @ weight))
         scatter = scatter if n_effective >= _MIN_TRACKS_TOLD else max(scatter, _TRACK_SIGMA)
         # 1.25: a median scatters a quarter more than a mean.
@@ -103,6 +104,7 @@ def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
 
 
 class SizeScaledRanger(Ranger):
+class SizeScaledRanger:
     """Ranges boxes of an uncalibrated pair; the first ones of a video by few sizes, later ones by more.
 
     Attributes:

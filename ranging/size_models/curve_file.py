@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from track_range.foundation.atomic_files import describe, write_text
 from track_range.foundation.errors import UserError
 
 CURVE_VERSION = 2
@@ -25,12 +26,10 @@ def write_curve_file(path: Path, kind: str, content: Mapping[str, Any]) -> None:
         CurveError: the file cannot be written.
     """
     document = {_VERSION_KEY: CURVE_VERSION, "kind": kind, **content}
-    partial = path.with_name(path.name + ".part")
     try:
-        partial.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-        partial.replace(path)
+        write_text(path, json.dumps(document, indent=2) + "\n")
     except OSError as error:
-        raise CurveError(f"{path}: cannot be written ({error.strerror or error}).") from error
+        raise CurveError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def read_curve_file(path: Path | None) -> tuple[str, Mapping[str, Any]]:

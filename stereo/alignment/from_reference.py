@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.robust_statistics import weighted_median
 from track_range.stereo.alignment.model import Alignment, column_from_axis
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
@@ -100,7 +101,7 @@ def fit_reference(
     offset_px, bow_px = _fit(known, has_bow=has_bow)
     drawn = _resampled(known, has_bow=has_bow, rng=np.random.default_rng(seed))
     left_px = np.abs(known.error_px - offset_px - bow_px * known.u2)
-    scatter_px = _weighted_median(left_px, known.weight) / _MEDIAN_OF_NORMAL
+    scatter_px = weighted_median(left_px, known.weight) / _MEDIAN_OF_NORMAL
     least_px = scatter_px / known.n_groups**0.5  # few groups, drawn again and again, hardly differ
     at_objects = drawn[:, 0] + drawn[:, 1] * float(np.average(known.u2, weights=known.weight))
     own_px = max(float(at_objects.std()), least_px)
@@ -122,7 +123,7 @@ def _usable(measured_px: FloatArray, true_px: FloatArray) -> BoolArray:
 
 
 def _fit(known: _Known, *, has_bow: bool) -> tuple[float, float]:
-    return _offset_and_bow(known) if has_bow else (_weighted_median(known.error_px, known.weight), 0.0)
+    return _offset_and_bow(known) if has_bow else (weighted_median(known.error_px, known.weight), 0.0)
 
 
 def _offset_and_bow(known: _Known) -> tuple[float, float]:
@@ -134,12 +135,6 @@ def _offset_and_bow(known: _Known) -> tuple[float, float]:
         solution = np.linalg.lstsq(design * root[:, None], known.error_px * root, rcond=None)[0]
         reweighted = known.weight / np.maximum(np.abs(known.error_px - design @ solution), _LEAST_ERROR_PX)
     return float(solution[0]), float(solution[1])
-
-
-def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    middle = np.cumsum(weight[order]) - weight[order] / 2
-    return float(np.interp(weight.sum() / 2, middle, values[order]))
 
 
 def _is_bow_supported(known: _Known) -> bool:
@@ -175,7 +170,7 @@ def _beyond(left_px: FloatArray, known: _Known) -> float:
         tried_px = (low_px + high_px) / 2
         with np.errstate(divide="ignore", invalid="ignore"):  # 0 / 0 of an exact object without a sigma
             ratio = np.nan_to_num(left_px / np.hypot(known.sigma_px, tried_px), nan=0.0)
-        if _weighted_median(ratio, known.weight) > _MEDIAN_OF_NORMAL:
+        if weighted_median(ratio, known.weight) > _MEDIAN_OF_NORMAL:
             low_px = tried_px
         else:
             high_px = tried_px

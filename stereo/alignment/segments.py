@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.robust_statistics import jackknife_sigma
 from track_range.stereo.alignment.bundle_adjustment import (
     N_ERRORS,
     Bundle,
@@ -139,7 +140,7 @@ def together(stretches: Sequence[Stretch], *, has_bow: bool) -> Together:
             out = [Cell(strip, part) for strip in strips]
             others = whole[:number] + whole[number + 1 :]
             by_time.append(_solved([*others, stretch.information(out)], asked))
-    sigma_px = np.hypot(_jackknife_sigma(by_strip), _jackknife_sigma(by_time))
+    sigma_px = np.hypot(jackknife_sigma(np.array(by_strip)), jackknife_sigma(np.array(by_time)))
     return Together(_padded(_solved(whole, asked)), _padded(sigma_px), _spread_px(whole))
 
 
@@ -176,12 +177,6 @@ def _solved(parts: Sequence[tuple[FloatArray, FloatArray]], asked: IntArray) -> 
 
 def _summed(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
     return np.sum([part[0] for part in parts], axis=0), np.sum([part[1] for part in parts], axis=0)
-
-
-def _jackknife_sigma(left_out: Sequence[FloatArray]) -> FloatArray:
-    estimates = np.array(left_out)
-    n = len(estimates)
-    return np.asarray(np.sqrt((n - 1) / n * ((estimates - estimates.mean(axis=0)) ** 2).sum(axis=0)))
 
 
 def _spread_px(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float:

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import jackknife_sigma, mad_sigma
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import Coverage, coverage_of, lack_of_motion
@@ -136,7 +137,7 @@ def calibrate_camera(
         raise CalibrationError(PARALLEL)
     sampled = leave_out_groups(kept, lambda those: _intrinsics(fit_camera(those, n_lens_terms)[0]), advance)
     # Few views make the jackknife itself uncertain; the corners' scatter is what is left at least.
-    sds = IntrinsicSds(*np.maximum(jackknife_sd(sampled), _corner_sds(kept, n_lens_terms)).tolist())
+    sds = IntrinsicSds(*np.maximum(jackknife_sigma(sampled), _corner_sds(kept, n_lens_terms)).tolist())
     check_determined(sds, camera)
     return CameraCalibration(camera, sds, total_rms_px(fits), fits, rejected, coverage)
 
@@ -236,7 +237,7 @@ def without_outliers(
         fits = fitted(kept)
         rms_px = np.array([fit.rms_px for fit in fits])
         median_px = float(np.median(rms_px))
-        sd_px = 1.4826 * float(np.median(np.abs(rms_px - median_px)))
+        sd_px = mad_sigma(rms_px)
         worst = int(rms_px.argmax())
         if rms_px[worst] <= max(_OUTLIER_TIMES * median_px, median_px + _OUTLIER_SDS * sd_px):
             break
@@ -257,12 +258,6 @@ def leave_out_groups(
         if advance is not None:
             advance(group + 1, n_groups)
     return np.stack(samples)
-
-
-def jackknife_sd(samples: FloatArray) -> FloatArray:
-    """(P,) standard deviations from (G, P) estimates without one group each."""
-    n_groups = len(samples)
-    return np.asarray(np.sqrt((n_groups - 1) * samples.var(axis=0)))
 
 
 def _corner_sds(views: Sequence[BoardView], n_lens_terms: int) -> FloatArray:

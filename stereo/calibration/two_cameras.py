@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.robust_statistics import jackknife_sigma
 from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import coverage_of
@@ -31,7 +32,6 @@ from track_range.stereo.calibration.one_camera import (
     check_motion,
     check_views,
     fit_camera,
-    jackknife_sd,
     leave_out_groups,
     pose_of,
     residuals_px,
@@ -126,7 +126,7 @@ def calibrate_pair(
         held_out_px.extend(rows_px(partial, pair) for pair in kept if not any(pair is one for one in those))
         return _numbers(partial)
 
-    sd = jackknife_sd(leave_out_groups(kept, without_some, advance))
+    sd = jackknife_sigma(leave_out_groups(kept, without_some, advance))
     eyes = [
         _eye(camera, [(fit.left, fit.right)[i] for fit in fits], sd[4 * i : 4 * i + 4])
         for i, camera in enumerate((rig.left, rig.right))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.robust_statistics import mad_sigma
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patches import Patch, inner_halves
 
@@ -244,9 +245,7 @@ def _median_and_sigma(inside: DisparityMap | FloatArray, keep: SgbmSettings) -> 
     known = inside[np.isfinite(inside)].astype(np.float64)
     if len(known) < max(keep.min_valid_share * inside.size, 1):
         return math.nan, math.nan
-    median = float(np.median(known))
-    scatter = 1.4826 * float(np.median(np.abs(known - median)))
-    return median, math.hypot(_STEP_SIGMA_PX, keep.shape_share * scatter)
+    return float(np.median(known)), math.hypot(_STEP_SIGMA_PX, keep.shape_share * mad_sigma(known))
 
 
 def _widened(image: Image, n_added: int) -> Image:

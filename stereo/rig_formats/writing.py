@@ -3,12 +3,11 @@
     ours     track_range_rig left [right right_from_left]         read back by `rig_files`, to the last digit
     OpenCV   M1 D1 M2 D2 R T, with R1 R2 P1 P2 Q                  one camera: camera_matrix distortion_coefficients
 
-Files appear whole or not at all.
+Files are written atomically.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy.typing as npt
 import yaml
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.atomic_files import describe, write_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import lens_terms, turns_of
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -119,17 +119,14 @@ def _commented(lines: Sequence[str]) -> str:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file under a temporary name and rename it into place.
+    """Write a text file atomically.
 
     Raises:
         RigError: it is a folder, or cannot be written.
     """
     if path.is_dir():
         raise RigError(f"{path}: it is a folder; name a file to write.")
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
+        write_text(path, text)
     except OSError as error:
-        unfinished.unlink(missing_ok=True)
-        raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
+        raise RigError(f"{path}: cannot be written ({describe(error)}); choose another place.") from error

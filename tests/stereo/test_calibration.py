@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from tests.stereo.board_scenes import CAMERA, drawn, exact_view, exact_views, pose, varied_poses
+from track_range.foundation.robust_statistics import jackknife_sigma
 from track_range.stereo.calibration.board_views import BoardFinder, BoardView
 from track_range.stereo.calibration.boards import CalibrationError, ChessBoard
-from track_range.stereo.calibration.one_camera import calibrate_camera, jackknife_sd, leave_out_groups
+from track_range.stereo.calibration.one_camera import calibrate_camera, leave_out_groups
 from track_range.stereo.geometry.camera import PinholeCamera
 
 
@@ -110,7 +111,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
     values = np.random.default_rng(0).normal(size=20)
     samples = leave_out_groups(list(values), lambda kept: np.array([np.mean(kept)]))
     assert samples.shape == (20, 1)
-    assert jackknife_sd(samples)[0] == pytest.approx(values.std(ddof=1) / np.sqrt(20))
+    assert jackknife_sigma(samples)[0] == pytest.approx(values.std(ddof=1) / np.sqrt(20))
 
 
 def test_many_views_are_left_out_in_twenty_groups():

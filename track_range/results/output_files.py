@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from pathlib import Path
 
+from track_range.foundation import atomic_files
+from track_range.foundation.atomic_files import describe
 from track_range.foundation.errors import UserError
 
 
@@ -14,31 +15,24 @@ class OutputError(UserError):
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file under a temporary name and rename it into place.
+    """Write a text file atomically, in UTF-8.
 
     Raises:
-        OutputError: the folder cannot be written to.
+        OutputError: it cannot be written.
     """
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """As `write_text`, for anything; a device, a pipe or a link is written to, not replaced.
+    """Write a binary file atomically.
 
     Raises:
-        OutputError: the folder cannot be written to.
+        OutputError: it cannot be written.
     """
-    partial = path.with_name(path.name + ".part")
     try:
-        if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
-            path.write_bytes(content)
-            return
-        partial.write_bytes(content)
-        partial.replace(path)
+        atomic_files.write_bytes(path, content)
     except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error}).") from error
+        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def make_folder(folder: Path) -> None:
@@ -53,7 +47,7 @@ def make_folder(folder: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise OutputError(f"{folder}: no results can be written there ({error.strerror or error}).") from error
+        raise OutputError(f"{folder}: no results can be written there ({describe(error)}).") from error
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
@@ -94,4 +88,4 @@ def clear_results(folder: Path, *, keep: Iterable[Path]) -> None:
         for name in RESULT_NAMES:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(f"{folder}: an earlier run's files cannot be removed ({error.strerror or error}).") from error
+        raise OutputError(f"{folder}: an earlier run's files cannot be removed ({describe(error)}).") from error
