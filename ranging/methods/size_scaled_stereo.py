@@ -97,14 +97,7 @@ class FocalBaseline:
         return float(np.exp(middle)), float(np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective)))
 
 
-def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    below = np.cumsum(weight[order]) - weight[order] / 2
-    return float(np.interp(weight.sum() / 2, below, values[order]))
-
-
 class SizeScaledRanger(Ranger):
-class SizeScaledRanger:
     """Ranges boxes of an uncalibrated pair; the first ones of a video by few sizes, later ones by more.
 
     Attributes:
