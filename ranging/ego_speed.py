@@ -11,7 +11,6 @@ without it. How the camera turns is not in it: distances are along the axis, and
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from datetime import datetime
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
 
 _MPS_PER_KMH = 1 / 3.6
@@ -98,43 +98,20 @@ def _from_path(path: Path) -> EgoSpeed:
 
 
 def _from_csv(path: Path) -> EgoSpeed:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except OSError as error:
-        raise EgoSpeedError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise EgoSpeedError(f"{path}: not a CSV file.") from error
-    if len(rows) < 2:
-        raise EgoSpeedError(f"{path}: a header such as 'time_s,speed_kmh' and at least one row wanted.")
-    header = [name.lower() for name in rows[0]]
-    unit = _unit(path, header)
-    columns = (header.index("time_s"), header.index(unit))
-    table = np.array([_numbers(path, line, row, columns) for line, row in enumerate(rows[1:], 2)])
-    if (np.diff(table[:, 0]) <= 0).any():
-        raise EgoSpeedError(f"{path}: the times must rise from row to row.")
-    return EgoSpeed(table[:, 0], _plausible(table[:, 1] * _UNITS[unit], str(path)), path.name)
-
-
-def _unit(path: Path, header: list[str]) -> str:
-    """The name of the speed's column, which tells its unit."""
-    found = [name for name in header if name in _UNITS]
-    if "time_s" not in header or len(found) != 1 or len(set(header)) < len(header):
+    table = read_csv_table(path, EgoSpeedError, "a header such as 'time_s,speed_kmh' and at least one row")
+    units = [name for name in table.header if name in _UNITS]
+    if "time_s" not in table or len(units) != 1:
         raise EgoSpeedError(
-            f"{path}: its header is '{','.join(header)}'; the columns time_s and either speed_mps or speed_kmh wanted: "
-            "a speed without a unit is anybody's guess."
+            f"{path}: its header is '{','.join(table.header)}'; expected the columns time_s and either speed_mps or "
+            "speed_kmh: a speed needs a unit."
         )
-    return found[0]
-
-
-def _numbers(path: Path, line: int, row: list[str], columns: tuple[int, int]) -> tuple[float, float]:
-    try:
-        time_s, speed = (float(row[column]) for column in columns)
-    except (ValueError, IndexError) as error:
-        raise EgoSpeedError(f"{path}, row {line}: two numbers wanted, '{','.join(row)}' found.") from error
-    if not (math.isfinite(time_s) and math.isfinite(speed)):
-        raise EgoSpeedError(f"{path}, row {line}: finite numbers wanted, '{','.join(row)}' found.")
-    return time_s, speed
+    table.refuse_duplicates(table.header)
+    if not len(table):
+        raise EgoSpeedError(f"{path}: expected a header such as 'time_s,speed_kmh' and at least one row.")
+    time_s, speed_mps = table.finite("time_s"), table.finite(units[0]) * _UNITS[units[0]]
+    if (np.diff(time_s) <= 0).any():
+        raise EgoSpeedError(f"{path}: the times must rise from row to row.")
+    return EgoSpeed(time_s, _plausible(speed_mps, str(path)), path.name)
 
 
 def _from_oxts(folder: Path) -> EgoSpeed:

@@ -1,9 +1,9 @@
-"""Labels of a user's own as CSV: who is where in which frame, how far, and how fast it comes nearer.
+"""Ground truth as CSV: the box, distance and closing speed of every object in every frame.
 
     frame,id,class,x1,y1,x2,y2,distance_m[,visible_share,closing_mps]
 
-A first line names the columns, in any order; others (time_s, lane, ...) are passed over. It is what the simulation's
-truth.csv has, and where the readings of a lidar or radar can be written down.
+A first line names the columns, in any order; other columns (time_s, lane, ...) are ignored. The simulation's truth.csv
+has this format, and measurements of a lidar or radar can be written in it.
 
     frame           from 0, of the left video
     id              whole number from 0, one per object
@@ -13,12 +13,11 @@ truth.csv has, and where the readings of a lidar or radar can be written down.
     visible_share   0..1 of the object that is neither hidden nor outside the image
     closing_mps     how fast the object comes nearer
 
-The last three may be empty or nan where they are not known; objects are all visible then.
+The last three may be empty or nan where they are not known; an unknown visible share is 1.
 """
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, road_clas
 from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.csv_tables import CsvTable, read_csv_table
 
 NEEDED = ("frame", "id", "class", "x1", "y1", "x2", "y2", "distance_m")
 OPTIONAL = ("visible_share", "closing_mps")
@@ -38,7 +38,7 @@ DONT_CARE = "dontcare"
 
 _BOX = ("x1", "y1", "x2", "y2")
 _MAX_ID = 2**53 - 1
-"""Larger whole numbers are not told apart."""
+"""Largest whole number that a float64 holds exactly."""
 
 _FAR_PX, _FAR_M, _FAST_MPS = 1e7, 1e5, 1e3
 
@@ -46,11 +46,11 @@ _PLAUSIBLE = {
     "frame": (0.0, MAX_FRAME, "a whole number from 0"),
     "id": (0.0, _MAX_ID, "a whole number from 0"),
     **dict.fromkeys(_BOX, (-_FAR_PX, _FAR_PX, "a number of pixels")),
-    "distance_m": (0.0, _FAR_M, "a positive number, or an empty cell where it is not known,"),
-    "visible_share": (0.0, 1.0, "0 .. 1, or an empty cell,"),
-    "closing_mps": (-_FAST_MPS, _FAST_MPS, "a speed in m/s, or an empty cell where it is not known,"),
+    "distance_m": (0.0, _FAR_M, "a positive number, or an empty cell where it is not known"),
+    "visible_share": (0.0, 1.0, "0 .. 1, or an empty cell"),
+    "closing_mps": (-_FAST_MPS, _FAST_MPS, "a speed in m/s, or an empty cell where it is not known"),
 }
-"""Least and greatest value of each column, and what is wanted there."""
+"""Smallest and largest value of each column, and what is expected there."""
 
 _MAY_BE_EMPTY = ("distance_m", *OPTIONAL)
 _UNKNOWN = ("", "nan")
@@ -82,19 +82,6 @@ class CsvLabels:
     closing_mps: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The rows under a header: their cells, and the line of the file that each is on."""
-
-    path: Path
-    header: tuple[str, ...]
-    rows: list[list[str]]
-    lines: list[int]
-
-    def fault(self, row: int, words: str) -> LabelFileError:
-        return LabelFileError(f"{self.path}, line {self.lines[row]}: {words}")
-
-
 def is_label_csv(path: Path) -> bool:
     """Whether a file is meant as CSV: its first line has commas or names `distance_m`, or it is an empty .csv."""
     first = _first_line(path)
@@ -122,16 +109,16 @@ def read_csv_labels(path: Path) -> CsvLabels:
     """Read a file of labels.
 
     Raises:
-        LabelFileError: unreadable, empty, without a needed column; a cell that is not what it should be, a box turned
-            inside out, an unknown class, an identity twice in a frame.
+        LabelFileError: unreadable, empty, without a required column; a cell out of range, a box with x1 >= x2 or
+            y1 >= y2, an unknown class, an identity twice in a frame.
     """
     table = _read_table(path)
-    words = _words(table)
+    words = _class_names(table)
     is_region = words == DONT_CARE
     numbers = {name: _numbers(table, name, is_region) for name in (*NEEDED, *OPTIONAL) if name != "class"}
     boxes = np.stack([numbers[name] for name in _BOX], axis=1)
     for row in np.flatnonzero(~are_sound(boxes)).tolist():
-        raise table.fault(row, "a box with x1 < x2 and y1 < y2 wanted.")
+        raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
     labels = CsvLabels(
         frame=numbers["frame"].astype(np.int64),
         track_id=np.where(is_region, -1, numbers["id"]).astype(np.int64),
@@ -142,51 +129,23 @@ def read_csv_labels(path: Path) -> CsvLabels:
         visible_share=np.where(np.isnan(numbers["visible_share"]), 1.0, numbers["visible_share"]),
         closing_mps=np.where(is_region, np.nan, numbers["closing_mps"]),
     )
-    _check_once(table, labels)
+    _check_unique(table, labels)
     return labels
 
 
-def _read_table(path: Path) -> _Table:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            found = [
-                (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
-            ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LabelFileError(f"{path}: cannot be read as CSV ({type(error).__name__}).") from error
-    if not found:
-        raise LabelFileError(f"{path}: the file is empty; {_wanted()}")
-    table = _Table(
-        path, tuple(cell.lower() for cell in found[0][1]), [row for _, row in found[1:]], [n for n, _ in found[1:]]
-    )
-    _check_header(table)
-    for number, row in enumerate(table.rows):
-        if len(row) != len(table.header):
-            raise table.fault(number, f"{len(table.header)} cells, as in the header, wanted; found {len(row)}.")
+def _read_table(path: Path) -> CsvTable:
+    expected = f"a first line with the columns {','.join(NEEDED)} (and, if known, {','.join(OPTIONAL)})"
+    table = read_csv_table(path, LabelFileError, expected, exact=True)
+    if len(table.header) == 1 or not set(NEEDED) & set(table.header):
+        raise LabelFileError(f"{path}: no header with commas between names; expected {expected}.")
+    table.require(NEEDED)
+    table.refuse_duplicates(OPTIONAL)
     return table
 
 
-def _wanted() -> str:
-    return f"a first line with the columns {','.join(NEEDED)} wanted (and, if known, {','.join(OPTIONAL)})."
-
-
-def _check_header(table: _Table) -> None:
-    header = table.header
-    missing = [name for name in NEEDED if name not in header]
-    if len(missing) == len(NEEDED) or len(header) == 1:
-        raise LabelFileError(f"{table.path}: no header with commas between names: {_wanted()}")
-    if missing:
-        raise LabelFileError(f"{table.path}: no column {', '.join(missing)}; {_wanted()}")
-    for name in (*NEEDED, *OPTIONAL):
-        if header.count(name) > 1:
-            raise LabelFileError(f"{table.path}: two columns are called {name}.")
-
-
-def _words(table: _Table) -> npt.NDArray[np.str_]:
+def _class_names(table: CsvTable) -> npt.NDArray[np.str_]:
     """(N,) classes in lower case."""
-    column = table.header.index("class")
-    words = [row[column].lower() for row in table.rows]
+    words = [word.lower() for word in table.texts("class")]
     for row, word in enumerate(words):
         if word not in ROAD_CLASS_OF and word != DONT_CARE:
             known = ", ".join(ROAD_CLASSES)
@@ -194,37 +153,27 @@ def _words(table: _Table) -> npt.NDArray[np.str_]:
     return np.array(words, np.str_)
 
 
-def _numbers(table: _Table, name: str, is_region: npt.NDArray[np.bool_]) -> FloatArray:
+def _numbers(table: CsvTable, name: str, is_region: npt.NDArray[np.bool_]) -> FloatArray:
     """(N,) numbers of a column; NaN where a cell may be empty and is, or there is no such column."""
-    if name not in table.header:
-        return np.full(len(table.rows), np.nan)
-    column = table.header.index(name)
-    may_be_empty = np.full(len(table.rows), name in _MAY_BE_EMPTY) | (is_region & (name == "id"))
-    values = np.array([_number(row[column]) for row in table.rows])
-    empty = may_be_empty & np.array([row[column].lower() in _UNKNOWN for row in table.rows], np.bool_)
-    low, high, wanted = _PLAUSIBLE[name]
-    is_sound = (values >= low) & (values <= high)
+    values = table.numbers(name)
+    low, high, expected = _PLAUSIBLE[name]
+    is_valid = (values >= low) & (values <= high)
     if name == "distance_m":
-        is_sound &= values > 0
+        is_valid &= values > 0
     if name in _WHOLE:
-        is_sound &= np.rint(values) == values
-    ignored = is_region & (name not in ("frame", *_BOX))
-    for row in np.flatnonzero(~(is_sound | empty | ignored)).tolist():
-        raise table.fault(row, f"{wanted} wanted for {name}, not '{table.rows[row][column]}'.")
+        is_valid &= np.rint(values) == values
+    if name in _MAY_BE_EMPTY:
+        is_valid |= np.array([cell.lower() in _UNKNOWN for cell in table.texts(name)], np.bool_)
+    if name not in ("frame", *_BOX):
+        is_valid |= is_region
+    table.check(name, values, is_valid, expected)
     return values
 
 
-def _number(cell: str) -> float:
-    try:
-        return np.nan if "_" in cell else float(cell)
-    except ValueError:
-        return np.nan
-
-
-def _check_once(table: _Table, labels: CsvLabels) -> None:
+def _check_unique(table: CsvTable, labels: CsvLabels) -> None:
     """Refuse an identity that is in two places at once."""
     seen: set[tuple[int, int]] = set()
     for row, key in enumerate(zip(labels.frame.tolist(), labels.track_id.tolist(), strict=True)):
         if key in seen and key[1] >= 0:
-            raise table.fault(row, f"id {key[1]} stands twice in frame {key[0]}; an object can be in one place only.")
+            raise table.fault(row, f"id {key[1]} twice in frame {key[0]}; an object can be in one place only.")
         seen.add(key)

@@ -6,7 +6,6 @@ feat.npy beside a MOTChallenge file, the same rows with a descriptor after each 
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,6 +17,7 @@ from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.csv_tables import read_csv_table
 
 _MOT_COLUMNS = range(7, 11)
 _PLAIN_COLUMNS = 6
@@ -179,19 +179,16 @@ def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
 
 
 def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
-    wanted = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-        table = np.array([[float(row[key]) for key in wanted] for row in rows]).reshape(-1, len(wanted))
-        class_id = road_class_of_each([row["class"] for row in rows])
-    except (KeyError, TypeError, ValueError, AttributeError, csv.Error) as error:
-        raise LabelFileError(f"{path}: columns {', '.join(wanted)}, class wanted, with a number in each.") from error
-    seen = table[:, 6] == 1
+    expected = ("frame", "x1_px", "y1_px", "x2_px", "y2_px", "score", "observed")
+    table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
+    table.require((*expected, "class"))
+    cells = np.stack([table.finite(name) for name in expected], axis=1)
+    class_id = road_class_of_each(table.texts("class"))
+    observed = cells[:, 6] == 1
     return (
         "the observed rows of a tracks.csv",
-        table[seen, 0].astype(np.int64),
-        Detections.of(table[seen, 1:5], table[seen, 5], class_id[seen]),
+        cells[observed, 0].astype(np.int64),
+        Detections.of(cells[observed, 1:5], cells[observed, 5], class_id[observed]),
     )
 
 

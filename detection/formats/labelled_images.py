@@ -10,7 +10,6 @@ pixel. KITTI's are taken as they are (`detection.kitti_format`).
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
 from track_range.detection.formats.yolo_labels import YoloLabelReader
 from track_range.foundation.arrays import BoolArray, Image
+from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
@@ -150,20 +150,15 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
     Raises:
         LabelFileError: unreadable, or columns are missing or wrong.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LabelFileError(f"{path}: not readable as CSV ({error}).") from error
-    if not rows or not {"file", "split", "labels_complete"} <= rows[0].keys():
-        raise LabelFileError(f"{path}: columns file, split, labels_complete wanted in a manifest.")
-    found = {}
-    for line, row in enumerate(rows, start=2):
-        flags = row["labels_complete"] or ""
+    table = read_csv_table(path, LabelFileError, "columns file, split, labels_complete")
+    table.require(("file", "split", "labels_complete"))
+    manifest = {}
+    columns = (table.texts("file"), table.texts("split"), table.texts("labels_complete"))
+    for row, (file, split, flags) in enumerate(zip(*columns, strict=True)):
         if len(flags) != len(ROAD_CLASSES) or set(flags) - {"0", "1"}:
-            raise LabelFileError(f"{path}, line {line}: {len(ROAD_CLASSES)} flags 0 or 1 wanted, not '{flags}'.")
-        found[row["file"]] = ManifestRow(row["split"], np.array([flag == "1" for flag in flags]))
-    return found
+            raise table.fault(row, f"expected {len(ROAD_CLASSES)} flags 0 or 1 for labels_complete, got '{flags}'.")
+        manifest[file] = ManifestRow(split, np.array([flag == "1" for flag in flags]))
+    return manifest
 
 
 def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestRow], split: str) -> list[LabelledImage]:

@@ -1,14 +1,13 @@
-"""A user's own boxes with known distances, from a CSV file: class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence].
+"""Boxes with known distances from a CSV file, for fitting size models.
 
-Without a header the columns are taken in that order. Distances are the user's own truth, whatever they were measured
-to. What is missing: fy is fx; cx is the middle of what the boxes span; without tracks every box is an object of its
-own, without sequences all are one.
+    class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence]
+
+Without a header the columns are taken in that order. Distances are the user's own truth, to whatever part of the object
+they were measured. Defaults: fy = fx; cx = the middle of what the boxes span; every box its own track; one sequence.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from track_range.detection.boxes import are_sound
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
 COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")
@@ -28,80 +28,47 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
     """Boxes and notes for the user; `focal_px` serves where there is no column fx.
 
     Raises:
-        LabelFileError: not readable, a column or number missing, a class unknown, a box turned inside out, no focal
-            length.
+        LabelFileError: not readable, a column or number missing, a class unknown, a box with x1 >= x2 or y1 >= y2, no
+            focal length.
     """
-    header, rows = _rows(path)
-    missing = [name for name in _NEEDED if name not in header]
-    if missing:
-        raise LabelFileError(f"{path}: no column {', '.join(missing)}; {','.join(COLUMNS[:7])} wanted.")
-    if "fx" not in header and focal_px is None:
+    table = read_csv_table(path, LabelFileError, f"columns {','.join(COLUMNS[:7])}", default_header=COLUMNS)
+    table.require(_NEEDED)
+    table.refuse_duplicates(COLUMNS)
+    if "fx" not in table and focal_px is None:
         raise LabelFileError(
             f"{path}: no focal length: add a column fx (in pixels), or give --focal-px. A camera's is in its "
             "calibration file, or width / (2 tan(field of view / 2))."
         )
-    if not rows:
+    if not len(table):
         raise LabelFileError(f"{path}: the file has no rows below its header.")
-    numbers = {name: _numbers(path, header, rows, name) for name in _NUMBERS if name in header}
-    fx = numbers.get("fx", np.full(len(rows), focal_px or np.nan))
-    _check(path, numbers, fx)
+    numbers = {name: _numbers(table, name) for name in _NUMBERS if name in table}
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
-    bad = np.flatnonzero(~are_sound(xyxy_px))
-    if len(bad):
-        raise LabelFileError(f"{path}, row {bad[0] + 1}: a box with x1 < x2 and y1 < y2 wanted.")
-    return _box_set(path, header, rows, (numbers, fx, xyxy_px))
+    for row in np.flatnonzero(~are_sound(xyxy_px)).tolist():
+        raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
+    return _box_set(table, numbers, xyxy_px, focal_px)
 
 
-def _rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Names of the columns, and the rows below them."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [[word.strip() for word in row] for row in csv.reader(file) if any(word.strip() for word in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LabelFileError(f"{path}: cannot be read as CSV ({type(error).__name__}).") from error
-    if not rows:
-        raise LabelFileError(f"{path}: the file is empty; {','.join(COLUMNS[:7])} wanted.")
-    if "class" in (word.lower() for word in rows[0]):
-        return [word.lower() for word in rows[0]], rows[1:]
-    return list(COLUMNS[: len(rows[0])]), rows
-
-
-def _numbers(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]], name: str) -> FloatArray:
-    column = header.index(name)
-    values = np.empty(len(rows))
-    for number, row in enumerate(rows):
-        try:
-            values[number] = float(row[column])
-        except (IndexError, ValueError):
-            raise LabelFileError(f"{path}, row {number + 1}: a number wanted for {name}.") from None
+def _numbers(table: CsvTable, name: str) -> FloatArray:
+    values = table.numbers(name)
+    is_positive = name in ("distance_m", "fx", "fy")
+    is_valid = np.isfinite(values) & (values > (0.0 if is_positive else -np.inf))
+    table.check(name, values, is_valid, "a positive number" if is_positive else "a finite number")
     return values
 
 
-def _check(path: Path, numbers: dict[str, FloatArray], fx: FloatArray) -> None:
-    for name, values in (*numbers.items(), ("fx", fx)):
-        lowest = 0.0 if name in ("distance_m", "fx", "fy") else -np.inf
-        bad = np.flatnonzero(~(np.isfinite(values) & (values > lowest)))
-        if len(bad):
-            what = "positive number" if lowest == 0.0 else "finite number"
-            raise LabelFileError(f"{path}, row {bad[0] + 1}: a {what} wanted for {name}, not {values[bad[0]]:g}.")
-
-
 def _box_set(
-    path: Path,
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    found: tuple[dict[str, FloatArray], FloatArray, FloatArray],
+    table: CsvTable, numbers: dict[str, FloatArray], xyxy_px: FloatArray, focal_px: float | None
 ) -> tuple[BoxSet, tuple[str, ...]]:
-    numbers, fx, xyxy_px = found
-    n = len(rows)
+    n = len(table)
+    fx = numbers["fx"] if "fx" in numbers else np.full(n, focal_px)
     middle = np.full(n, (xyxy_px[:, 0].min() + xyxy_px[:, 2].max()) / 2)
-    words = [row[header.index("class")] for row in rows]
-    sequence = _named(header, rows, "sequence")
-    names, number = np.unique(sequence, return_inverse=True)
-    track = _named(header, rows, "track")
-    notes = [] if "cx" in numbers else [f"{path.name} has no column cx: the image's middle taken at x = {middle[0]:g}."]
+    words = table.texts("class")
+    names, number = np.unique(table.texts("sequence"), return_inverse=True)
+    track = table.texts("track")
+    name = table.path.name
+    notes = [] if "cx" in numbers else [f"{name} has no column cx: the image's middle taken at x = {middle[0]:g}."]
     if len(names) == 1:
-        notes.append(f"{path.name} is one sequence: nothing tells how curves do on other drives.")
+        notes.append(f"{name} is one sequence: the curves cannot be validated on other drives.")
     boxes = BoxSet(
         sequence_names=tuple(str(name) for name in names),
         sequence=number.astype(np.int64).reshape(n),
@@ -109,7 +76,7 @@ def _box_set(
         time_s=np.arange(n, dtype=np.float64),
         track_id=np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n) if track[0] else np.arange(n),
         kitti_type=np.array(words, np.str_),
-        class_name=np.array([_class(path, word) for word in words], np.str_),
+        class_name=np.array([_class(table, row, word) for row, word in enumerate(words)], np.str_),
         xyxy_px=xyxy_px,
         fxycxy_px=np.stack([fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)], axis=1),
         size_px=np.tile(np.ceil(xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1, (n, 1)),
@@ -123,13 +90,8 @@ def _box_set(
     return boxes, tuple(notes)
 
 
-def _named(header: Sequence[str], rows: Sequence[Sequence[str]], name: str) -> list[str]:
-    column = header.index(name) if name in header else None
-    return [row[column] if column is not None and column < len(row) else "" for row in rows]
-
-
-def _class(path: Path, word: str) -> str:
+def _class(table: CsvTable, row: int, word: str) -> str:
     name = "van" if word.lower() == "van" else ROAD_CLASS_OF.get(word.lower())
     if name is None:
-        raise LabelFileError(f"{path}: class '{word}' is unknown; of {', '.join(sorted(ROAD_CLASS_OF))}.")
+        raise table.fault(row, f"class '{word}' is unknown; it must be one of {', '.join(sorted(ROAD_CLASS_OF))}.")
     return name

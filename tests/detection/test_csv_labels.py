@@ -53,30 +53,30 @@ def test_regions_have_no_identity(tmp_path):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("0,1,car,10,20,30,40", r"line 3: 8 cells, as in the header, wanted; found 7\."),
-        ("0,1,car,10,20,30,40,5,6", r"line 3: 8 cells, as in the header, wanted; found 9\."),
-        ("-1,1,car,10,20,30,40,5", r"line 3: a whole number from 0 wanted for frame, not '-1'\."),
-        ("1.5,1,car,10,20,30,40,5", "a whole number from 0 wanted for frame, not '1.5'"),
-        ("1e7,1,car,10,20,30,40,5", "a whole number from 0 wanted for frame, not '1e7'"),
-        (",1,car,10,20,30,40,5", "a whole number from 0 wanted for frame, not ''"),
-        ("0,-1,car,10,20,30,40,5", "a whole number from 0 wanted for id, not '-1'"),
-        ("0,,car,10,20,30,40,5", "a whole number from 0 wanted for id, not ''"),
-        ("0,a,car,10,20,30,40,5", "a whole number from 0 wanted for id, not 'a'"),
+        ("0,1,car,10,20,30,40", r"line 3: .*8 cells.*got 7"),
+        ("0,1,car,10,20,30,40,5,6", r"line 3: .*8 cells.*got 9"),
+        ("-1,1,car,10,20,30,40,5", r"line 3: .*a whole number from 0 for frame, got '-1'"),
+        ("1.5,1,car,10,20,30,40,5", "line 3: .*a whole number from 0 for frame, got '1.5'"),
+        ("1e7,1,car,10,20,30,40,5", "line 3: .*a whole number from 0 for frame, got '1e7'"),
+        (",1,car,10,20,30,40,5", "line 3: .*a whole number from 0 for frame, got ''"),
+        ("0,-1,car,10,20,30,40,5", "line 3: .*a whole number from 0 for id, got '-1'"),
+        ("0,,car,10,20,30,40,5", "line 3: .*a whole number from 0 for id, got ''"),
+        ("0,a,car,10,20,30,40,5", "line 3: .*a whole number from 0 for id, got 'a'"),
         (
             "0,1,tractor,10,20,30,40,5",
             r"line 3: class 'tractor' is unknown; it must be person, .*traffic sign, or dontcare",
         ),
         ("0,1,,10,20,30,40,5", "class '' is unknown"),
-        ("0,1,car,nan,20,30,40,5", "a number of pixels wanted for x1, not 'nan'"),
-        ("0,1,car,10,inf,30,40,5", "a number of pixels wanted for y1, not 'inf'"),
-        ("0,1,car,10,20,30,,5", "a number of pixels wanted for y2, not ''"),
-        ("0,1,car,30,20,10,40,5", "line 3: a box with x1 < x2 and y1 < y2 wanted"),
-        ("0,1,dontcare,10,40,30,40,", "a box with x1 < x2 and y1 < y2 wanted"),
-        ("0,1,car,10,20,30,40,-5", r"a positive number, or an empty cell .* wanted for distance_m, not '-5'\."),
-        ("0,1,car,10,20,30,40,0", "wanted for distance_m, not '0'"),
-        ("0,1,car,10,20,30,40,inf", "wanted for distance_m, not 'inf'"),
-        ("0,1,car,10,20,30,40,far", "wanted for distance_m, not 'far'"),
-        ("0,9,car,10,20,30,40,5", r"line 3: id 9 stands twice in frame 0; an object can be in one place only\."),
+        ("0,1,car,nan,20,30,40,5", "line 3: .*a number of pixels for x1, got 'nan'"),
+        ("0,1,car,10,inf,30,40,5", "line 3: .*a number of pixels for y1, got 'inf'"),
+        ("0,1,car,10,20,30,,5", "line 3: .*a number of pixels for y2, got ''"),
+        ("0,1,car,30,20,10,40,5", "line 3: .*x1 < x2"),
+        ("0,1,dontcare,10,40,30,40,", "line 3: .*x1 < x2"),
+        ("0,1,car,10,20,30,40,-5", r"positive number, or an empty cell .* for distance_m, got '-5'"),
+        ("0,1,car,10,20,30,40,0", "for distance_m, got '0'"),
+        ("0,1,car,10,20,30,40,inf", "for distance_m, got 'inf'"),
+        ("0,1,car,10,20,30,40,far", "for distance_m, got 'far'"),
+        ("0,9,car,10,20,30,40,5", r"line 3: id 9 twice in frame 0"),
     ],
 )
 def test_a_wrong_row_is_told_by_its_line(tmp_path, row, message):
@@ -88,10 +88,10 @@ def test_a_wrong_row_is_told_by_its_line(tmp_path, row, message):
 @pytest.mark.parametrize(
     ("cells", "message"),
     [
-        ("1.01,", r"0 \.\. 1, or an empty cell, wanted for visible_share, not '1\.01'"),
-        ("-0.1,", "wanted for visible_share, not '-0.1'"),
-        (",fast", "a speed in m/s, or an empty cell where it is not known, wanted for closing_mps, not 'fast'"),
-        (",1e4", "wanted for closing_mps, not '1e4'"),
+        ("1.01,", r"0 \.\. 1, or an empty cell for visible_share, got '1\.01'"),
+        ("-0.1,", "for visible_share, got '-0.1'"),
+        (",fast", "a speed in m/s.* for closing_mps, got 'fast'"),
+        (",1e4", "for closing_mps, got '1e4'"),
     ],
 )
 def test_what_may_be_left_out_must_be_right_where_it_is(tmp_path, cells, message):
@@ -102,12 +102,12 @@ def test_what_may_be_left_out_must_be_right_where_it_is(tmp_path, cells, message
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", r"the file is empty; a first line with the columns frame,id,class,x1,y1,x2,y2,distance_m wanted"),
+        (b"", r"empty; .*frame,id,class,x1,y1,x2,y2,distance_m"),
         (b"\n \n", "the file is empty"),
-        (b"\xff\xfe\x00\x01", r"cannot be read as CSV \(UnicodeDecodeError\)"),
-        (HEADER.replace(",distance_m", "").replace("id,", "").encode(), "no column id, distance_m; a first line"),
+        (b"\xff\xfe\x00\x01", r"cannot be read as CSV"),
+        (HEADER.replace(",distance_m", "").replace("id,", "").encode(), "no column id, distance_m"),
         (f"{HEADER},id\n".encode(), "two columns are called id"),
-        (b"1,1,10,20,30,40,1,1,1\n", "no header with commas between names: a first line with"),
+        (b"1,1,10,20,30,40,1,1,1\n", "no header"),
         (HEADER.replace(",", ";").encode(), "no header with commas between names"),
     ],
 )
@@ -119,7 +119,7 @@ def test_what_is_no_file_of_labels_is_said(tmp_path, content, message):
 
 
 def test_a_missing_file(tmp_path):
-    with pytest.raises(LabelFileError, match=r"cannot be read as CSV \(FileNotFoundError\)"):
+    with pytest.raises(LabelFileError, match=r"none.csv: cannot be read"):
         read_csv_labels(tmp_path / "none.csv")
 
 

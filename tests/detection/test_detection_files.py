@@ -62,7 +62,7 @@ def test_margins_become_probabilities_and_it_is_said(tmp_path):
         (b"\xff\xfe\xfd\n", "not a text file"),
         (b"1,2,3\n", "3 columns"),
         (b"1,a,3,4,5,6\n", "rows of numbers"),
-        (b"frame,class\n1,car\n", "columns frame, x1_px"),
+        (b"frame,class\n1,car\n", "no column x1_px"),
         (b"hello world\n", "17 columns"),
     ],
 )

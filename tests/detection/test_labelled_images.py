@@ -169,10 +169,10 @@ def test_a_manifest_picks_a_split_and_says_what_is_complete(folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "columns file, split, labels_complete wanted"),
-        ("file,split\na,val\n", "columns file, split, labels_complete wanted"),
-        ("file,split,labels_complete\na.png,val,101\n", "line 2: 8 flags 0 or 1 wanted, not '101'"),
-        ("file,split,labels_complete\na.png,val\n", "line 2: 8 flags"),
+        ("", "columns file, split, labels_complete"),
+        ("file,split\na,val\n", "columns file, split, labels_complete"),
+        ("file,split,labels_complete\na.png,val,101\n", "line 2: .*8 flags 0 or 1.*'101'"),
+        ("file,split,labels_complete\na.png,val\n", "line 2: .*8 flags"),
     ],
 )
 def test_manifests_that_are_wrong(tmp_path, text, message):
@@ -180,7 +180,7 @@ def test_manifests_that_are_wrong(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(LabelFileError, match=message):
         read_manifest(file)
-    with pytest.raises(LabelFileError, match="not readable as CSV"):
+    with pytest.raises(LabelFileError, match="cannot be read"):
         read_manifest(tmp_path / "none.csv")
 
 

@@ -209,7 +209,7 @@ def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_p
         (("--csv", "x"), 2, "nothing to do"),
         (("--csv", "x", "--compare", "--curve", "spline"), 2, "--curve spline: of"),
         (("--csv", "x", "--out", "c.json", "--curve", "cuboids"), 2, "wants labels with 3-D boxes"),
-        (("--csv", "none.csv", "--compare"), 1, "cannot be read as CSV"),
+        (("--csv", "none.csv", "--compare"), 1, "none.csv: cannot be read"),
     ],
 )
 def test_what_fit_refuses(cli, options, status, message):

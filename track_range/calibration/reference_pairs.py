@@ -10,7 +10,6 @@ A distance is that of the visible surface in the middle of the box, along the le
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from track_range.calibration.drive_pairs import is_drive, read_drive
 from track_range.detection.formats.csv_labels import is_whole_label_csv
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.run.settings import RunSettings
@@ -145,46 +145,25 @@ def _of_labels(path: Path, pair: OpenedPair) -> _Known:
 
 
 def _of_table(path: Path, rig: StereoRig) -> _Known:
-    rows = _rows(path)
-    given = [column for column in _KNOWN if rows and column in rows[0]]
-    if len(given) != 1 or not {"frame", *_BOX} <= set(rows[0]):
-        raise LabelFileError(
-            f"{path}: a heading and rows of frame,x1,y1,x2,y2 and distance_m or disparity_px wanted (and id, if known)."
-        )
-    frame, box, value = _numbers(rows, ["frame"], path)[:, 0], _numbers(rows, _BOX, path), _numbers(rows, given, path)
+    expected = "a header and rows of frame,x1,y1,x2,y2 and either distance_m or disparity_px (and id, if known)"
+    table = read_csv_table(path, LabelFileError, expected)
+    given = [name for name in _KNOWN if name in table]
+    if len(given) != 1 or not len(table) or not {"frame", *_BOX} <= set(table.header):
+        raise LabelFileError(f"{path}: expected {expected}.")
+    frame, value = table.finite("frame"), table.finite(given[0])
+    box = np.stack([table.finite(name) for name in _BOX], axis=1)
     low, high = _PLAUSIBLE[given[0]]
-    if not ((value >= low) & (value <= high)).all():
-        raise LabelFileError(f"{path}: {given[0]} must be {low:g} .. {high:g} in each row.")
-    _check_whole(frame, "frames", path, least=0)
-    ids = np.full(len(rows), -1)
-    if "id" in rows[0]:
-        given_ids = _numbers(rows, ["id"], path)[:, 0]
-        _check_whole(given_ids, "ids", path, least=-1)
-        ids = given_ids.astype(np.int64)
-    true_px = value[:, 0] if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value[:, 0]
+    table.check(given[0], value, (value >= low) & (value <= high), f"{low:g} .. {high:g}")
+    _check_whole(table, "frame", least=0)
+    ids = np.full(len(table), -1)
+    if "id" in table:
+        _check_whole(table, "id", least=-1)
+        ids = table.numbers("id").astype(np.int64)
+    true_px = value if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value
     return _Known(frame.astype(np.int64), ids, box, true_px)
 
 
-def _check_whole(numbers: FloatArray, name: str, path: Path, *, least: int) -> None:
-    if not ((numbers >= least) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)).all():
-        raise LabelFileError(f"{path}: {name} must be whole numbers from {least}.")
-
-
-def _rows(path: Path) -> list[dict[str, str]]:
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return list(csv.DictReader(file, skipinitialspace=True))
-    except OSError as error:
-        raise LabelFileError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{path}: it is no CSV file; rows of numbers separated by commas wanted.") from error
-
-
-def _numbers(rows: list[dict[str, str]], columns: tuple[str, ...] | list[str], path: Path) -> FloatArray:
-    try:
-        table = np.array([[float(row[column]) for column in columns] for row in rows])
-    except (TypeError, ValueError) as error:
-        raise LabelFileError(f"{path}: a number in each of {', '.join(columns)} wanted, in every row.") from error
-    if not np.isfinite(table).all():
-        raise LabelFileError(f"{path}: a number in each of {', '.join(columns)} wanted, in every row.")
-    return table
+def _check_whole(table: CsvTable, name: str, *, least: int) -> None:
+    numbers = table.numbers(name)
+    is_valid = (numbers >= least) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)
+    table.check(name, numbers, is_valid, f"a whole number from {least}")

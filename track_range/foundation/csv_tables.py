@@ -22,6 +22,7 @@ class CsvTable:
         rows: N lists of one cell per column.
         lines: N line numbers in the file, from 1.
         error: class of the exceptions that the methods raise.
+        expected: what the file should hold, for messages.
     """
 
     path: Path
@@ -29,6 +30,7 @@ class CsvTable:
     rows: list[list[str]]
     lines: list[int]
     error: type[Exception]
+    expected: str
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -44,7 +46,7 @@ class CsvTable:
         """Raise `error` unless there is exactly one column of each of these names."""
         missing = [name for name in names if name not in self.header]
         if missing:
-            raise self.error(f"{self.path}: no column {', '.join(missing)}; found {', '.join(self.header)}.")
+            raise self.error(f"{self.path}: no column {', '.join(missing)}; expected {self.expected}.")
         self.refuse_duplicates(names)
 
     def refuse_duplicates(self, names: Iterable[str]) -> None:
@@ -114,7 +116,7 @@ def read_csv_table(
         header = tuple(default_header[: len(rows[0])])
     else:
         rows, lines = rows[1:], lines[1:]
-    table = CsvTable(path, header, rows, lines, error)
+    table = CsvTable(path, header, rows, lines, error, expected)
     for index, row in enumerate(rows):
         if len(row) < len(header) and not exact:
             row.extend([""] * (len(header) - len(row)))
