@@ -1,7 +1,7 @@
 """Ranging: time per frame of the methods that need boxes only, of fusing and filtering, and of the lane finders.
 
 Boxes: road users of several classes at 8-80 m on one road, seen by a KITTI-like camera, moved by half a pixel from
-frame to frame; every method is asked as a run asks it, lane without what it learns from others; stereo, which costs
+frame to frame; every method is asked as a run asks it, lane without stereo to learn from; stereo, which costs
 what it costs elsewhere, is drawn at random and matches four boxes of five.
 Medians over frames of processor time, in turn method by method, so that all see the same machine; on one thread. Goals
 for 50 tracks: mono, ground and lane together under 0.5 ms, fusing and the three filters together under 1 ms.
@@ -32,12 +32,10 @@ from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.methods.ground_plane import GroundPlaneRanger
-from track_range.ranging.methods.lane_width import LaneWidthRanger
-from track_range.ranging.methods.size_regression import SizeRegressionRanger
-from track_range.ranging.ranger import OncePerFrame, Ranger
+from track_range.ranging.method import MethodContext
 from track_range.ranging.ranges import Ranges
-from track_range.run.pipeline import NOISE_SHARES
+from track_range.ranging.registry import create_rangers, methods
+from track_range.run.pipeline import noise_shares
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
@@ -48,8 +46,7 @@ CAMERA_HEIGHT_M, LANE_WIDTH_M = 1.65, 3.5
 KINDS_HW_M = {"car": (1.5, 1.8), "person": (1.7, 0.6), "truck": (3.3, 2.5), "bicycle": (1.7, 0.6)}
 SHARES = (0.6, 0.2, 0.1, 0.1)
 STEP_S = 0.1
-BOX_ONLY = ("mono", "ground", "lane")
-FUSE_STAGE = ("fuse", f"{len(NOISE_SHARES)} filters")
+FUSE_STAGE = ("fuse", "filters")
 STEREO_SIGMA_PER_M, STEREO_SHARE = 0.002, 0.8
 """Of stereo: relative sigma per metre of distance, and of how many boxes it has one."""
 
@@ -76,19 +73,19 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
     """Median time of each method and of what a run makes of them, for so many tracks."""
-    mono = OncePerFrame(SizeRegressionRanger(CAMERA))
-    lane = LaneWidthRanger(CAMERA)
-    rangers: dict[str, Ranger] = {"mono": mono, "ground": GroundPlaneRanger(CAMERA, mono), "lane": lane}
-    fusion, filters = Fusion(), DistanceFilters(NOISE_SHARES)
+    rangers = create_rangers(MethodContext(camera=CAMERA, has_lane_lines=True))
+    reads = {method.name: method.reads for method in methods()}
+    fusion, filters = Fusion(), DistanceFilters(noise_shares())
     tracks, lines = _tracks(n_tracks), _lines()
     watch = _Watch()
     for index in range(n_frames):
         now, frame = _moved(tracks, index), Frame(index, index * STEP_S, _BLANK, None)
-        lane.see(lines, index)
         ranges: dict[str, Ranges] = {}
         for name, ranger in rangers.items():
+            others = {other: ranges[other] for other in reads[name] if other in ranges}
             with watch.timing(name):
-                ranges[name] = ranger.measure(now, frame)
+                ranger.update_lanes(lines)
+                ranges[name] = ranger.measure_with(now, frame, others)
         ranges["stereo"] = _stereo(tracks, index)
         with watch.timing(FUSE_STAGE[0]):
             fused = fusion.fuse(ranges, now.track_id, frame.time_s)
@@ -96,7 +93,7 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
         with watch.timing(FUSE_STAGE[1]):
             filters.update(ranges, frame.time_s, ways={"fused": fused.way})
     median = watch.median_ms
-    sums = {"box-only methods": BOX_ONLY, "fusing and filtering": FUSE_STAGE}
+    sums = {"box-only methods": tuple(rangers), "fusing and filtering": FUSE_STAGE}
     return {**median, **{name: sum(median[part] for part in parts) for name, parts in sums.items()}}
 
 

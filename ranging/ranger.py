@@ -60,18 +60,3 @@ class Ranger(ABC):
     def summary(self) -> dict[str, Any]:
         """Entries for the top level of summary.json: JSON values under keys that no other part uses."""
         return {}
-
-
-class OncePerFrame(Ranger):
-    """A ranger whose answer several others want: the same tracks of the same frame are measured once."""
-
-    def __init__(self, ranger: Ranger) -> None:
-        """Ask `ranger`, and remember what it said last."""
-        self._ranger = ranger
-        self._last: tuple[Tracks, int, Ranges] | None = None
-
-    def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """What the ranger says of them."""
-        if self._last is None or self._last[0] is not tracks or self._last[1] != frame.index:
-            self._last = tracks, frame.index, self._ranger.measure(tracks, frame)
-        return self._last[2]

@@ -19,7 +19,7 @@ _STANDS_IN_FOR = {"stereo": "sgbm"}
 _NOISE_SHARE = np.array([[0.6], [0.6], [0.6], [0.3]])
 """Part of each method's sigma that is new in every frame: fixed, for fusion's split into bias and noise.
 
-Not the shares of `track_range.run.pipeline.NOISE_SHARES`, which only start the distance filters and are learnt there.
+Not the shares of `track_range.run.pipeline.noise_shares`, which only start the distance filters and are learnt there.
 """
 
 _KEPT_SHARE = np.sqrt(1 - _NOISE_SHARE**2)

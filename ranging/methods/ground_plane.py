@@ -24,11 +24,13 @@ box's centre meets the object: a car seen from its side is met up to half a metr
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
@@ -262,16 +264,29 @@ class GroundPlane:
 
 
 class GroundPlaneRanger(Ranger):
-    """The ground plane as a method of its own: asks a size ranger what the tracks' sizes say."""
+    """The ground plane as a ranging method: the horizon comes from mono's distances and from lane lines.
 
-    def __init__(self, camera: PinholeCamera, by_size: Ranger, settings: GroundSettings | None = None) -> None:
-        """Range for `camera` (undistorted), whose horizon `by_size` helps to find."""
-        self._by_size = by_size
+    Attributes:
+        plane: the estimator of the horizon.
+    """
+
+    def __init__(self, camera: PinholeCamera, settings: GroundSettings | None = None) -> None:
+        """Range for `camera` (undistorted)."""
         self.plane = GroundPlane(camera, settings)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of what stands on the ground, see `GroundPlane.measure`."""
-        return self.plane.measure(tracks, self._by_size.measure(tracks, frame), frame)
+        """Distances of what stands on the ground, by the horizon as known so far."""
+        return self.measure_with(tracks, frame, {})
+
+    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
+        """Distances of what stands on the ground, see `GroundPlane.measure`; mono's teach the horizon."""
+        by_size = others.get("mono", Ranges.unmeasured(tracks.track_id))
+        return self.plane.measure(tracks, by_size, frame)
+
+    def update_lanes(self, lines: LaneLines) -> None:
+        """Take the row where the lines meet as a measurement of the horizon."""
+        if (horizon := lines.horizon_px()) is not None:
+            self.plane.hint(*horizon)
 
 
 def _information(settings: GroundSettings, camera: PinholeCamera) -> FloatArray:
@@ -293,7 +308,7 @@ def _create(context: MethodContext) -> Ranger:
     settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
-    return GroundPlaneRanger(context.camera, context.rangers["mono"], settings)
+    return GroundPlaneRanger(context.camera, settings)
 
 
 GROUND = RangingMethod(

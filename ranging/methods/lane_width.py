@@ -15,7 +15,7 @@ so d is the distance of its surface where that is upright: a car's rear.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,7 +72,7 @@ class LaneWidth:
         variance = self.sigma**2 + LANE_WIDTH_SIGMA**2 * step_s / _FORGETTING_S
         return replace(self, sigma=min(variance**0.5, max(LANE_WIDTH_SIGMA, self.sigma)))
 
-    def taught(self, width_m: FloatArray, sigma: FloatArray) -> LaneWidth:
+    def updated_with(self, width_m: FloatArray, sigma: FloatArray) -> LaneWidth:
         """Put together with widths (N,) measured in one image and their relative standard deviations, N >= 1.
 
         They share most of their errors, and count as one. Strays count nothing, but shake the belief: where all of them
@@ -91,8 +91,6 @@ class LaneWidth:
 class LaneWidthRanger(Ranger):
     """Ranges observed boxes that stand in the own lane or in a neighbour of it.
 
-    Lines come from outside, image by image: `see` them, then `measure`.
-
     Attributes:
         lane: the lane's width as known so far.
     """
@@ -104,6 +102,7 @@ class LaneWidthRanger(Ranger):
         width_m: float = LANE_WIDTH_M,
         width_sigma: float = LANE_WIDTH_SIGMA,
         box_sigma_px: float = 1.5,
+        width_from: str | None = None,
     ) -> None:
         """Range for `camera` (undistorted).
 
@@ -112,20 +111,22 @@ class LaneWidthRanger(Ranger):
             width_m: the lanes' width, between the middles of the lines.
             width_sigma: its relative standard deviation.
             box_sigma_px: standard deviation of a detected box's bottom edge.
+            width_from: the method that `measure_with` learns the width from; None = the width is known.
         """
         self._camera = camera
         self._box_sigma_px = box_sigma_px
         self.lane = LaneWidth(width_m, width_sigma)
-        self._lines, self._of_frame = LaneLines(), -1
-        self._last: tuple[Tracks, _Widths | None] | None = None  # what `measure` saw is what `learn` needs
+        self._width_from = width_from
+        self._lines = LaneLines()
+        self._last: tuple[Tracks, _Widths | None] | None = None  # `update_width` needs what `measure` has used
         self._taught_s = np.nan
 
-    def see(self, lines: LaneLines, frame_index: int) -> None:
-        """Take the lane's lines for a frame, of it or of the last look, before it is measured."""
-        self._lines, self._of_frame, self._last = lines, frame_index, None
+    def update_lanes(self, lines: LaneLines) -> None:
+        """Measure against these lines from now on."""
+        self._lines, self._last = lines, None
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the tracks; NaN where this frame's lines are not known.
+        """Distances of the tracks; NaN where no two lines are known.
 
         NaN also for boxes that are predicted, cut off at the bottom, of lights and signs, farther aside than the
         neighbouring lanes, or far outside the rows in which the lines were seen.
@@ -140,8 +141,18 @@ class LaneWidthRanger(Ranger):
         distance_m = np.where(sure, distance_m, np.nan)
         return Ranges(tracks.track_id, distance_m, distance_m * sigma)
 
-    def learn(self, tracks: Tracks, frame: Frame, measured: Ranges) -> None:
-        """Take the lane's width from distances that another method (stereo) measured in the frame seen last.
+    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
+        """As `measure`, with sigmas inflated where the other methods disagree with all of a frame's distances.
+
+        Then learns the width of the lane from one of them.
+        """
+        ranges = inflated_by_disagreement(self.measure(tracks, frame), list(others.values()))
+        if self._width_from is not None and self._width_from in others:
+            self.update_width(tracks, frame, others[self._width_from])
+        return ranges
+
+    def update_width(self, tracks: Tracks, frame: Frame, measured: Ranges) -> None:
+        """Learn the width of the lane from another method's distances of the same tracks.
 
         From then on `measure` is no longer independent of that method.
         """
@@ -155,14 +166,12 @@ class LaneWidthRanger(Ranger):
         distance_m, sigma_m = measured.distance_m[usable], measured.sigma_m[usable]
         step_s = 0.0 if np.isnan(self._taught_s) else max(frame.time_s - self._taught_s, 0.0)
         self._taught_s = frame.time_s
-        self.lane = self.lane.after(step_s).taught(
+        self.lane = self.lane.after(step_s).updated_with(
             width_px[usable] * distance_m / self._camera.fx_px, np.hypot(sigma_w[usable], sigma_m / distance_m)
         )
 
     def _seen(self, tracks: Tracks, frame: Frame) -> _Widths | None:
         """`_widths`, worked out once for the same tracks."""
-        if self._of_frame != frame.index:
-            return None
         if self._last is None or self._last[0] is not tracks:
             self._last = tracks, self._widths(tracks, frame.left.shape[0])
         return self._last[1]
@@ -193,7 +202,7 @@ class LaneWidthRanger(Ranger):
         return width_px, np.hypot(sigma_px / wide, _ROAD_SIGMA), good
 
 
-def doubted(found: Ranges, others: Sequence[Ranges]) -> Ranges:
+def inflated_by_disagreement(found: Ranges, others: Sequence[Ranges]) -> Ranges:
     """Distances by lane whose sigmas know what they are all off by together, as other methods see it.
 
     The lines may be those of another lane, or of none: then all distances of a frame are wrong by one factor, which
@@ -229,7 +238,9 @@ def _reached_px(left: LaneLine, right: LaneLine, width: FloatArray) -> tuple[flo
 
 
 def _create(context: MethodContext) -> Ranger:
-    return LaneWidthRanger(context.camera, width_m=context.lane_width_m)
+    # Stereo of an uncalibrated pair knows no metres that a lane's width could be learnt from.
+    width_from = None if context.focal_sigma else "stereo"
+    return LaneWidthRanger(context.camera, width_m=context.lane_width_m, width_from=width_from)
 
 
 LANE = RangingMethod(

@@ -47,7 +47,7 @@ def _create(context: MethodContext) -> Ranger | None:
         return None
     matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
     if context.rig is None:
-        return SizeScaledRanger(matcher, context.rangers["mono"])
+        return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
     return PatchRanger(rig, matcher, alignment=context.alignment)
 
 

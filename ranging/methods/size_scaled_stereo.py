@@ -10,6 +10,9 @@ to the doubt is common to mono as well, and not in these sigmas.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
@@ -104,19 +107,55 @@ class SizeScaledRanger(Ranger):
         scale: what has been learnt so far.
     """
 
-    def __init__(self, matcher: BoxMatcher, by_size: Ranger) -> None:
-        """Scale what `matcher` finds by the distances of `by_size`, a ranger for the same camera."""
+    def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
+        """Scale the disparities of `matcher`.
+
+        Args:
+            matcher: of boxes.
+            focal_px: focal length with which the sizes were turned into distances,
+            focal_sigma: and its relative standard deviation; both are for the summary alone.
+        """
         self._matcher = TrackMatcher(matcher)
-        self._by_size = by_size
+        self._focal_px, self._focal_sigma = focal_px, focal_sigma
         self.scale = FocalBaseline()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match; NaN for the rest, and for all while no size has told the scale."""
+        """Distances of the boxes that match, by the scale as known so far; NaN for all while it is unknown."""
+        return self.measure_with(tracks, frame, {})
+
+    def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
+        """Distances of the boxes that match, after mono's distances have taught the scale; NaN for the rest."""
         disparity_px, sigma_px = self._matcher.match(tracks, frame)
-        self.scale.learn(disparity_px, self._by_size.measure(tracks, frame))
+        if "mono" in others:
+            self.scale.learn(disparity_px, others["mono"])
         focal_baseline, relative_sigma = self.scale.estimate()
         with np.errstate(invalid="ignore"):
             disparity_px = np.where(disparity_px > 0, disparity_px, np.nan)
         distance_m = focal_baseline / disparity_px
         relative = np.hypot(relative_sigma, np.hypot(sigma_px, _UNALIGNED_SIGMA_PX) / disparity_px)
         return Ranges(tracks.track_id, distance_m, distance_m * relative)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The baseline that the sizes imply, and how sure that is; nothing as long as no track has been matched."""
+        learnt = self.summary().get("learnt_scale")
+        if learnt is None:
+            return ()
+        return (
+            f"Uncalibrated: with a focal length of {learnt['focal_px']:.0f} px the sizes of {learnt['n_tracks']} "
+            f"tracks say a baseline of {learnt['baseline_m']:.2f} m; all distances are good to about "
+            f"{100 * learnt['relative_sigma']:.0f} %.",
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """The learnt scale: focal length, baseline, relative sigma of all distances, number of tracks."""
+        if not self.scale.n_tracks:
+            return {}
+        focal_baseline, sigma = self.scale.estimate()
+        learnt = {
+            "focal_px": self._focal_px,
+            "baseline_m": focal_baseline / self._focal_px,
+            "relative_sigma": float(np.hypot(sigma, self._focal_sigma)),
+            "n_tracks": self.scale.n_tracks,
+        }
+        return {"learnt_scale": learnt}

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.ranging.methods.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
-from track_range.ranging.methods.size_regression import SizeRegressionRanger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -191,8 +190,12 @@ def test_offset_from_the_ground_to_the_surface():
     assert surface_offset_m(boxes, np.array([CAR, CAR, PERSON])) == pytest.approx([0.03, 0.45, 0.05])
 
 
-def test_the_ranger_asks_a_size_ranger():
-    ranger = GroundPlaneRanger(CAMERA, SizeRegressionRanger(CAMERA), GroundSettings.of_known_height(HEIGHT_M))
-    found = ranger.measure(cars_at([20.0, 40.0, 60.0])[0], at(0.0))
-    assert found.distance_m == pytest.approx([20.0, 40.0, 60.0], rel=0.2)
-    assert ranger.plane.horizon.y_px == pytest.approx(CY_PX, abs=5.0)
+def test_the_ranger_finds_the_horizon_by_monos_distances():
+    ranger = GroundPlaneRanger(CAMERA, GroundSettings.of_known_height(HEIGHT_M))
+    tracks, by_size = cars_at([20.0, 40.0, 60.0], horizon_px=CY_PX + 20.0)
+    alone = ranger.measure(tracks, at(0.0))
+    assert ranger.plane.horizon.y_px == pytest.approx(CY_PX, abs=1e-6)
+    found = ranger.measure_with(tracks, at(0.0), {"mono": by_size})
+    assert ranger.plane.horizon.y_px == pytest.approx(CY_PX + 20.0, abs=5.0)
+    error = [np.abs(ranges.distance_m / [20.0, 40.0, 60.0] - 1)[0] for ranges in (alone, found)]
+    assert error[1] < error[0] < 0.6

@@ -5,7 +5,12 @@ from tests.detection.lane_roads import CENTRE_PX, FOCAL_PX, HORIZON_PX, HW, pict
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.edges import EdgeLaneFinder
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.methods.lane_width import LANE_WIDTH_SIGMA, LaneWidth, LaneWidthRanger, doubted
+from track_range.ranging.methods.lane_width import (
+    LANE_WIDTH_SIGMA,
+    LaneWidth,
+    LaneWidthRanger,
+    inflated_by_disagreement,
+)
 from track_range.ranging.ranges import Ranges
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
@@ -13,6 +18,7 @@ from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(FOCAL_PX, FOCAL_PX, CENTRE_PX, HORIZON_PX, HW[1], HW[0])
 CAR = ROAD_CLASSES.index("car")
+SCALES = (("mono", 0.7), ("stereo", 1.1))
 FRAME = Frame(7, 0.0, np.zeros((*HW, 3), np.uint8), None)
 
 
@@ -41,7 +47,7 @@ def standing_at(*distance_m, lanes_aside=0.0, class_id=CAR, observed=True):
 
 def measured(tracks, seen=None, **more):
     ranger = LaneWidthRanger(CAMERA, **more)
-    ranger.see(seen or lines(), FRAME.index)
+    ranger.update_lanes(seen or lines())
     return ranger.measure(tracks, FRAME)
 
 
@@ -98,17 +104,14 @@ def test_unsure_lines_measure_nothing():
     assert np.isnan(measured(standing_at(15.0), lines(sigma_px=40.0)).distance_m).all()
 
 
-def test_lines_of_another_frame_are_not_used():
-    ranger = LaneWidthRanger(CAMERA)
-    assert np.isnan(ranger.measure(standing_at(15.0), FRAME).distance_m).all()
-    ranger.see(lines(), FRAME.index - 1)
-    assert np.isnan(ranger.measure(standing_at(15.0), FRAME).distance_m).all()
+def test_without_lines_nothing_is_measured():
+    assert np.isnan(LaneWidthRanger(CAMERA).measure(standing_at(15.0), FRAME).distance_m).all()
 
 
 def test_lines_and_tracks_that_are_other_ones_are_looked_at_anew():
     ranger, tracks = LaneWidthRanger(CAMERA), standing_at(15.0)
     for seen in (lines(), LaneLines(), lines()):
-        ranger.see(seen, FRAME.index)
+        ranger.update_lanes(seen)
         expected = measured(tracks, seen).distance_m
         assert ranger.measure(tracks, FRAME).distance_m == pytest.approx(expected, nan_ok=True)
     assert ranger.measure(standing_at(12.0, 20.0), FRAME).distance_m == pytest.approx([12.0, 20.0], rel=0.01)
@@ -119,9 +122,9 @@ def learn(ranger, lane_m, n_frames, *, noise=0.02, first=0):
     for i in range(first, first + n_frames):
         frame = Frame(i, i * 0.1, FRAME.left, None)
         tracks = standing_at(12.0, 20.0)
-        ranger.see(lines(lane_m), i)
+        ranger.update_lanes(lines(lane_m))
         stereo_m = np.array([12.0, 20.0]) * (1 + noise * rng.standard_normal(2))
-        ranger.learn(tracks, frame, Ranges(tracks.track_id, stereo_m, 0.02 * stereo_m))
+        ranger.update_width(tracks, frame, Ranges(tracks.track_id, stereo_m, 0.02 * stereo_m))
     return ranger
 
 
@@ -129,6 +132,16 @@ def test_the_width_is_learnt_from_stereo():
     ranger = learn(LaneWidthRanger(CAMERA), 4.0, 20)
     assert ranger.lane.width_m == pytest.approx(4.0, rel=0.02)
     assert 0.014 < ranger.lane.sigma < 0.03
+
+
+def test_the_width_is_learnt_from_one_method_after_measuring():
+    tracks = standing_at(12.0, 20.0)
+    others = {name: Ranges(tracks.track_id, scale * np.array([12.0, 20.0]), np.ones(2)) for name, scale in SCALES}
+    for width_from, width_m in (("stereo", 3.85), (None, 3.5)):
+        ranger = LaneWidthRanger(CAMERA, width_sigma=0.2, width_from=width_from)
+        ranger.update_lanes(lines())
+        assert ranger.measure_with(tracks, FRAME, others).distance_m == pytest.approx([12.0, 20.0])
+        assert ranger.lane.width_m == pytest.approx(width_m, rel=0.03)
 
 
 def test_another_lane_is_learnt_anew():
@@ -139,17 +152,17 @@ def test_another_lane_is_learnt_anew():
 def test_nothing_is_learnt_from_nothing():
     ranger = LaneWidthRanger(CAMERA)
     tracks = standing_at(15.0)
-    ranger.learn(tracks, FRAME, Ranges(tracks.track_id, np.array([15.0]), np.array([0.1])))  # no lines seen
-    ranger.see(lines(4.0), FRAME.index)
-    ranger.learn(tracks, FRAME, Ranges.unmeasured(tracks.track_id))
+    ranger.update_width(tracks, FRAME, Ranges(tracks.track_id, np.array([15.0]), np.array([0.1])))  # no lines seen
+    ranger.update_lanes(lines(4.0))
+    ranger.update_width(tracks, FRAME, Ranges.unmeasured(tracks.track_id))
     assert ranger.lane == LaneWidth()
 
 
 def test_one_image_teaches_by_the_rule_of_inverse_variances():
-    taught = LaneWidth(3.5, 0.1).taught(np.array([3.85]), np.array([0.1]))
+    taught = LaneWidth(3.5, 0.1).updated_with(np.array([3.85]), np.array([0.1]))
     assert taught.width_m == pytest.approx(3.5 * np.sqrt(1.1))  # half way, in logarithms
     assert taught.sigma == pytest.approx(0.1 / np.sqrt(2))
-    many = LaneWidth(3.5, 0.1).taught(np.full(50, 3.85), np.full(50, 0.1))
+    many = LaneWidth(3.5, 0.1).updated_with(np.full(50, 3.85), np.full(50, 0.1))
     assert many == taught  # they share their errors
     assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(LANE_WIDTH_SIGMA)  # not beyond the first guess
     assert LaneWidth(3.5, 0.02).after(0.6).sigma == pytest.approx(np.hypot(0.02, 0.1 * LANE_WIDTH_SIGMA))
@@ -158,7 +171,7 @@ def test_one_image_teaches_by_the_rule_of_inverse_variances():
 def test_from_a_picture_to_metres():
     """A painted road, its lines found by their edges; the exact truth is what the picture was drawn from."""
     ranger = LaneWidthRanger(CAMERA)
-    ranger.see(EdgeLaneFinder().find(picture(-1.75, 1.75), 0.0), FRAME.index)
+    ranger.update_lanes(EdgeLaneFinder().find(picture(-1.75, 1.75), 0.0))
     true_m = np.array([6.0, 10.0, 20.0, 30.0])
     ranges = ranger.measure(standing_at(*true_m), FRAME)
     error = ranges.distance_m / true_m - 1
@@ -173,7 +186,7 @@ def by(distance_m, relative_sigma):
 
 def test_lines_of_another_lane_are_doubted_by_what_all_distances_are_off_together():
     true_m = np.array([10.0, 20.0, 40.0, 50.0])
-    wrong = doubted(by(0.7 * true_m, 0.03), [by(true_m, 0.08)])
+    wrong = inflated_by_disagreement(by(0.7 * true_m, 0.03), [by(true_m, 0.08)])
     error = 1.25 * np.hypot(0.03, 0.08) / 2
     np.testing.assert_allclose(wrong.sigma_m / wrong.distance_m, np.hypot(0.03, -np.log(0.7) - error))
     np.testing.assert_array_equal(wrong.distance_m, 0.7 * true_m)
@@ -182,18 +195,20 @@ def test_lines_of_another_lane_are_doubted_by_what_all_distances_are_off_togethe
 def test_right_lines_are_not_doubted_for_what_one_object_is_off():
     true_m = np.array([10.0, 20.0, 40.0, 50.0])
     by_size = by(true_m * [1.05, 0.97, 2.2, 0.98], 0.08)  # the third is taken for a truck
-    np.testing.assert_allclose(doubted(by(true_m, 0.03), [by_size]).sigma_m, 0.03 * true_m)
+    np.testing.assert_allclose(inflated_by_disagreement(by(true_m, 0.03), [by_size]).sigma_m, 0.03 * true_m)
 
 
 def test_two_eyes_are_believed_before_sizes():
     true_m, nobody = np.array([10.0, 20.0]), np.full(2, np.nan)
     lane = by(true_m, 0.03)
-    np.testing.assert_allclose(doubted(lane, [by(2 * true_m, 0.08), by(true_m, 0.01)]).sigma_m, lane.sigma_m)
-    assert (doubted(lane, [by(2 * true_m, 0.08), by(nobody, 0.01)]).sigma_m > 0.5 * true_m).all()
+    np.testing.assert_allclose(
+        inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(true_m, 0.01)]).sigma_m, lane.sigma_m
+    )
+    assert (inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(nobody, 0.01)]).sigma_m > 0.5 * true_m).all()
 
 
 @pytest.mark.parametrize("others", [[], [by([np.nan, np.nan], 0.1)]])
 def test_where_nobody_else_measures_nothing_is_doubted(others):
     lane = by([10.0, np.nan], 0.03)
-    np.testing.assert_array_equal(doubted(lane, others).sigma_m, lane.sigma_m)
-    assert len(doubted(by([], 0.03), [by([], 0.1)])) == 0
+    np.testing.assert_array_equal(inflated_by_disagreement(lane, others).sigma_m, lane.sigma_m)
+    assert len(inflated_by_disagreement(by([], 0.03), [by([], 0.1)])) == 0

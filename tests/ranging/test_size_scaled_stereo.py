@@ -77,21 +77,25 @@ class Matched:
         return PatchMatches(self.disparity_px, np.full(n, 0.1), np.zeros(n, np.int64))
 
 
-class Sized:
-    """A ranger by size that knows 15 m for the first track, and nothing of the others."""
-
-    def measure(self, tracks, frame):
-        return by_size(tracks.track_id, np.where(tracks.track_id == 1, 15.0, np.nan))
-
-
 def test_a_track_without_a_size_is_ranged_by_what_the_others_told():
-    ranger = SizeScaledRanger(Matched(24.0, 12.0, -3.0), Sized())
-    ranges = ranger.measure(tracks_of(1, 2, 3), Frame(0, 0.0, IMAGE, IMAGE))
+    ranger = SizeScaledRanger(Matched(24.0, 12.0, -3.0), focal_px=720.0, focal_sigma=0.25)
+    frame, tracks = Frame(0, 0.0, IMAGE, IMAGE), tracks_of(1, 2, 3)
+    assert np.isnan(ranger.measure(tracks, frame).distance_m).all()
+    assert (ranger.notes, ranger.summary()) == ((), {})
+    ranges = ranger.measure_with(tracks, frame, {"mono": by_size([1, 2, 3], [15.0, np.nan, np.nan])})
     np.testing.assert_allclose(ranges.distance_m, [15.0, 30.0, np.nan])
     scale_sigma = ranger.scale.estimate()[1]
     assert ranges.sigma_m[1] == pytest.approx(30.0 * np.hypot(scale_sigma, np.hypot(0.1, 1.0) / 12))
+    learnt = ranger.summary()["learnt_scale"]
+    assert learnt == {
+        "focal_px": 720.0,
+        "baseline_m": pytest.approx(0.5),
+        "relative_sigma": pytest.approx(np.hypot(scale_sigma, 0.25)),
+        "n_tracks": 1,
+    }
+    assert "0.50 m" in ranger.notes[0]
 
 
 def test_without_a_right_eye_nothing_is_measured():
-    ranges = SizeScaledRanger(Matched(24.0), Sized()).measure(tracks_of(1), Frame(0, 0.0, IMAGE, None))
+    ranges = SizeScaledRanger(Matched(24.0), focal_px=720.0).measure(tracks_of(1), Frame(0, 0.0, IMAGE, None))
     assert np.isnan(ranges.distance_m).all()

@@ -6,6 +6,7 @@ import numpy as np
 
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
@@ -38,7 +39,7 @@ class Numbered:
         return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
 
 
-class Exact:
+class Exact(Ranger):
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         return Ranges(tracks.track_id, z_m_at(frame.time_s), np.full(2, 0.3))
 

@@ -5,7 +5,8 @@ import pytest
 
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.ranging.methods.ground_plane import GroundPlane
+from track_range.ranging.methods.ground_plane import GroundPlaneRanger
+from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.run.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -24,7 +25,7 @@ class OneTrack:
         return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
 
 
-class Falling:
+class Falling(Ranger):
     """A ranger whose distance shrinks by 10 m/s from 50 m."""
 
     def measure(self, tracks, frame):
@@ -86,31 +87,54 @@ class LinesTo:
         return LaneLines(left, right)
 
 
-@pytest.mark.parametrize("y_px", [35.0, 44.0])
-def test_the_grounds_horizon_is_where_lane_lines_meet(y_px):
-    loop, plane = pipeline(), GroundPlane(CAMERA)
-    loop.lane_finder, loop.ground = LinesTo(y_px), plane
-    assert len(list(loop.run(frames(3)))) == 3
-    assert plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
+class Listening(Falling):
+    """A ranger that keeps what its hooks are called with."""
+
+    background_s = 7.0
+
+    def __init__(self):
+        self.started, self.lanes, self.others, self.is_closed = [], [], [], False
+
+    def start(self, frame):
+        self.started.append(frame.index)
+
+    def update_lanes(self, lines):
+        self.lanes.append(lines)
+
+    def measure_with(self, tracks, frame, others):
+        self.others.append(set(others))
+        return self.measure(tracks, frame)
+
+    def close(self):
+        self.is_closed = True
 
 
-class Told(GroundPlane):
-    """A ground that counts what it is told."""
+def test_every_hook_of_a_ranger_is_called():
+    loop, ranger = pipeline(), Listening()
+    loop.rangers = {"mono": Falling(), "sgbm": Falling(), "stereo": Falling(), "lane": ranger}
+    loop.lane_finder = LinesTo(40.0)
+    list(loop.run(frames(3)))
+    assert ranger.started == [0, 1, 2]
+    assert ranger.others == [{"mono", "stereo"}] * 3  # what lane reads, and no more
+    assert ranger.is_closed
+    assert 7.0 <= loop.clock.busy_s["lane"] < 8.0
 
-    n_told = 0
 
-    def hint(self, y_px, sigma_px):
-        self.n_told += 1
-        super().hint(y_px, sigma_px)
-
-
-def test_lanes_are_looked_for_ten_times_a_second_and_told_to_the_ground_once_a_look():
-    loop, plane = pipeline(), Told(CAMERA)
-    loop.lane_finder, loop.ground = LinesTo(40.0), plane
+def test_lanes_are_searched_ten_times_a_second_and_passed_on_once():
+    loop, ranger = pipeline(), Listening()
+    loop.lane_finder, loop.rangers = LinesTo(40.0), {"ground": ranger}
     results = list(loop.run(frames(7, dt_s=1 / 30)))
     assert loop.lane_finder.looked_s == pytest.approx([0.0, 0.1, 0.2])
     assert [r.lanes is results[0].lanes for r in results] == [True] * 3 + [False] * 4
-    assert plane.n_told == 3
+    assert [id(lines) for lines in ranger.lanes] == [id(results[i].lanes) for i in (0, 3, 6)]
+
+
+@pytest.mark.parametrize("y_px", [35.0, 44.0])
+def test_the_grounds_horizon_is_where_lane_lines_meet(y_px):
+    loop, ranger = pipeline(), GroundPlaneRanger(CAMERA)
+    loop.lane_finder, loop.rangers = LinesTo(y_px), {"ground": ranger}
+    assert len(list(loop.run(frames(3)))) == 3
+    assert ranger.plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
 
 
 def test_a_frame_without_boxes_is_a_result_without_rows():
@@ -146,7 +170,7 @@ def test_closing_early_stops_reading():
 
 
 def test_a_receding_track_has_no_time_to_collision():
-    class Rising:
+    class Rising(Ranger):
         def measure(self, tracks, frame):
             return Ranges(tracks.track_id, np.full(len(tracks), 20 + 5 * frame.time_s), np.full(len(tracks), 0.2))
 

@@ -1,18 +1,19 @@
-r"""The loop: frames in, what is known about each frame out, with reading, inference and writing overlapped.
+r"""The loop of a run: frames in, one result per frame out; reading, inference and writing overlap.
 
-reading thread      detection thread           caller's thread                     (the writer's thread: results)
-frame ------------> detect ------------------> track, measure, fuse, filter -----> FrameResult
-              \---> dense disparity (a thread of its own) ---/
+    reading thread -> lanes thread -> detection thread -> caller's thread -------------------> FrameResult
+    decode            lane lines      boxes               track, measure, fuse, filter
+                                      \---> background work of rangers ---/
+
+The way of one image is `Pipeline.run`, which lists the threads, and `Pipeline.result`, which lists the steps.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
-from threading import Lock
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,76 +25,69 @@ from track_range.ranging.filtering.collision_course import CollisionCourse
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.methods.dense_stereo import DenseRanger
-from track_range.ranging.methods.ground_plane import GroundPlane
-from track_range.ranging.methods.lane_width import LaneWidthRanger, doubted
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import prefetch
+from track_range.run.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracker import Tracker
 from track_range.tracking.tracks import Tracks
 
-STAGES = ("read", "lanes", "detect", "track", "mono", "ground", "lane", "stereo", "sgbm", "fuse", "write")
+FUSED_NOISE_SHARE = 0.35
+"""Part of the fused sigma that is independent from frame to frame, where the distance filter starts."""
 
-NOISE_SHARES: Mapping[str, float] = {"mono": 0.6, "stereo": 0.3, "fused": 0.35}
-"""Methods with a distance filter, and the part of their sigma that is independent from frame to frame.
+_LANE_INTERVAL_S = 0.09
+"""Between two searches for lane lines: the lane hardly moves in between, and finders take time."""
 
-Where the filter starts; it learns the share from its innovations. Mono tells it box by box (`Ranges.sigma_kept_m`).
-Not the shares of `ranging.readings`: those are fixed, and split each input's sigma into bias and noise for fusion;
-these are start values for one filter per distance, `fused` among them, whose noise is that of the mixture.
-"""
-
-_READ_AHEAD = 4
-_DETECT_AHEAD = 2
-_LANES_EVERY_S = 0.09  # a lane hardly moves in between, and finders take time: of 30 frames/s, every third is looked at
-_BY_THE_WALL = ("detect",)  # stages whose time is the wall's, since they have threads of their own
+_T = TypeVar("_T")
 
 
-class StageClock:
-    """Seconds of work in each stage, counted from whichever thread does it.
+def noise_shares() -> dict[str, float]:
+    """Distances with a filter over time, and the part of their sigma that is independent from frame to frame.
 
-    Inference has threads of its own and is timed by the wall's clock; the other stages work in one thread, and their
-    processor time is counted: waiting for a core, since they give way to inference, is no cost of theirs.
+    The filters start with it and learn it from their innovations. Fusion uses the methods' error sources as declared.
+    """
+    filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
+    return {**filtered, "fused": FUSED_NOISE_SHARE}
+
+
+@dataclass(frozen=True, slots=True)
+class QueueDepths:
+    """How many frames each thread may be ahead of the next one.
+
+    Attributes:
+        read: frames decoded and waiting.
+        lanes: frames whose lane lines are known and that wait for detection.
+        detected: frames with boxes that wait for the caller.
     """
 
-    def __init__(self) -> None:
-        """Start at zero."""
-        self.busy_s = dict.fromkeys(STAGES, 0.0)
-        self._lock = Lock()
+    read: int = 4
+    lanes: int = 2
+    detected: int = 2
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time of the with-block to a stage."""
-        now_s = time.perf_counter if name in _BY_THE_WALL else time.thread_time
-        began_s = now_s()
-        try:
-            yield
-        finally:
-            with self._lock:
-                self.busy_s[name] += now_s() - began_s
+
+LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)
+"""For a camera: frames do not wait, so that results are as new as can be."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Pipeline:
-    """The stages of one run; what they remember belongs to the instance.
+    """The stages of one run, and their state.
 
     Attributes:
-        camera: the left camera that the frames seem to come from.
+        camera: the left camera, undistorted.
         detect: boxes of a frame.
         tracker: gives them identities.
-        rangers: methods by name ("mono", "ground", "stereo"), measured side by side.
-        lane_finder: finds the own lane's lines, for `lane`; None = not wanted.
-        ground: whose horizon the lane's lines help to find; None = nobody's.
-        lane: the method that lives on them; where there is a calibrated pair, stereo teaches it the lane's width.
-        dense: dense matching in its own thread ("sgbm"); None = not wanted.
-        ego_speed: how fast the camera moves; None = unknown.
-        shared_sigma: relative error that all methods share, from a focal length that nobody has calibrated.
-        is_live: frames come from a camera: none waits, so that results are as new as can be.
-        notes: sentences for the user on the network that describes boxes for the tracker.
-        clock: where the time goes.
+        rangers: the ranging methods by name, in the order in which they measure (`registry.create_rangers`).
+        lane_finder: finds the lines of the own lane; None = off.
+        ego_speed: speed of the camera; None = unknown.
+        shared_sigma: relative error that all methods share, from an uncalibrated focal length.
+        depths: frames that each thread may be ahead.
+        notes: sentences for the user on the parts of the pipeline.
+        clock: time by stage.
     """
 
     camera: PinholeCamera
@@ -101,17 +95,17 @@ class Pipeline:
     tracker: Tracker
     rangers: Mapping[str, Ranger]
     lane_finder: LaneFinder | None = None
-    ground: GroundPlane | None = None
-    lane: LaneWidthRanger | None = None
-    dense: DenseRanger | None = None
     ego_speed: EgoSpeed | None = None
     shared_sigma: float = 0.0
-    is_live: bool = False
+    depths: QueueDepths = field(default_factory=QueueDepths)
     notes: tuple[str, ...] = ()
     clock: StageClock = field(default_factory=StageClock)
     _fusion: Fusion = field(default_factory=Fusion)
-    _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(NOISE_SHARES))
-    _hinted: LaneLines | None = None
+    _filters: DistanceFilters = field(default_factory=lambda: DistanceFilters(noise_shares()))
+    _reads: dict[str, tuple[str, ...]] = field(
+        default_factory=lambda: {method.name: method.reads for method in methods()}
+    )
+    _lanes: LaneLines | None = None
     _course: CollisionCourse = field(init=False)
 
     def __post_init__(self) -> None:
@@ -119,103 +113,96 @@ class Pipeline:
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """The results of each frame in order; closing the generator ends the threads."""
-        read_ahead, detect_ahead = (1, 1) if self.is_live else (_READ_AHEAD, _DETECT_AHEAD)
         with ExitStack() as stack:
-            stack.callback(self._end_dense)
-            # All are closed, the last one first: no thread may still read when the videos are closed.
-            read = stack.enter_context(closing(prefetch(frames, depth=read_ahead, gives_way=True)))
+            # Closed in reverse order: the threads first, the last one of them first, so that none still reads when
+            # the videos are closed; then the rangers.
+            stack.callback(self._close_rangers)
+
+            def in_thread(items: Iterable[_T], depth: int, *, gives_way: bool) -> Iterable[_T]:
+                return stack.enter_context(closing(prefetch(items, depth=depth, gives_way=gives_way)))
+
+            read = in_thread(frames, self.depths.read, gives_way=True)
             with_lanes = self._with_lanes(read)
             if self.lane_finder is not None:
-                with_lanes = stack.enter_context(closing(prefetch(with_lanes, depth=detect_ahead, gives_way=True)))
-            detected = stack.enter_context(closing(prefetch(self._detected(with_lanes), depth=detect_ahead)))
-            for frame, lanes, detections in detected:
-                yield self._result(frame, lanes, detections)
+                with_lanes = in_thread(with_lanes, self.depths.lanes, gives_way=True)
+            for frame, lanes, detections in in_thread(
+                self._with_detections(with_lanes), self.depths.detected, gives_way=False
+            ):
+                yield self.result(frame, lanes, detections)
 
-    def _end_dense(self) -> None:
-        if self.dense is not None:
-            self.dense.close()
-            self.clock.busy_s["sgbm"] = self.dense.background_s
+    def result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
+        """What is known of one frame, from its lane lines and boxes; frames come in order."""
+        tracks = self._tracks(frame, detections)
+        ranges = self._ranges(frame, lanes, tracks)
+        with self.clock.stage("fuse"):
+            motion = self._fused_motion(frame, tracks, ranges)
+            return FrameResult(
+                frame=frame,
+                tracks=tracks,
+                ranges=self._with_shared_error(ranges),
+                closing_mps=-motion.rate_mps,
+                closing_sigma_mps=motion.rate_sigma_mps,
+                ttc_s=motion.ttc_s,
+                ttc_sigma_s=motion.ttc_sigma_s,
+                xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
+                disparity=next((it.disparity for it in self.rangers.values() if it.disparity is not None), None),
+                lanes=lanes,
+                misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
+            )
 
-    def _with_lanes(self, frames: Iterable[Frame]) -> Iterator[tuple[Frame, LaneLines | None]]:
-        """Frames with the lane's lines, looked for ten times a second; between, those of the last look."""
+    def _with_lanes(self, frames: Iterable[Frame]) -> Iterable[tuple[Frame, LaneLines | None]]:
+        """Frames with the lines of the lane, searched for ten times per second; in between the last ones found."""
         lanes, due_s = None, -math.inf
         for frame in frames:
             if self.lane_finder is not None and frame.time_s >= due_s:
                 with self.clock.stage("lanes"):
                     lanes = self.lane_finder.find(frame.left, frame.time_s)
-                due_s = frame.time_s + _LANES_EVERY_S
+                due_s = frame.time_s + _LANE_INTERVAL_S
             yield frame, lanes
 
-    def _detected(
+    def _with_detections(
         self, frames: Iterable[tuple[Frame, LaneLines | None]]
     ) -> Iterator[tuple[Frame, LaneLines | None, Detections]]:
+        """Frames with their boxes; rangers that work in the background begin beside the detector."""
         for frame, lanes in frames:
-            if self.dense is not None:
-                self.dense.start(frame)
+            for ranger in self.rangers.values():
+                ranger.start(frame)
             with self.clock.stage("detect"):
                 detections = self.detect(frame)
             yield frame, lanes, detections
 
-    def _result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
+    def _tracks(self, frame: Frame, detections: Detections) -> Tracks:
         with self.clock.stage("track"):
-            tracks = self.tracker.update(detections, frame.time_s, frame.left)
-        if lanes is not self._hinted:
-            self._hint(lanes)
+            return self.tracker.update(detections, frame.time_s, frame.left)
+
+    def _ranges(self, frame: Frame, lanes: LaneLines | None, tracks: Tracks) -> dict[str, Ranges]:
+        """The tracks' distances by each method."""
         ranges: dict[str, Ranges] = {}
         for name, ranger in self.rangers.items():
+            others = {other: ranges[other] for other in self._reads.get(name, ()) if other in ranges}
             with self.clock.stage(name):
-                ranges[name] = ranger.measure(tracks, frame)
-        if self.dense is not None:
-            ranges["sgbm"] = self.dense.measure(tracks, frame)
-        if self.lane is not None and lanes is not None:
-            with self.clock.stage("lane"):
-                ranges["lane"] = self._by_lane(self.lane, lanes, tracks, frame, ranges)
-        with self.clock.stage("fuse"):
-            return self._fused(frame, tracks, ranges, lanes)
+                if lanes is not None and lanes is not self._lanes:
+                    ranger.update_lanes(lanes)
+                ranges[name] = ranger.measure_with(tracks, frame, others)
+        self._lanes = lanes
+        return ranges
 
-    def _hint(self, lanes: LaneLines | None) -> None:
-        """Tell the ground where the lines of a new look meet: once, so that it is forgotten as what tracks say is."""
-        self._hinted = lanes
-        if self.ground is not None and lanes is not None and (horizon := lanes.horizon_px()) is not None:
-            self.ground.hint(*horizon)
-
-    def _by_lane(
-        self, lane: LaneWidthRanger, lanes: LaneLines, tracks: Tracks, frame: Frame, ranges: Mapping[str, Ranges]
-    ) -> Ranges:
-        lane.see(lanes, frame.index)
-        found = doubted(lane.measure(tracks, frame), [ranges[name] for name in ("mono", "stereo") if name in ranges])
-        if "stereo" in ranges and not self.shared_sigma:
-            lane.learn(tracks, frame, ranges["stereo"])
-        return found
-
-    def _fused(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], lanes: LaneLines | None) -> FrameResult:
+    def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges]) -> FilteredRanges:
+        """Distance and speed of the tracks by all methods together; adds fused and filtered distances to `ranges`."""
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         ego_mps = math.nan if self.ego_speed is None else self.ego_speed.at(frame.time_s)
         filtered = self._filters.update(ranges, frame.time_s, ways={"fused": fused.way}, ego_speed_mps=ego_mps)
         ranges |= {f"{name}_kf": each.ranges for name, each in filtered.items()}
-        motion = self._with_shared_rate_error(filtered["fused"])
-        return FrameResult(
-            frame=frame,
-            tracks=tracks,
-            ranges=self._with_shared_error(ranges),
-            closing_mps=-motion.rate_mps,
-            closing_sigma_mps=motion.rate_sigma_mps,
-            ttc_s=motion.ttc_s,
-            ttc_sigma_s=motion.ttc_sigma_s,
-            xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
-            disparity=None if self.dense is None else self.dense.disparity,
-            lanes=lanes,
-            misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
-        )
-
-    def _with_shared_rate_error(self, motion: FilteredRanges) -> FilteredRanges:
-        """A scale that is wrong makes speeds wrong by as much; times to collision do not mind."""
-        wider = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
-        return replace(motion, rate_sigma_mps=wider) if self.shared_sigma else motion
+        motion = filtered["fused"]
+        if not self.shared_sigma:
+            return motion
+        # A wrong scale makes speeds wrong by as much; times to collision do not depend on it.
+        wider_mps = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
+        return replace(motion, rate_sigma_mps=wider_mps)
 
     def _with_shared_error(self, ranges: Mapping[str, Ranges]) -> Mapping[str, Ranges]:
-        """With wider sigmas: neither fusing nor filtering makes an error smaller that all methods share."""
+        """With wider sigmas: neither fusing nor filtering reduces an error that all methods share."""
         if not self.shared_sigma:
             return ranges
         return {
@@ -224,6 +211,11 @@ class Pipeline:
         }
 
     def _points_m(self, tracks: Tracks, distance_m: FloatArray) -> FloatArray:
-        """(N, 3) points at these depths on the rays through the boxes' centres."""
+        """(N, 3) points at these depths on the rays through the centres of the boxes."""
         centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
         return self.camera.rays(centre_px) * distance_m[:, None]
+
+    def _close_rangers(self) -> None:
+        for name, ranger in self.rangers.items():
+            ranger.close()
+            self.clock.add(name, ranger.background_s)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
 
@@ -11,15 +11,12 @@ import numpy as np
 
 from track_range.overlay.outputs import pictures
 from track_range.ranging.evaluation.truth import Truth
-from track_range.ranging.methods.patch_stereo import PatchRanger
 from track_range.results.summary import Columns, MatchedTruth, range_scores, stage_times_ms, track_scores
 from track_range.run.box_source import BoxSource
-from track_range.run.build import learnt_scale
 from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
 from track_range.run.settings import RunSettings
 from track_range.run.throughput import FrameMeter
-from track_range.stereo.matching.patch_matches import REASONS, Outcome
 from track_range.video.source import Source
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
@@ -63,17 +60,18 @@ class RunRecord:
     def notes(self) -> list[str]:
         """Sentences for the user on all inputs."""
         stopped = [f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []
-        return [*self.boxes.notes(), *self.source.notes, *stopped, *self._strangers(), *self._scale(), *self._extras()]
-
-    def _scale(self) -> list[str]:
-        """What a pair without a rig has taught of itself."""
-        scale = learnt_scale(self.pipeline, self.source.uncalibrated) if self.frame_index else None
-        if scale is None:
-            return []
         return [
-            f"Uncalibrated: with a focal length of {scale.focal_px:.0f} px the sizes of {scale.n_tracks} tracks say a "
-            f"baseline of {scale.baseline_m:.2f} m; all distances are good to about {100 * scale.relative_sigma:.0f} %."
+            *self.boxes.notes(),
+            *self.source.notes,
+            *stopped,
+            *self._strangers(),
+            *self._measuring(),
+            *self._extras(),
         ]
+
+    def _measuring(self) -> list[str]:
+        """Notes of the ranging methods, once there are results."""
+        return [note for ranger in self.pipeline.rangers.values() for note in ranger.notes] if self.frame_index else []
 
     def _extras(self) -> list[str]:
         """What the re-identification network, the lane finder and the ego speed have to say."""
@@ -111,7 +109,7 @@ def summary_of(this: RunRecord, columns: Columns, matched: MatchedTruth | None) 
         **range_scores(columns, matched, tuple(this.methods)),
         "tracks": track_scores(columns, this.truth, np.array(this.frame_index, np.int64)),
         **_geometry(this),
-        **_unmatched(this.pipeline),
+        **{key: value for ranger in this.pipeline.rangers.values() for key, value in ranger.summary().items()},
         "truth": this.truth.protocol if this.truth is not None else None,
         "notes": this.notes,
         "inputs": _inputs(this.settings),
@@ -123,23 +121,12 @@ def summary_of(this: RunRecord, columns: Columns, matched: MatchedTruth | None) 
 def _geometry(this: RunRecord) -> dict[str, Any]:
     """Where metres come from."""
     source = this.source
-    scale = learnt_scale(this.pipeline, source.uncalibrated)
     return {
         "calibration": source.calibration,
         "focal_px": source.camera.fx_px,
         "baseline_m": source.rig.baseline_m if source.rig else None,
-        **({"learnt_scale": asdict(scale)} if scale else {}),
         **({"alignment": source.alignment.summary()} if source.alignment else {}),
     }
-
-
-def _unmatched(pipeline: Pipeline) -> dict[str, dict[str, int]]:
-    """How many boxes stereo gave no distance, by the reason; only where there is a rig."""
-    ranger = pipeline.rangers.get("stereo")
-    if not isinstance(ranger, PatchRanger):
-        return {}
-    missed = {REASONS[why]: n for why, n in ranger.outcomes.most_common() if why is not Outcome.MATCHED}
-    return {"stereo_unmatched": missed}
 
 
 def _inputs(settings: RunSettings) -> dict[str, Any]:
