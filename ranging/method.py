@@ -26,14 +26,15 @@ row where the box meets the ground; horizon: pitch of the camera and slope of th
 lane_width: the width of the lane; own: what no other method has any part of.
 """
 
-Requirement = Literal["rig", "right_image", "dense_disparity", "lane_lines", "camera_height"]
+Requirement = Literal["image", "rig", "right_image", "dense_disparity", "lane_lines", "camera_height"]
 """What a method cannot do without.
 
-rig: a calibrated stereo pair; right_image: a pair whose rows agree, calibrated or not; dense_disparity: dense stereo is
-switched on; lane_lines: a lane finder runs; camera_height: the camera's height above the road was given.
+image: pixels of the left image, not only boxes; rig: a calibrated stereo pair; right_image: a pair whose rows agree,
+calibrated or not; dense_disparity: dense stereo is switched on; lane_lines: a lane finder runs; camera_height: the
+height of the camera above the road was given.
 """
 
-RESERVED_NAMES = ("fused", "fuse", "read", "lanes", "detect", "track", "write", "x", "y")
+RESERVED_NAMES = ("fused", "fuse", "read", "lanes", "detect", "track", "write", "x", "y", "truth", "scored_truth")
 """Names of columns and stages that are no method's."""
 
 
@@ -55,6 +56,7 @@ class MethodContext:
         box_sigma_px: standard deviation of one edge of the boxes; None = a detector's boxes.
         camera_height_m: of the camera above the road; None = unknown.
         lane_width_m: between the middles of the lane's lines, as given or assumed.
+        has_images: whether frames have pixels; False where boxes alone are evaluated.
         has_lane_lines: whether a lane finder runs.
         has_dense_disparity: whether dense stereo is switched on.
         sgbm_options: parameters of dense stereo chosen by the user.
@@ -71,6 +73,7 @@ class MethodContext:
     box_sigma_px: float | None = None
     camera_height_m: float | None = None
     lane_width_m: float = 3.5
+    has_images: bool = True
     has_lane_lines: bool = False
     has_dense_disparity: bool = False
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
@@ -81,6 +84,7 @@ class MethodContext:
     def available(self) -> frozenset[Requirement]:
         """The requirements that are met."""
         is_met: dict[Requirement, bool] = {
+            "image": self.has_images,
             "rig": self.rig is not None,
             "right_image": self.rig is not None or self.assumed_rig is not None,
             "dense_disparity": self.has_dense_disparity,
@@ -111,7 +115,7 @@ class RangingMethod:
 
     Attributes:
         name: prefix of its columns: `NAME_m`, `NAME_sigma_m`.
-        title: a short noun phrase for tables, the report and the legend of the overlay.
+        title: a short noun phrase for the legend of the overlay.
         letter: one letter for the small figures of the overlay.
         colour: "#rrggbb" in charts and in the overlay.
         create: makes the method's `Ranger` for a run; None where this run cannot have it.
@@ -160,6 +164,11 @@ class RangingMethod:
         for is_met, expected in checks:
             if not is_met:
                 raise MethodError(f"ranging method {self.name!r}: {expected}")
+
+    @property
+    def uses_size_model(self) -> bool:
+        """Whether sizes of road users are among its error sources: `evaluate ranges` refits the model for it."""
+        return any(source.name == "size" for source in self.error_sources)
 
     @property
     def noise_share(self) -> float:

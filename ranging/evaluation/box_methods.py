@@ -1,9 +1,9 @@
-"""Box-only methods run over labelled boxes: the size ranger as the product has it, and the plain curves beside it."""
+"""Methods that need boxes alone, run over labelled boxes: the registered ones as in a run, and plain curves."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,21 +14,28 @@ from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.fitting.prior_fit import LabelledSizes, fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.methods.ground_plane import GroundPlane, GroundSettings
-from track_range.ranging.methods.size_regression import SizeRegressionRanger
+from track_range.ranging.method import MethodContext, RangingMethod
+from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.registry import create_rangers, methods
 from track_range.ranging.size_models.curve import CurveError, SizeModel, load_curves
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, PlainCurve
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
-METHODS = (*PLAIN_CURVES, "mono", "ground", "mono+ground")
-"""Names of what can be measured, in the order of the tables."""
-
 MIN_PLAIN_SAMPLES = 20
 
-_DETECTOR_SIGMA_PX = 1.5
+
+def box_methods() -> tuple[RangingMethod, ...]:
+    """The registered methods that need nothing but boxes and a camera."""
+    return tuple(method for method in methods() if not method.needs)
+
+
+def method_names() -> tuple[str, ...]:
+    """What can be measured, in the order of the tables; the last one is the fusion of the box methods."""
+    names = [method.name for method in box_methods()]
+    return (*PLAIN_CURVES, *names, "+".join(names))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,46 +58,95 @@ class MethodOptions:
 
 
 def measured_by(
-    methods: Sequence[str], boxes: BoxSet, train: BoxSet, options: MethodOptions | None = None
+    names: Sequence[str], boxes: BoxSet, train: BoxSet, options: MethodOptions | None = None
 ) -> dict[str, MethodColumn]:
-    """(N,) distances and sigmas of `boxes` by every one of `methods` (of `METHODS`).
+    """(N,) distances and sigmas of `boxes` by every one of `names` (of `method_names`).
 
     `train` are boxes of the same sequences, perhaps exact ones, that curves are fitted on.
     """
     options = options or MethodOptions()
     tested = within_drives if options.is_same_drive else cross_validated
-    found = {name: tested(boxes, train, plain_fitter(PLAIN_CURVES[name])) for name in methods if name in PLAIN_CURVES}
-    if not set(methods) <= found.keys():
-        sigma_px = options.box_sigma_px
-        found["mono"] = (
-            tested(boxes, train, mono_fitter(sigma_px))
-            if options.is_cross_validated or options.is_same_drive
-            else mono_measured(boxes, load_curves(options.curves), box_sigma_px=sigma_px)
-        )
-        settings = _ground_settings(options.camera_height_m, _DETECTOR_SIGMA_PX if sigma_px is None else sigma_px)
-        found |= ground_measured(boxes, found["mono"], settings)
-    return {name: found[name] for name in methods}
+    found = {name: tested(boxes, train, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES}
+    if not set(names) <= found.keys():
+        found |= _measured_by_rangers(boxes, train, options)
+    return {name: found[name] for name in names}
 
 
-def ground_measured(boxes: BoxSet, mono: MethodColumn, settings: GroundSettings) -> dict[str, MethodColumn]:
-    """What the ground plane says, its horizon tracked by the sizes in `mono`, and the fusion of the two."""
-    columns = {name: MethodColumn(*np.full((2, len(boxes)), np.nan)) for name in ("ground", "mono+ground")}
-    sequence, plane, fusion = -1, GroundPlane(boxes.camera_at(0), settings), Fusion()
-    for rows, tracks, frame in as_frames(boxes):
-        if boxes.sequence[rows[0]] != sequence:
-            sequence = boxes.sequence[rows[0]]
-            plane, fusion = GroundPlane(boxes.camera_at(rows[0]), settings), Fusion()
-        by_size = Ranges(tracks.track_id, mono.distance_m[rows], mono.sigma_m[rows])
-        ground = plane.measure(tracks, by_size, frame)
-        both = fusion.fuse({"mono": by_size, "ground": ground}, tracks.track_id, frame.time_s).ranges
-        for name, found in (("ground", ground), ("mono+ground", both)):
-            columns[name].distance_m[rows], columns[name].sigma_m[rows] = found.distance_m, found.sigma_m
-    return columns
+def _measured_by_rangers(boxes: BoxSet, train: BoxSet, options: MethodOptions) -> dict[str, MethodColumn]:
+    """The columns of all box methods and of their fusion; those that use a size model first, fitted as asked."""
+    measured: dict[str, MethodColumn] = {}
+    for method in box_methods():
+        if method.uses_size_model and options.is_same_drive:
+            measured[method.name] = within_drives(boxes, train, size_fitter(method, options))
+        elif method.uses_size_model and options.is_cross_validated:
+            measured[method.name] = cross_validated(boxes, train, size_fitter(method, options))
+        elif method.uses_size_model:
+            measured |= ranger_columns(boxes, [method], options, size_model=load_curves(options.curves))
+    others = [method for method in box_methods() if not method.uses_size_model]
+    measured |= ranger_columns(boxes, others, options, measured=measured)
+    measured = {method.name: measured[method.name] for method in box_methods()}
+    return {**measured, "+".join(measured): fused_column(boxes, measured)}
 
 
-def _ground_settings(height_m: float | None, box_sigma_px: float) -> GroundSettings:
-    settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
-    return replace(settings, box_sigma_px=box_sigma_px)
+def ranger_columns(
+    boxes: BoxSet,
+    listed: Sequence[RangingMethod],
+    options: MethodOptions,
+    *,
+    size_model: SizeModel | None = None,
+    measured: Mapping[str, MethodColumn] | None = None,
+) -> dict[str, MethodColumn]:
+    """Columns of the listed methods, measured frame by frame as in a run; every sequence has new rangers.
+
+    Args:
+        boxes: N boxes.
+        listed: methods that need nothing but boxes.
+        options: how unsure the edges of the boxes are, and the height of the camera.
+        size_model: for methods that use one; they see the labels' own classes, the others those of a detector.
+        measured: columns of methods measured before, which the listed ones may read.
+    """
+    columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
+    reads = {method.name: method.reads for method in listed}
+    class_id = boxes.class_id if size_model is None else _size_classes(boxes)
+    rangers: dict[str, Ranger] = {}
+    for rows, tracks, frame, is_first in as_frames(boxes, class_id):
+        if is_first:
+            context = MethodContext(
+                camera=boxes.camera_at(rows[0]),
+                size_model=size_model,
+                box_sigma_px=options.box_sigma_px,
+                camera_height_m=options.camera_height_m,
+                has_images=False,
+            )
+            rangers = create_rangers(context, listed)
+        ranges = {name: _ranges(column, tracks, rows) for name, column in (measured or {}).items()}
+        for name, ranger in rangers.items():
+            others = {other: ranges[other] for other in reads[name] if other in ranges}
+            ranges[name] = found = ranger.measure_with(tracks, frame, others)
+            columns[name][:2, rows] = found.distance_m, found.sigma_m
+            columns[name][2, rows] = np.nan if found.sigma_kept_m is None else found.sigma_kept_m
+    return {
+        name: MethodColumn(column[0], column[1], column[2] if np.isfinite(column[2]).any() else None)
+        for name, column in columns.items()
+    }
+
+
+def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodColumn:
+    """The fusion of the columns, frame by frame as in a run."""
+    fused = MethodColumn(*np.full((2, len(boxes)), np.nan))
+    fusion = Fusion()
+    for rows, tracks, frame, is_first in as_frames(boxes, boxes.class_id):
+        if is_first:
+            fusion = Fusion()
+        ranges = {name: _ranges(column, tracks, rows) for name, column in measured.items()}
+        found = fusion.fuse(ranges, tracks.track_id, frame.time_s).ranges
+        fused.distance_m[rows], fused.sigma_m[rows] = found.distance_m, found.sigma_m
+    return fused
+
+
+def _ranges(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
+    kept_m = None if column.sigma_kept_m is None else column.sigma_kept_m[rows]
+    return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], kept_m)
 
 
 def plain_fitter(curve: PlainCurve) -> Fitter:
@@ -115,37 +171,27 @@ def plain_fitter(curve: PlainCurve) -> Fitter:
     return fit
 
 
-def mono_fitter(box_sigma_px: float | None) -> Fitter:
-    """The product's priors over sizes."""
+def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
+    """A method that uses a size model, with priors fitted to the training boxes."""
 
     def fit(train: BoxSet) -> Predictor:
         try:
             model = fit_size_priors(labelled_sizes(train), source="left-out sequences not fitted on")
         except CurveError:
             return lambda boxes: MethodColumn(*np.full((2, len(boxes)), np.nan))
-        return lambda boxes: mono_measured(boxes, model, box_sigma_px=box_sigma_px)
+        return lambda boxes: ranger_columns(boxes, [method], options, size_model=model)[method.name]
 
     return fit
 
 
-def mono_measured(boxes: BoxSet, curves: SizeModel, *, box_sigma_px: float | None) -> MethodColumn:
-    """What the size ranger says of the boxes, frame by frame as in a run; None = a detector's noise."""
-    distance_m, sigma_m, kept_m = np.full((3, len(boxes)), np.nan)
-    size_class = np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
-    ranger: SizeRegressionRanger | None = None
+def _size_classes(boxes: BoxSet) -> IntArray:
+    """(N,) index into `SIZE_CLASSES` of the labels' own classes: a van is a van."""
+    return np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
+
+
+def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
+    """Frame by frame: rows, tracks, frame (blank, as wide as the image), and whether it is the first of a sequence."""
     sequence = -1
-    for rows, tracks, frame in as_frames(boxes):
-        if boxes.sequence[rows[0]] != sequence or ranger is None:
-            sequence = boxes.sequence[rows[0]]
-            ranger = SizeRegressionRanger(boxes.camera_at(rows[0]), curves, box_sigma_px=box_sigma_px)
-        found = ranger.measure(replace(tracks, class_id=size_class[rows]), frame)
-        distance_m[rows], sigma_m[rows], kept_m[rows] = found.distance_m, found.sigma_m, found.sigma_kept_m
-    return MethodColumn(distance_m, sigma_m, kept_m)
-
-
-def as_frames(boxes: BoxSet) -> Iterator[tuple[IntArray, Tracks, Frame]]:
-    """Rows, tracks and frame (blank, as wide as the image) of one frame after the other."""
-    class_id = boxes.class_id
     for rows in frame_rows(boxes):
         n = len(rows)
         named = boxes.track_id[rows]
@@ -153,7 +199,9 @@ def as_frames(boxes: BoxSet) -> Iterator[tuple[IntArray, Tracks, Frame]]:
         tracks = Tracks(track_id, boxes.xyxy_px[rows], class_id[rows], np.ones(n), np.ones(n, np.bool_))
         width_px, height_px = boxes.size_px[rows[0]].tolist()
         blank = np.broadcast_to(np.zeros(1, np.uint8), (height_px, width_px, 3))
-        yield rows, tracks, Frame(int(boxes.frame[rows[0]]), float(boxes.time_s[rows[0]]), blank, None)
+        frame = Frame(int(boxes.frame[rows[0]]), float(boxes.time_s[rows[0]]), blank, None)
+        yield rows, tracks, frame, int(boxes.sequence[rows[0]]) != sequence
+        sequence = int(boxes.sequence[rows[0]])
 
 
 def labelled_sizes(boxes: BoxSet) -> LabelledSizes:

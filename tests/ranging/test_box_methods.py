@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.box_filters import filtered
-from track_range.ranging.evaluation.box_methods import METHODS, MethodOptions, measured_by
+from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, box_set
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
@@ -47,7 +47,7 @@ def test_a_class_that_the_other_drives_lack_is_not_measured(tmp_path, row, drive
 
 def test_mono_ground_and_their_fusion_measure_beside_each_other(many_drives):
     found = measured_by(
-        METHODS[-3:], many_drives, many_drives, MethodOptions(is_cross_validated=True, box_sigma_px=0.5)
+        method_names()[-3:], many_drives, many_drives, MethodOptions(is_cross_validated=True, box_sigma_px=0.5)
     )
     assert list(found) == ["mono", "ground", "mono+ground"]
     for column in found.values():

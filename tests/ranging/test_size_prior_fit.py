@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.box_evaluation import cross_validated, figures
-from track_range.ranging.evaluation.box_methods import measured_by, mono_fitter
+from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, size_fitter
 from track_range.ranging.fitting.labelled_boxes import box_set
 from track_range.ranging.fitting.prior_fit import STANDARD_SIZES, LabelledSizes, fit_size_priors
+from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.prior import TURN_DEG, ShapeTables
@@ -103,7 +104,7 @@ def test_on_drives_not_fitted_on_it_beats_every_plain_curve_and_knows_its_error(
     boxes = kitti.with_noise(noise_px, seed=0) if noise_px else kitti
     found = measured_by(("inverse-height", "log-linear", "height-5"), boxes, kitti)
     plain = {name: figures(boxes, column.distance_m) for name, column in found.items()}
-    column = cross_validated(boxes, kitti, mono_fitter(noise_px))
+    column = cross_validated(boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px)))
     ours = figures(boxes, column.distance_m, column.sigma_m)
     key = "mean_relative_error_pct"
     for kind, share, least in (("car", 0.9, 4.0), ("person", 0.95, 4.0), ("bicycle", 0.95, 2.0)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from track_range.overlay.method_colours import METHOD_COLOURS, OTHER_COLOURS, colour_of_each
+from track_range.overlay.colours import OTHER_COLOURS, colour_of_each, method_colours
 
 CARDS = ("#ffffff", "#1b2128")
 
@@ -25,12 +25,12 @@ def test_black_on_white_is_21() -> None:
 
 
 @pytest.mark.parametrize("card", CARDS)
-@pytest.mark.parametrize("colour", [*METHOD_COLOURS.values(), *OTHER_COLOURS])
+@pytest.mark.parametrize("colour", [*method_colours().values(), *OTHER_COLOURS])
 def test_each_is_seen_on_light_and_dark(colour: str, card: str) -> None:
     assert contrast(colour, card) >= 3
 
 
-def test_strangers_have_colours_of_their_own_and_filtered_twins_their_methods() -> None:
+def test_unknown_methods_have_own_colours_and_filtered_ones_their_methods() -> None:
     found = colour_of_each(["fused", "fused_kf", "radar", "sonar", "radar_kf"])
     assert found["fused"] == found["fused_kf"]
     assert found["radar"] == found["radar_kf"] != found["sonar"]

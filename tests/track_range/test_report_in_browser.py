@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.overlay.method_colours import METHOD_COLOURS
+from track_range.overlay.colours import method_colours
 from track_range.report.comparison import ComparedRun
 from track_range.report.page import write_comparison, write_report
 from track_range.results.csv_file import COLUMNS
@@ -285,9 +285,9 @@ def test_methods_are_switched_everywhere_at_once(page_of: Callable[..., Any], ru
         "() => [...document.querySelector('#track-list .chart').querySelectorAll('path[stroke]')]"
         ".map((path) => path.getAttribute('stroke'))"
     )
-    assert METHOD_COLOURS["mono"] in page.evaluate(strokes)
+    assert method_colours()["mono"] in page.evaluate(strokes)
     page.locator("#legend").get_by_role("button", name="mono", exact=True).click()
-    assert METHOD_COLOURS["mono"] not in page.evaluate(strokes)
+    assert method_colours()["mono"] not in page.evaluate(strokes)
     pressed = page.locator(".legend button[data-method=mono]").evaluate_all("all => all.map((b) => b.ariaPressed)")
     assert pressed == ["false"] * 3
     assert "mono" not in page.locator(".readout").first.inner_text()

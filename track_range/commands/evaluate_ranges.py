@@ -13,7 +13,7 @@ from rich.console import Console
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.box_evaluation import closing_figures, figures, folds
 from track_range.ranging.evaluation.box_filters import FilterName, filtered
-from track_range.ranging.evaluation.box_methods import METHODS, MethodOptions, measured_by
+from track_range.ranging.evaluation.box_methods import MethodOptions, measured_by, method_names
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.report import tables
 from track_range.results.output_files import write_text
@@ -73,7 +73,7 @@ def evaluate_ranges(test: RangesTest, *, console: Console) -> dict[str, Any]:
         box_sigma_px=test.noise_px if test.boxes == "labels" else None,
         camera_height_m=test.camera_height_m,
     )
-    found = measured_by(test.methods or METHODS, boxes, train, options)
+    found = measured_by(test.methods or method_names(), boxes, train, options)
     methods: dict[str, Any] = {}
     for name, column in found.items():
         smooth = filtered(boxes, column, test.filter_name)
@@ -103,9 +103,9 @@ def keep_ranges_figures(told: Mapping[str, Any], *, json_file: Path | None, tabl
 
 
 def _check(test: RangesTest) -> None:
-    unknown = [name for name in test.methods if name not in METHODS]
+    unknown = [name for name in test.methods if name not in method_names()]
     if unknown:
-        raise UsageError(f"--method {','.join(unknown)}: of {', '.join(METHODS)}.")
+        raise UsageError(f"--method {','.join(unknown)}: of {', '.join(method_names())}.")
     if test.boxes != "labels" and not (test.boxes.startswith("rrc:") and test.boxes != "rrc:"):
         raise UsageError(f"--boxes {test.boxes}: labels or rrc:DIR wanted.")
     if (test.is_cross_validated or test.is_same_drive) and test.curves is not None:

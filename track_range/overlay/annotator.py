@@ -1,7 +1,7 @@
 """The overlay: a frame with each track's box, identity and distances drawn on it, for a person's eyes.
 
-Box solid = seen, dashed = predicted; corners inside it = where stereo looks; the label (`overlay_text.py`) stands
-at the box, inside the image, and never on another label (`label_places.py`). At the lower left the road from
+Box solid = seen, dashed = predicted; corners inside it = the window that stereo matches; the label (`labels.py`) stands
+at the box, inside the image, and never on another label (`label_layout.py`). At the lower left the road from
 above (`birds_eye.py`), on the road the own lane's lines. Near tracks choose their place first; one that finds no room
 for a full label gets the first line alone, and one that finds none for that is left with its box.
 """
@@ -20,6 +20,7 @@ from track_range.overlay.label_layout import LabelPlacer
 from track_range.overlay.labels import BOLD, Lines, corner_lines, label_lines, text_sizes_px
 from track_range.overlay.marks import draw_box, draw_inner_windows, draw_lanes, draw_leader
 from track_range.overlay.text import Pen
+from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -28,8 +29,6 @@ Status = Callable[[], Sequence[str]]
 
 MOST_LABELS = 100
 """More never find room: of a crowd, the nearest get labels."""
-
-_STEREO_METHODS = ("stereo", "sgbm")
 
 
 class Overlay:
@@ -79,13 +78,13 @@ class Overlay:
     def _draw_boxes(self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int]) -> None:
         """Boxes in the order of `rows`, then the inner windows of those that are seen."""
         line_px = text_sizes_px((canvas.shape[1], canvas.shape[0]))[2]
-        looks_inside = any(method in result.ranges for method in _STEREO_METHODS)
+        uses_right = any("right_image" in method.needs and method.name in result.ranges for method in methods())
         seen = result.tracks.observed.tolist()
         colours = {row: track_colour(int(result.tracks.track_id[row])) for row in rows}
         for row in rows:
             draw_box(canvas, boxes[row], bgr=colours[row], line_px=line_px, dashed=not seen[row])
-        looked_in = [row for row in rows if seen[row] and looks_inside]
-        draw_inner_windows(canvas, boxes[looked_in], [colours[row] for row in looked_in])
+        matched = [row for row in rows if seen[row] and uses_right]
+        draw_inner_windows(canvas, boxes[matched], [colours[row] for row in matched])
 
     def _draw_labels(self, canvas: Image, result: FrameResult, boxes: FloatArray, rows: Sequence[int]) -> None:
         """The corners, then each track's label in the order of `rows`, each beside those before it."""

@@ -1,10 +1,13 @@
-"""The overlay's colours: one per track, kept away from those of warnings, and when warnings begin."""
+"""Colours: of tracks and warnings in the overlay, of ranging methods in the charts of the report."""
 
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 
 import numpy as np
+
+from track_range.ranging.registry import methods
 
 Bgr = tuple[int, int, int]
 
@@ -14,6 +17,11 @@ CALM: Bgr = (125, 110, 95)
 
 LANE_COLOUR: Bgr = (70, 255, 215)
 """Of the own lane's lines: between amber and the first of the tracks' greens."""
+
+FUSED_COLOUR = "#2f7ed8"
+
+OTHER_COLOURS = ("#c44e9c", "#9c8c0a", "#1496ab", "#d1495b")
+"""Of methods in a result that are not registered here, in the order of their names."""
 
 TTC_AMBER_S, TTC_RED_S = 4.0, 2.0
 
@@ -49,3 +57,16 @@ def alarm_colour(ttc_s: float, *, may_hit: bool = True) -> Bgr | None:
     if ttc_s < TTC_RED_S:
         return RED
     return AMBER if ttc_s < TTC_AMBER_S else None
+
+
+def method_colours() -> dict[str, str]:
+    """The colour, "#rrggbb", of each registered method and of the fused distance."""
+    return {**{method.name: method.colour for method in methods()}, "fused": FUSED_COLOUR}
+
+
+def colour_of_each(names: Sequence[str]) -> dict[str, str]:
+    """The colour of each of a result's distances; a filtered one has its method's."""
+    known = method_colours()
+    unknown = sorted({name.removesuffix("_kf") for name in names} - known.keys())
+    known |= {name: OTHER_COLOURS[i % len(OTHER_COLOURS)] for i, name in enumerate(unknown)}
+    return {name: known[name.removesuffix("_kf")] for name in names}

@@ -1,7 +1,7 @@
 """Text of the overlay: what a track's label and the corners say, and how text is drawn on its backing.
 
 +------------------------+   large the fused distance and its sigma, then class and id in the track's colour;
-| 22.4 m ±0.7   car 12   |   what each method says, by the letters of `METHOD_LETTERS`;
+| 22.4 m ±0.7   car 12   |   what each method says, by the letters of the registry;
 | M 23.1  S 22.4  G 22.0 |   when the gap shrinks: time to collision and closing speed, on a bar that fills as the
 |#TTC 3.6 s##closing 6.2 |   time runs out, amber or red; "passes in" and no bar for what is not on our way.
 +------------------------+
@@ -14,13 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from track_range.overlay.colours import AMBER, CALM, GREY, WHITE, Bgr, alarm_colour, track_colour
+from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
-
-METHOD_LETTERS = {"mono": "M", "lane": "L", "ground": "P", "stereo": "S", "sgbm": "G"}
-"""The small figures' letters; a legend in the corner spells them out."""
-
-METHOD_WORDS = {"ground": "ground plane", "sgbm": "dense stereo"}
-"""Words of the legend where the method's own name says little."""
 
 CLOSING_SHOWN_MPS = 0.5
 """Slower closing is within the distance filter's noise on a standing gap."""
@@ -107,7 +102,7 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     sigma = [Span(f"±{sigma_text(sigma_m)}", small_px, REGULAR, WHITE)] if math.isfinite(distance_m) else []
     lines = [[metres, *sigma, named]]
     measured = (
-        (letter, float(ranges[name].distance_m[row])) for name, letter in METHOD_LETTERS.items() if name in ranges
+        (method.letter, float(ranges[method.name].distance_m[row])) for method in methods() if method.name in ranges
     )
     figures = [f"{letter} {distance_text(metres)}" for letter, metres in measured if math.isfinite(metres)]
     if figures:
@@ -140,8 +135,6 @@ def corner_lines(
     clock += [Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)]
     if warning:
         clock.append(Span(warning, size_px, BOLD, AMBER))
-    letters = [
-        f"{letter} {METHOD_WORDS.get(name, name)}" for name, letter in METHOD_LETTERS.items() if name in result.ranges
-    ]
+    letters = [f"{method.letter} {method.title}" for method in methods() if method.name in result.ranges]
     legend = "   ".join(["large: fused ±1 sigma", *letters, "dashed: predicted"])
     return [clock], [[Span(legend, size_px, REGULAR, GREY)]]

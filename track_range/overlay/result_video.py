@@ -12,8 +12,8 @@ from typing import Self
 
 from track_range.foundation.arrays import Image
 from track_range.run.frame_result import FrameResult
-from track_range.run.stage_clock import StageClock
 from track_range.run.prefetch import give_way
+from track_range.run.stage_clock import StageClock
 from track_range.video.reader import VideoWriter
 
 _QUANTIZER = 28

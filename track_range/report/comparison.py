@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from track_range.overlay.method_colours import METHOD_COLOURS, OTHER_COLOURS
+from track_range.overlay.colours import OTHER_COLOURS, method_colours
 from track_range.report import tables
 from track_range.report.errors import band_line
 from track_range.report.sentences import flattened, run_name
@@ -124,7 +124,7 @@ def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
 
 def error_lines(runs: Sequence[ComparedRun]) -> list[dict[str, Any]]:
     """Mean error of `fused` by middle of the band of distance, a line per run that was measured against a truth."""
-    palette = (*dict.fromkeys([*reversed(METHOD_COLOURS.values()), *OTHER_COLOURS]),)
+    palette = (*dict.fromkeys([*reversed(method_colours().values()), *OTHER_COLOURS]),)
     found = []
     for i, run in enumerate(runs):
         known = band_line(_section(run, "methods").get("fused") or {})

@@ -19,7 +19,7 @@ from urllib.parse import quote
 import jinja2
 import numpy as np
 
-from track_range.overlay.method_colours import colour_of_each
+from track_range.overlay.colours import colour_of_each
 from track_range.report import tables
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, error_lines, settings_grid
 from track_range.report.errors import calibration_curves, error_curves
