@@ -10,7 +10,7 @@ from rich.console import Console
 
 from track_range.commands.calibrate import CalibrateOptions
 from track_range.commands.calibrate import calibrate as run_calibrate
-from track_range.commands.rig import RigFormat, convert_rig, show_rig
+from track_range.commands.rig import convert_rig, show_rig
 from track_range.foundation.errors import UsageError
 
 _console = Console()
@@ -74,7 +74,7 @@ def calibrate(
 def _convert(
     source: Annotated[Path, typer.Argument(metavar="IN")],
     out: Annotated[Path, typer.Argument(metavar="OUT")],
-    to: Annotated[RigFormat, typer.Option(help="Format of OUT.")] = "ours",
+    to: Annotated[str, typer.Option(metavar="ours|opencv", help="Format of OUT.")] = "ours",
     size: SizeOption = None,
 ) -> None:
     convert_rig(source, out, to=to, size=size, console=_console)

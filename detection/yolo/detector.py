@@ -1,4 +1,4 @@
-"""YoloDetector: image -> network input -> outputs -> road users, for every family that `detection.yolo_families` knows.
+"""YoloDetector: image -> network input -> outputs -> road users, for every family that `detection.yolo.layouts` knows.
 
 The three steps reuse one set of buffers: `fill` resizes the image into the network's bound input, `infer` runs it,
 `decode` reads the outputs where they lie. `detect` is the three in a row.
@@ -17,7 +17,7 @@ from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_
 from track_range.detection.detections import Detections
 from track_range.detection.models.metadata import Fact, Facts, ModelOptions, read_facts
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
-from track_range.detection.yolo.layouts import YoloModel, recognise
+from track_range.detection.yolo.layouts import YoloModel, identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
 
@@ -176,7 +176,7 @@ class YoloDetector:
             if len(self._bound) == _MAX_BOUND:
                 del self._bound[next(iter(self._bound))]
             network = self._session.bound(input_hw)
-            model = recognise(self._session.path, input_hw, network.output_shapes, self._facts)
+            model = identify_layout(self._session.path, input_hw, network.output_shapes, self._facts)
             self._bound[input_hw] = network, model
         self._network, self.model = self._bound[input_hw]
         form = self.model.input_format

@@ -1,4 +1,4 @@
-"""Families of YOLO networks: which one a file holds, told by the shapes of its outputs, and all that follows from it.
+"""Layouts of YOLO networks' outputs, and the family, decoder, input and class names that follow from them.
 
     outputs, for an input of h x w with n = sum of (h / s)(w / s) cells       family by default
     [1, 3 n, 5 + C]              strides 8, 16, 32 (or 8 .. 64)                 YOLOv5
@@ -9,13 +9,13 @@
     [1, A (5 + C), h/s, w/s]     three of them                                  YOLOv4, raw heads
     [1, N, 1, 4] or [1, N, 4] with [1, N, C]                                    YOLOv4, decoded
 
-The shapes decide how outputs are read; what else a family takes for granted can be told (`detection.model_facts`).
+The shapes decide how outputs are decoded; the family's other defaults can be overridden (`detection.models.metadata`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,11 +34,7 @@ from track_range.detection.yolo.decoders import (
 )
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
 
-KNOWN_LAYOUTS = (
-    "YOLOv5 [1, 3 n, 5 + classes], YOLOX [1, n, 5 + classes], YOLOv8/YOLO11 [1, 4 + classes, n], "
-    "raw Darknet heads [1, anchors x (5 + classes), rows, columns] (two or three), decoded YOLOv4 boxes [1, N, 1, 4] "
-    "with scores [1, N, classes]; n = cells of strides 8, 16, 32 (export with the batch fixed to 1, NMS left out)"
-)
+_EXPORT_HINT = "n = cells of strides 8, 16, 32 (export with the batch fixed to 1, NMS left out)"
 
 _STRIDES_PX = (8, 16, 32)
 _ANCHOR_STRIDES_PX = {(8, 16, 32): "YOLOv5", (8, 16, 32, 64): "YOLOv5", (16, 32): "YOLOv4-tiny"}
@@ -69,9 +65,9 @@ class YoloModel:
         family: the name for people.
         layout: its outputs, in words.
         decoder: reads them.
-        input_format: what the network wants to see.
+        input_format: how an image becomes the network's input.
         names: class names in the network's order.
-        facts: what was assumed or told, for `models info`, by key.
+        facts: explicit and default attributes, for `models info`, by key.
     """
 
     family: str
@@ -82,139 +78,209 @@ class YoloModel:
     facts: Mapping[str, Fact]
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """A recognised layout before anything is told of it; `anchors` is empty for a decoded one."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchedLayout:
+    """What a layout means for one network.
+
+    Attributes:
+        family: the family of networks that the layout belongs to, by default.
+        text: the outputs, in words.
+        n_classes: number of the network's classes.
+        input_format: the family's default input.
+        decoder: reads the outputs.
+        attributes: further attributes that the decoder was made from, by key, for `models info`.
+    """
 
     family: str
     text: str
     n_classes: int
     input_format: InputFormat
-    decoder: Decoder | None = None
-    heads: tuple[tuple[int, tuple[int, ...]], ...] = ()
+    decoder: Decoder
+    attributes: Mapping[str, Fact] = field(default_factory=dict)
 
 
-def recognise(path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], facts: Facts) -> YoloModel:
+@dataclass(frozen=True, slots=True)
+class NetworkOutputs:
+    """What a layout is recognised from.
+
+    Attributes:
+        path: the model's file, for messages.
+        input_hw: (height, width) of the network's input.
+        shapes: shape of each output, in the network's order.
+        facts: explicit attributes of the model, such as its anchors.
+    """
+
+    path: Path
+    input_hw: tuple[int, int]
+    shapes: tuple[tuple[int, ...], ...]
+    facts: Facts
+
+    def n_cells(self, strides_px: Sequence[int]) -> int:
+        """Number of grid cells of the input at these strides, together."""
+        return sum((self.input_hw[0] // stride) * (self.input_hw[1] // stride) for stride in strides_px)
+
+    def rows(self) -> Iterator[tuple[int, int, int]]:
+        """Number, second and third side of each output [1, ., .]; older YOLOv5 exports have raw grids beside it."""
+        for i, shape in enumerate(self.shapes):
+            if len(shape) == 3 and shape[0] == 1:
+                yield i, shape[1], shape[2]
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorLayout:
+    """One layout of a detector's outputs.
+
+    Attributes:
+        name: the layout, for messages that list the known ones.
+        match: what the layout means for a network with these outputs; None = the outputs are of another layout.
+    """
+
+    name: str
+    match: Callable[[NetworkOutputs], MatchedLayout | None]
+
+
+def identify_layout(
+    path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], facts: Facts
+) -> YoloModel:
     """The model that outputs of these shapes mean.
 
     Raises:
-        ModelError: no known layout, or what is told of the model does not fit it.
+        ModelError: no known layout, or explicit attributes of the model do not fit it.
     """
-    shapes = list(outputs.values())
-    layout = _corners(shapes, input_hw) or _decoded(shapes, input_hw) or _raw_heads(path, shapes, facts)
-    if layout is None:
+    network = NetworkOutputs(path, input_hw, tuple(outputs.values()), facts)
+    matches = (layout.match(network) for layout in DETECTOR_LAYOUTS)
+    matched = next((match for match in matches if match is not None), None)
+    if matched is None:
         found = ", ".join(f"{name} {list(shape)}" for name, shape in outputs.items())
-        raise ModelError(f"{path}: unknown outputs {found}; known layouts: {KNOWN_LAYOUTS}.")
-    used = {"family": facts.of("family", layout.family, "by its outputs")}
-    used["names"] = _names(path, layout.n_classes, facts)
-    input_format = _input_format(layout.input_format, layout.family, facts, used)
-    decoder = layout.decoder or _head_decoder(path, layout, input_hw, facts, used)
+        known = ", ".join(layout.name for layout in DETECTOR_LAYOUTS)
+        raise ModelError(f"{path}: unknown outputs {found}; known layouts: {known}; {_EXPORT_HINT}.")
+    used = {"family": facts.of("family", matched.family, "by its outputs")}
+    used["names"] = _names(path, matched.n_classes, facts)
+    input_format = _input_format(matched.input_format, matched.family, facts, used)
     return YoloModel(
         family=str(used["family"].value),
-        layout=layout.text,
-        decoder=decoder,
+        layout=matched.text,
+        decoder=matched.decoder,
         input_format=input_format,
         names=used["names"].value,
-        facts=used,
+        facts={**used, **matched.attributes},
     )
 
 
-def _n_cells(input_hw: tuple[int, int], strides_px: Sequence[int]) -> int:
-    return sum((input_hw[0] // stride) * (input_hw[1] // stride) for stride in strides_px)
-
-
-def _decoded(shapes: Sequence[tuple[int, ...]], input_hw: tuple[int, int]) -> _Layout | None:
-    """One output [1, boxes, columns], or [1, columns, boxes]; older YOLOv5 exports have the raw grids beside it."""
-    for i, shape in enumerate(shapes):
-        if len(shape) != 3 or shape[0] != 1:
-            continue
-        n_rows, n_columns = shape[1:]
-        for strides, family in _ANCHOR_STRIDES_PX.items():
-            if n_rows == _ANCHORS_PER_CELL * _n_cells(input_hw, strides) and n_columns > 5:
-                text = f"decoded rows {list(shape)}: box, objectness, classes"
-                style = _PLAIN if family == "YOLOv5" else _DARKNET_INPUT
-                return _Layout(family, text, n_columns - 5, style, RowDecoder(i))
-        n_cells = _n_cells(input_hw, _STRIDES_PX)
-        if n_rows == n_cells and n_columns > 5:
-            decoder = GridRowDecoder.for_input(i, input_hw, _STRIDES_PX)
-            text = f"rows per cell {list(shape)}: box, objectness, classes"
-            return _Layout("YOLOX", text, n_columns - 5, _YOLOX_INPUT, decoder)
-        if n_columns == n_cells and n_rows > 4:
-            text = f"decoded columns {list(shape)}: box, classes"
-            return _Layout("YOLOv8/YOLO11", text, n_rows - 4, _PLAIN, ColumnDecoder(i))
-    return None
-
-
-def _corners(shapes: Sequence[tuple[int, ...]], input_hw: tuple[int, int]) -> _Layout | None:
-    """Two outputs, boxes and scores."""
-    if len(shapes) != 2:
+def _boxes_and_scores(network: NetworkOutputs) -> MatchedLayout | None:
+    """Two outputs, boxes [1, N, 1, 4] or [1, N, 4] and scores [1, N, C], in any order."""
+    if len(network.shapes) != 2:
         return None
     for boxes, scores in ((0, 1), (1, 0)):
-        box, score = shapes[boxes], shapes[scores]
+        box, score = network.shapes[boxes], network.shapes[scores]
         if len(score) == 3 and box in ((1, score[1], 1, 4), (1, score[1], 4)) and score[0] == 1:
-            text = f"decoded boxes {list(box)} and scores {list(score)}"
-            decoder = CornerDecoder(boxes, scores, input_hw)
-            tiny = score[1] == _ANCHORS_PER_CELL * _n_cells(input_hw, (16, 32))
-            return _Layout("YOLOv4-tiny" if tiny else "YOLOv4", text, score[2], _DARKNET_INPUT, decoder)
+            is_tiny = score[1] == _ANCHORS_PER_CELL * network.n_cells((16, 32))
+            return MatchedLayout(
+                family="YOLOv4-tiny" if is_tiny else "YOLOv4",
+                text=f"decoded boxes {list(box)} and scores {list(score)}",
+                n_classes=score[2],
+                input_format=_DARKNET_INPUT,
+                decoder=CornerDecoder(boxes, scores, network.input_hw),
+            )
     return None
 
 
-def _raw_heads(path: Path, shapes: Sequence[tuple[int, ...]], facts: Facts) -> _Layout | None:
+def _anchor_rows(network: NetworkOutputs) -> MatchedLayout | None:
+    """[1, 3 n, 5 + C]: three decoded boxes per cell."""
+    for i, n_rows, n_columns in network.rows():
+        for strides, family in _ANCHOR_STRIDES_PX.items():
+            if n_rows == _ANCHORS_PER_CELL * network.n_cells(strides) and n_columns > 5:
+                return MatchedLayout(
+                    family=family,
+                    text=f"decoded rows {[1, n_rows, n_columns]}: box, objectness, classes",
+                    n_classes=n_columns - 5,
+                    input_format=_PLAIN if family == "YOLOv5" else _DARKNET_INPUT,
+                    decoder=RowDecoder(i),
+                )
+    return None
+
+
+def _cell_rows(network: NetworkOutputs) -> MatchedLayout | None:
+    """[1, n, 5 + C]: one box per cell, relative to the cell."""
+    for i, n_rows, n_columns in network.rows():
+        if n_rows == network.n_cells(_STRIDES_PX) and n_columns > 5:
+            return MatchedLayout(
+                family="YOLOX",
+                text=f"rows per cell {[1, n_rows, n_columns]}: box, objectness, classes",
+                n_classes=n_columns - 5,
+                input_format=_YOLOX_INPUT,
+                decoder=GridRowDecoder.for_input(i, network.input_hw, _STRIDES_PX),
+            )
+    return None
+
+
+def _cell_columns(network: NetworkOutputs) -> MatchedLayout | None:
+    """[1, 4 + C, n]: one decoded box per cell, without objectness."""
+    for i, n_rows, n_columns in network.rows():
+        if n_columns == network.n_cells(_STRIDES_PX) and n_rows > 4:
+            return MatchedLayout(
+                family="YOLOv8/YOLO11",
+                text=f"decoded columns {[1, n_rows, n_columns]}: box, classes",
+                n_classes=n_rows - 4,
+                input_format=_PLAIN,
+                decoder=ColumnDecoder(i),
+            )
+    return None
+
+
+def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
     """Two or three outputs [1, A (5 + C), rows, columns] of one number of channels."""
+    shapes, facts = network.shapes, network.facts
     if len(shapes) not in (2, 3) or any(len(shape) != 4 or shape[0] != 1 for shape in shapes):
         return None
     anchors = facts.of("anchors", None, "")
     if anchors.value:
-        _check_anchors(path, anchors, len(shapes))
+        _check_anchors(network.path, anchors, len(shapes))
     n_anchors = len(anchors.value[0]) if anchors.value else _ANCHORS_PER_CELL
-    channels = {shape[1] for shape in shapes}
     n_columns, rest = divmod(shapes[0][1], n_anchors)
-    if len(channels) != 1 or rest or n_columns < 6:
+    if len({shape[1] for shape in shapes}) != 1 or rest or n_columns < 6:
         return None
-    family = "YOLOv4-tiny" if len(shapes) == 2 else "YOLOv4"
-    text = f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell"
-    return _Layout(family, text, n_columns - 5, _DARKNET_INPUT, None, tuple(enumerate(shapes)))
+    is_tiny = len(shapes) == 2
+    family = "YOLOv4-tiny" if is_tiny else "YOLOv4"
+    default_anchors = YOLOV4_TINY_ANCHORS if is_tiny else YOLOV4_ANCHORS
+    default_scales = (1.0, 1.0) if is_tiny else _YOLOV4_SCALES
+    first_width, last_width = shapes[0][3], shapes[-1][3]
+    if first_width > last_width if is_tiny else first_width < last_width:  # the defaults are in the other order
+        default_anchors, default_scales = default_anchors[::-1], default_scales[::-1]
+    used = {
+        "anchors": facts.of("anchors", default_anchors, f"default of {family}"),
+        "scale_x_y": facts.of("scale_x_y", default_scales, f"default of {family}"),
+    }
+    scales = used["scale_x_y"].value
+    if len(scales) not in (1, len(shapes)):
+        raise ModelError(
+            f"{network.path}: expected one scale_x_y for each of {len(shapes)} output heads, got {list(scales)} "
+            f"({used['scale_x_y'].source})."
+        )
+    height, width = network.input_hw
+    heads = tuple(
+        Head(i, np.array(anchor, np.float64), np.array([width / shape[3], height / shape[2]]), scale)
+        for i, (shape, anchor, scale) in enumerate(
+            zip(shapes, used["anchors"].value, scales * len(shapes) if len(scales) == 1 else scales, strict=True)
+        )
+    )
+    return MatchedLayout(
+        family=family,
+        text=f"raw heads {', '.join(str(list(shape)) for shape in shapes)}: {n_anchors} anchors per cell",
+        n_classes=n_columns - 5,
+        input_format=_DARKNET_INPUT,
+        decoder=HeadDecoder(heads),
+        attributes=used,
+    )
 
 
 def _check_anchors(path: Path, anchors: Fact, n_heads: int) -> None:
     if len(anchors.value) != n_heads or len({len(head) for head in anchors.value}) != 1:
         raise ModelError(
-            f"{path}: {n_heads} output heads want as many groups of anchors, all of one size; got groups of "
+            f"{path}: expected a group of anchors for each of {n_heads} output heads, all of one size; got groups of "
             f"{', '.join(str(len(head)) for head in anchors.value)} ({anchors.source}); "
             "give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the outputs."
         )
-
-
-def _head_decoder(
-    path: Path, layout: _Layout, input_hw: tuple[int, int], facts: Facts, used: dict[str, Fact]
-) -> HeadDecoder:
-    """The decoder of raw heads, with anchors told or the family's, which belong to heads by their strides."""
-    defaults = YOLOV4_TINY_ANCHORS if len(layout.heads) == 2 else YOLOV4_ANCHORS
-    default_scales = (1.0, 1.0) if len(layout.heads) == 2 else _YOLOV4_SCALES
-    if len(layout.heads) == 2 and layout.heads[0][1][3] > layout.heads[1][1][3]:
-        defaults = defaults[::-1]
-    if len(layout.heads) == 3 and layout.heads[0][1][3] < layout.heads[2][1][3]:
-        defaults, default_scales = defaults[::-1], default_scales[::-1]
-    source = f"default of {layout.family}"
-    used["anchors"] = facts.of("anchors", defaults, source)
-    used["scale_x_y"] = facts.of("scale_x_y", default_scales, source)
-    anchors, scales = used["anchors"].value, used["scale_x_y"].value
-    scales = scales * len(layout.heads) if len(scales) == 1 else scales
-    if len(scales) != len(layout.heads):
-        raise ModelError(
-            f"{path}: {len(layout.heads)} output heads want one scale_x_y each; got {list(scales)} "
-            f"({used['scale_x_y'].source})."
-        )
-    heads = (
-        Head(
-            output,
-            np.array(anchors[output], np.float64),
-            np.array([input_hw[1] / shape[3], input_hw[0] / shape[2]]),
-            scales[output],
-        )
-        for output, shape in layout.heads
-    )
-    return HeadDecoder(tuple(heads))
 
 
 def _names(path: Path, n_classes: int, facts: Facts) -> Fact:
@@ -246,3 +312,13 @@ def _input_format(default: InputFormat, family: str, facts: Facts, used: dict[st
         colours=used["colours"].value,
         divisor=used["divisor"].value,
     )
+
+
+DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (
+    DetectorLayout("decoded YOLOv4 boxes [1, N, 1, 4] with scores [1, N, classes]", _boxes_and_scores),
+    DetectorLayout("YOLOv5 [1, 3 n, 5 + classes]", _anchor_rows),
+    DetectorLayout("YOLOX [1, n, 5 + classes]", _cell_rows),
+    DetectorLayout("YOLOv8/YOLO11 [1, 4 + classes, n]", _cell_columns),
+    DetectorLayout("raw Darknet heads [1, anchors x (5 + classes), rows, columns] (two or three)", _raw_heads),
+)
+"""The known layouts, in the order in which they are tried; n = cells of strides 8, 16, 32. A new one is a row here."""

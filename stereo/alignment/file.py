@@ -23,7 +23,7 @@ import yaml
 
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.writing import write_whole
+from track_range.stereo.rig_formats.rig_format import write_rig_text
 
 _VERSION = 1
 _VERSION_KEY = "track_range_align"
@@ -43,7 +43,7 @@ def save_alignment(alignment: Alignment, path: Path) -> None:
         RigError: the file cannot be written.
     """
     content = {_VERSION_KEY: _VERSION, **asdict(alignment)}
-    write_whole(path, yaml.safe_dump(content, sort_keys=False, width=120, allow_unicode=True))
+    write_rig_text(path, yaml.safe_dump(content, sort_keys=False, width=120, allow_unicode=True))
 
 
 def load_alignment(path: Path) -> Alignment:

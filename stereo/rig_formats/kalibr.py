@@ -20,16 +20,17 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import Calibration
+from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
 
 
-def looks_like_kalibr(text: str) -> bool:
+def _has_cameras(text: str) -> bool:
     """Whether a file has blocks cam0, cam1, ... at its top level."""
     return _CAMERA.search(text) is not None
 
 
-def parse_kalibr(text: str, source: object) -> Calibration:
+def _read(text: str, source: object) -> Calibration:
     """The first two cameras of a chain, the one that stands left first.
 
     Raises:
@@ -55,7 +56,7 @@ def parse_kalibr(text: str, source: object) -> Calibration:
         )
     other = _camera(second, f"{source}: cam1")
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
-        notes.append(f"{source}: cam1 stands left of cam0, so cam1 is taken as the left eye.")
+        notes.append(f"{source}: cam1 stands left of cam0, so cam1 is taken as the left camera.")
         return Calibration(other, first, _inverse(second_from_first), notes=tuple(notes))
     return Calibration(first, other, second_from_first, notes=tuple(notes))
 
@@ -98,3 +99,12 @@ def _numbers(block: Mapping[str, Any], key: str, shape: tuple[int, ...], name: s
         wanted = " x ".join(str(side) for side in shape)
         raise RigError(f"{name}: '{key}' must be {wanted} finite numbers; give Kalibr's camchain.yaml as written.")
     return values
+
+
+KALIBR = RigFormat(
+    name="kalibr",
+    title="Kalibr's camchain.yaml",
+    recognises=_has_cameras,
+    read=lambda text, path, _is_grey: _read(text, path),
+    missing=lambda _text, _path, _is_grey: "it lacks cam1",
+)

@@ -1,6 +1,6 @@
 """KITTI's calib.txt: 3 x 4 projection matrices P0..P3 of rectified cameras, P = K [I | t], t from reference camera 0.
 
-    P0, P1  left and right grey eye          P2, P3  left and right colour eye
+    P0, P1  left and right grey camera       P2, P3  left and right colour camera
     t = K^-1 P[:, 3]                         baseline = -(P3[0, 3] - P2[0, 3]) / fx
 
 The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets, `P_rect_02: ...` in the raw one (which also
@@ -18,28 +18,29 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import Calibration
+from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 
 _COLOUR, _GREY = (2, 3), (0, 1)
 
 
-def looks_like_kitti(text: str) -> bool:
+def _has_projections(text: str) -> bool:
     """Whether any line of a file is one of KITTI's projections."""
     return any(kind == "P" for kind, _, _ in _LINE.findall(text))
 
 
-def parse_kitti(text: str, source: object, *, is_grey: bool) -> Calibration:
+def _read(text: str, source: object, is_grey: bool) -> Calibration:
     """The cameras of a calib.txt: the colour pair, or the grey one where `is_grey` or there is no other.
 
     Raises:
-        RigError: a matrix is not 12 numbers of the form K [I | t], or the left eye's is missing.
+        RigError: a matrix is not 12 numbers of the form K [I | t], or the left camera's is missing.
     """
     matrix, size = _matrices(text, source), _sizes(text)
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
-        raise RigError(f"{source}: it has P{right} but not P{left}, the left eye's; give the whole file.")
+        raise RigError(f"{source}: it has P{right} but not P{left}, the left camera's; give the whole file.")
     left_camera = _camera(matrix[left], size.get(left, (0, 0)))
     reference_m = np.linalg.solve(matrix[left][:, :3], matrix[left][:, 3])
     notes = () if (left, right) == pairs[0] else (f"{source}: cameras {left} and {right} used, it has no others.",)
@@ -52,11 +53,11 @@ def parse_kitti(text: str, source: object, *, is_grey: bool) -> Calibration:
     return Calibration(left_camera, right_camera, right_from_left, (x_m, y_m, z_m), notes)
 
 
-def missing_eye(text: str, *, is_grey: bool) -> str:
-    """Which matrix a file with one eye lacks, for the message that refuses it."""
+def _missing(text: str, _path: object, is_grey: bool) -> str:
+    """Which matrix a file with one camera lacks."""
     found = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
     left, right = _GREY if 0 in found and (is_grey or 2 not in found) else _COLOUR
-    return f"it has P{left} but not P{right}, the right eye's"
+    return f"it has P{left} but not P{right}, the right camera's"
 
 
 def _matrices(text: str, source: object) -> Mapping[int, FloatArray]:
@@ -100,3 +101,6 @@ def _sizes(text: str) -> Mapping[int, tuple[int, int]]:
             width, height = (round(float(word)) for word in values.split())
             found[int(number)] = (width, height)
     return found
+
+
+KITTI = RigFormat(name="kitti", title="KITTI's calib.txt", recognises=_has_projections, read=_read, missing=_missing)

@@ -14,22 +14,25 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import Calibration
+from track_range.stereo.geometry.rectification import lens_terms, turns_of
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig
+from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 _EXTRINSIC = ("R", "T")
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 
 
-def looks_like_opencv(text: str) -> bool:
+def _is_file_storage(text: str) -> bool:
     """Whether a file is OpenCV's FileStorage: its matrices carry a tag of their own."""
     return "opencv-matrix" in text or "<opencv_storage>" in text
 
 
-def parse_opencv(text: str, path: Path) -> Calibration:
+def _read(text: str, path: Path) -> Calibration:
     """The cameras of one file, or of intrinsics and extrinsics side by side, whichever of the two `path` is.
 
     Raises:
@@ -116,3 +119,56 @@ def _numbers(node: cv2.FileNode) -> FloatArray | None:
     if node.isSeq() and all(node.at(i).isInt() or node.at(i).isReal() for i in range(node.size())):
         return np.array([node.at(i).real() for i in range(node.size())])
     return None
+
+
+def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
+    """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does; lengths in metres.
+
+    Raises:
+        RigError: implausible, of images of two sizes, or the file cannot be written.
+    """
+    if isinstance(cameras, StereoRig):
+        check_rig(cameras, path)
+        left, right = cameras.left, cameras.right
+        if (left.width_px, left.height_px) != (right.width_px, right.height_px):
+            raise RigError(
+                f"{path}: OpenCV's file holds one size of images, and these cameras have {left.width_px}x"
+                f"{left.height_px} and {right.width_px}x{right.height_px} px; write ours."
+            )
+        matrices = _rig_matrices(cameras)
+    else:
+        check_camera(cameras, path)
+        matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _lens_row(cameras)}
+        left = cameras
+    storage = cv2.FileStorage(path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", left.width_px)
+    storage.write("image_height", left.height_px)
+    for key, matrix in matrices.items():
+        storage.write(key, np.asarray(matrix, np.float64))
+    write_rig_text(path, storage.releaseAndGetString())
+
+
+def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
+    rotation, shift_m = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
+    left, right = _lens_row(rig.left), _lens_row(rig.right)
+    r1, r2, p1, p2, q = turns_of(rig)
+    return {
+        "M1": rig.left.matrix, "D1": left, "M2": rig.right.matrix, "D2": right, "R": rotation, "T": shift_m,
+        "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,
+    }  # fmt: skip
+
+
+def _lens_row(camera: PinholeCamera) -> FloatArray:
+    return lens_terms(camera)[None]
+
+
+OPENCV = RigFormat(
+    name="opencv",
+    title="the files of OpenCV's stereo_calib",
+    recognises=_is_file_storage,
+    read=lambda text, path, _is_grey: _read(text, path),
+    missing=lambda _text, path, _is_grey: (
+        f"M2, D2, R and T are not all in it, nor in intrinsics/extrinsics{path.suffix} beside it"
+    ),
+    write=lambda cameras, path, _comments: save_opencv(cameras, path),
+)

@@ -61,7 +61,7 @@ def test_every_layout_is_recognised(tmp_path):
 )
 def test_unknown_outputs_are_named_with_the_layouts_known(tmp_path, shapes):
     model = write_model(tmp_path / "m.onnx", *(np.zeros(shape) for shape in shapes))
-    with pytest.raises(ModelError, match=r"unknown outputs output0 \[\d+, .*known layouts: YOLOv5 \[1, 3 n"):
+    with pytest.raises(ModelError, match=r"unknown outputs output0 \[\d+, .*known layouts: .*YOLOv5 \[1, 3 n"):
         YoloDetector(model)
 
 
@@ -199,7 +199,7 @@ def test_a_sidecar_that_cannot_be_meant(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("anchors", "message"),
     [
-        ("10,14 23,27", "2 output heads want as many groups of anchors"),
+        ("10,14 23,27", "2 output heads"),
         ("10,14 / 23,27 3,3", "got groups of 1, 2 "),
         ("10,14 23 / 1,2 3,4", "--anchors cannot be used: positive width,height pairs wanted"),
         ("10,14 23,-4 5,5 / 1,2 3,4 5,5", "positive width,height pairs wanted"),
@@ -216,7 +216,7 @@ def test_anchors_that_cannot_be_meant(tmp_path, anchors, message):
 
 def test_one_scale_x_y_per_head(tmp_path):
     model = write_model(tmp_path / "m.onnx", *heads((2, 2), (4, 4), n_columns=25), metadata={"scale_x_y": "[1, 1, 1]"})
-    with pytest.raises(ModelError, match="2 output heads want one scale_x_y each"):
+    with pytest.raises(ModelError, match="one scale_x_y .* 2 output heads"):
         YoloDetector(model)
 
 

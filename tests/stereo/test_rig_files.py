@@ -14,7 +14,8 @@ import yaml
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_rig
-from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig, save_rig
+from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 SIZE = (1280, 720)
 
@@ -150,7 +151,7 @@ def test_missing_keys_are_named(tmp_path: Path, key: str) -> None:
         ("", "no key 'track_range_rig'"),
         ("hello\n", "no key 'track_range_rig'"),
         ("- 1\n- 2\n", "no key 'track_range_rig'"),
-        ("a: [1, 2\nb: 3\n", "not readable as YAML (line 2)"),
+        ("track_range_rig: 1\na: [1, 2\nb: 3\n", "not readable as YAML (line 3)"),
         ("%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n", "OpenCV cannot read it"),
         ("%YAML:1.0\n---\nM1: !!opencv-matrix [\n", "OpenCV cannot read it"),
     ],
@@ -164,9 +165,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     assert "cannot be read" in refused(tmp_path)
     binary = tmp_path / "left.mp4"
     binary.write_bytes(bytes(range(256)))
-    assert "it is not text" in refused(binary)
+    assert "not a text file" in refused(binary)
     binary.write_bytes(bytes(1_000_001))
-    assert "far too large" in refused(binary)
+    assert "larger than 1 MB" in refused(binary)
 
 
 def test_a_rig_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

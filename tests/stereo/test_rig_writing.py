@@ -12,8 +12,10 @@ import pytest
 
 from tests.stereo.board_scenes import CAMERA, rig
 from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.opencv import save_opencv
 from track_range.stereo.rig_formats.reading import load_calibration, load_camera, load_rig
-from track_range.stereo.rig_formats.writing import save_camera, save_opencv, save_rig
+from track_range.stereo.rig_formats.registry import RIG_FORMATS, rig_writers
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 SIZE = (640, 360)
 TRUE = rig()
@@ -97,3 +99,19 @@ def test_a_calibration_is_fitted_to_a_size(tmp_path):
     odd.write_text((tmp_path / "rig.yaml").read_text().replace("translation_m: [-0.1", "translation_m: [-10.1"))
     with pytest.raises(RigError, match="is not within"):
         load_calibration(odd)
+
+
+@pytest.mark.parametrize("cameras", [TRUE, CAMERA])
+@pytest.mark.parametrize("name", rig_writers())
+def test_written_files_are_recognised_by_their_own_format_first(tmp_path, name, cameras):
+    path = tmp_path / "rig.yml"
+    rig_writers()[name](cameras, path, ["2 views"])
+    text = path.read_text()
+    assert next(rig_format.name for rig_format in RIG_FORMATS if rig_format.recognises(text)) == name
+    again, _ = load_calibration(path)
+    assert type(again) is type(cameras)
+
+
+def test_names_of_rig_formats_are_unique():
+    assert len({rig_format.name for rig_format in RIG_FORMATS}) == len(RIG_FORMATS) == 4
+    assert list(rig_writers()) == ["ours", "opencv"]

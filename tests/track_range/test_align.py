@@ -13,7 +13,8 @@ from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.rig_formats.reading import load_rig, save_rig
+from track_range.stereo.rig_formats.reading import load_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 SIZE_PX = (620, 188)
 
@@ -93,8 +94,8 @@ def test_a_table_of_disparities_half_a_pixel_off(drive, videos, tmp_path, cli):
     ("text", "complaint"),
     [
         ("1,2,3\n", "frame,x1,y1,x2,y2 and either distance_m or disparity_px"),
-        ("frame,x1,y1,x2,y2\n0,1,2,3,4\n", "a heading and rows of"),
-        ("frame,x1,y1,x2,y2,distance_m,disparity_px\n0,1,2,3,4,5,6\n", "a heading and rows of"),
+        ("frame,x1,y1,x2,y2\n0,1,2,3,4\n", "a header and rows of"),
+        ("frame,x1,y1,x2,y2,distance_m,disparity_px\n0,1,2,3,4,5,6\n", "a header and rows of"),
         ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,far\n", "line 2: expected a finite number for distance_m"),
         ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,nan\n", "line 2: expected a finite number for distance_m"),
         ("frame,x1,y1,x2,y2,distance_m\n0,1,2,3,4,-5\n", "expected 0.1 .. 10000 for distance_m"),
@@ -104,7 +105,7 @@ def test_a_table_of_disparities_half_a_pixel_off(drive, videos, tmp_path, cli):
         ("frame,x1,y1,x2,y2,distance_m\n0.5,1,2,3,4,5\n", "a whole number from 0 for frame"),
         ("frame,x1,y1,x2,y2,distance_m\n900,1,2,3,4,5\n", "none of its objects is in a frame of the videos"),
         ("frame,x1,y1,x2,y2,distance_m\n0,100,20,160,60,9\n", "at least 5 objects of known distance"),
-        ("frame,x1,y1,x2,y2,distance_m\n0,1,2\n", "a number in each of"),
+        ("frame,x1,y1,x2,y2,distance_m\n0,1,2\n", "expected a finite number"),
     ],
 )
 def test_tables_that_are_wrong(videos, tmp_path, cli, text, complaint):
@@ -120,7 +121,7 @@ def test_a_table_that_is_no_text(videos, tmp_path, cli):
     table = tmp_path / "known.csv"
     table.write_bytes(b"\xff\xfe\x00")
     status, _, complained = cli("align", "--reference", table, *videos, "--out", tmp_path / "align.yaml")
-    assert (status, "it is no CSV file" in complained) == (1, True)
+    assert (status, "cannot be read as CSV" in complained) == (1, True)
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_frames_beyond_the_video_do_not_count_and_another_videos_are_told(
         ),
         ("class", "ufo", "line 2: class 'ufo' is unknown"),
         ("x1", "nan", "line 2: expected a number of pixels for x1"),
-        ("id", "7", "line 3: id 7 stands twice in frame 0"),
+        ("id", "7", "line 3: id 7 twice in frame 0"),
         ("distance_m", "", "no row has a distance_m, so it tells no distances"),
     ],
 )
@@ -132,7 +132,7 @@ def test_a_truth_without_a_column_or_with_nothing_in_it_is_one_sentence(
     against: Any, drive: Drive, tmp_path: Path
 ) -> None:
     bad = rewritten(drive, tmp_path / "bad.csv", lambda row: {k: v for k, v in row.items() if k != "distance_m"})
-    for message in ("no column distance_m; a first line with the columns", "the file is empty"):
+    for message in ("no column distance_m", "the file is empty"):
         status, _, _, complaint = against(bad)
         assert (status, complaint.count("\n")) == (1, 1)
         assert message in complaint

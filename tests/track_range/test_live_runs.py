@@ -23,7 +23,7 @@ from tests.track_range.live_servers import cameras
 from track_range.results.csv_file import read_tracks_csv
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.rig_formats.reading import save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 Cli = Callable[..., tuple[int, str, str]]
 BOXES = "".join(f"{frame},-1,10,10,20,20,0.9,-1,-1,-1\n" for frame in range(1, 3000))

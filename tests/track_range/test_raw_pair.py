@@ -14,7 +14,7 @@ from track_range.simulation.world.truth import label_scene
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
-from track_range.stereo.rig_formats.reading import save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.tracking.tracks import Tracks
 from track_range.video.source import open_source
 

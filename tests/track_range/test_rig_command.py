@@ -6,7 +6,7 @@ import pytest
 
 from tests.stereo.board_scenes import CAMERA, rig
 from track_range.stereo.rig_formats.reading import load_calibration, load_rig
-from track_range.stereo.rig_formats.writing import save_camera, save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 KITTI = "P0: 700 0 600 0 0 700 180 0 0 0 1 0\nP1: 700 0 600 -350 0 700 180 0 0 0 1 0\n"
 
@@ -88,7 +88,8 @@ def test_wrong_usage(tmp_path, cli):
         (("show", tmp_path / "b.yaml", "--size", "0x3"), 2, "write it as WIDTHxHEIGHT"),
         (("show", tmp_path / "b.yaml", "--size", "64000x36000"), 2, "20000 px a side at most"),
         (("convert", tmp_path / "b.yaml", "."), 1, "it is a folder; name a file to write"),
-        (("show", tmp_path / "a.yaml"), 1, "it is no rig"),
+        (("show", tmp_path / "a.yaml"), 1, "not a rig"),
+        (("convert", tmp_path / "b.yaml", tmp_path / "c.yaml", "--to", "kitti"), 2, "ours, opencv"),
         (("show", tmp_path / "none.yaml"), 1, "there is no such file"),
         (("convert", tmp_path / "b.yaml", tmp_path / "none" / "c.yaml"), 1, "cannot be written"),
     ):

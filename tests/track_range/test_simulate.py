@@ -10,7 +10,7 @@ import yaml
 
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.stereo.rig_formats.writing import save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.video.reader import VideoReader
 
 FILES = {"left.mp4", "right.mp4", "rig.yaml", "truth.txt", "truth.csv", "ego_speed.csv", "detections.txt"}

@@ -10,7 +10,7 @@ from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.rig_formats.reading import save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.video.reader import VideoError
 from track_range.video.source import open_source
 

@@ -25,7 +25,7 @@ from track_range.stereo.calibration.boards import board_of
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit, calibrate_camera
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit, calibrate_pair
-from track_range.stereo.rig_formats.writing import save_camera, save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 from track_range.terminal_tables import tell_grid
 
 _BOARD_M = (0.1, 20.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from rich.console import Console
@@ -16,10 +15,8 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration
-from track_range.stereo.rig_formats.writing import save_camera, save_opencv, save_rig
+from track_range.stereo.rig_formats.registry import rig_writers
 from track_range.terminal_tables import tell_grid
-
-RigFormat = Literal["ours", "opencv"]
 
 _MAX_SIDE_PX = 20_000
 """No image is wider, and maps for a larger one fill the memory."""
@@ -27,23 +24,21 @@ _MAX_SIDE_PX = 20_000
 _SHOWN_M = np.array([10.0, 30.0, 60.0])
 
 
-def convert_rig(source: Path, out: Path, *, to: RigFormat, size: str | None, console: Console) -> None:
-    """Read a calibration of any format and write it in one of two.
+def convert_rig(source: Path, out: Path, *, to: str, size: str | None, console: Console) -> None:
+    """Read a calibration of any format and write it in the format named `to`.
 
     Raises:
         RigError: it cannot be read or written, or gives no image size and `size` is None.
-        UsageError: `size` is not WIDTHxHEIGHT, or both files are the same.
+        UsageError: `to` is no format that can be written, `size` is not WIDTHxHEIGHT, or both files are the same.
     """
+    writers = rig_writers()
+    if to not in writers:
+        raise UsageError(f"--to {to}: expected one of {', '.join(writers)}.")
     if source.resolve() == out.resolve():
         raise UsageError(f"{out}: it is the file to convert; name another one to write.")
     found, notes = load_calibration(source, size_px=_size_of(size))
     _check_sized(found, source)
-    if to == "opencv":
-        save_opencv(found, out)
-    elif isinstance(found, StereoRig):
-        save_rig(found, out, comments=[f"from {source.name}"])
-    else:
-        save_camera(found, out, comments=[f"from {source.name}"])
+    writers[to](found, out, [f"from {source.name}"])
     for note in (*notes, *_labels_note(source)):
         say(console, note)
     cameras = "two cameras" if isinstance(found, StereoRig) else "one camera"

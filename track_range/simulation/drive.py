@@ -42,7 +42,7 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import joined, seen_at
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.box_matchers import one_thread
-from track_range.stereo.rig_formats.reading import save_rig
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 
 __all__ = ["Drive", "DriveOptions", "kitti_text", "write_drive"]
 

@@ -1,0 +1,51 @@
+"""RigFormat: what a file format of camera calibrations needs, to be one row of `registry.RIG_FORMATS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from track_range.foundation.atomic_files import describe, write_text
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import Calibration
+
+RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]
+"""Writes a rig or one camera to a path, with lines of comment; raises RigError."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigFormat:
+    """One file format of camera calibrations.
+
+    Attributes:
+        name: the format's name on the command line.
+        title: the format's files, for messages, such as "KITTI's calib.txt".
+        recognises: whether a file with this text is in the format.
+        read: the cameras of a file from its text, its path (for messages and files beside it) and whether the images
+            are grey; raises RigError.
+        missing: what a file with one camera lacks for a stereo rig, from the same arguments.
+        write: writes a file; None = the format is only read.
+    """
+
+    name: str
+    title: str
+    recognises: Callable[[str], bool]
+    read: Callable[[str, Path, bool], Calibration]
+    missing: Callable[[str, Path, bool], str]
+    write: RigWriter | None = None
+
+
+def write_rig_text(path: Path, text: str) -> None:
+    """Write a text file atomically.
+
+    Raises:
+        RigError: it is a folder, or cannot be written.
+    """
+    if path.is_dir():
+        raise RigError(f"{path}: it is a folder; name a file to write.")
+    try:
+        write_text(path, text)
+    except OSError as error:
+        raise RigError(f"{path}: cannot be written ({describe(error)}); choose another place.") from error

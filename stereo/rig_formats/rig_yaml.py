@@ -1,0 +1,171 @@
+"""rig.yaml, track-range's own format of rigs and cameras; read back to the last digit.
+
+The unit is in every key; a file for one camera has `left` only; distortion is OpenCV's k1, k2, p1, p2, k3, ...:
+
+    track_range_rig: 1
+    left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
+    right: {...}
+    right_from_left: {rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], translation_m: [-0.54, 0, 0]}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from track_range.foundation.arrays import FloatArray
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig
+from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
+
+VERSION = 1
+"""Version of the format, the value of its key `track_range_rig`."""
+
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
+_Row = Annotated[list[_Finite], Field(min_length=3, max_length=3)]
+_Strict = ConfigDict(extra="forbid", frozen=True)
+
+
+class _CameraFile(BaseModel):
+    model_config = _Strict
+    fx_px: _Positive
+    fy_px: _Positive
+    cx_px: _Finite
+    cy_px: _Finite
+    width_px: Annotated[int, Field(gt=0)]
+    height_px: Annotated[int, Field(gt=0)]
+    distortion: list[_Finite] = []
+
+    def camera(self) -> PinholeCamera:
+        size = (self.width_px, self.height_px)
+        return PinholeCamera(self.fx_px, self.fy_px, self.cx_px, self.cy_px, *size, tuple(self.distortion))
+
+
+class _MotionFile(BaseModel):
+    model_config = _Strict
+    rotation: Annotated[list[_Row], Field(min_length=3, max_length=3)]
+    translation_m: _Row
+
+    def matrix(self) -> FloatArray:
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = self.rotation, self.translation_m
+        return motion
+
+
+class _RigFile(BaseModel):
+    model_config = _Strict
+    track_range_rig: Literal[1]
+    left: _CameraFile
+    right: _CameraFile | None = None
+    right_from_left: _MotionFile | None = None
+
+
+def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
+    """Write a rig in our format, with lines of comment above it.
+
+    Raises:
+        RigError: the rig is implausible, or the file cannot be written.
+    """
+    check_rig(rig, path)
+    motion = {
+        "rotation": rig.right_from_left[:3, :3].tolist(),
+        "translation_m": rig.right_from_left[:3, 3].tolist(),
+    }
+    content = {
+        "track_range_rig": VERSION,
+        "left": _camera_content(rig.left),
+        "right": _camera_content(rig.right),
+        "right_from_left": motion,
+    }
+    write_rig_text(path, _commented(comments) + _yaml(content))
+
+
+def save_camera(camera: PinholeCamera, path: Path, *, comments: Sequence[str] = ()) -> None:
+    """Write one camera in our format, with lines of comment above it; a calibration for --mono.
+
+    Raises:
+        RigError: the camera is implausible, or the file cannot be written.
+    """
+    check_camera(camera, path)
+    write_rig_text(path, _commented(comments) + _yaml({"track_range_rig": VERSION, "left": _camera_content(camera)}))
+
+
+def _write(cameras: StereoRig | PinholeCamera, path: Path, comments: Sequence[str]) -> None:
+    if isinstance(cameras, StereoRig):
+        save_rig(cameras, path, comments=comments)
+    else:
+        save_camera(cameras, path, comments=comments)
+
+
+def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:
+    return {
+        "fx_px": camera.fx_px,
+        "fy_px": camera.fy_px,
+        "cx_px": camera.cx_px,
+        "cy_px": camera.cy_px,
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "distortion": list(camera.distortion),
+    }
+
+
+def _yaml(content: Mapping[str, object]) -> str:
+    return yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=120)
+
+
+def _commented(lines: Sequence[str]) -> str:
+    return "".join(f"# {part}\n" for line in lines for part in line.splitlines())
+
+
+def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise RigError(f"{path}: not readable as YAML{_where(error)}; correct it.") from error
+    if not isinstance(content, dict) or "track_range_rig" not in content:
+        raise RigError(f"{path}: no key 'track_range_rig' at its top level; correct it.")
+    version = content["track_range_rig"]
+    if type(version) is not int or version != VERSION:
+        raise RigError(f"{path}: it is a rig of version {version!r}, this program reads version {VERSION}.")
+    try:
+        rig = _RigFile.model_validate(content)
+    except ValidationError as error:
+        raise RigError(f"{path}: {_first_fault(error)}; correct it.") from error
+    left = rig.left.camera()
+    if rig.right is None or rig.right_from_left is None:
+        return Calibration(left, None, None)
+    return Calibration(left, rig.right.camera(), rig.right_from_left.matrix())
+
+
+def _first_fault(error: ValidationError) -> str:
+    """The first wrong key, what is wrong and what stands there."""
+    fault = error.errors()[0]
+    key = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "missing":
+        return f"the key '{key}' is missing"
+    if fault["type"] == "extra_forbidden":
+        return f"the key '{key}' is unknown"
+    return f"'{key}' is {fault['input']!r}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+
+
+def _where(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    return "" if mark is None else f" (line {mark.line + 1})"
+
+
+RIG_YAML = RigFormat(
+    name="ours",
+    title="our rig.yaml",
+    recognises=lambda text: "track_range_rig" in text,
+    read=_read,
+    missing=lambda _text, _path, _is_grey: "it lacks 'right' or 'right_from_left'",
+    write=_write,
+)
