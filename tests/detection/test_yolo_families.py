@@ -216,7 +216,7 @@ def test_anchors_that_cannot_be_meant(tmp_path, anchors, message):
 
 def test_one_scale_x_y_per_head(tmp_path):
     model = write_model(tmp_path / "m.onnx", *heads((2, 2), (4, 4), n_columns=25), metadata={"scale_x_y": "[1, 1, 1]"})
-    with pytest.raises(ModelError, match="one scale_x_y .* 2 output heads"):
+    with pytest.raises(ModelError, match=r"one scale_x_y .* 2 output heads"):
         YoloDetector(model)
 
 
