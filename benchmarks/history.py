@@ -36,11 +36,10 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.tracking.association import assigned
 from track_range.tracking.benchmark_rules import KITTI_TYPES
-from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts
-from track_range.tracking.history import BoxHistory, FillGates, Form, smoothed
+from track_range.tracking.history import BoxHistory, Form, PredictionGates, smoothed
 from track_range.tracking.tracked_boxes import TrackedBoxes
-from track_range.tracking.tracker_settings import TrackerSettings
 
 FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")
 TRUTH, FOUND, PREDICTED = "#8c96a0", "#2f7ed8", "#e08214"
@@ -84,17 +83,17 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return {"protocol": __doc__, "classes": figures}
 
 
-def _settings(ks: Sequence[int]) -> list[tuple[str, int, FillGates]]:
+def _settings(ks: Sequence[int]) -> list[tuple[str, int, PredictionGates]]:
     """Name of the gates, k, gates."""
-    free = FillGates(min_running=2, min_running_in_sight=2, max_spread=np.inf, min_margin=0.0)
-    rows = [("nothing", k, FillGates(n_kept=k + 1, max_missing_s=0.0)) for k in ks]
+    free = PredictionGates(min_hit_streak=2, min_hit_streak_visible=2, max_deviation=np.inf, min_margin=0.0)
+    rows = [("nothing", k, PredictionGates(n_kept=k + 1, max_missing_s=0.0)) for k in ks]
     for form in FORMS:
         rows += [(f"{form}, border, age", k, replace(free, form=form, n_kept=k + 1)) for k in ks]
-        rows += [(f"{form}, all gates", k, FillGates(form=form, n_kept=k + 1)) for k in ks]
+        rows += [(f"{form}, all gates", k, PredictionGates(form=form, n_kept=k + 1)) for k in ks]
     return rows
 
 
-def _row(sequences: Sequence[tracking_sets.Sequence], name: str, k: int, gates: FillGates) -> dict[str, Any]:
+def _row(sequences: Sequence[tracking_sets.Sequence], name: str, k: int, gates: PredictionGates) -> dict[str, Any]:
     """Figures of one setting."""
     tracked = [_tracked(each, gates) for each in sequences]
     boxes = [result.boxes for result in tracked]
@@ -122,8 +121,8 @@ def _row(sequences: Sequence[tracking_sets.Sequence], name: str, k: int, gates: 
     }
 
 
-def _tracked(sequence: tracking_sets.Sequence, gates: FillGates) -> _Tracked:
-    tracker, n_frames = DeepSortTracker(TrackerSettings(fill=gates)), sequence.n_frames
+def _tracked(sequence: tracking_sets.Sequence, gates: PredictionGates) -> _Tracked:
+    tracker, n_frames = DeepSortTracker(DeepSortSettings(prediction=gates)), sequence.n_frames
     tracks = track_sequence(sequence.found, tracker, n_frames=n_frames, fps=sequence.fps, is_online=True).frames
     frame = np.repeat(np.arange(len(tracks)), [len(each) for each in tracks])
     track_id = np.concatenate([each.track_id for each in tracks])
@@ -162,8 +161,8 @@ def _labels(tracked: _Tracked, k: int) -> FloatArray:
         rows = np.flatnonzero((tracked.boxes.track_id == track_id) & tracked.observed)
         buffer = np.concatenate([np.full((k, 4), np.nan), tracked.boxes.xyxy_px[rows]])
         windows = np.lib.stride_tricks.sliding_window_view(buffer, k + 1, axis=0).transpose(0, 2, 1)
-        n_running = np.ones(len(rows), np.int64)
-        found[rows] = smoothed(BoxHistory(windows, np.zeros(windows.shape[:2]), n_running))
+        hit_streak = np.ones(len(rows), np.int64)
+        found[rows] = smoothed(BoxHistory(windows, np.zeros(windows.shape[:2]), hit_streak))
     return found
 
 
@@ -217,7 +216,7 @@ def _tell(rows: Sequence[dict[str, Any]], title: str) -> None:
 
 def _draw(sequences: Sequence[tracking_sets.Sequence], k: int, options: argparse.Namespace) -> dict[str, Any]:
     """The paper's figure 5: an edge of one track's box over the frames, before and after."""
-    gates = FillGates(form="step-of-medians", n_kept=k + 1)
+    gates = PredictionGates(form="step-of-medians", n_kept=k + 1)
     tracked = {each.name: _tracked(each, gates) for each in sequences}
     name, track = options.track.split(":") if options.track else _most_telling(tracked)
     sequence, result = next(each for each in sequences if each.name == name), tracked[name]

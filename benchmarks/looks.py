@@ -39,15 +39,14 @@ from track_range.sequences.tracking import track_sequence
 from track_range.simulation.camera.playback import HIDDEN
 from track_range.tracking.appearance import ColourLayout
 from track_range.tracking.camera_motion import CameraMotion
-from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
 from track_range.tracking.reid import ReidModel
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.tracker import AppearanceModel
-from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 from track_range.tracking.tracks import Tracks
 
-NO_LOOKS = AppearanceGates(max_distance=0.0)
+NO_LOOKS = AppearanceSettings(max_distance=0.0)
 REAL_SEEDS = range(5)
 _MIN_IOU = 0.5
 _FIGURES = {"hota": "HOTA", "idf1": "IDF1", "assa": "AssA", "deta": "DetA", "idsw": "IDsw"}
@@ -79,19 +78,19 @@ class Row:
     """One way to track, and what came of it so far.
 
     Attributes:
-        is_camera_followed: see `TrackerSettings`.
+        is_camera_motion_compensated: see `DeepSortSettings`.
         descriptor: None = no looks.
         parts: tracks of each drive, as they came.
     """
 
-    is_camera_followed: bool = False
+    is_camera_motion_compensated: bool = False
     descriptor: Timed | None = None
     parts: list[list[Tracks]] = field(default_factory=list)
 
     def track(self, drive: LooksDrive) -> None:
         """With a new tracker."""
-        looks = NO_LOOKS if self.descriptor is None else AppearanceGates()
-        settings = TrackerSettings(is_camera_followed=self.is_camera_followed, appearance=looks)
+        looks = NO_LOOKS if self.descriptor is None else AppearanceSettings()
+        settings = DeepSortSettings(is_camera_motion_compensated=self.is_camera_motion_compensated, appearance=looks)
         tracker = DeepSortTracker(settings, appearance_model=self.descriptor)
         frames = enumerate(zip(drive.found, drive.images, strict=True))
         self.parts.append([tracker.update(found, k / FPS, image) for k, (found, image) in frames])
@@ -165,7 +164,7 @@ def _measured(drives: Iterable[LooksDrive], rows: Mapping[str, Row]) -> dict[str
             "n_kept": int(np.sum(kept)),
             "n_occlusions": len(kept),
             "looks_ms": float(np.median(row.descriptor.times_ms)) if row.descriptor else None,
-            "camera_ms": float(np.median(camera_ms)) if row.is_camera_followed else None,
+            "camera_ms": float(np.median(camera_ms)) if row.is_camera_motion_compensated else None,
             "boxes_per_frame": n_boxes / len(camera_ms),
         }
     return found
@@ -233,10 +232,10 @@ def _stored_vectors(data: Path) -> dict[str, Figures]:
     """MOT17's rows; none where there are no vectors."""
     sequences = [each for each in sequences_of("mot17", data) if each.has_vectors]
     found: dict[str, Figures] = {}
-    for name, looks in (("motion", NO_LOOKS), ("motion, stored vectors", AppearanceGates())):
+    for name, looks in (("motion", NO_LOOKS), ("motion, stored vectors", AppearanceSettings())):
         counts = []
         for each in sequences:
-            tracker = DeepSortTracker(TrackerSettings(appearance=looks))
+            tracker = DeepSortTracker(DeepSortSettings(appearance=looks))
             done = track_sequence(each.found, tracker, n_frames=each.n_frames, fps=each.fps, is_online=True).frames
             frame = np.repeat(np.arange(len(done)), [len(tracks) for tracks in done])
             track_id = np.concatenate([tracks.track_id for tracks in done])

@@ -39,24 +39,23 @@ from benchmarks.peer_trackers import PEERS, Array
 from benchmarks.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
 from track_range.detection.detections import Detections
 from track_range.sequences.tracking import track_sequence
-from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts
-from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 
 
 @dataclass(frozen=True, slots=True)
 class Own:
     """One of our rows: `track-range track` with these options; `needs_vectors`: the same as another row without."""
 
-    settings: TrackerSettings
+    settings: DeepSortSettings
     is_online: bool = True
     needs_vectors: bool = False
 
 
 OURS: Mapping[str, Own] = {
-    "track-range": Own(TrackerSettings()),
-    "track-range, sort": Own(TrackerSettings(appearance=AppearanceGates(max_distance=0.0)), needs_vectors=True),
-    "track-range, looks ahead": Own(TrackerSettings(), is_online=False),
+    "track-range": Own(DeepSortSettings()),
+    "track-range, sort": Own(DeepSortSettings(appearance=AppearanceSettings(max_distance=0.0)), needs_vectors=True),
+    "track-range, looks ahead": Own(DeepSortSettings(), is_online=False),
 }
 BEST = "track-range"
 """The row that is held against peers."""

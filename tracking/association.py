@@ -1,10 +1,10 @@
-"""Association: which box of this frame belongs to which track, as a cost matrix, its gates and the best assignment.
+"""Association of tracks and detections: cost matrices, their gates, and the best assignment.
 
     cost = 1 - IoU(predicted box, detected box)      inf where the classes cannot be one object
-    minimise the sum of costs over pairs, a track left alone costing max_cost
+    minimise the sum of costs over pairs, an unmatched track costing max_cost
 
-Most tracks and boxes of a frame have but one partner that they could take: those pairs are taken at once, and only the
-rest is a problem of assignment, scipy's (Crouse's form of Jonker and Volgenant's algorithm).
+Most tracks and detections of a frame have only one possible partner: those pairs are matched at once, and only the rest
+is a linear assignment problem (scipy's solver: Crouse's form of the Jonker-Volgenant algorithm).
 """
 
 from __future__ import annotations
@@ -19,17 +19,65 @@ from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Classes = Literal["similar", "same", "any"]
-"""Which classes may be one object: those that detectors take for each other, equal ones only, or all."""
+"""Which classes may be one object: those that detectors confuse, equal ones only, or all."""
+
+_UNRELATED_COST = 0.95
+"""1 - IoU from which on a track and a detection are no candidates for each other."""
 
 
-def iou_cost(track_xyxy_px: FloatArray, found_xyxy_px: FloatArray, *, margin: float = 0.0) -> FloatArray:
-    """(N, M) 1 - IoU, in [0, 1], of boxes widened by `margin` of their own size on every side.
+class Assignment:
+    """Pairs of N tracks and M detections, collected stage by stage; each stage uses what the ones before left.
 
-    A margin lets a box that moved by more than its width find itself again (Yang et al., C-BIoU, 2023).
+    Attributes:
+        tracks, detections: (K,) row numbers of the pairs so far.
+    """
+
+    def __init__(self, n_tracks: int, n_detections: int) -> None:
+        """No pairs."""
+        self.tracks, self.detections = np.zeros((2, 0), np.int64)
+        self._is_free_track, self._is_free_detection = np.ones(n_tracks, np.bool_), np.ones(n_detections, np.bool_)
+
+    def unmatched(self, tracks: BoolArray, detections: BoolArray) -> tuple[IntArray, IntArray]:
+        """Row numbers of those tracks (N,) and detections (M,) of the masks that have no partner."""
+        return (tracks & self._is_free_track).nonzero()[0], (detections & self._is_free_detection).nonzero()[0]
+
+    def match(self, cost: FloatArray, tracks: BoolArray, detections: BoolArray, *, max_cost: float) -> None:
+        """Match the unmatched tracks (N,) and detections (M,) of the masks at least total `cost` (N, M)."""
+        i, j = self.unmatched(tracks, detections)
+        if len(i) and len(j):
+            self.match_subset(cost[i[:, None], j], i, j, max_cost=max_cost)
+
+    def match_subset(self, cost: FloatArray, tracks: IntArray, detections: IntArray, *, max_cost: float) -> None:
+        """Match the tracks (n,) and detections (m,) with these row numbers at least total `cost` (n, m)."""
+        i, j = assigned(cost, max_cost=max_cost)
+        self._take(tracks[i], detections[j])
+
+    def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
+        """Match tracks and detections (of maximum costs (M,)) that overlap with each other and hardly with any other.
+
+        The stages after this one would match them too, only slower: most pairs of a frame are found here.
+        """
+        is_candidate = cost <= _UNRELATED_COST
+        detection = is_candidate.argmax(axis=1)
+        is_only = tracks & (is_candidate.sum(axis=1) == 1) & (is_candidate.sum(axis=0) == 1)[detection]
+        i = is_only.nonzero()[0]
+        good = cost[i, detection[i]] <= max_cost[detection[i]]
+        self._take(i[good], detection[i[good]])
+
+    def _take(self, tracks: IntArray, detections: IntArray) -> None:
+        self._is_free_track[tracks], self._is_free_detection[detections] = False, False
+        self.tracks = np.concatenate([self.tracks, tracks])
+        self.detections = np.concatenate([self.detections, detections])
+
+
+def iou_cost(track_xyxy_px: FloatArray, detected_xyxy_px: FloatArray, *, margin: float = 0.0) -> FloatArray:
+    """(N, M) 1 - IoU, in [0, 1], of boxes (N, 4) and (M, 4) widened by `margin` of their own size on every side.
+
+    With a margin, boxes of an object that moved by more than its width still overlap (Yang et al., C-BIoU, 2023).
     """
     if margin:
-        track_xyxy_px, found_xyxy_px = widened(track_xyxy_px, margin), widened(found_xyxy_px, margin)
-    return 1.0 - iou(track_xyxy_px, found_xyxy_px)
+        track_xyxy_px, detected_xyxy_px = widened(track_xyxy_px, margin), widened(detected_xyxy_px, margin)
+    return 1.0 - iou(track_xyxy_px, detected_xyxy_px)
 
 
 def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
@@ -38,13 +86,13 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
     return np.concatenate([xyxy_px[:, :2] - pad_px, xyxy_px[:, 2:] + pad_px], axis=1)
 
 
-def are_compatible(track_class_id: IntArray, found_class_id: IntArray, classes: Classes = "similar") -> BoolArray:
-    """(N, M) whether a track and a box may be one object: detectors take cars, buses and trucks for each other."""
+def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classes: Classes = "similar") -> BoolArray:
+    """(N, M) whether a track and a detection may be one object: detectors confuse cars, buses and trucks."""
     if classes == "any":
-        return np.ones((len(track_class_id), len(found_class_id)), np.bool_)
+        return np.ones((len(track_class_id), len(detected_class_id)), np.bool_)
     if classes == "similar":
-        track_class_id, found_class_id = SAME_OBJECT_GROUP[track_class_id], SAME_OBJECT_GROUP[found_class_id]
-    return np.asarray(track_class_id[:, None] == found_class_id[None, :])
+        track_class_id, detected_class_id = SAME_OBJECT_GROUP[track_class_id], SAME_OBJECT_GROUP[detected_class_id]
+    return np.asarray(track_class_id[:, None] == detected_class_id[None, :])
 
 
 def assigned(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
@@ -52,11 +100,11 @@ def assigned(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
 
     Args:
         cost: (N, M), no NaN; N or M may be 0.
-        max_cost: also what leaving a row alone costs, so that no pair is made only to make more pairs.
+        max_cost: also the cost of an unmatched row, so that no pair is made only to make more pairs.
     """
-    may = cost <= max_cost
-    n_of_row, n_of_column = may.sum(axis=1), may.sum(axis=0)
-    rows, columns = np.nonzero(may & (n_of_row == 1)[:, None] & (n_of_column == 1)[None, :])
+    allowed = cost <= max_cost
+    n_of_row, n_of_column = allowed.sum(axis=1), allowed.sum(axis=0)
+    rows, columns = np.nonzero(allowed & (n_of_row == 1)[:, None] & (n_of_column == 1)[None, :])
     open_rows, open_columns = np.flatnonzero(n_of_row), np.flatnonzero(n_of_column)
     if len(rows) == len(open_rows) or len(rows) == len(open_columns):
         return rows, columns

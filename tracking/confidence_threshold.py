@@ -1,8 +1,8 @@
-"""ScoreThreshold: from which score on a detector's boxes are worth a track, learnt from whether they persist.
+"""ConfidenceThreshold: the track-activation threshold of a detector, estimated online from whether boxes persist.
 
-A score of 0.5 means a car in 85 of 100 boxes of one detector and a person in 18 of 100 of another's. What is there is
-found again in the next frame; false alarms come and go. So the share of boxes that some box of the next frame overlaps,
-by score, tells how much a score is worth, without any truth (measured on RRC's KITTI boxes, MOT15 and MOT17-05):
+A score of 0.5 means a car in 85 of 100 boxes of one detector and a person in 18 of 100 of another's. An object is
+detected again in the next frame; false alarms come and go. So the share of boxes that some box of the next frame
+overlaps, by score, shows how reliable a score is, without ground truth (on RRC's KITTI boxes, MOT15 and MOT17-05):
 
     score                   0.3-0.4  0.4-0.5  0.5-0.6  0.6-0.7  0.7-0.8  0.8-0.9  best half
     RRC cars      true         63 %     82 %     87 %     79 %     94 %     80 %   (100 %)
@@ -12,8 +12,8 @@ by score, tells how much a score is worth, without any truth (measured on RRC's 
     MOT15         true                           27       28       39       46     (84-96)
                   persist                        53       66       76       85       98
 
-The threshold is where the share reaches a fraction of that of the better half of all boxes: 0.3 for the cars, 0.7 for
-the persons, 0.8 for MOT15. Until boxes have been counted a prior holds, which gives the settings' own threshold.
+The threshold is the score where the share reaches a fraction of that of the better half of all boxes: 0.3 for the
+cars, 0.7 for the persons, 0.8 for MOT15. A prior gives the settings' own threshold until boxes have been counted.
 """
 
 from __future__ import annotations
@@ -29,28 +29,29 @@ from track_range.foundation.arrays import FloatArray, IntArray
 
 _N_BINS = 10
 _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS
-_MAX_ASKED = 64
-"""Boxes of a frame that are looked for in the next one; of more, every k-th."""
+_MAX_COMPARED = 64
+"""Boxes of a frame that are compared with the next one at most; of more, every k-th."""
 
 _MIN_BEST = 0.4
-"""Persistence of the better half of boxes below which it tells nothing of scores."""
+"""Persistence of the better half of boxes below which frames are too far apart for a comparison."""
 
 _N_EAGER, _LAZY_STEP = 1000, 4
-"""After so many frames only every fourth is asked: it has little to add."""
+"""After 1000 frames only every fourth is compared: the others have little to add."""
 
 _N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScoreThresholdSettings:
-    """How the threshold is learnt; scores and shares are in [0, 1].
+class ConfidenceThresholdSettings:
+    """How the threshold is estimated; scores and shares are in [0, 1].
 
     Attributes:
-        first: before anything is known.
-        min_share: of the persistence of the better half of boxes, which a score must reach; 0 = nothing is learnt.
-        lowest, highest: limits.
-        prior_boxes: what the prior weighs, per tenth of scores.
-        min_iou: of two boxes of successive frames that are one object.
+        first: threshold before any box is counted.
+        min_share: persistence that a score must reach, as a share of that of the better half of boxes; 0 = a fixed
+            threshold.
+        lowest, highest: limits of the threshold.
+        prior_boxes: weight of the prior, in boxes per tenth of scores.
+        min_iou: least IoU of two boxes of successive frames that are taken for one object.
     """
 
     first: float = 0.4
@@ -61,15 +62,15 @@ class ScoreThresholdSettings:
     min_iou: float = 0.3
 
 
-class ScoreThreshold:
-    """The thresholds of one stream, one for each group of classes that detectors take for each other."""
+class ConfidenceThreshold:
+    """The thresholds of one stream, one for each group of classes that detectors confuse."""
 
-    def __init__(self, settings: ScoreThresholdSettings) -> None:
+    def __init__(self, settings: ConfidenceThresholdSettings) -> None:
         self._settings = settings
-        self._asked, self._persisted = np.zeros((2, _N_GROUPS * _N_BINS))
+        self._n_compared, self._n_persisted = np.zeros((2, _N_GROUPS * _N_BINS))
         self._before: Detections | None = None
         self._by_group = np.full(_N_GROUPS, settings.first)
-        self._n_learnt, self._n_frames = 0.0, 0
+        self._n_at_estimate, self._n_frames = 0.0, 0
         slope = 1 - settings.min_share
         # a line through 1 at score 1 that meets min_share at `first`
         self._prior = 1 - slope * (1 - _MIDDLE) / max(1 - settings.first, 1e-6)
@@ -78,53 +79,56 @@ class ScoreThreshold:
         """(N,) the threshold for boxes of these classes."""
         return np.asarray(self._by_group[SAME_OBJECT_GROUP[class_id]])
 
-    def learn(self, found: Detections) -> None:
-        """Take in one frame's boxes, weak ones too."""
+    def update(self, detections: Detections) -> None:
+        """Count one frame's boxes, low-confidence ones too."""
         if self._settings.min_share <= 0:
             return
-        if not len(found):
-            return  # a frame that nobody looked at says nothing; one that is truly empty says little
-        mine = Detections.of(
-            found.xyxy_px.copy(), found.score.copy(), found.class_id.copy()
-        )  # the caller may reuse his
-        before, self._before = self._before, mine
+        if not len(detections):
+            return  # a frame that the detector skipped carries no information; a truly empty one hardly any
+        copy = Detections.of(detections.xyxy_px.copy(), detections.score.copy(), detections.class_id.copy())
+        before, self._before = self._before, copy  # a copy, since the caller may reuse the arrays
         self._n_frames += 1
         if self._n_frames > _N_EAGER and self._n_frames % _LAZY_STEP:
             return
         if before is None or not len(before):
             return
-        if len(before) > _MAX_ASKED:
-            before = before.select(np.arange(0, len(before), -(-len(before) // _MAX_ASKED)))
-        seen_again = iou(before.xyxy_px, found.xyxy_px).max(axis=1, initial=0.0) >= self._settings.min_iou
+        if len(before) > _MAX_COMPARED:
+            before = before.select(np.arange(0, len(before), -(-len(before) // _MAX_COMPARED)))
+        persists = iou(before.xyxy_px, detections.xyxy_px).max(axis=1, initial=0.0) >= self._settings.min_iou
         tenth = np.minimum((before.score * _N_BINS).astype(np.int64), _N_BINS - 1)
         key = SAME_OBJECT_GROUP[before.class_id] * _N_BINS + tenth
-        self._asked += np.bincount(key, minlength=len(self._asked))
-        self._persisted += np.bincount(key[seen_again], minlength=len(self._asked))
-        n = float(self._asked.sum())
-        if n >= 1.05 * self._n_learnt:  # what has hardly grown would say the same again
-            self._n_learnt = n
-            self._renew()
+        self._n_compared += np.bincount(key, minlength=len(self._n_compared))
+        self._n_persisted += np.bincount(key[persists], minlength=len(self._n_compared))
+        n = float(self._n_compared.sum())
+        if n >= 1.05 * self._n_at_estimate:  # a few more boxes would hardly change the estimate
+            self._n_at_estimate = n
+            self._estimate()
 
-    def _renew(self) -> None:
-        for group, asked in enumerate(self._asked.reshape(_N_GROUPS, _N_BINS)):
-            if asked.any():
-                self._by_group[group] = self._threshold(asked, self._persisted.reshape(_N_GROUPS, _N_BINS)[group])
+    def _estimate(self) -> None:
+        by_group = (counts.reshape(_N_GROUPS, _N_BINS) for counts in (self._n_compared, self._n_persisted))
+        for group, (n_compared, n_persisted) in enumerate(zip(*by_group, strict=True)):
+            if n_compared.any():
+                self._by_group[group] = self._threshold(n_compared, n_persisted)
 
-    def _threshold(self, asked: FloatArray, persisted: FloatArray) -> float:
-        """Where persistence reaches its share, between the middles of two tenths."""
-        keep = self._settings
-        from_top = np.cumsum(asked[::-1])
-        top = _N_BINS - 1 - int(np.searchsorted(from_top, from_top[-1] / 2))
-        n = keep.prior_boxes
-        best = (persisted[top:].sum() + n * 0.97) / (asked[top:].sum() + n)
+    def _threshold(self, n_compared: FloatArray, n_persisted: FloatArray) -> float:
+        """Score at which persistence reaches its share, interpolated between the middles of two tenths.
+
+        Args:
+            n_compared: (10,) boxes by tenth of scores.
+            n_persisted: (10,) those of them that the next frame has, too.
+        """
+        settings, n_prior = self._settings, self._settings.prior_boxes
+        n_from_top = np.cumsum(n_compared[::-1])
+        top = _N_BINS - 1 - int(np.searchsorted(n_from_top, n_from_top[-1] / 2))  # first tenth of the better half
+        best = (n_persisted[top:].sum() + n_prior * 0.97) / (n_compared[top:].sum() + n_prior)
         if best < _MIN_BEST:
-            return keep.first  # frames are too far apart for anything to overlap
-        share = (persisted + n * self._prior * best) / (asked + n) / best
-        short = np.flatnonzero(share < keep.min_share)
-        k = int(short[-1]) if len(short) else -1
+            return settings.first
+        share = (n_persisted + n_prior * self._prior * best) / (n_compared + n_prior) / best
+        too_small = np.flatnonzero(share < settings.min_share)
+        k = int(too_small[-1]) if len(too_small) else -1
         if k < 0:
-            return keep.lowest
+            return settings.lowest
         if k == _N_BINS - 1:
-            return keep.highest
-        between = (keep.min_share - share[k]) / (share[k + 1] - share[k])
-        return float(np.clip(_MIDDLE[k] + between / _N_BINS, keep.lowest, keep.highest))
+            return settings.highest
+        fraction = (settings.min_share - share[k]) / (share[k + 1] - share[k])
+        return float(np.clip(_MIDDLE[k] + fraction / _N_BINS, settings.lowest, settings.highest))

@@ -1,22 +1,24 @@
-"""DeepSortTracker: boxes to identities by motion, overlap and looks; weak boxes keep a track but do not start one.
+"""DeepSortTracker: detections to tracks by motion, appearance and overlap.
 
-    strong boxes --> 1. looks: tracks seen last, then lost ones    (where there are descriptors)
-                 --> 2. overlap: confirmed and lost tracks
-    weak boxes   --> 3. overlap: what is left of them
-    strong boxes --> 4. overlap, widened: tentative tracks --> 5. new tentative tracks
+    1. predict           every track moves on by its motion filter and with the camera; dead tracks are deleted
+    2. associate         high-confidence detections - confirmed tracks   appearance within the motion gate, then IoU
+                         low-confidence detections - confirmed tracks    IoU
+                         high-confidence detections - tentative tracks   IoU of widened boxes
+    3. update matched    tracks get their detections; tentative ones are confirmed
+    4. initiate          unmatched high-confidence detections become tentative tracks
+    5. output            confirmed tracks: as detected, or predicted for a short time
 
 After SORT (Bewley et al., 2016), DeepSORT (Wojke et al., 2017), ByteTrack (Zhang et al., 2022) and C-BIoU (Yang et al.,
-2023). What is strong is learnt from the detector's own persistence (`score_threshold`), how restless motion is from the
-filters' innovations (`noise_level`), so that one setting serves calibrated and boastful detectors, standing and driving
-cameras. What is reported is the box that was detected, not the filter's opinion of it, whose edges lag; missing boxes
-are `tracking.history`'s. The chi-square gate stands before looks only: boxes cut by the image border or by an occluder
-break the filter's model, and overlap is its own gate.
+2023). The track-activation threshold, from which on a detection has high confidence, is estimated from whether
+detections persist (`confidence_threshold`), the process-noise scale from the innovations (`process_noise`), so that one
+setting serves well-calibrated and over-confident detectors, static and driving cameras. The output is the detected box,
+not the filter's estimate, whose edges lag. The chi-square gate applies to appearance only: boxes cut by the image
+border or by an occluder do not follow the motion model, and IoU is its own gate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,228 +27,308 @@ from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.tracking import history, motion
 from track_range.tracking.appearance import ColourLayout
-from track_range.tracking.association import are_compatible, assigned, iou_cost
+from track_range.tracking.association import Assignment, Classes, are_compatible, iou_cost
 from track_range.tracking.camera_motion import CameraMotion
-from track_range.tracking.confidence_threshold import ScoreThreshold
-from track_range.tracking.gallery import Gallery, unit_rows
-from track_range.tracking.process_noise import NoiseLevel
+from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
+from track_range.tracking.gallery import unit_rows
+from track_range.tracking.history import PredictionGates
+from track_range.tracking.motion import MotionNoise
+from track_range.tracking.process_noise import ProcessNoiseScale, ProcessNoiseSettings
 from track_range.tracking.track_table import TrackTable
 from track_range.tracking.tracker import AppearanceModel, TrackerOptions
-from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
 from track_range.tracking.tracks import Tracks
 
 _MAX_DISTANCE_OF_FILES = 0.2
-"""Cosine distance up to which descriptors of a file are one object's: deep_sort's, for its vectors of 128 numbers."""
+"""Cosine distance up to which embeddings of a file are one object's: deep_sort's, for its vectors of 128 numbers."""
 
-_UNRELATED_COST = 0.95
-"""1 - IoU from which on a track and a box have nothing to do with each other."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AppearanceSettings:
+    """Which detection may belong to a track by its appearance.
+
+    Attributes:
+        max_distance: cosine distance (1 - cos) from the nearest of the track's embeddings; 0 = appearance is not
+            compared; None = the appearance model's own, 0.2 for embeddings of a file.
+        max_mahalanobis: squared, from the track's prediction: the chi-square gate, 99.7 % at 4 degrees of freedom.
+        max_occlusion: a detection with a larger share of its area inside a nearer one gets no embedding, which would
+            resemble the occluder's.
+        budget: embeddings per track, the running mean among them (deep_sort's `nn_budget`).
+    """
+
+    max_distance: float | None = None
+    max_mahalanobis: float = 16.0
+    max_occlusion: float = 0.5
+    budget: int = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeepSortSettings:
+    """Every threshold of `DeepSortTracker`; scores and IoUs are in [0, 1], times in seconds.
+
+    One set for all: chosen on KITTI's cars and pedestrians (RRC boxes of 13 sequences), 6 sequences of MOT15 and
+    MOT17-05.
+
+    Attributes:
+        min_score: detections below are ignored.
+        track_activation_threshold: the score from which on a detection has high confidence, and starts a track;
+            estimated, see there.
+        min_iou: of a high-confidence detection with a confirmed track's predicted box.
+        min_iou_low_confidence: of a low-confidence detection with one; stricter.
+        min_iou_tentative: of a high-confidence detection with a tentative track, both widened by `tentative_margin`.
+        tentative_margin: share of a box's size added on every side, since a new track's speed is not known.
+        n_init: detections, one per frame, that confirm a tentative track.
+        init_score_sum: sum of their scores that it needs as well, so that low-confidence tracks are confirmed later;
+            not used if one detection is enough.
+        max_skipped_s: frames without any detection, which the detector skipped, do not count as misses for so long:
+            tentative tracks stay, and a hit streak goes on.
+        max_age_s: a track not detected for longer is deleted.
+        max_position_sigma: so is one with a less certain position, in heights of its box.
+        score_half_life_s: time in which the score of a predicted box halves.
+        classes: which may be one object.
+        is_camera_motion_compensated: predictions move with the background, where there are images.
+        noise: of the motion filters.
+        process_noise: how its scale is estimated.
+        appearance: gates of appearance.
+        prediction: when a missing box is predicted.
+    """
+
+    min_score: float = 0.1
+    track_activation_threshold: ConfidenceThresholdSettings = field(default_factory=ConfidenceThresholdSettings)
+    min_iou: float = 0.2
+    min_iou_low_confidence: float = 0.5
+    min_iou_tentative: float = 0.3
+    tentative_margin: float = 0.3
+    n_init: int = 2
+    init_score_sum: float = 1.5
+    max_skipped_s: float = 1.0
+    max_age_s: float = 4.0
+    max_position_sigma: float = 2.0
+    score_half_life_s: float = 0.2
+    classes: Classes = "similar"
+    is_camera_motion_compensated: bool = True
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    process_noise: ProcessNoiseSettings = field(default_factory=ProcessNoiseSettings)
+    appearance: AppearanceSettings = field(default_factory=AppearanceSettings)
+    prediction: PredictionGates = field(default_factory=PredictionGates)
 
 
 class DeepSortTracker:
     """Tracks one stream of frames; ids count from 1 and the same input gives the same output.
 
-    Tracks are confirmed at once in the first frame; later they are tentative, and not reported, until
-    `TrackerSettings.confirm_hits` and `confirm_score` are reached. Boxes that are not finite, or have no area or score,
+    Tracks are confirmed at once in the first frame; later they are tentative, and not in the output, until
+    `DeepSortSettings.n_init` and `init_score_sum` are reached. Boxes that are not finite, or have no area or score,
     are ignored.
     """
 
     def __init__(
-        self, settings: TrackerSettings | None = None, *, appearance_model: AppearanceModel | None = None
+        self, settings: DeepSortSettings | None = None, *, appearance_model: AppearanceModel | None = None
     ) -> None:
-        """A tracker that has seen nothing.
+        """A tracker that has seen no frame.
 
         Args:
-            settings: thresholds.
-            appearance_model: computes embeddings of boxes, where there are images and detections bring no embeddings;
-                None = nothing does.
+            settings: None = the defaults.
+            appearance_model: computes embeddings where there are images and detections bring no embeddings; None =
+                tracks are matched without.
         """
-        self._settings = keep = settings or TrackerSettings()
+        self._settings = settings = settings or DeepSortSettings()
         self._appearance_model = appearance_model
-        self._camera = CameraMotion() if keep.is_camera_followed else None
-        self._strong, self._level = ScoreThreshold(keep.strong_score), NoiseLevel(keep.level)
-        self._table = TrackTable(n_kept=keep.fill.n_kept, gallery=Gallery.empty(n_kept=keep.appearance.n_kept))
-        self._next_id, self._last_s = 1, -np.inf
-        self._last_fed_s = -np.inf  # of the last frame with any box: who detects in every second frame misses nothing
+        self._camera_motion = CameraMotion() if settings.is_camera_motion_compensated else None
+        self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
+        self._noise_scale = ProcessNoiseScale(settings.process_noise)
+        self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.budget)
+        self._next_id = 1
+        self._last_s = -np.inf
+        self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are no misses
         self._extent_px: FloatArray | None = None
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
-        """The confirmed tracks at `time_s`, by id: seen ones, and lost ones whose box could be predicted.
+        """The confirmed tracks at `time_s`, by id: detected ones, and missing ones whose box could be predicted.
 
-        `image` tells the camera's motion, what boxes look like, and the border; without it the border is taken from the
-        extent of all boxes so far.
+        `image` is used for camera motion, embeddings and the image's border; without it the border is the extent of all
+        boxes so far.
 
         Raises:
             ValueError: time does not go forward.
         """
         if not self._last_s < time_s < np.inf:
             raise ValueError(f"time must go forward: {time_s} s after {self._last_s} s")
-        found = self._worth_looking_at(detections)
-        self._strong.learn(found)
-        strong = found.score >= self._strong.of(found.class_id)
-        found, max_distance = self._described(found, strong, image)
-        self._move_to(time_s, found, image)
-        rows, columns = self._pairs(found, strong, max_distance)
-        self._see(rows, found.select(columns), time_s)
-        strong[columns] = False
-        if strong.any():
-            self._begin(found.select(strong), time_s)
+        detections = self._valid_detections(detections)
+        self._activation_threshold.update(detections)
+        is_high = detections.score >= self.track_activation_threshold(detections.class_id)
+        detections, max_distance = self._with_embeddings(detections, is_high, image)
+
+        self._predict(detections, time_s, image)
+        matches = self._associate(detections, is_high, max_distance)
+        self._update_matched(matches.tracks, detections.select(matches.detections), time_s)
+        is_high[matches.detections] = False
+        self._initiate_tracks(detections, is_high, time_s)
+
         self._last_s = time_s
-        if len(found):
-            self._last_fed_s = time_s
-        return self._reported(time_s, image)
+        if len(detections):
+            self._last_detected_s = time_s
+        return self._output(time_s, image)
 
     @property
     def tentative(self) -> Tracks:
-        """The tracks seen in the last frame that are not confirmed yet; some will be, others never."""
+        """The tracks detected in the last frame that are not confirmed yet; some will be, others never."""
         table = self._table
         return self._as_tracks(np.flatnonzero((table.last_s == self._last_s) & ~table.is_confirmed))
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
-        """(N,) from which score on boxes of these classes are taken to be objects, as learnt so far."""
-        return self._strong.of(class_id)
+        """(N,) the score from which on detections of these classes (N,) start tracks, as estimated so far."""
+        return self._activation_threshold.of(class_id)
 
-    def _worth_looking_at(self, detections: Detections) -> Detections:
-        good = are_sound(detections.xyxy_px) & (detections.score >= self._settings.low_score)
-        return detections if good.all() else detections.select(good)
+    def _valid_detections(self, detections: Detections) -> Detections:
+        is_valid = are_sound(detections.xyxy_px) & (detections.score >= self._settings.min_score)
+        return detections if is_valid.all() else detections.select(is_valid)
 
-    def _described(self, found: Detections, strong: BoolArray, image: Image | None) -> tuple[Detections, float]:
-        """With descriptors of the strong boxes, the detector's own or those of who describes, and their gate.
+    def _with_embeddings(
+        self, detections: Detections, is_high: BoolArray, image: Image | None
+    ) -> tuple[Detections, float]:
+        """Detections with embeddings of the visible high-confidence ones, and their maximum cosine distance.
 
-        What a nearer box hides has no looks of its own: it would make the one behind look like the one in front.
+        The embeddings are the detector's own or the appearance model's; the distance is 0 where there are none.
         """
-        told = self._settings.appearance.max_distance
-        nobody = Detections.of(found.xyxy_px, found.score, found.class_id), 0.0
-        if told == 0 or not strong.any():
-            return nobody
-        if found.descriptor.shape[1]:
-            clear, limit = self._are_clear(found, strong), _MAX_DISTANCE_OF_FILES
-            of_clear = unit_rows(found.descriptor[clear])
-        elif image is not None and self._appearance_model is not None:
-            clear, limit = self._are_clear(found, strong), self._appearance_model.max_distance
-            of_clear = self._appearance_model.embed(image, found.xyxy_px[clear])
+        chosen_distance, model = self._settings.appearance.max_distance, self._appearance_model
+        without = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
+        if chosen_distance == 0 or not is_high.any():
+            return without, 0.0
+        if detections.descriptor.shape[1]:
+            is_visible, max_distance = self._is_visible(detections, is_high), _MAX_DISTANCE_OF_FILES
+            of_visible = unit_rows(detections.descriptor[is_visible])
+        elif image is not None and model is not None:
+            is_visible, max_distance = self._is_visible(detections, is_high), model.max_distance
+            of_visible = model.embed(image, detections.xyxy_px[is_visible])
         else:
-            return nobody
-        descriptor = np.zeros((len(found), of_clear.shape[1]), np.float32)
-        descriptor[clear] = of_clear
-        return replace(found, descriptor=descriptor), limit if told is None else told
+            return without, 0.0
+        embedding = np.zeros((len(detections), of_visible.shape[1]), np.float32)
+        embedding[is_visible] = of_visible
+        return replace(detections, descriptor=embedding), max_distance if chosen_distance is None else chosen_distance
 
-    def _are_clear(self, found: Detections, strong: BoolArray) -> BoolArray:
-        hidden = history.hidden_share(found.xyxy_px, found.xyxy_px)
-        return np.asarray(strong & (hidden <= self._settings.appearance.max_hidden))
+    def _is_visible(self, detections: Detections, is_high: BoolArray) -> BoolArray:
+        """(N,) high-confidence detections that no nearer one occludes by more than `max_occlusion`."""
+        occlusion = history.occluded_share(detections.xyxy_px, detections.xyxy_px)
+        return np.asarray(is_high & (occlusion <= self._settings.appearance.max_occlusion))
 
-    def _move_to(self, time_s: float, found: Detections, image: Image | None) -> None:
-        """Predict the tracks that are still alive."""
-        keep, table = self._settings, self._table
-        if self._camera is not None and image is not None:
-            table.carry(self._camera.update(image, found.xyxy_px))
-        recent = (time_s - table.last_s <= keep.max_lost_s) & (table.filters.spread <= keep.max_spread)
-        table.keep(recent & (table.is_confirmed | self._are_running(time_s)))
+    def _predict(self, detections: Detections, time_s: float, image: Image | None) -> None:
+        """Stage 1: compensate camera motion, delete dead tracks, and predict the others to `time_s`."""
+        settings, table = self._settings, self._table
+        if self._camera_motion is not None and image is not None:
+            table.compensate_camera_motion(self._camera_motion.update(image, detections.xyxy_px))
+        is_alive = time_s - table.last_s <= settings.max_age_s
+        is_alive &= table.filters.position_sigma <= settings.max_position_sigma
+        is_alive &= table.is_confirmed | self._is_streak(time_s)
+        table.retain(is_alive)
         if len(table):
             dt_s = time_s - self._last_s
-            table.filters = motion.predicted(table.filters, dt_s, keep.noise, level=self._level.value)
+            table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
 
-    def _are_running(self, time_s: float) -> BoolArray:
-        """(N,) which tracks were seen in the frame before, as far as it had any boxes, and not too long ago."""
+    def _is_streak(self, time_s: float) -> BoolArray:
+        """(N,) which tracks were detected in the frame before, skipped frames apart, and not too long ago."""
         last_s = self._table.last_s
-        return np.asarray((last_s == self._last_fed_s) & (time_s - last_s <= self._settings.max_break_s))
+        return np.asarray((last_s == self._last_detected_s) & (time_s - last_s <= self._settings.max_skipped_s))
 
-    def _pairs(self, found: Detections, strong: BoolArray, max_distance: float) -> tuple[IntArray, IntArray]:
-        """Rows of tracks and of boxes that belong together, stage by stage, each with what the ones before left."""
-        keep, table = self._settings, self._table
-        pairing = _Pairing(len(table), len(found))
-        if not len(table) or not len(found):
-            return pairing.rows, pairing.columns
-        boxes, confirmed = table.filters.xyxy_px, table.is_confirmed
-        may = are_compatible(table.label, found.class_id, keep.classes)
-        cost = iou_cost(boxes, found.xyxy_px)
-        cost[~may] = np.inf
+    def _associate(self, detections: Detections, is_high: BoolArray, max_distance: float) -> Assignment:
+        """Stage 2: match detections and tracks; cosine distances up to `max_distance` count, 0 = no embeddings."""
+        settings, table = self._settings, self._table
+        assignment = Assignment(len(table), len(detections))
+        if not len(table) or not len(detections):
+            return assignment
+        confirmed, tentative = table.is_confirmed, ~table.is_confirmed
+        boxes_px = table.filters.xyxy_px
+        allowed = are_compatible(table.class_id, detections.class_id, settings.classes)
+        overlap_cost = iou_cost(boxes_px, detections.xyxy_px)
+        overlap_cost[~allowed] = np.inf
+
+        # First association: confirmed tracks and high-confidence detections, by appearance, then by IoU.
         if max_distance > 0:
-            looks = self._cost_of_looks(found, may)
-            fresh = table.last_s == self._last_fed_s
-            for tracks in (fresh, ~fresh):  # the cascade: who was seen last chooses first
-                pairing.add(looks, confirmed & tracks, strong, max_cost=max_distance)
+            distance = self._gated_cosine_distance(detections, allowed)
+            is_recent = table.last_s == self._last_detected_s
+            for of_cascade in (is_recent, ~is_recent):  # the matching cascade: tracks detected last choose first
+                assignment.match(distance, confirmed & of_cascade, is_high, max_cost=max_distance)
         else:
-            max_cost = np.where(strong, 1 - keep.min_iou, 1 - keep.weak_min_iou)
-            pairing.add_unrivalled(cost, confirmed, max_cost)
-        pairing.add(_part_of(cost), confirmed, strong, max_cost=1 - keep.min_iou)
-        pairing.add(_part_of(cost), confirmed, ~strong, max_cost=1 - keep.weak_min_iou)
+            min_iou = np.where(is_high, settings.min_iou, settings.min_iou_low_confidence)
+            assignment.match_unambiguous(overlap_cost, confirmed, 1 - min_iou)
+        assignment.match(overlap_cost, confirmed, is_high, max_cost=1 - settings.min_iou)
 
-        def widened(i: IntArray, j: IntArray) -> FloatArray:
-            wide = iou_cost(boxes[i], found.xyxy_px[j], margin=keep.tentative_margin)
-            return np.where(may[np.ix_(i, j)], wide, np.inf)
+        # Second association: the remaining confirmed tracks and low-confidence detections.
+        assignment.match(overlap_cost, confirmed, ~is_high, max_cost=1 - settings.min_iou_low_confidence)
 
-        pairing.add(widened, ~confirmed, strong, max_cost=1 - keep.tentative_min_iou)
-        return pairing.rows, pairing.columns
+        # Tentative tracks and the remaining high-confidence detections, both widened.
+        i, j = assignment.unmatched(tentative, is_high)
+        if len(i) and len(j):
+            cost = iou_cost(boxes_px[i], detections.xyxy_px[j], margin=settings.tentative_margin)
+            cost[~allowed[i[:, None], j]] = np.inf
+            assignment.match_subset(cost, i, j, max_cost=1 - settings.min_iou_tentative)
+        return assignment
 
-    def _cost_of_looks(self, found: Detections, may: BoolArray) -> Callable[[IntArray, IntArray], FloatArray]:
-        """Cosine distances, inf beyond the chi-square gate."""
-        gates, table = self._settings.appearance, self._table
-        squared = motion.squared_mahalanobis(table.filters, found.xyxy_px, self._settings.noise)
-        distance = table.gallery.cosine_distance(found.descriptor, may & (squared <= gates.max_mahalanobis))
-        return _part_of(distance)
+    def _gated_cosine_distance(self, detections: Detections, allowed: BoolArray) -> FloatArray:
+        """(N, M) cosine distances of tracks and detections, inf outside the chi-square gate."""
+        settings, table = self._settings, self._table
+        squared = motion.squared_mahalanobis(table.filters, detections.xyxy_px, settings.noise)
+        is_gated_in = squared <= settings.appearance.max_mahalanobis
+        return table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
 
-    def _see(self, rows: IntArray, found: Detections, time_s: float) -> None:
-        """Give each of these tracks its box, and learn from how they moved."""
-        keep, table = self._settings, self._table
+    def _update_matched(self, rows: IntArray, matched: Detections, time_s: float) -> None:
+        """Stage 3: give tracks their detections, confirm tentative ones, and update the process-noise scale."""
+        settings, table = self._settings, self._table
         if not len(rows):
             return
-        before, are_running = table.innovation[rows], self._are_running(time_s)[rows]
-        table.see(rows, found, time_s, are_running=are_running, noise=keep.noise)
-        if found.descriptor.shape[1]:
-            table.gallery = table.gallery.appended(rows, found.descriptor)
+        before, is_streak = table.innovation[rows], self._is_streak(time_s)[rows]
+        table.update(rows, matched, time_s, is_streak=is_streak, noise=settings.noise)
         if not table.is_confirmed.all():
-            table.is_confirmed |= (table.n_hits >= keep.confirm_hits) & (table.evidence >= keep.confirm_score)
-        steady = are_running & (table.n_hits[rows] > keep.level.min_hits) & table.is_confirmed[rows]
-        steady &= np.isfinite(before[:, 0])
-        self._level.learn(before[steady], table.innovation[rows[steady]])
+            table.is_confirmed |= (table.n_hits >= settings.n_init) & (table.score_sum >= settings.init_score_sum)
+        is_settled = is_streak & (table.n_hits[rows] > settings.process_noise.min_hits) & table.is_confirmed[rows]
+        is_settled &= np.isfinite(before[:, 0])
+        self._noise_scale.update(before[is_settled], table.innovation[rows[is_settled]])
 
-    def _begin(self, found: Detections, time_s: float) -> None:
-        """New tracks of strong boxes that belong to nobody."""
-        table = self._table
-        table.begin(self._next_id, found, time_s, noise=self._settings.noise)
-        table.gallery = table.gallery.begun(found.descriptor)
-        self._next_id += len(found)
-        if self._last_s == -np.inf or self._settings.confirm_hits <= 1:
-            table.is_confirmed[-len(found) :] = True
+    def _initiate_tracks(self, detections: Detections, is_unmatched: BoolArray, time_s: float) -> None:
+        """Stage 4: start a track for each of these detections (N,), which have high confidence."""
+        if not is_unmatched.any():
+            return
+        table, unmatched = self._table, detections.select(is_unmatched)
+        table.initiate(self._next_id, unmatched, time_s, noise=self._settings.noise)
+        self._next_id += len(unmatched)
+        if self._last_s == -np.inf or self._settings.n_init <= 1:
+            table.is_confirmed[-len(unmatched) :] = True
 
-    def _reported(self, time_s: float, image: Image | None) -> Tracks:
-        """Confirmed tracks by id: boxes as detected, then what can be predicted of the missing."""
-        table = self._table
-        seen = table.last_s == time_s
-        lost = np.flatnonzero(table.is_confirmed & ~seen)
-        rows = np.flatnonzero(table.is_confirmed & seen)
-        tracks = self._as_tracks(rows)
+    def _output(self, time_s: float, image: Image | None) -> Tracks:
+        """Stage 5: confirmed tracks by id, with the detected box, or a predicted one where that is reliable."""
+        settings, table = self._settings, self._table
+        is_detected = table.last_s == time_s
+        tracks = self._as_tracks(np.flatnonzero(table.is_confirmed & is_detected))
+        missing = np.flatnonzero(table.is_confirmed & ~is_detected)
         border_px = self._border(tracks.xyxy_px, image)
-        if not len(lost) or self._settings.fill.max_missing_s <= 0:
+        if not len(missing) or settings.prediction.max_missing_s <= 0:
             return tracks
-        filled, boxes = history.filled(
-            table.past.select(lost),
+        predicted, boxes_px = history.predict_missing(
+            table.history.select(missing),
             time_s,
-            gates=self._settings.fill,
+            gates=settings.prediction,
             border_xyxy_px=border_px,
             others_xyxy_px=tracks.xyxy_px,
         )
-        if not len(filled):
+        if not len(predicted):
             return tracks
-        lost = lost[filled]
-        faded = table.score[lost] * 0.5 ** ((time_s - table.last_s[lost]) / self._settings.score_half_life_s)
-        everyone = Tracks(
-            np.concatenate([tracks.track_id, table.track_id[lost]]),
-            np.concatenate([tracks.xyxy_px, boxes]),
-            np.concatenate([tracks.class_id, table.label[lost]]),
-            np.concatenate([tracks.score, faded]),
-            np.arange(len(tracks) + len(lost)) < len(tracks),
+        missing = missing[predicted]
+        faded = table.score[missing] * 0.5 ** ((time_s - table.last_s[missing]) / settings.score_half_life_s)
+        both = Tracks(
+            track_id=np.concatenate([tracks.track_id, table.track_id[missing]]),
+            xyxy_px=np.concatenate([tracks.xyxy_px, boxes_px]),
+            class_id=np.concatenate([tracks.class_id, table.class_id[missing]]),
+            score=np.concatenate([tracks.score, faded]),
+            observed=np.arange(len(tracks) + len(missing)) < len(tracks),
         )
-        return everyone.select(np.argsort(everyone.track_id))
+        return both.select(np.argsort(both.track_id))
 
     def _as_tracks(self, rows: IntArray) -> Tracks:
-        """Tracks seen in this frame, with the boxes that were detected."""
+        """Tracks detected in this frame, with the detected boxes."""
         table = self._table
-        seen = np.ones(len(rows), np.bool_)
-        return Tracks(table.track_id[rows], table.last_xyxy_px[rows], table.label[rows], table.score[rows], seen)
+        observed = np.ones(len(rows), np.bool_)
+        return Tracks(table.track_id[rows], table.last_xyxy_px[rows], table.class_id[rows], table.score[rows], observed)
 
     def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray | None:
-        """(4,) edges of the image; without one, the extent of the boxes reported so far."""
+        """(4,) edges of the image; without one, the extent of the boxes of the output so far."""
         if image is not None:
             return np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
         if len(xyxy_px):
@@ -257,50 +339,6 @@ class DeepSortTracker:
         return self._extent_px
 
 
-class _Pairing:
-    """Pairs of tracks and boxes, gathered in stages."""
-
-    def __init__(self, n_tracks: int, n_boxes: int) -> None:
-        self.rows, self.columns = np.zeros((2, 0), np.int64)
-        self._free_track, self._free_box = np.ones(n_tracks, np.bool_), np.ones(n_boxes, np.bool_)
-
-    def add_unrivalled(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
-        """Pair tracks and boxes (max_cost (M,) each) that overlap with each other and with hardly anything else.
-
-        The stages after would pair them too, one by one: most of a frame is done with here.
-        """
-        related = cost <= _UNRELATED_COST
-        column = related.argmax(axis=1)
-        alone = tracks & (related.sum(axis=1) == 1) & (related.sum(axis=0) == 1)[column]
-        rows = alone.nonzero()[0]
-        good = cost[rows, column[rows]] <= max_cost[column[rows]]
-        self._take(rows[good], column[rows[good]])
-
-    def add(
-        self,
-        cost: Callable[[IntArray, IntArray], FloatArray],
-        tracks: BoolArray,
-        boxes: BoolArray,
-        *,
-        max_cost: float,
-    ) -> None:
-        """Pair what is free among these tracks and boxes; `cost` gives (N, M) for rows (N,) and columns (M,)."""
-        i, j = (tracks & self._free_track).nonzero()[0], (boxes & self._free_box).nonzero()[0]
-        if not len(i) or not len(j):
-            return
-        r, c = assigned(cost(i, j), max_cost=max_cost)
-        self._take(i[r], j[c])
-
-    def _take(self, rows: IntArray, columns: IntArray) -> None:
-        self._free_track[rows], self._free_box[columns] = False, False
-        self.rows, self.columns = np.concatenate([self.rows, rows]), np.concatenate([self.columns, columns])
-
-
-def _part_of(cost: FloatArray) -> Callable[[IntArray, IntArray], FloatArray]:
-    """What `_Pairing.add` asks for, from a matrix of all tracks and boxes."""
-    return lambda i, j: cost[i[:, None], j]
-
-
 def deepsort(options: TrackerOptions) -> DeepSortTracker:
     """`--tracker deepsort`: the defaults, with the user's re-identification network or colour histograms."""
     return DeepSortTracker(appearance_model=options.reid or ColourLayout())
@@ -308,4 +346,4 @@ def deepsort(options: TrackerOptions) -> DeepSortTracker:
 
 def sort(_options: TrackerOptions) -> DeepSortTracker:
     """`--tracker sort`: the same without appearance."""
-    return DeepSortTracker(TrackerSettings(appearance=AppearanceGates(max_distance=0.0)))
+    return DeepSortTracker(DeepSortSettings(appearance=AppearanceSettings(max_distance=0.0)))

@@ -1,14 +1,14 @@
-"""NoiseLevel: how restless a stream's motion is, learnt from the filters' own innovations.
+"""ProcessNoiseScale: the scale of the motion filters' process noise, estimated online from their innovations.
 
-A Kalman filter whose noise is right has white innovations: what is new in one frame says nothing about the next (Mehra,
-1970). If they go on in one direction, the filter lags and its motion is noisier than it thinks; if they go to and fro,
-it runs after the detector's jitter. So the level q of process noise follows their correlation c over one frame,
+A Kalman filter with the right noise has white innovations: those of one frame are uncorrelated with those of the next
+(Mehra, 1970). With a positive correlation the filter lags, and its process noise is too small; with a negative one it
+follows the detector's jitter. So the scale q of process noise follows their correlation c over one frame,
 
     q <- q exp(rate n c)        n tracks, at most ten; q in [lowest, highest]
 
-A camera that stands (people walk at a steady pace) comes out near the lowest, one that drives at the highest: the
-lowest alone costs a driving camera its tracks at each turn, the highest alone lets a standing one run after jitter.
-Found on PETS09-S2L1 (0.06), ADL-Rundle-6 (0.7), ETH-Bahnhof (0.5), MOT17-05 and KITTI (1).
+A static camera (people walk at a steady pace) ends near the lowest, a driving one at the highest: the lowest alone
+costs a driving camera its tracks at each turn, the highest alone lets a static one follow jitter. Final scales are 0.06
+on PETS09-S2L1, 0.7 on ADL-Rundle-6, 0.5 on ETH-Bahnhof, 1 on MOT17-05 and KITTI.
 """
 
 from __future__ import annotations
@@ -20,22 +20,23 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 _MAX_SIGMAS = 2.0
-"""Innovations count no further: one wrong box must not speak for the stream."""
+"""Innovations are clipped here, so that one wrong box does not decide."""
 
 _MIN_POWER = 0.05
-"""Below this mean square, in sigmas, two innovations are too small to tell a direction."""
+"""Least mean square of two innovations, in sigmas squared, that their correlation is divided by."""
 
 _MAX_TRACKS = 10
+"""Tracks of a frame that count at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseLevelSettings:
-    """How the level is learnt.
+class ProcessNoiseSettings:
+    """How the scale is estimated.
 
     Attributes:
-        rate: of learning, per track and frame; 0 = the level stays.
-        lowest, highest: limits of the level; it begins at the highest.
-        min_hits: boxes that a track has had before it is listened to.
+        rate: learning rate per track and frame; 0 = a fixed scale.
+        lowest, highest: limits of the scale, which starts at the highest.
+        min_hits: detections of a track before its innovations count.
     """
 
     rate: float = 0.03
@@ -44,24 +45,24 @@ class NoiseLevelSettings:
     min_hits: int = 4
 
 
-class NoiseLevel:
-    """The level of one stream.
+class ProcessNoiseScale:
+    """The scale of one stream.
 
     Attributes:
         value: factor of the process noise's variance.
     """
 
-    def __init__(self, settings: NoiseLevelSettings) -> None:
+    def __init__(self, settings: ProcessNoiseSettings) -> None:
         self._settings = settings
         self.value = settings.highest
 
-    def learn(self, before: FloatArray, now: FloatArray) -> None:
-        """Compare the innovations of tracks seen in two frames running: (N, D) each, in standard deviations."""
+    def update(self, before: FloatArray, now: FloatArray) -> None:
+        """Use the innovations of tracks detected in two successive frames: (N, D) each, in standard deviations."""
         if not len(now):
             return
-        a, b = (np.maximum(np.minimum(each, _MAX_SIGMAS), -_MAX_SIGMAS) for each in (before, now))
+        a, b = (np.maximum(np.minimum(nu, _MAX_SIGMAS), -_MAX_SIGMAS) for nu in (before, now))
         power = np.maximum((a * a + b * b).sum(axis=1) / 2, _MIN_POWER)
         correlation = float(((a * b).sum(axis=1) / power).mean())
-        keep = self._settings
-        grown = self.value * float(np.exp(keep.rate * min(len(now), _MAX_TRACKS) * correlation))
-        self.value = min(max(grown, keep.lowest), keep.highest)
+        settings = self._settings
+        value = self.value * float(np.exp(settings.rate * min(len(now), _MAX_TRACKS) * correlation))
+        self.value = min(max(value, settings.lowest), settings.highest)

@@ -5,12 +5,14 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.tracking.confidence_threshold import ScoreThreshold, ScoreThresholdSettings
+from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 
 
-def stream(threshold: ScoreThreshold, *, n_frames: int, true_from: float, class_id: int = CAR, seed: int = 0) -> None:
+def stream(
+    threshold: ConfidenceThreshold, *, n_frames: int, true_from: float, class_id: int = CAR, seed: int = 0
+) -> None:
     """Frames of 20 objects with scores from `true_from` to 1, which stay, and 20 false boxes below it, which jump."""
     rng = np.random.default_rng(seed)
     corner = np.stack([100.0 * np.arange(20), np.zeros(20)], axis=1)
@@ -18,33 +20,33 @@ def stream(threshold: ScoreThreshold, *, n_frames: int, true_from: float, class_
         jumping = np.stack([100.0 * np.arange(20), rng.uniform(100, 5000, 20)], axis=1)
         at = np.concatenate([corner, jumping])
         score = np.concatenate([rng.uniform(true_from, 1.0, 20), rng.uniform(0.1, true_from, 20)])
-        threshold.learn(Detections.of(np.concatenate([at, at + 40.0], axis=1), score, np.full(40, class_id)))
+        threshold.update(Detections.of(np.concatenate([at, at + 40.0], axis=1), score, np.full(40, class_id)))
 
 
 @pytest.mark.parametrize("true_from", [0.45, 0.6, 0.8])
 def test_it_finds_from_where_on_boxes_stay(true_from: float) -> None:
-    threshold = ScoreThreshold(ScoreThresholdSettings())
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings())
     stream(threshold, n_frames=60, true_from=true_from)
     assert threshold.of(np.array([CAR]))[0] == pytest.approx(true_from, abs=0.07)
 
 
 def test_before_anything_is_known_it_is_the_first_one() -> None:
-    threshold = ScoreThreshold(ScoreThresholdSettings(first=0.55))
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings(first=0.55))
     assert threshold.of(np.array([CAR, PERSON])).tolist() == [0.55, 0.55]
     assert threshold.of(np.zeros(0, np.int64)).shape == (0,)
 
 
 def test_the_prior_gives_the_first_one_back() -> None:
     """One frame's boxes hardly weigh against ten of the prior's, in every tenth."""
-    threshold = ScoreThreshold(ScoreThresholdSettings(first=0.55))
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings(first=0.55))
     box = Detections.of([[0, 0, 40, 40]], [0.95], [CAR])
-    threshold.learn(box)
-    threshold.learn(box)
+    threshold.update(box)
+    threshold.update(box)
     assert threshold.of(np.array([CAR]))[0] == pytest.approx(0.55, abs=0.02)
 
 
 def test_groups_of_classes_learn_for_themselves() -> None:
-    threshold = ScoreThreshold(ScoreThresholdSettings())
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings())
     stream(threshold, n_frames=60, true_from=0.8, class_id=PERSON)
     person, car, truck = threshold.of(np.array([PERSON, CAR, TRUCK]))
     assert person > 0.7
@@ -52,32 +54,32 @@ def test_groups_of_classes_learn_for_themselves() -> None:
 
 
 def test_a_detector_that_never_errs_gets_the_lowest_and_one_that_always_does_the_highest() -> None:
-    good, bad = ScoreThreshold(ScoreThresholdSettings()), ScoreThreshold(ScoreThresholdSettings())
+    good, bad = ConfidenceThreshold(ConfidenceThresholdSettings()), ConfidenceThreshold(ConfidenceThresholdSettings())
     rng = np.random.default_rng(2)
     corner = np.stack([100.0 * np.arange(40), np.zeros(40)], axis=1)
     for _ in range(60):
-        good.learn(Detections.of(np.concatenate([corner, corner + 40], axis=1), rng.uniform(0.1, 1, 40), [CAR] * 40))
+        good.update(Detections.of(np.concatenate([corner, corner + 40], axis=1), rng.uniform(0.1, 1, 40), [CAR] * 40))
     assert good.of(np.array([CAR]))[0] == 0.3
     stream(bad, n_frames=60, true_from=0.97)
     assert bad.of(np.array([CAR]))[0] == 0.9
 
 
 def test_many_boxes_are_sampled_and_nothing_is_learnt_when_told_so() -> None:
-    threshold = ScoreThreshold(ScoreThresholdSettings(min_share=0.0, first=0.2))
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings(min_share=0.0, first=0.2))
     stream(threshold, n_frames=30, true_from=0.8)
     assert threshold.of(np.array([CAR]))[0] == 0.2
-    crowd = ScoreThreshold(ScoreThresholdSettings())
+    crowd = ConfidenceThreshold(ConfidenceThresholdSettings())
     rng = np.random.default_rng(4)
     at = rng.uniform(0, 10_000, (5000, 2))
     for _ in range(3):
-        crowd.learn(Detections.of(np.concatenate([at, at + 10], axis=1), np.full(5000, 0.95), np.full(5000, CAR)))
+        crowd.update(Detections.of(np.concatenate([at, at + 10], axis=1), np.full(5000, 0.95), np.full(5000, CAR)))
     assert crowd.of(np.array([CAR]))[0] == pytest.approx(0.4, abs=0.02)
 
 
 def test_frames_without_boxes() -> None:
-    threshold = ScoreThreshold(ScoreThresholdSettings())
+    threshold = ConfidenceThreshold(ConfidenceThresholdSettings())
     for _ in range(3):
-        threshold.learn(Detections.empty())
+        threshold.update(Detections.empty())
     stream(threshold, n_frames=1, true_from=0.5)
-    threshold.learn(Detections.empty())
+    threshold.update(Detections.empty())
     assert 0.3 <= threshold.of(np.array([CAR]))[0] <= 0.9

@@ -11,16 +11,15 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.tracking.appearance import ColourLayout
 from track_range.tracking.association import Classes
-from track_range.tracking.confidence_threshold import ScoreThresholdSettings
-from track_range.tracking.deepsort import DeepSortTracker
-from track_range.tracking.history import FillGates
-from track_range.tracking.tracker_settings import AppearanceGates, TrackerSettings
+from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
+from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
+from track_range.tracking.history import PredictionGates
 from track_range.tracking.tracks import Tracks
 
 CAR, TRUCK, PERSON = (ROAD_CLASSES.index(name) for name in ("car", "truck", "person"))
 IMAGE = np.zeros((375, 1242, 3), np.uint8)
-NO_FILL = TrackerSettings(fill=FillGates(max_missing_s=0.0))
-SOON_FILLED = TrackerSettings(fill=FillGates(min_running_in_sight=5))
+NO_FILL = DeepSortSettings(prediction=PredictionGates(max_missing_s=0.0))
+SOON_FILLED = DeepSortSettings(prediction=PredictionGates(min_hit_streak_visible=5))
 
 
 def car_at(x_px: float, *, score: float = 0.9, class_id: int = CAR) -> Detections:
@@ -315,8 +314,10 @@ def test_other_looks_do_not_forbid_what_overlaps() -> None:
 def test_looks_are_told_from_images_where_the_detector_brings_none() -> None:
     """Two cars, red and blue, change places while unseen: the built-in descriptor follows the colours."""
     red, blue = (20, 20, 220), (220, 20, 20)
-    settings = TrackerSettings(
-        appearance=AppearanceGates(max_mahalanobis=1e9), is_camera_followed=False, fill=FillGates(max_missing_s=0.0)
+    settings = DeepSortSettings(
+        appearance=AppearanceSettings(max_mahalanobis=1e9),
+        is_camera_motion_compensated=False,
+        prediction=PredictionGates(max_missing_s=0.0),
     )
 
     def last(tracker: DeepSortTracker) -> Tracks:
@@ -343,7 +344,7 @@ def test_predictions_move_with_the_camera() -> None:
         frames.append((Detections.of([[600 - shift, 150, 640 - shift, 250]], [0.9], [PERSON]), image))
     ids = {}
     for followed in (True, False):
-        tracker = DeepSortTracker(TrackerSettings(is_camera_followed=followed))
+        tracker = DeepSortTracker(DeepSortSettings(is_camera_motion_compensated=followed))
         ids[followed] = [
             tracker.update(found, 0.1 * i, image).track_id.tolist() for i, (found, image) in enumerate(frames)
         ]
@@ -367,7 +368,7 @@ def test_a_target_that_leaves_does_not_haunt() -> None:
 
 @pytest.mark.parametrize(("classes", "n_tracks"), [("similar", 1), ("same", 2), ("any", 1)])
 def test_which_classes_may_be_one_object(classes: Classes, n_tracks: int) -> None:
-    settings = TrackerSettings(classes=classes, fill=FillGates(max_missing_s=0.0))
+    settings = DeepSortSettings(classes=classes, prediction=PredictionGates(max_missing_s=0.0))
     out = drive(DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=TRUCK)] * 4])
     assert len({i for tracks in out for i in tracks.track_id.tolist()}) == n_tracks
     people = drive(DeepSortTracker(settings), [*[car_at(100)] * 4, *[car_at(100, class_id=PERSON)] * 4])
@@ -392,7 +393,9 @@ def test_ten_thousand_boxes() -> None:
 def test_what_is_strong_is_learnt_from_the_detector(min_share: float, least: int, most: int) -> None:
     """False alarms of 0.55 that jump about while cars of 0.85 stay: they do not even start a track."""
     rng = np.random.default_rng(6)
-    tracker = DeepSortTracker(TrackerSettings(strong_score=ScoreThresholdSettings(min_share=min_share)))
+    tracker = DeepSortTracker(
+        DeepSortSettings(track_activation_threshold=ConfidenceThresholdSettings(min_share=min_share))
+    )
     n_new = []
     for i in range(50):
         false = [car_at(x, score=0.55) for x in rng.uniform(300, 1100, 4)]

@@ -8,13 +8,12 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.kitti import read_kitti
-from track_range.tracking.confidence_threshold import ScoreThresholdSettings
-from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
+from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingScores, evaluate_tracks
-from track_range.tracking.history import FillGates
+from track_range.tracking.history import PredictionGates
 from track_range.tracking.mot_format import MotRows, read_mot
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
-from track_range.tracking.tracker_settings import TrackerSettings
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 
@@ -65,8 +64,10 @@ def test_weak_boxes_and_prediction_are_worth_having_on_real_cars(shared_data: Pa
     table = np.loadtxt(folder / "rrc" / "Car" / "0018.txt", delimiter=",")
     found = rows_of(table[:, 0], np.zeros(len(table)), table[:, 1:5], table[:, 5])
     truth = rows_of(cars.frame, cars.track_id, cars.xyxy_px, np.ones(len(cars.frame)))
-    plain = TrackerSettings(
-        low_score=0.5, strong_score=ScoreThresholdSettings(first=0.5, min_share=0.0), fill=FillGates(max_missing_s=0.0)
+    plain = DeepSortSettings(
+        min_score=0.5,
+        track_activation_threshold=ConfidenceThresholdSettings(first=0.5, min_share=0.0),
+        prediction=PredictionGates(max_missing_s=0.0),
     )
     scores, plain_scores = (
         scores_of(DeepSortTracker(settings), found, truth, frame_s=0.1, class_id=CAR, ignore=ignore)

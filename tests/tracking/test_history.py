@@ -8,18 +8,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.foundation.arrays import FloatArray
-from track_range.tracking.history import BoxHistory, FillGates, Form, begun, filled, median_prediction, smoothed
+from track_range.tracking.history import (
+    BoxHistory,
+    Form,
+    PredictionGates,
+    initiate,
+    median_prediction,
+    predict_missing,
+    smoothed,
+)
 
 BORDER_XYXY_PX = np.array([0.0, 0.0, 1241.0, 374.0])
-AT_ONCE = FillGates(min_running_in_sight=5)
+AT_ONCE = PredictionGates(min_hit_streak_visible=5)
 """Gates that let a box in plain sight through as soon as a hidden one."""
 
 
 def seen(boxes: list[list[float]], times_s: list[float], *, n_kept: int = 6) -> BoxHistory:
     """One track seen as these boxes in frames without a break."""
-    history = begun(np.array([boxes[0]]), times_s[0], n_kept=n_kept)
+    history = initiate(np.array([boxes[0]]), times_s[0], n_kept=n_kept)
     for box, time_s in zip(boxes[1:], times_s[1:], strict=True):
-        history.see(np.array([0]), np.array([box]), time_s, are_running=np.array([True]))
+        history.append(np.array([0]), np.array([box]), time_s, is_streak=np.array([True]))
     return history
 
 
@@ -103,25 +111,25 @@ def test_seen_once_nothing_is_known(form: Form) -> None:
 
 def test_old_boxes_are_forgotten_and_a_break_restarts_the_run() -> None:
     history = steady(8)
-    assert history.n_running.tolist() == [8]
+    assert history.hit_streak.tolist() == [8]
     np.testing.assert_allclose(history.time_s[0], [0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
-    history.see(np.array([0]), history.last_xyxy_px, 1.0, are_running=np.array([False]))
-    assert history.n_running.tolist() == [1]
+    history.append(np.array([0]), history.last_xyxy_px, 1.0, is_streak=np.array([False]))
+    assert history.hit_streak.tolist() == [1]
     assert history.last_s.tolist() == [1.0]
 
 
 def test_only_the_tracks_that_were_seen_change() -> None:
-    both = steady(6).joined(steady(3))
+    both = steady(6).concatenate(steady(3))
     other = both.select(np.array([1]))
-    both.see(np.array([0]), np.array([[1.0, 2.0, 3.0, 4.0]]), 0.9, are_running=np.array([True]))
+    both.append(np.array([0]), np.array([[1.0, 2.0, 3.0, 4.0]]), 0.9, is_streak=np.array([True]))
     assert both.last_xyxy_px[0].tolist() == [1, 2, 3, 4]
-    assert both.n_running.tolist() == [7, 3]
+    assert both.hit_streak.tolist() == [7, 3]
     np.testing.assert_array_equal(both.xyxy_px[1:], other.xyxy_px)
     np.testing.assert_array_equal(both.time_s[1:], other.time_s)
 
 
-def test_a_steady_track_is_filled() -> None:
-    rows, boxes = filled(steady(6), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
+def test_a_steady_track_is_predicted() -> None:
+    rows, boxes = predict_missing(steady(6), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
     assert rows.tolist() == [0]
     np.testing.assert_allclose(boxes, [[130.0, 50.0, 190.0, 90.0]])
 
@@ -129,10 +137,10 @@ def test_a_steady_track_is_filled() -> None:
 @pytest.mark.parametrize(
     ("history", "time_s", "gates"),
     [
-        (steady(6), 0.8, FillGates(max_missing_s=0.25, min_running_in_sight=5)),  # 0.3 s missing
-        (steady(4), 0.4, FillGates(min_running=5, min_running_in_sight=2)),
-        (steady(14), 1.4, FillGates()),
-        (steady(1), 0.1, FillGates(min_running=2, min_running_in_sight=1)),  # no step is known
+        (steady(6), 0.8, PredictionGates(max_missing_s=0.25, min_hit_streak_visible=5)),  # 0.3 s missing
+        (steady(4), 0.4, PredictionGates(min_hit_streak=5, min_hit_streak_visible=2)),
+        (steady(14), 1.4, PredictionGates()),
+        (steady(1), 0.1, PredictionGates(min_hit_streak=2, min_hit_streak_visible=1)),  # no step is known
         (seen([[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]), 0.6, AT_ONCE),
         (steady(6, x_px=1154.0), 0.6, AT_ONCE),  # right edge would be at 1244
         (steady(6, x_px=1150.0), 0.6, AT_ONCE),  # right edge at 1240: nearer than 0.05 of 40 px
@@ -140,8 +148,8 @@ def test_a_steady_track_is_filled() -> None:
     ],
     ids="too long,too new,too new in sight,seen once,restless,leaves right,too near,leaves left".split(","),
 )
-def test_gates_close(history: BoxHistory, time_s: float, gates: FillGates) -> None:
-    assert filled(history, time_s, gates=gates, border_xyxy_px=BORDER_XYXY_PX)[0].tolist() == []
+def test_gates_close(history: BoxHistory, time_s: float, gates: PredictionGates) -> None:
+    assert predict_missing(history, time_s, gates=gates, border_xyxy_px=BORDER_XYXY_PX)[0].tolist() == []
 
 
 NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
@@ -151,66 +159,68 @@ NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
 @pytest.mark.parametrize(
     ("others", "gates", "wanted"),
     [
-        (NEARER, FillGates(min_cover=0.18), True),
-        (NEARER, FillGates(min_cover=0.19), False),  # in plain sight: 15 frames wanted
+        (NEARER, PredictionGates(min_occlusion=0.18), True),
+        (NEARER, PredictionGates(min_occlusion=0.19), False),  # in plain sight: 15 frames wanted
         (
             NEARER - np.array([0, 40, 0, 40]),
-            FillGates(min_cover=0.01),
+            PredictionGates(min_occlusion=0.01),
             False,
         ),  # lower edge at 80 px, above 90: farther away
-        (NEARER + np.array([0, 40, 0, 0]), FillGates(min_cover=0.01), False),  # nearer, but beside it
-        (np.repeat(NEARER, 3, axis=0), FillGates(min_cover=0.19), False),  # three that hide the same
-        (np.array([[0.0, 0.0, 500.0, 300.0]]), FillGates(), True),  # hidden as a whole
-        (None, FillGates(), False),
+        (NEARER + np.array([0, 40, 0, 0]), PredictionGates(min_occlusion=0.01), False),  # nearer, but beside it
+        (np.repeat(NEARER, 3, axis=0), PredictionGates(min_occlusion=0.19), False),  # three that hide the same
+        (np.array([[0.0, 0.0, 500.0, 300.0]]), PredictionGates(), True),  # hidden as a whole
+        (None, PredictionGates(), False),
     ],
     ids="enough,too little,farther,beside,thrice the same,whole,alone".split(","),
 )
-def test_a_hidden_box_is_filled_sooner(others: FloatArray | None, gates: FillGates, wanted: bool) -> None:
-    rows, _ = filled(steady(6), 0.6, gates=gates, others_xyxy_px=others)
+def test_an_occluded_box_is_predicted_sooner(others: FloatArray | None, gates: PredictionGates, wanted: bool) -> None:
+    rows, _ = predict_missing(steady(6), 0.6, gates=gates, others_xyxy_px=others)
     assert rows.tolist() == ([0] if wanted else [])
 
 
-def test_in_sight_it_takes_a_longer_run() -> None:
-    assert filled(steady(15), 1.5, gates=FillGates())[0].tolist() == [0]
+def test_a_visible_box_needs_a_longer_streak() -> None:
+    assert predict_missing(steady(15), 1.5, gates=PredictionGates())[0].tolist() == [0]
 
 
 def test_the_form_is_the_gates() -> None:
-    by_form = [filled(steady(15), 1.5, gates=FillGates(form=form))[1][0, 0] for form in get_args(Form)]
+    by_form = [predict_missing(steady(15), 1.5, gates=PredictionGates(form=form))[1][0, 0] for form in get_args(Form)]
     assert by_form == pytest.approx([175.0, 165.0])
 
 
-def test_a_box_predicted_inside_out_is_not_filled() -> None:
+def test_a_box_predicted_inside_out_is_not_predict_missing() -> None:
     history = seen([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
-    shrinking = BoxHistory(history.xyxy_px[:, :-1], history.time_s[:, :-1], history.n_running)
-    assert filled(shrinking, 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == []
+    shrinking = BoxHistory(history.xyxy_px[:, :-1], history.time_s[:, :-1], history.hit_streak)
+    assert predict_missing(shrinking, 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == []
 
 
 def test_without_an_image_the_border_is_not_known() -> None:
-    assert filled(steady(6, x_px=1154.0), 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == [0]
+    assert predict_missing(steady(6, x_px=1154.0), 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == [0]
 
 
 def test_tracks_do_not_mix() -> None:
-    both = steady(6).joined(steady(2, step_px=-3.0))
+    both = steady(6).concatenate(steady(2, step_px=-3.0))
     alone, _ = median_prediction(steady(2, step_px=-3.0), 0.6)
     np.testing.assert_array_equal(median_prediction(both, 0.6)[0][1:], alone)
-    rows, boxes = filled(both.select(np.array([1, 0])), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
+    rows, boxes = predict_missing(both.select(np.array([1, 0])), 0.6, gates=AT_ONCE, border_xyxy_px=BORDER_XYXY_PX)
     assert rows.tolist() == [1]
     np.testing.assert_array_equal(boxes, median_prediction(both, 0.6)[0][:1])
     assert len(both.select(np.array([False, True]))) == 1
 
 
 def test_no_tracks() -> None:
-    rows, boxes = filled(begun(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=FillGates(), border_xyxy_px=BORDER_XYXY_PX)
+    rows, boxes = predict_missing(
+        initiate(np.zeros((0, 4)), 0.0, n_kept=6), 0.1, gates=PredictionGates(), border_xyxy_px=BORDER_XYXY_PX
+    )
     assert rows.shape == (0,)
     assert boxes.shape == (0, 4)
 
 
-@pytest.mark.parametrize("wrong", [{"min_running": 1}, {"n_kept": 1}])
+@pytest.mark.parametrize("wrong", [{"min_hit_streak": 1}, {"n_kept": 1}])
 def test_gates_that_cannot_work_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="min_running and n_kept: at least 2 wanted"):
-        FillGates(**wrong)
+    with pytest.raises(ValueError, match="min_hit_streak, n_kept: expected at least 2"):
+        PredictionGates(**wrong)
 
 
 def test_a_form_that_is_not_known_is_refused() -> None:
-    with pytest.raises(ValueError, match="form: median-of-steps or step-of-medians wanted, mean got"):
-        FillGates(form="mean")
+    with pytest.raises(ValueError, match=r"form: .*median-of-steps"):
+        PredictionGates(form="mean")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -7,19 +9,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.tracking.motion import (
     BoxFilters,
     MotionNoise,
-    begun,
-    carried,
-    innovations,
-    moved,
-    predicted,
+    compensate_camera_motion,
+    initiate,
+    predict,
     squared_mahalanobis,
-    updated,
+    transformed,
+    update,
 )
 
 NOISE = MotionNoise()
+
+
+def step(filters: BoxFilters, dt_s: float, xyxy_px: np.ndarray, noise: MotionNoise = NOISE) -> BoxFilters:
+    return update(predict(filters, dt_s, noise), xyxy_px, noise)[0]
+
+
+def covariance(filters: BoxFilters) -> np.ndarray:
+    """(N, 3) P_xx, P_xv, P_vv."""
+    return np.hstack([filters.state.P_xx, filters.state.P_xv, filters.state.P_vv])
+
+
 HALF_PX = np.array([20.0, 40.0])
 BOX = np.array([[100.0, 50.0, 140.0, 130.0]])  # centre 120, 90; 40 x 80
 
@@ -48,20 +61,20 @@ def test_equals_filterpy_on_random_sequences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     noise = MotionNoise(measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0)
     boxes = np.concatenate([rng.uniform(0, 500, (3, 2)), rng.uniform(20, 200, (3, 2))], axis=1)
-    ours = begun(np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1), noise)
+    ours = initiate(np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1), noise)
     theirs = [oracle(box, noise) for box in boxes]
     for _ in range(6):
         dt_s = rng.uniform(0.01, 0.3)
         moved = boxes + rng.normal(0, 5, (3, 4))
         xyxy = np.concatenate([moved[:, :2] - moved[:, 2:] / 2, moved[:, :2] + moved[:, 2:] / 2], axis=1)
-        ours = updated(predicted(ours, dt_s, noise), xyxy, noise)
+        ours = step(ours, dt_s, xyxy, noise)
         for filter8, old, new in zip(theirs, boxes, moved, strict=True):
             oracle_step(filter8, dt_s, old[3], new, noise)
         boxes = moved
     for i, filter8 in enumerate(theirs):
-        x = np.stack([ours.value[i], ours.rate[i]], axis=1)
+        x = np.stack([ours.state.x[i], ours.state.v[i]], axis=1)
         np.testing.assert_allclose(x.reshape(8), filter8.x.reshape(8), rtol=1e-8, atol=1e-8)
-        var, cov, var_rate = ours.P[i]
+        var, cov, var_rate = covariance(ours)[i]
         P = np.kron(np.eye(4), [[var, cov], [cov, var_rate]])  # four coordinates, one covariance
         np.testing.assert_allclose(P, filter8.P, rtol=1e-8, atol=1e-8)
 
@@ -69,42 +82,42 @@ def test_equals_filterpy_on_random_sequences(seed: int) -> None:
 @given(first_s=st.floats(0.001, 1.0), second_s=st.floats(0.001, 1.0))
 @settings(deadline=None)
 def test_two_steps_are_one_long_step(first_s: float, second_s: float) -> None:
-    start = updated(predicted(begun(BOX, NOISE), 0.1, NOISE), BOX + np.array([4.0, 1.0, 6.0, 3.0]), NOISE)
-    twice = predicted(predicted(start, first_s, NOISE), second_s, NOISE)
-    once = predicted(start, first_s + second_s, NOISE)
-    np.testing.assert_allclose(twice.value, once.value, rtol=1e-9)
-    np.testing.assert_allclose(twice.P, once.P, rtol=1e-9)
+    start = step(initiate(BOX, NOISE), 0.1, BOX + np.array([4.0, 1.0, 6.0, 3.0]))
+    twice = predict(predict(start, first_s, NOISE), second_s, NOISE)
+    once = predict(start, first_s + second_s, NOISE)
+    np.testing.assert_allclose(twice.state.x, once.state.x, rtol=1e-9)
+    np.testing.assert_allclose(covariance(twice), covariance(once), rtol=1e-9)
 
 
 def test_rate_of_a_steady_box_is_found_at_10_and_at_30_hz() -> None:
     rates = []
     for hz in (10, 30):
-        filters = begun(BOX, NOISE)
+        filters = initiate(BOX, NOISE)
         for i in range(1, 2 * hz + 1):
-            filters = updated(predicted(filters, 1 / hz, NOISE), BOX + 60.0 * i / hz * np.array([1, 0, 1, 0]), NOISE)
-        rates.append(filters.rate[0, 0])
+            filters = step(filters, 1 / hz, BOX + 60.0 * i / hz * np.array([1, 0, 1, 0]))
+        rates.append(filters.state.v[0, 0])
     assert rates[0] == pytest.approx(60.0, abs=2.0)
     assert rates[1] == pytest.approx(60.0, abs=2.0)
 
 
 def test_unmeasured_box_stays_where_it_was_seen_and_grows_uncertain() -> None:
-    later = predicted(begun(BOX, NOISE), 0.5, NOISE)
+    later = predict(initiate(BOX, NOISE), 0.5, NOISE)
     np.testing.assert_allclose(later.xyxy_px, BOX)
     # 80 px high: (0.05 * 80)^2 + (1.9 * 80 * 0.5)^2 + 80^2 * (0.27^2 * 0.5 + 0.5^3 / 3)
-    assert later.P[0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
+    assert later.state.P_xx[0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
 
 
 def test_a_box_that_shrinks_away_keeps_one_pixel() -> None:
-    filters = begun(BOX, NOISE)
+    filters = initiate(BOX, NOISE)
     shrinking = np.array([[0.0, 0.0, -500.0, -500.0]])
-    gone = predicted(BoxFilters(filters.value, shrinking, filters.P, filters.height_px), 1.0, NOISE)
+    gone = predict(BoxFilters(replace(filters.state, v=shrinking), filters.height_px), 1.0, NOISE)
     np.testing.assert_allclose(gone.xyxy_px, [[119.5, 89.5, 120.5, 90.5]])
 
 
 def test_squared_mahalanobis_is_the_full_form() -> None:
-    filters = predicted(begun(BOX, NOISE), 0.1, NOISE)
+    filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
     z = np.array([[110.0, 44.0, 152.0, 140.0], [100.0, 50.0, 140.0, 130.0]])
-    S = np.eye(4) * (filters.P[0, 0] + (0.05 * 80) ** 2)
+    S = np.eye(4) * (filters.state.P_xx[0, 0] + (0.05 * 80) ** 2)
     innovation = np.array([131.0 - 120.0, 92.0 - 90.0, 42.0 - 40.0, 96.0 - 80.0])
     expected = innovation @ np.linalg.inv(S) @ innovation
     np.testing.assert_allclose(squared_mahalanobis(filters, z, NOISE), [[expected, 0.0]])
@@ -112,9 +125,9 @@ def test_squared_mahalanobis_is_the_full_form() -> None:
 
 def test_squared_mahalanobis_of_the_models_own_boxes_is_chi_square() -> None:
     rng = np.random.default_rng(7)
-    filters = predicted(begun(BOX, NOISE), 0.1, NOISE)
-    sigma = np.sqrt(filters.P[0, 0] + (0.05 * 80) ** 2)
-    cxcywh = filters.value[0] + rng.normal(0, 1, (4000, 4)) * sigma
+    filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
+    sigma = np.sqrt(filters.state.P_xx[0, 0] + (0.05 * 80) ** 2)
+    cxcywh = filters.state.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
     xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
     distance = squared_mahalanobis(filters, xyxy, NOISE)[0]
     for share in (0.5, 0.9, 0.99):
@@ -122,26 +135,27 @@ def test_squared_mahalanobis_of_the_models_own_boxes_is_chi_square() -> None:
 
 
 def test_rows_are_independent_of_each_other() -> None:
-    two = begun(np.concatenate([BOX, BOX + 200.0]), NOISE)
-    moved = updated(predicted(two, 0.1, NOISE), np.concatenate([BOX + 3.0, BOX + 190.0]), NOISE)
-    alone = updated(predicted(begun(BOX + 200.0, NOISE), 0.1, NOISE), BOX + 190.0, NOISE)
-    np.testing.assert_array_equal(moved.select(np.array([1])).value, alone.value)
-    np.testing.assert_array_equal(moved.select(np.array([True, False])).joined(alone).P, moved.P)
+    two = initiate(np.concatenate([BOX, BOX + 200.0]), NOISE)
+    moved = step(two, 0.1, np.concatenate([BOX + 3.0, BOX + 190.0]))
+    alone = step(initiate(BOX + 200.0, NOISE), 0.1, BOX + 190.0)
+    np.testing.assert_array_equal(moved.select(np.array([1])).state.x, alone.state.x)
+    again = moved.select(np.array([True, False])).concatenate(alone)
+    np.testing.assert_array_equal(covariance(again), covariance(moved))
 
 
 def test_no_tracks() -> None:
-    none = predicted(begun(np.zeros((0, 4)), NOISE), 0.1, NOISE)
+    none = predict(initiate(np.zeros((0, 4)), NOISE), 0.1, NOISE)
     assert len(none) == 0
     assert none.xyxy_px.shape == (0, 4)
     assert squared_mahalanobis(none, BOX, NOISE).shape == (0, 1)
 
 
 def test_inputs_are_not_written_to() -> None:
-    filters = begun(BOX, NOISE)
-    value, P = filters.value.copy(), filters.P.copy()
-    updated(predicted(filters, 0.1, NOISE), BOX + 5.0, NOISE)
-    np.testing.assert_array_equal(filters.value, value)
-    np.testing.assert_array_equal(filters.P, P)
+    filters = initiate(BOX, NOISE)
+    x, P = filters.state.x.copy(), covariance(filters)
+    step(filters, 0.1, BOX + 5.0)
+    np.testing.assert_array_equal(filters.state.x, x)
+    np.testing.assert_array_equal(covariance(filters), P)
 
 
 def test_innovations_of_simulated_motion_are_standard_normal() -> None:
@@ -155,7 +169,7 @@ def test_innovations_of_simulated_motion_are_standard_normal() -> None:
         seen = at + rng.normal(0, noise.measured * height, (n, 2)) + 500.0
         return np.concatenate([seen - HALF_PX, seen + HALF_PX], axis=1)
 
-    filters = begun(box(value), noise)
+    filters = initiate(box(value), noise)
     found = []
     half = 0.5 * noise.acceleration * height * dt_s**1.5
     for _ in range(30):
@@ -164,33 +178,34 @@ def test_innovations_of_simulated_motion_are_standard_normal() -> None:
             value + rate * dt_s + half * (push + beside / np.sqrt(3)) + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
         )
         rate = rate + noise.acceleration * height * dt_s**0.5 * push
-        filters = predicted(filters, dt_s, noise)
-        z = box(value)
-        found.append(innovations(filters, z, noise)[:, :2])
-        filters = updated(filters, z, noise)
+        filters = predict(filters, dt_s, noise)
+        filters, innovation = update(filters, box(value), noise)
+        found.append(innovation[:, :2])
     squared = np.sum(np.square(found), axis=2).ravel()
     for share in (0.5, 0.9, 0.99):
         assert np.mean(squared <= chi2.ppf(share, df=2)) == pytest.approx(share, abs=0.015)
 
 
 def test_a_noisier_stream_trusts_its_boxes_more() -> None:
-    calm, wild = (predicted(begun(BOX, NOISE), 0.1, NOISE, level=level) for level in (0.1, 1.0))
-    assert calm.P[0, 0] < wild.P[0, 0]
-    assert calm.spread[0] == pytest.approx(np.sqrt(calm.P[0, 0]) / 80.0)
+    calm, wild = (predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=level) for level in (0.1, 1.0))
+    assert calm.state.P_xx[0, 0] < wild.state.P_xx[0, 0]
+    assert calm.position_sigma[0] == pytest.approx(np.sqrt(calm.state.P_xx[0, 0]) / 80.0)
 
 
 def test_filters_are_carried_with_the_camera() -> None:
     """A quarter turn about the origin, twice as large, 10 px to the right."""
-    filters = BoxFilters(BOX * 0 + [120.0, 90.0, 40.0, 80.0], np.full((1, 4), 3.0), np.ones((1, 3)), np.array([80.0]))
-    later = carried(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(later.value, [[-170.0, 240.0, 80.0, 160.0]])
-    np.testing.assert_allclose(later.rate, [[-6.0, 6.0, 6.0, 6.0]])
-    np.testing.assert_allclose(later.P, [[4.0, 4.0, 4.0]])
-    np.testing.assert_allclose(later.spread, filters.spread)
+    one = np.ones((1, 1))
+    state = ConstantVelocity(np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one)
+    filters = BoxFilters(state, np.array([80.0]))
+    later = compensate_camera_motion(filters, np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(later.state.x, [[-170.0, 240.0, 80.0, 160.0]])
+    np.testing.assert_allclose(later.state.v, [[-6.0, 6.0, 6.0, 6.0]])
+    np.testing.assert_allclose(covariance(later), [[4.0, 4.0, 4.0]])
+    np.testing.assert_allclose(later.position_sigma, filters.position_sigma)
 
 
 def test_boxes_of_the_past_are_moved_as_filters_are() -> None:
     turn = np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]])
     past = np.array([[[np.nan] * 4, [120.0, 90.0, 40.0, 80.0]], [[0.0, 0.0, 2.0, 4.0], [1.0, 0.0, 2.0, 4.0]]])
     wanted = [[[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]], [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]]]
-    np.testing.assert_allclose(moved(past, turn), wanted)
+    np.testing.assert_allclose(transformed(past, turn), wanted)

@@ -3,15 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from track_range.tracking.process_noise import NoiseLevel, NoiseLevelSettings
+from track_range.tracking.process_noise import ProcessNoiseScale, ProcessNoiseSettings
 
 HALF_PX = np.array([20.0, 40.0])
 
 
 def learnt(before, now, *, n=1, **settings) -> float:
-    level = NoiseLevel(NoiseLevelSettings(**settings))
+    level = ProcessNoiseScale(ProcessNoiseSettings(**settings))
     for _ in range(n):
-        level.learn(np.array(before, float), np.array(now, float))
+        level.update(np.array(before, float), np.array(now, float))
     return level.value
 
 
@@ -19,11 +19,11 @@ def test_innovations_to_and_fro_calm_it_and_steady_ones_stir_it() -> None:
     # one track, equal and opposite innovations: correlation -1, so a factor of exp(-0.03)
     assert learnt([[1.0, 0.0]], [[-1.0, 0.0]]) == pytest.approx(np.exp(-0.03))
     assert learnt([[1.0, 0.0]], [[1.0, 0.0]], highest=5.0, n=2) == 5.0
-    calm = NoiseLevel(NoiseLevelSettings())
+    calm = ProcessNoiseScale(ProcessNoiseSettings())
     for _ in range(20):
-        calm.learn(np.array([[1.0, 0.5]]), np.array([[-1.0, -0.5]]))
+        calm.update(np.array([[1.0, 0.5]]), np.array([[-1.0, -0.5]]))
     low = calm.value
-    calm.learn(np.array([[1.0, 0.5]]), np.array([[1.0, 0.5]]))
+    calm.update(np.array([[1.0, 0.5]]), np.array([[1.0, 0.5]]))
     assert calm.value == pytest.approx(low * np.exp(0.03))
 
 
@@ -51,7 +51,7 @@ def test_limits_and_nobody_to_listen_to() -> None:
 @pytest.mark.parametrize(("true_noise", "low", "high"), [(0.02, 0.0, 0.2), (1.0, 0.6, 1.0)])
 def test_it_finds_the_noise_of_the_stream(true_noise: float, low: float, high: float) -> None:
     """Boxes that walk with a share of the filters' own noise: the level ends near it, from either side."""
-    from track_range.tracking.motion import MotionNoise, begun, innovations, predicted, updated
+    from track_range.tracking.motion import MotionNoise, initiate, predict, update
 
     rng, noise, dt_s, n, height = np.random.default_rng(1), MotionNoise(), 0.1, 12, 80.0
     value, rate = np.zeros((n, 2)), rng.normal(0, 20, (n, 2))
@@ -60,16 +60,16 @@ def test_it_finds_the_noise_of_the_stream(true_noise: float, low: float, high: f
         seen = value + rng.normal(0, noise.measured * height, (n, 2)) + 500.0
         return np.concatenate([seen - HALF_PX, seen + HALF_PX], axis=1)
 
-    level, filters, before = NoiseLevel(NoiseLevelSettings()), begun(box(), noise), None
+    level, filters, before = ProcessNoiseScale(ProcessNoiseSettings()), initiate(box(), noise), None
     for _ in range(300):
         push = rng.normal(0, 1, (n, 2)) * np.sqrt(true_noise)
         value = value + rate * dt_s + rng.normal(0, 1, (n, 2)) * noise.drift * height * np.sqrt(true_noise * dt_s)
         rate = rate + noise.acceleration * height * dt_s**0.5 * push
-        filters = predicted(filters, dt_s, noise, level=level.value)
+        filters = predict(filters, dt_s, noise, noise_scale=level.value)
         z = box()
-        now = innovations(filters, z, noise)[:, :2]
-        filters = updated(filters, z, noise)
+        filters, innovation = update(filters, z, noise)
+        now = innovation[:, :2]
         if before is not None:
-            level.learn(before, now)
+            level.update(before, now)
         before = now
     assert low < level.value <= high

@@ -64,9 +64,10 @@ class ConstantVelocity:
             R: variance of the measurement, > 0.
             valid: where there is a measurement; elsewhere the state stays as it is.
         """
-        weight = np.where(valid, 1.0 / (self.P_xx + R), 0.0)
+        weight, nu = 1.0 / (self.P_xx + R), innovation
+        if valid is not True:
+            weight, nu = np.where(valid, weight, 0.0), np.where(valid, innovation, 0.0)
         K_x, K_v = weight * self.P_xx, weight * self.P_xv
-        nu = np.where(valid, innovation, 0.0)
         return ConstantVelocity(
             x=self.x + K_x * nu,
             v=self.v + K_v * nu,
