@@ -57,7 +57,7 @@ def _drive(seed: int) -> dict[str, Any]:
     drive = SimulatedDrive.of(scenario, seed=seed, seconds=SECONDS, faults=Faults(disparity_offset_px=offset_px))
     frames = drive.frames()
     began_s = time.process_time()
-    found = find_alignment("auto", drive.renderer.rig, lambda: _shown(frames)).measured
+    found = find_alignment("auto", drive.renderer.rig, _shown(frames)).measured
     look_s = time.process_time() - began_s
     u = np.linspace(-1.0, 1.0, 101)
     left_px = offset_px + found.offset_px + found.bow_px * u**2

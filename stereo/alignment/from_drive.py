@@ -29,7 +29,9 @@ _MAX_STRETCHES = 3
 _MAX_LOOKED = 300
 """Frames that are looked at before it gives up on a vehicle that does not move."""
 
-_MIN_STEP_S = 0.09
+MIN_STEP_S = 0.09
+"""Frames nearer than this to the last one are passed by."""
+
 _MAX_GAP_S = 0.5
 _MIN_FLOW_PX = 0.5
 """Points that move less from frame to frame say that the vehicle stands still: such frames add nothing."""
@@ -79,7 +81,7 @@ class DriveAlignment:
     def add(self, frame: Frame) -> None:
         """Look at the next frame; those without a right image, or too soon after the last one, are passed by."""
         step_s = frame.time_s - self._last_s
-        if self.is_full or frame.right is None or step_s < _MIN_STEP_S:
+        if self.is_full or frame.right is None or step_s < MIN_STEP_S:
             return
         if step_s > _MAX_GAP_S:
             self._close()

@@ -1,9 +1,9 @@
-"""check_pair: does a rectified pair keep its rows, and is left really left? From sparse features of one pair.
+"""check_pair: row offset and order (left and right swapped?) of a rectified pair, from sparse features.
 
     row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for every real point
 
 A pair whose disparities are nearly all negative, in equal rows, has been swapped. Few matches, unequal rows or
-disparities of both signs say nothing, and "unknown" is the answer.
+disparities of both signs leave the order unknown.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 
-EyeOrder = Literal["right", "swapped", "unknown"]
+ViewOrder = Literal["correct", "swapped", "unknown"]
 
 _N_FEATURES = 2000
 
@@ -25,10 +25,10 @@ _MAX_RATIO = 0.85
 """A match must be nearer than this share of the next best one (Lowe 2004)."""
 
 _ROW_TOLERANCE_PX = 2.0
-"""Matches in rows further from the median offset are wrong ones."""
+"""Matches whose row offset is further from the most frequent one are outliers."""
 
 _CLEAR_DISPARITY_PX = 1.0
-"""Disparities below it, of far points and of small errors of alignment, are of no sign."""
+"""Smaller disparities, of far points and of small alignment errors, have no meaningful sign."""
 
 _MIN_MATCHES = 30
 
@@ -36,35 +36,35 @@ _MIN_SHARE_OF_SIGN = 0.8
 """Share of the signed disparities that must agree."""
 
 _MIN_SHARE_IN_ROW = 0.5
-"""Share of all matches that must agree in row; of chance matches about one in a hundred does."""
+"""Share of all matches that must agree in row; of chance matches about 1 % do."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairCheck:
-    """What the matches of one pair say.
+    """Row offset and order of one pair.
 
     Attributes:
         n_matches: matches that agree in row.
         row_offset_px: mean of y_right - y_left over them (features lie on whole rows, so a median would too); NaN
             without matches.
         negative_share: share of them with a disparity below -1 px, 0..1; NaN without matches.
-        eye_order: "right", "swapped", or "unknown" where the matches do not tell.
+        view_order: "unknown" where the matches are too few or contradict each other.
     """
 
     n_matches: int
     row_offset_px: float
     negative_share: float
-    eye_order: EyeOrder
+    view_order: ViewOrder
 
     @property
     def is_conclusive(self) -> bool:
-        """Whether the matches tell left from right; only then is the row offset worth a word, too."""
-        return self.eye_order != "unknown"
+        """Whether the order is known; only then is the row offset meaningful, too."""
+        return self.view_order != "unknown"
 
     @property
     def is_swapped(self) -> bool:
         """Whether left and right are certainly swapped."""
-        return self.eye_order == "swapped"
+        return self.view_order == "swapped"
 
 
 def check_pair(left: Image, right: Image) -> PairCheck:
@@ -79,7 +79,7 @@ def check_pair(left: Image, right: Image) -> PairCheck:
         n_matches=int(agreeing.sum()),
         row_offset_px=float(row_offset[agreeing].mean()),
         negative_share=float((disparity_px < -_CLEAR_DISPARITY_PX).mean()),
-        eye_order=_eye_order(disparity_px, float(agreeing.mean())),
+        view_order=_view_order(disparity_px, float(agreeing.mean())),
     )
 
 
@@ -97,14 +97,14 @@ def _mode_px(offset_px: FloatArray, tolerance_px: float) -> float:
     return float(np.median(offsets[start : until[start]]))
 
 
-def _eye_order(disparity_px: FloatArray, share_agreeing: float) -> EyeOrder:
+def _view_order(disparity_px: FloatArray, share_agreeing: float) -> ViewOrder:
     signed = disparity_px[np.abs(disparity_px) > _CLEAR_DISPARITY_PX]
     if len(signed) < _MIN_MATCHES or share_agreeing < _MIN_SHARE_IN_ROW:
         return "unknown"
     share_negative = float((signed < 0).mean())
     if share_negative > _MIN_SHARE_OF_SIGN:
         return "swapped"
-    return "right" if share_negative < 1 - _MIN_SHARE_OF_SIGN else "unknown"
+    return "correct" if share_negative < 1 - _MIN_SHARE_OF_SIGN else "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ class Features:
 
     @classmethod
     def of(cls, image: Image) -> Features:
-        """Those of an image (H, W) or (H, W, 3)."""
+        """The features of an image (H, W) or (H, W, 3) uint8."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
         points, words = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey, None)
         xy_px = np.array([point.pt for point in points], np.float64).reshape(-1, 2)

@@ -180,7 +180,7 @@ def test_wrong_drives(drive, cli, tmp_path):
     (tmp_path / "right.mp4/right.mp4").symlink_to(drive / "right.mp4")
     (tmp_path / "right.mp4/rig.yaml").unlink()
     status, _, complaint = cli("evaluate", "stereo", "--pairs", tmp_path / "right.mp4", "--matcher", "patch")
-    assert (status, "no rig.yaml or calib.txt in it" in complaint) == (1, True)
+    assert (status, "no rig.yaml or calib.txt" in complaint) == (1, True)
     other = drive / "rig.yaml"
     found, _ = evaluate(cli, tmp_path / "right.mp4", tmp_path, "--matcher", "patch", "--rig", other)
     assert found["n_pairs"] == 4

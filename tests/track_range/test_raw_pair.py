@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from track_range.ranging.methods.patch_stereo import PatchRanger
-from track_range.run.settings import RunSettings
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import label_scene
@@ -16,7 +15,7 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.patch_matcher import PatchMatcher, PatchMatcherSettings
 from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.tracking.tracks import Tracks
-from track_range.video.source import open_source
+from track_range.video.recording import open_recording
 
 IDEAL = kitti_like_rig()
 LEFT = PinholeCamera(770.0, 772.0, 505.0, 172.0, 1000, 340, (-0.25, 0.08, 0.001, -0.0005, 0.0))
@@ -64,23 +63,21 @@ def folders(tmp_path_factory):
     return top, label_scene(renderer.scene, [number / 10 for number in range(N_FRAMES)], camera=IDEAL.left)
 
 
-def settings_of(folder):
-    return RunSettings(
-        stereo=(folder / "left", folder / "right"), rig=folder / "rig.yaml", detections=Path("unused"), align="off"
-    )
+def opened(folder):
+    return open_recording(folder / "left", folder / "right", rig=folder / "rig.yaml", align="off")
 
 
 def measured_m(folder: Path, boxes_of_frame):
-    """Distances of the boxes by the source and the ranger of a run."""
-    source = open_source(settings_of(folder))
-    ranger = PatchRanger(source.rig, PatchMatcher(PatchMatcherSettings.for_rig(source.rig)))
+    """Distances of the boxes by the recording and the ranger of a run."""
+    recording = opened(folder)
+    ranger = PatchRanger(recording.rig, PatchMatcher(PatchMatcherSettings.for_rig(recording.rig)))
     found = []
-    for frame in source.frames:
+    for frame in recording.frames:
         boxes = boxes_of_frame[frame.index]
         n = len(boxes)
         tracks = Tracks(np.arange(n), boxes, np.full(n, 2), np.ones(n), np.ones(n, bool))
         found.append(ranger.measure(tracks, frame).distance_m)
-    return np.concatenate(found), source
+    return np.concatenate(found), recording
 
 
 def test_a_raw_pair_gives_the_distances_of_the_rectified_one(folders):
@@ -96,12 +93,12 @@ def test_a_raw_pair_gives_the_distances_of_the_rectified_one(folders):
         alpha=0,
     )[0]
     turned = rectifying @ turn("left")  # from the ideal camera's frame into the rectified one's
-    probe = open_source(settings_of(top / "raw"))
+    probe = opened(top / "raw")
     to_rectified = probe.camera.matrix @ turned @ np.linalg.inv(IDEAL.left.matrix)
     probe.frames.close()
     moved = [cv2.perspectiveTransform(b.reshape(-1, 1, 2), to_rectified).reshape(-1, 4) for b in boxes]
-    raw_m, source = measured_m(top / "raw", moved)
-    assert source.rig.is_rectified
+    raw_m, recording = measured_m(top / "raw", moved)
+    assert recording.rig.is_rectified
     centres = np.concatenate(boxes).reshape(-1, 2, 2).mean(axis=1)
     expected_m = (IDEAL.left.rays(centres) * ideal_m[:, None]) @ turned[2]
     both = np.isfinite(raw_m) & np.isfinite(expected_m)

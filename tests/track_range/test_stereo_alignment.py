@@ -19,7 +19,7 @@ def never():
 
 
 def test_off_says_so_and_corrects_nothing():
-    found = find_alignment("off", RIG, never)
+    found = find_alignment("off", RIG, never())
     assert not found.is_applied
     assert (found.applied.offset_px, found.applied.residual_px) == (0.0, UNCORRECTED_SIGMA_PX)
     assert found.notes == ("Alignment: off, as asked; disparities are taken as they are, +- 0.50 px.",)
@@ -28,7 +28,7 @@ def test_off_says_so_and_corrects_nothing():
 def test_a_file_is_applied_as_it_is(tmp_path):
     written = Alignment(offset_px=0.4, bow_px=1.2, offset_sigma_px=0.3, residual_px=0.2, source="my labels")
     save_alignment(written, tmp_path / "align.yaml")
-    found = find_alignment(str(tmp_path / "align.yaml"), RIG, never)
+    found = find_alignment(str(tmp_path / "align.yaml"), RIG, never())
     assert (found.is_applied, found.applied) == (True, written)
     assert "(from my labels); corrected" in found.notes[0]
     assert found.summary() == {
@@ -41,7 +41,7 @@ def test_a_file_is_applied_as_it_is(tmp_path):
         "look_s": 0.0,
     }
     with pytest.raises(RigError, match=r"none\.yaml"):
-        find_alignment(str(tmp_path / "none.yaml"), RIG, never)
+        find_alignment(str(tmp_path / "none.yaml"), RIG, never())
 
 
 def test_what_is_measured_but_not_clear_stays_as_doubt():
@@ -68,32 +68,26 @@ def drive():
 
 
 def test_a_drive_tells_its_own_alignment(drive):
-    told = []
+    steps = []
 
     class Bar:
         def __enter__(self):
-            return lambda done, total: told.append((done, total))
+            return lambda done, total: steps.append((done, total))
 
         def __exit__(self, *_):
             return None
 
-    found = find_alignment("auto", RIG, lambda: (frame for frame in drive), lambda text: Bar())
+    found = find_alignment("auto", RIG, (frame for frame in drive), lambda text: Bar())
     assert abs(found.measured.offset_px) < 0.3
     assert abs(found.measured.row_offset_px) < 0.1
     assert "this drive" in found.notes[0]
     assert found.look_s > 0
-    assert told[0] == (0, 80)
+    assert steps[0] == (0, 80)
 
 
 def test_a_vehicle_that_stands_still_tells_nothing_but_its_rows(drive):
     still = [Frame(i, i / 10, drive[0].left, drive[0].right) for i in range(12)]
-    found = find_alignment("auto", RIG, lambda: (frame for frame in still))
+    found = find_alignment("auto", RIG, (frame for frame in still))
     assert not found.is_applied
     assert found.applied.residual_px == UNCORRECTED_SIGMA_PX
     assert "stands still" in found.notes[0]
-
-
-def test_swapped_eyes_are_found_before_a_long_look(drive):
-    swapped = [Frame(frame.index, frame.time_s, frame.right, frame.left) for frame in drive]
-    with pytest.raises(RigError, match="left and right are swapped"):
-        find_alignment("auto", RIG, lambda: (frame for frame in swapped))

@@ -232,6 +232,7 @@ def test_a_file_without_permission(tmp_path: Path, film: Film) -> None:
 
 def test_a_file_that_goes_away_between_two_readings(tmp_path: Path, film: Film) -> None:
     reader = VideoReader(film(tmp_path / "film.mp4", EVEN_S[:3]))
+    assert len(list(reader)) == 3
     reader.path.unlink()
     with pytest.raises(VideoError, match=r"film.mp4: cannot be read \(No such file"):
         next(iter(reader))

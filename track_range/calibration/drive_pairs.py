@@ -16,12 +16,10 @@ from pathlib import Path
 from track_range.foundation.arrays import BoolArray
 from track_range.ranging.evaluation.errors import BANDS_M
 from track_range.ranging.evaluation.truth import Truth, read_truth
+from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair
-from track_range.stereo.geometry.rectification import Rectifier
-from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_rig
-from track_range.video.pairing import StereoVideo
-from track_range.video.reader import VideoReader
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.video.recording import Recording, open_recording
 
 LEFT, RIGHT = "left.mp4", "right.mp4"
 LABELS = ("truth.csv", "truth.txt", "label.txt")
@@ -46,30 +44,41 @@ def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 
         RigError: the rig is missing or cannot be used.
         LabelFileError, PairFileError: labels cannot be read, or there are none.
     """
-    left = VideoReader(folder / LEFT)
-    right = VideoReader(folder / RIGHT, origin_s=left.first_time_s)
-    size_px = min(left.width_px, right.width_px), min(left.height_px, right.height_px)
-    file = rig or find_rig(folder / LEFT)
-    if file is None:
-        raise RigError(f"{folder}: no rig.yaml or calib.txt in it; give the cameras with --rig FILE.")
-    cameras, notes = load_rig(file, size_px=size_px, is_grey=left.is_grey)
-    rectifier = Rectifier(cameras, row_offset_px=row_offset_px)
-    truth = read_truth(_labels(folder), rectifier.rig.left, left_from_reference_m(file, is_grey=left.is_grey))
-    truth = truth.select(_counts(truth))
-    focal_baseline_m = rectifier.rig.left.fx_px * rectifier.rig.baseline_m
-    with closing(iter(StereoVideo(left, right))) as pairs:
-        for left_frame, right_frame in pairs:
-            here = truth.select(truth.frame == left_frame.index)
-            images = (frame.image[: size_px[1], : size_px[0]] for frame in (left_frame, right_frame))
+    rows = Alignment(row_offset_px=row_offset_px)
+    recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=rows)
+    with closing(recording):
+        truth = read_truth(_labels(folder), rectified.left, recording.calibration.left_from_reference_m)
+        truth = truth.select(_counts(truth))
+        for frame in recording.frames:
+            if frame.right is None:
+                continue
+            here = truth.select(truth.frame == frame.index)
             yield StereoPair(
-                f"{left_frame.index:06d}",
-                *rectifier.rectify(*images),
+                f"{frame.index:06d}",
+                frame.left,
+                frame.right,
                 here.xyxy_px,
-                focal_baseline_m / here.distance_m,
-                rectifier.rig,
-                notes,
+                rectified.left.fx_px * rectified.baseline_m / here.distance_m,
+                rectified,
+                recording.calibration.file_notes,
                 track_id=here.track_id,
             )
+
+
+def open_pair(
+    left: Path, right: Path, rig: Path | None, *, align: str | Alignment = "off", has_checks: bool = False
+) -> tuple[Recording, StereoRig]:
+    """Open a calibrated pair, with its rectified rig; `rig` None = the file beside the left video.
+
+    Raises:
+        VideoError: a video cannot be used.
+        RigError: there is no rig, it cannot be used, or, with checks, left and right are swapped.
+    """
+    recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks)
+    if recording.rig is None:
+        recording.close()
+        raise RigError(f"{left}: no rig.yaml or calib.txt beside it; give the cameras with --rig FILE.")
+    return recording, recording.rig
 
 
 def _counts(truth: Truth) -> BoolArray:

@@ -17,42 +17,22 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.calibration.drive_pairs import is_drive, read_drive
+from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive
 from track_range.detection.formats.csv_labels import is_whole_label_csv
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.truth import read_truth
-from track_range.run.settings import RunSettings
 from track_range.stereo.evaluation.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
-from track_range.stereo.geometry.rectification import Rectifier
-from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_rig
-from track_range.video.stereo_frames import StereoFrames
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.video.recording import Recording
 
 _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
 _PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
 _LARGEST_NUMBER = 2**53
 """Of frames and objects: larger ones are not told apart."""
-
-
-@dataclass(frozen=True, slots=True)
-class OpenedPair:
-    """Two videos with their rig.
-
-    Attributes:
-        frames: both, in step.
-        rectifier: of the rig.
-        path: of the rig file.
-        notes: what the user should know of it.
-    """
-
-    frames: StereoFrames
-    rectifier: Rectifier
-    path: Path
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,21 +43,6 @@ class _Known:
     track_id: IntArray
     xyxy_px: FloatArray
     true_px: FloatArray
-
-
-def open_pair(stereo: tuple[Path, Path], rig: Path | None) -> OpenedPair:
-    """Open two videos; `rig` None = the file beside the left one.
-
-    Raises:
-        VideoError: a video cannot be used.
-        RigError: there is no rig, or it cannot be used.
-    """
-    frames = StereoFrames.open(RunSettings(stereo=stereo), stereo)
-    path = rig or find_rig(stereo[0])
-    if path is None:
-        raise RigError(f"{stereo[0]}: no rig.yaml or calib.txt beside it; give the cameras with --rig FILE.")
-    cameras, notes = load_rig(path, size_px=frames.size_px, is_grey=frames.left.is_grey)
-    return OpenedPair(frames, Rectifier(cameras), path, notes)
 
 
 def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:
@@ -95,7 +60,7 @@ def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: P
         return _folder_pairs(reference, rig)
     if stereo is None:
         raise UsageError("--reference FILE tells of two videos: give them with --stereo LEFT RIGHT.")
-    return _video_pairs(reference, open_pair(stereo, rig))
+    return _video_pairs(reference, *open_pair(*stereo, rig))
 
 
 def _folder_pairs(folder: Path, rig: Path | None) -> Iterator[StereoPair]:
@@ -104,13 +69,12 @@ def _folder_pairs(folder: Path, rig: Path | None) -> Iterator[StereoPair]:
     return read_pairs(folder, rig=rig)
 
 
-def _video_pairs(reference: Path, pair: OpenedPair) -> Iterator[StereoPair]:
-    rectified = pair.rectifier.rig
+def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) -> Iterator[StereoPair]:
     is_table = reference.suffix.lower() == ".csv" and not is_whole_label_csv(reference)
-    known = _of_table(reference, rectified) if is_table else _of_labels(reference, pair)
+    known = _of_table(reference, rectified) if is_table else _of_labels(reference, recording, rectified)
     last = int(known.frame.max())
-    with closing(pair.frames.rectified(pair.rectifier)) as frames:
-        for frame in frames:
+    with closing(recording):
+        for frame in recording.frames:
             if frame.index > last:
                 return
             here = known.frame == frame.index
@@ -123,7 +87,7 @@ def _video_pairs(reference: Path, pair: OpenedPair) -> Iterator[StereoPair]:
                 known.xyxy_px[here],
                 known.true_px[here],
                 rectified,
-                pair.notes,
+                recording.calibration.file_notes,
                 track_id=_identities(known, here),
             )
 
@@ -134,10 +98,8 @@ def _identities(known: _Known, here: BoolArray) -> IntArray:
     return ids if (known.track_id >= 0).all() else np.zeros(0, np.int64)
 
 
-def _of_labels(path: Path, pair: OpenedPair) -> _Known:
-    rig = pair.rectifier.rig
-    shift_m = left_from_reference_m(pair.path, is_grey=pair.frames.left.is_grey)
-    truth = read_truth(path, rig.left, shift_m)
+def _of_labels(path: Path, recording: Recording, rig: StereoRig) -> _Known:
+    truth = read_truth(path, rig.left, recording.calibration.left_from_reference_m)
     truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
     if not len(truth):
         raise LabelFileError(f"{path}: no object in it is labelled well enough to know its distance.")

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from track_range.calibration.drive_pairs import LEFT, RIGHT
-from track_range.calibration.reference_pairs import OpenedPair, open_pair, reference_pairs
+from track_range.calibration.drive_pairs import LEFT, RIGHT, open_pair
+from track_range.calibration.reference_pairs import reference_pairs
 from track_range.foundation.errors import UsageError
 from track_range.results.output_files import check_outputs, write_text
 from track_range.run.progress import say, step_progress
@@ -27,7 +27,7 @@ from track_range.stereo.geometry.frames import whole_image
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.matching.box_matchers import measure_pairs
 from track_range.stereo.rig_formats.reading import find_rig
-from track_range.video.pair_monitor import order_checked
+from track_range.video.recording import Recording
 
 _MATCHER = "patch"
 _N_ROW_PAIRS = 12
@@ -113,20 +113,20 @@ def _from_drives(options: AlignOptions, console: Console) -> tuple[Alignment, tu
     sources += [options.stereo] if options.stereo else []
     if not sources:
         raise UsageError("nothing to align by: give --stereo LEFT RIGHT, --drive DIR or --reference DIR|FILE.")
-    opened = [open_pair(source, options.rig) for source in sources]
-    rigs = [each.rectifier.rig for each in opened]
+    opened = [open_pair(left, right, options.rig, has_checks=True) for left, right in sources]
+    rigs = [rig for _, rig in opened]
     if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
         raise RigError("the drives are of different rigs; align each rig by its own drives.")
     estimator = DriveAlignment(rigs[0])
     with step_progress(console, "frames") as advance:
-        for each in opened:
+        for recording, _ in opened:
             estimator.start_drive()
-            _feed(estimator, each, advance)
+            _feed(estimator, recording, advance)
     measured = estimator.estimate()
     if not measured.is_measured:
         raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past things that stand still.")
     named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
-    return named, tuple(dict.fromkeys(note for each in opened for note in each.notes))
+    return named, tuple(dict.fromkeys(note for recording, _ in opened for note in recording.calibration.file_notes))
 
 
 def _names(sources: list[tuple[Path, Path]]) -> str:
@@ -134,14 +134,13 @@ def _names(sources: list[tuple[Path, Path]]) -> str:
     return ", ".join(left.parent.resolve().name if left.name == LEFT else left.name for left, _ in sources)
 
 
-def _feed(estimator: DriveAlignment, pair: OpenedPair, advance: Callable[[int, int], None]) -> None:
-    with closing(pair.frames.rectified(pair.rectifier)) as frames:
-        # Swapped eyes would look like an alignment beyond belief.
-        for number, frame in enumerate(order_checked(frames)):
+def _feed(estimator: DriveAlignment, recording: Recording, advance: Callable[[int, int], None]) -> None:
+    with closing(recording):
+        for number, frame in enumerate(recording.frames):
             if estimator.is_full:
                 return
             estimator.add(frame)
-            advance(number + 1, max(pair.frames.left.n_frames or 0, number + 1))
+            advance(number + 1, max(recording.n_frames or 0, number + 1))
 
 
 def _from_reference(reference: Path, options: AlignOptions, console: Console) -> tuple[Alignment, tuple[str, ...]]:

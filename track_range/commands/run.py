@@ -26,7 +26,7 @@ from track_range.results.csv_file import ResultRows, read_tracks_csv
 from track_range.results.output_files import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
 from track_range.results.summary import matched_truth, write_summary
 from track_range.run.box_source import open_box_source
-from track_range.run.build import open_pipeline
+from track_range.run.build import open_input, open_pipeline
 from track_range.run.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
 from track_range.run.prefetch import short_switch_interval
 from track_range.run.progress import frame_progress, step_progress
@@ -34,7 +34,6 @@ from track_range.run.session import RunRecord, found_by, summary_of
 from track_range.run.settings import RunSettings, absolute_settings, save_settings
 from track_range.run.throughput import FrameMeter
 from track_range.terminal_tables import tell_summary
-from track_range.video.source import open_source
 
 
 def run(settings: RunSettings, console: Console, view: LiveView | None = None) -> Path:
@@ -58,14 +57,18 @@ def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path
     check_outputs([settings.table] if settings.table is not None else [], [*_input_files(settings), *results])
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
-    source = open_source(settings, partial(step_progress, console))
+    source = open_input(settings, partial(step_progress, console))
     opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
-    opened_s -= source.alignment.look_s if source.alignment else 0.0
-    with closing(source.frames):
-        boxes = open_box_source(settings, source.rectified_boxes, lambda word: ready_model(word, console))
-        truth = read_truth(settings.truth, source.camera, source.left_from_reference_m) if settings.truth else None
+    opened_s -= source.calibration.alignment.look_s if source.calibration.alignment else 0.0
+    with closing(source):
+        boxes = open_box_source(settings, source.calibration.rectified_boxes, lambda word: ready_model(word, console))
+        truth = (
+            read_truth(settings.truth, source.camera, source.calibration.left_from_reference_m)
+            if settings.truth
+            else None
+        )
         pipeline = open_pipeline(settings, source, boxes, curves)
-        meter = FrameMeter(source.live)
+        meter = FrameMeter(source.inputs.live)
         this = RunRecord(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline, meter=meter)
         folder = settings.out_dir
         make_folder(folder)
@@ -160,7 +163,7 @@ def _work(this: RunRecord, folder: Path, console: Console, view: LiveView | None
             raise
         this.stopped_by = error
     this.wall_s = time.perf_counter() - began_s
-    clock.busy_s["read"] = this.source.busy_s
+    clock.busy_s["read"] = this.source.inputs.busy_s
 
 
 def _keep(this: RunRecord, summary: dict[str, Any], columns: dict[str, npt.NDArray[Any]], folder: Path) -> None:

@@ -6,10 +6,10 @@ from track_range.overlay.annotator import Overlay, Status
 from track_range.overlay.disparity_view import DisparityPicture, SidePicture
 from track_range.overlay.result_video import Draw, VideoFormat
 from track_range.run.settings import RunSettings
-from track_range.video.source import Source
+from track_range.video.recording import Recording
 
 
-def pictures(settings: RunSettings, source: Source, status: Status = tuple) -> dict[str, Draw]:
+def pictures(settings: RunSettings, source: Recording, status: Status = tuple) -> dict[str, Draw]:
     """What is filmed, by the name of its file without the ending; `status`: see `Overlay`."""
     wanted: dict[str, Draw] = {}
     if settings.overlay:
@@ -19,16 +19,25 @@ def pictures(settings: RunSettings, source: Source, status: Status = tuple) -> d
     return wanted
 
 
-def overlay_picture(settings: RunSettings, source: Source, status: Status = tuple) -> Draw:
+def missing_outputs(settings: RunSettings, source: Recording) -> tuple[str, ...]:
+    """Sentences for the user on pictures that the settings ask for and a recording without a rig cannot give."""
+    if source.rig is not None:
+        return ()
+    disparity = ("No disparity.mp4: dense stereo needs a rig.",) if settings.disparity else ()
+    side = ("No disparities below the overlay: dense stereo needs a rig.",) if settings.overlay_side else ()
+    return (*disparity, *side)
+
+
+def overlay_picture(settings: RunSettings, source: Recording, status: Status = tuple) -> Draw:
     """A new overlay, with the disparities below it where the settings want them and the source has them."""
-    warning = "uncalibrated" if source.calibration == "estimated" else ""
+    warning = "uncalibrated" if source.calibration.kind == "estimated" else ""
     overlay = Overlay(camera=source.camera, status=status, warning=warning)
     if settings.overlay_side and source.rig is not None:
         return SidePicture(overlay, source.rig).draw
     return overlay.draw
 
 
-def video_format(name: str, settings: RunSettings, source: Source) -> VideoFormat:
+def video_format(name: str, settings: RunSettings, source: Recording) -> VideoFormat:
     """Size and rate of one of `pictures`."""
     width_px, height_px = source.size_px
     is_double = name == "overlay" and settings.overlay_side and source.rig is not None

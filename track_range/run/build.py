@@ -15,11 +15,28 @@ from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.registry import create_tracker
-from track_range.video.source import Source
+from track_range.video.auto_alignment import Progress
+from track_range.video.recording import Recording, open_recording
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M
 
 
-def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, size_model: SizeModel) -> Pipeline:
+def open_input(settings: RunSettings, progress: Progress | None = None) -> Recording:
+    """The recording that the settings name; errors as of `open_recording`."""
+    left, right = settings.stereo or (settings.left, None)
+    return open_recording(
+        left,
+        right,
+        rig=settings.rig,
+        focal_px=settings.focal_px,
+        align=settings.align,
+        start_s=settings.start_s,
+        duration_s=settings.duration_s,
+        folder_fps=settings.folder_fps,
+        progress=progress,
+    )
+
+
+def open_pipeline(settings: RunSettings, source: Recording, boxes: BoxSource, size_model: SizeModel) -> Pipeline:
     """The pipeline that the settings ask for and the source allows.
 
     Raises:
@@ -29,12 +46,12 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, size_
         MethodError: ranging methods of other packages read each other in a circle.
     """
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
-    pair = source.uncalibrated
+    pair = source.calibration.uncalibrated
     context = MethodContext(
         camera=source.camera,
         rig=source.rig,
         assumed_rig=StereoRig.rectified(pair.camera, ASSUMED_BASELINE_M) if pair and pair.has_equal_rows else None,
-        alignment=source.alignment.applied if source.alignment else Alignment(),
+        alignment=source.calibration.alignment.applied if source.calibration.alignment else Alignment(),
         focal_sigma=pair.focal_sigma if pair else 0.0,
         size_model=size_model,
         camera_height_m=settings.camera_height_m,
@@ -54,6 +71,6 @@ def open_pipeline(settings: RunSettings, source: Source, boxes: BoxSource, size_
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),
         shared_sigma=context.focal_sigma,
-        depths=LIVE_DEPTHS if source.live is not None else QueueDepths(),
+        depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
         notes=(*appearance_notes, *method_notes()),
     )

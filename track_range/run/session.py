@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.overlay.outputs import pictures
+from track_range.overlay.outputs import missing_outputs, pictures
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.summary import Columns, MatchedTruth, range_scores, stage_times_ms, track_scores
 from track_range.run.box_source import BoxSource
@@ -17,7 +17,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
 from track_range.run.settings import RunSettings
 from track_range.run.throughput import FrameMeter
-from track_range.video.source import Source
+from track_range.video.recording import Recording
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 
@@ -37,7 +37,7 @@ class RunRecord:
 
     settings: RunSettings
     boxes: BoxSource
-    source: Source
+    source: Recording
     truth: Truth | None
     pipeline: Pipeline
     meter: FrameMeter
@@ -63,6 +63,7 @@ class RunRecord:
         return [
             *self.boxes.notes(),
             *self.source.notes,
+            *missing_outputs(self.settings, self.source),
             *stopped,
             *self._strangers(),
             *self._measuring(),
@@ -122,10 +123,10 @@ def _geometry(this: RunRecord) -> dict[str, Any]:
     """Where metres come from."""
     source = this.source
     return {
-        "calibration": source.calibration,
+        "calibration": source.calibration.kind,
         "focal_px": source.camera.fx_px,
         "baseline_m": source.rig.baseline_m if source.rig else None,
-        **({"alignment": source.alignment.summary()} if source.alignment else {}),
+        **({"alignment": source.calibration.alignment.summary()} if source.calibration.alignment else {}),
     }
 
 
@@ -143,7 +144,7 @@ def found_by(this: RunRecord) -> dict[str, Any]:
     camera = source.camera
     return {
         **this.boxes.found,
-        "rig": str(source.rig_path) if source.rig_path else None,
+        "rig": str(source.calibration.path) if source.calibration.path else None,
         "focal_px": camera.fx_px,
         "focal_y_px": camera.fy_px,
         "principal_point_px": [camera.cx_px, camera.cy_px],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,12 @@ from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.pair_monitor import order_checked
 
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Opens a progress bar with a text; what it yields is told steps done, and of how many."""
 
-_MAX_LOOK_S = 8.0
-"""So much of the drive is looked at; a vehicle that stands still all the while tells nothing."""
+MAX_LOOK_S = 8.0
+"""Duration of the part of a drive that the alignment is estimated from."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,40 +67,41 @@ class FoundAlignment:
 
 
 def find_alignment(
-    align: str, rig: StereoRig, frames: Callable[[], Generator[Frame, None, None]], progress: Progress | None = None
+    align: str | Path | Alignment,
+    rig: StereoRig,
+    frames: Generator[Frame, None, None],
+    progress: Progress | None = None,
 ) -> FoundAlignment:
-    """What `--align` asks for.
+    """The alignment of a calibrated pair.
 
     Args:
-        align: "auto": estimated from the drive's own first frames; "off": nothing; else an alignment file.
+        align: "auto" = estimated from the drive's first frames; "off" = none; an alignment file; or an alignment.
         rig: the rectified pair.
-        frames: opens the drive's frames, rectified, for a look of its own.
-        progress: told how far that look has come.
+        frames: the first `MAX_LOOK_S` of the drive, rectified; as many are taken as the estimate needs.
+        progress: opens a progress bar for the estimate.
 
     Raises:
-        RigError: the file cannot be used; left and right are swapped.
+        RigError: the file cannot be used. Whatever `frames` raises.
     """
+    if isinstance(align, Alignment):
+        return FoundAlignment(measured=align, is_applied=True)
     if align == "off":
         return FoundAlignment(measured=Alignment(source="off, as asked"), is_applied=False)
     if align != "auto":
         return FoundAlignment(measured=load_alignment(Path(align)), is_applied=True)
     began_s = time.perf_counter()
-    with (progress or _untold)("looking at the pair's alignment") as tell, closing(frames()) as shown:
-        measured = _estimated(rig, shown, tell)
+    drive, first_s = DriveAlignment(rig), math.nan
+    with (progress or _no_progress)("looking at the pair's alignment") as advance:
+        for frame in frames:
+            first_s = frame.time_s if math.isnan(first_s) else first_s
+            advance(round(10 * (frame.time_s - first_s)), round(10 * MAX_LOOK_S))
+            drive.add(frame)
+            if drive.is_full:
+                break
+        measured = drive.estimate()
     return FoundAlignment(measured=measured, is_applied=measured.is_clear, look_s=time.perf_counter() - began_s)
 
 
-def _estimated(rig: StereoRig, frames: Generator[Frame, None, None], tell: Callable[[int, int], None]) -> Alignment:
-    drive, first_s = DriveAlignment(rig), math.nan
-    for number, frame in enumerate(order_checked(frames)):
-        first_s = frame.time_s if number == 0 else first_s
-        tell(round(10 * (frame.time_s - first_s)), round(10 * _MAX_LOOK_S))
-        drive.add(frame)
-        if drive.is_full or frame.time_s - first_s > _MAX_LOOK_S:
-            break
-    return drive.estimate()
-
-
 @contextmanager
-def _untold(_: str) -> Generator[Callable[[int, int], None], None, None]:
+def _no_progress(_: str) -> Generator[Callable[[int, int], None], None, None]:
     yield lambda done, total: None

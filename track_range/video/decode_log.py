@@ -1,4 +1,4 @@
-"""ReadingLog: what one run through a video file has met: which frame is the how manyth, and which could not be used."""
+"""DecodeLog: what one reading of a video file has met: the number of each frame, and which could not be used."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import heapq
 
 from track_range.video.frame import counted
 
-_GAP_INTERVALS = 2.5  # a step so much longer than the nominal one is told; phones' own unsteadiness stays below
+_GAP_INTERVALS = 2.5  # a step so much longer than the nominal one is noted; the jitter of phones stays below
 
 
-class ReadingLog:
-    """Kept by one reading of one file.
+class DecodeLog:
+    """Counts of one reading of one file.
 
     Attributes:
         n_used: frames handed on.
@@ -32,6 +32,11 @@ class ReadingLog:
         self._index = -1
         self._corrupt: set[int] = set()
 
+    def restart(self) -> None:
+        """Reading goes on at a later keyframe: forget the frames decoded so far, but not how many packets came."""
+        self.n_damaged = self.n_backward = self._n_gaps = 0
+        self.last_s, self._longest_gap_s = None, 0.0
+
     def packet(self, stamp: int | None, *, is_corrupt: bool) -> None:
         """A packet that holds a frame was met, decoded or not; packets come in the decoder's order."""
         if stamp is not None:
@@ -42,7 +47,7 @@ class ReadingLog:
     def frame_index(self, stamp: int | None) -> int:
         """Number of frames before the one of this timestamp; frames come in order of time, each once.
 
-        Packets tell it even where frames were skipped or did not decode; without timestamps frames are counted.
+        Packets give it even where frames were skipped or did not decode; without timestamps frames are counted.
         """
         while stamp is not None and self._stamps and self._stamps[0] < stamp:
             heapq.heappop(self._stamps)
@@ -63,10 +68,10 @@ class ReadingLog:
                 self._longest_gap_s, self._longest_gap_at_s = step_s, time_s - step_s
         self.last_s, self.end_s = time_s, time_s + duration_s
 
-    def note_shortfall(self, wanted_end_s: float, *, tolerance_s: float) -> None:
+    def note_shortfall(self, declared_end_s: float, *, tolerance_s: float) -> None:
         """Reading is over: say so if the file's header promised more."""
-        if not self.stopped_by and self.end_s < wanted_end_s - tolerance_s:
-            self.stopped_by = f"{wanted_end_s - self.end_s:.1f} s less than its header promises"
+        if not self.stopped_by and self.end_s < declared_end_s - tolerance_s:
+            self.stopped_by = f"{declared_end_s - self.end_s:.1f} s less than its header promises"
 
     @property
     def notes(self) -> list[str]:

@@ -52,9 +52,9 @@ class ImageFolder:
                 f"{self._images[0][1].name} and {self._images[-1][1].name}; taken as dropped frames."
             )
         self.first_time_s: float = self._times_s[0]
-        image = _decoded(self._images[0][1])
-        self.height_px, self.width_px = image.shape[:2]
-        self.is_grey = is_neutral(image)
+        self._first_image: Image | None = _decoded(self._images[0][1])
+        self.height_px, self.width_px = self._first_image.shape[:2]
+        self.is_grey = is_neutral(self._first_image)
         self._n_backward = 0
 
     @property
@@ -64,6 +64,10 @@ class ImageFolder:
             return list(self._folder_notes)
         dropped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp left out."
         return [*self._folder_notes, f"{self.path}: {dropped}"]
+
+    def close(self) -> None:
+        """Free the first image, if it has not been read."""
+        self._first_image = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """The images of the times from `from_s` up to, not including, `until_s`.
@@ -82,7 +86,8 @@ class ImageFolder:
                 yield VideoFrame(number - first_number, time_s, self._checked(path))
 
     def _checked(self, path: Path) -> Image:
-        image = _decoded(path)
+        first, self._first_image = self._first_image, None
+        image = first if first is not None and path == self._images[0][1] else _decoded(path)
         height_px, width_px = image.shape[:2]
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from track_range.run.prefetch import prefetch
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
 from track_range.video.reader import VideoReader
+from track_range.video.threads import FRAMES_AHEAD
 
 # A quarter of the shorter frame interval: half would pair every frame with some other; at 30 Hz a quarter is 8 ms, in
 # which a car that closes at 30 m/s comes 0.25 m nearer: 1 % at 25 m.
 _TOLERANCE_INTERVALS = 0.25
-_READ_AHEAD = 4  # frames decoded ahead per eye; one of 1242x375 takes 1.4 MB
 _RATE_DIFFERENCE = 0.01  # nominal rates that differ by less are the same, say 29.97 and 30
 
 _Ahead = tuple[Generator[VideoFrame, None, None], Generator[VideoFrame, None, None]]
@@ -117,6 +117,11 @@ class StereoVideo:
             notes += self._part_notes(eye, other)
         return tuple(notes)
 
+    def close(self) -> None:
+        """Close both files, if they have not been read."""
+        self.left.close()
+        self.right.close()
+
     def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         self._start()
         ahead = (self._ahead(self.left), self._ahead(self.right))
@@ -127,7 +132,7 @@ class StereoVideo:
 
     @staticmethod
     def _ahead(reader: VideoReader) -> Generator[VideoFrame, None, None]:
-        return prefetch(reader, depth=_READ_AHEAD, gives_way=True)
+        return prefetch(reader, depth=FRAMES_AHEAD, gives_way=True)
 
     def _pairs(self, ahead: _Ahead) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         """The frame that is behind is paired with the other eye's, unless its successor is nearer to that."""

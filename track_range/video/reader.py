@@ -8,9 +8,10 @@ from collections.abc import Generator, Iterator
 from contextlib import closing
 from pathlib import Path
 
-from track_range.video.file import DECODER_THREADS, VideoFile
+from track_range.video.file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.image_folder import ImageFolder
+from track_range.video.threads import DECODER_THREADS
 from track_range.video.writer import VideoWriter
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
@@ -19,15 +20,17 @@ __all__ = ["VideoError", "VideoFrame", "VideoReader", "VideoWriter"]
 
 
 class VideoReader:
-    """A video file, or a folder of numbered images, as frames with times; can be run through again and again.
+    """A video file, or a folder of numbered images, as frames with times.
+
+    It is opened once for its properties and the first iteration; each later iteration opens it anew.
 
     Args:
         path: the file or folder.
         folder_fps: rate of a folder without timestamps.txt.
         start_s: where to start, in seconds after `origin_s`; frames before it are skipped, mostly without decoding.
         duration_s: how much to read from there; None = all.
-        origin_s: the file time that `start_s` counts from; None = the first frame. For the right eye of a pair: the
-            left one's `first_time_s`.
+        origin_s: the file time that `start_s` counts from; None = the first frame. For the right video of a pair:
+            the left one's `first_time_s`.
 
     Attributes:
         width_px, height_px: size of the upright images.
@@ -66,6 +69,10 @@ class VideoReader:
     def notes(self) -> tuple[str, ...]:
         """What the user should know; complete only after the last frame."""
         return tuple(self._source.notes)
+
+    def close(self) -> None:
+        """Close the file, if it has not been read."""
+        self._source.close()
 
     def __iter__(self) -> Generator[VideoFrame, None, None]:
         is_empty = True

@@ -7,16 +7,12 @@ taken from how wide dash cameras usually see, and all distances are as uncertain
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 
 from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.frames import Frame
-from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, checked_pair
 
 _ASSUMED_FIELD_DEG = 75.0
 """Horizontal field of view; road cameras have 60 to 90 degrees (KITTI's 81), some wider."""
@@ -28,8 +24,6 @@ _GIVEN_FOCAL_SIGMA = 0.02
 
 ASSUMED_BASELINE_M = 0.5
 """For the range of disparities that is searched, and for nothing else."""
-
-_ENOUGH_PAIRS = 3
 
 HOW_TO_CALIBRATE = (
     "for true metres photograph a chessboard with both cameras, run `track-range calibrate --stereo LEFT RIGHT "
@@ -65,22 +59,11 @@ class UncalibratedPair:
             is_assumed=focal_px is None,
         )
 
-    def looked_at(self, frames: Iterable[Frame]) -> UncalibratedPair:
-        """This pair with the rows of its first frames compared.
-
-        Raises:
-            RigError: left and right are swapped.
-        """
-        rows_px: list[float] = []
-        for frame in islice(frames, MAX_CHECKED_PAIRS):
-            check = checked_pair(frame)
-            if check is not None and check.is_conclusive:
-                rows_px.append(check.row_offset_px)
-            if len(rows_px) == _ENOUGH_PAIRS:
-                break
-        if not rows_px:
+    def with_rows(self, row_offsets_px: list[float]) -> UncalibratedPair:
+        """This pair with the row offsets that its first pairs show; none = rows do not agree."""
+        if not row_offsets_px:
             return self
-        row_px = float(np.median(rows_px))
+        row_px = float(np.median(row_offsets_px))
         return replace(self, row_offset_px=row_px if abs(row_px) > MAX_ROW_OFFSET_PX else 0.0, has_equal_rows=True)
 
     @property

@@ -54,6 +54,15 @@ class LiveAddress:
         return {**_SOON, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
 
 
+VideoName = Path | LiveAddress
+"""A video file or folder of images, or a camera or stream."""
+
+
+def video_name(name: str | VideoName) -> VideoName:
+    """The camera, stream, file or folder that a name means."""
+    return (live_address(name) or Path(name)) if isinstance(name, str) else name
+
+
 def live_address(name: str) -> LiveAddress | None:
     """The camera or stream that a name on the command line means; None = a file or folder.
 

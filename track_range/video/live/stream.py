@@ -20,11 +20,11 @@ from track_range.run.prefetch import give_way
 from track_range.video.frame import VideoError, VideoFrame, counted, is_neutral
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.clock import StreamClock
+from track_range.video.threads import LIVE_FRAMES
 
 _OPEN_S, SILENCE_S = 10.0, 5.0
 """So long may a stream take to open, and be silent; then it is given up."""
 
-_HELD = 8  # images that wait; a pair is looked for among them
 _FALLBACK_RATE_HZ = 25.0
 
 
@@ -60,7 +60,7 @@ class LiveStream:
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
         self.ended_by, self.has_ended, self._is_over = "", False, False
-        self._held: deque[_Held] = deque(maxlen=_HELD)
+        self._held: deque[_Held] = deque(maxlen=LIVE_FRAMES)
         self._lock = threading.Lock()
         self._news: list[threading.Event] = []
         self._is_unwanted = threading.Event()

@@ -22,7 +22,7 @@ def wall(*, disparity_px: int, row_offset_px: int = 0) -> tuple[Image, Image]:
 
 def test_right_and_swapped() -> None:
     left, right = wall(disparity_px=12)
-    assert check_pair(left, right).eye_order == "right"
+    assert check_pair(left, right).view_order == "correct"
     swapped = check_pair(right, left)
     assert swapped.is_swapped
     assert swapped.is_conclusive
@@ -40,7 +40,7 @@ def test_row_offset(row_offset_px: int) -> None:
 def test_equal_images_are_not_swapped() -> None:
     left, _ = wall(disparity_px=12)
     check = check_pair(left, left)
-    assert check.eye_order == "unknown"
+    assert check.view_order == "unknown"
     assert not check.is_conclusive
     assert check.negative_share == 0.0
 
@@ -48,7 +48,7 @@ def test_equal_images_are_not_swapped() -> None:
 def test_without_texture_nothing_is_known() -> None:
     flat = np.full((200, 300, 3), 90, np.uint8)
     check = check_pair(flat, flat)
-    assert (check.n_matches, check.eye_order) == (0, "unknown")
+    assert (check.n_matches, check.view_order) == (0, "unknown")
     assert np.isnan(check.row_offset_px)
     assert np.isnan(check.negative_share)
 
@@ -56,7 +56,7 @@ def test_without_texture_nothing_is_known() -> None:
 def test_images_of_different_scenes_are_unknown() -> None:
     rng = np.random.default_rng(3)
     left, right = (cv2.GaussianBlur(rng.integers(0, 256, (300, 500), dtype=np.uint8), (0, 0), 1.5) for _ in range(2))
-    assert check_pair(left, right).eye_order == "unknown"
+    assert check_pair(left, right).view_order == "unknown"
 
 
 def test_disparities_of_both_signs_are_unknown() -> None:
@@ -64,7 +64,7 @@ def test_disparities_of_both_signs_are_unknown() -> None:
     half = left.shape[0] // 2
     mixed_left, mixed_right = left.copy(), right.copy()
     mixed_left[half:], mixed_right[half:] = right[half:], left[half:]
-    assert check_pair(mixed_left, mixed_right).eye_order == "unknown"
+    assert check_pair(mixed_left, mixed_right).view_order == "unknown"
 
 
 def kitti_pairs(folder: Path) -> list[tuple[Image, Image]]:
@@ -93,8 +93,8 @@ def test_all_kitti_2015_pairs_both_ways_round(shared_data: Path) -> None:
     pairs = kitti_pairs(shared_data)
     assert len(pairs) == 16
     for left, right in pairs:
-        assert check_pair(left, right).eye_order == "right"
-        assert check_pair(right, left).eye_order == "swapped"
+        assert check_pair(left, right).view_order == "correct"
+        assert check_pair(right, left).view_order == "swapped"
 
 
 @pytest.mark.parametrize("name", ["kitti_stereo/0003", "kitti_stereo/0005", "kitti_odometry/gray51"])
@@ -102,6 +102,6 @@ def test_kitti_videos_both_ways_round(shared_data: Path, name: str) -> None:
     pairs = video_pairs(shared_data / name, every=8)
     assert len(pairs) >= 2
     for left, right in pairs:
-        assert check_pair(left, right).eye_order == "right"
-        assert check_pair(right, left).eye_order == "swapped"
+        assert check_pair(left, right).view_order == "correct"
+        assert check_pair(right, left).view_order == "swapped"
         assert abs(check_pair(left, right).row_offset_px) < 0.5

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import Image
-from track_range.stereo.alignment.sync_check import check_step
+from track_range.stereo.alignment.sync_check import check_sync
 
 
 def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[list[Image], list[Image]]:
@@ -27,19 +27,19 @@ def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[lis
 
 def test_eyes_in_step_and_a_frame_apart() -> None:
     left, right = views(zoom_per_frame=1.05)
-    assert check_step(left[1], right[:3]) == "same"
-    assert check_step(left[1], right[1:4]) == "right early"
-    assert check_step(left[2], right[:3]) == "right late"
+    assert check_sync(left[1], right[:3]) == "synchronised"
+    assert check_sync(left[1], right[1:4]) == "left lags"
+    assert check_sync(left[2], right[:3]) == "right lags"
 
 
 def test_what_stands_still_tells_nothing() -> None:
     left, right = views(zoom_per_frame=1.0)
-    assert check_step(left[1], right[:3]) == "unknown"
+    assert check_sync(left[1], right[:3]) == "unknown"
 
 
 def test_what_has_no_texture_tells_nothing() -> None:
     flat = np.full((260, 480, 3), 90, np.uint8)
-    assert check_step(flat, [flat] * 3) == "unknown"
+    assert check_sync(flat, [flat] * 3) == "unknown"
 
 
 @pytest.mark.parametrize("drive", ["0003", "0005"])
@@ -49,6 +49,6 @@ def test_real_drives(shared_data: Path, drive: str) -> None:
         film = cv2.VideoCapture(str(shared_data / "kitti_stereo" / drive / f"{eye}.mp4"))
         eyes.append([np.asarray(film.read()[1], np.uint8) for _ in range(5)])
     left, right = eyes
-    assert check_step(left[2], right[1:4]) == "same"
-    assert check_step(left[2], right[0:3]) == "right late"
-    assert check_step(left[2], right[2:5]) == "right early"
+    assert check_sync(left[2], right[1:4]) == "synchronised"
+    assert check_sync(left[2], right[0:3]) == "right lags"
+    assert check_sync(left[2], right[2:5]) == "left lags"

@@ -1,0 +1,155 @@
+"""Calibration: the cameras of a recording, found, loaded and checked, and how its images are rectified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, Image
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import ImageView
+from track_range.stereo.geometry.rectification import Rectifier, Undistorter
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.geometry.rig_checks import check_camera
+from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
+from track_range.video.auto_alignment import FoundAlignment
+from track_range.video.inputs import Inputs
+from track_range.video.live.address import VideoName
+from track_range.video.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
+
+CalibrationKind = Literal["rig", "focal length", "estimated"]
+"""Where metres come from: a file, a focal length that was given, or the sizes of road users."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """The cameras that a recording's rectified images seem to come from.
+
+    Attributes:
+        kind: where metres come from.
+        camera: the left or only camera.
+        rectifier: makes the rectified (one camera: undistorted) images.
+        rig: the rectified pair; None = one camera, or a pair without calibration.
+        raw_rig: the pair as loaded.
+        path: the calibration file; None = a focal length.
+        left_from_reference_m: (3,) shift that takes labels of the rig's reference camera into the left one's frame.
+        file_notes: sentences for the user on the file.
+        search_notes: the sentence on where the file was found, if it was not given.
+        alignment: correction of the disparities, of a calibrated pair.
+        uncalibrated: assumptions on a pair without calibration.
+    """
+
+    kind: CalibrationKind
+    camera: PinholeCamera
+    rectifier: Rectifier | Undistorter
+    rig: StereoRig | None = None
+    raw_rig: StereoRig | None = None
+    path: Path | None = None
+    left_from_reference_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    file_notes: tuple[str, ...] = ()
+    search_notes: tuple[str, ...] = ()
+    alignment: FoundAlignment | None = None
+    uncalibrated: UncalibratedPair | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user."""
+        alignment = () if self.alignment is None else self.alignment.notes
+        uncalibrated = () if self.uncalibrated is None else self.uncalibrated.notes
+        return (*self.search_notes, *self.file_notes, *alignment, *uncalibrated)
+
+    @property
+    def rectified_boxes(self) -> Callable[[FloatArray], FloatArray]:
+        """Boxes (N, 4) of the left video's own pixels -> of its rectified images."""
+        return self.rectifier.boxes if isinstance(self.rectifier, Undistorter) else self.rectifier.left_boxes
+
+    def rectified(self, left: Image, right: Image | None) -> tuple[Image, ImageView | None]:
+        """The images of one instant, (H, W, 3) uint8 as the cameras took them -> rectified."""
+        if isinstance(self.rectifier, Undistorter):
+            return self.rectifier.undistort(left), None
+        if right is None:
+            raise ValueError("right: the rectifier of a pair expects two images")
+        return self.rectifier.rectify(left, right)
+
+    def with_alignment(self, alignment: FoundAlignment) -> Calibration:
+        """This one of a calibrated pair, with its alignment; rows are moved where the alignment says so."""
+        rectifier, rows_px = self.rectifier, alignment.measured.rows_to_move_px
+        if rows_px and self.raw_rig is not None:
+            rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px)
+        return replace(self, rectifier=rectifier, alignment=alignment)
+
+    def with_rows(self, row_offsets_px: list[float]) -> Calibration:
+        """This one of a pair without calibration, with the row offsets that its first pairs show; none = unknown."""
+        if self.uncalibrated is None:
+            return self
+        pair = self.uncalibrated.with_rows(row_offsets_px)
+        rectifier = Rectifier(_assumed_rig(self.camera), row_offset_px=pair.row_offset_px)
+        return replace(self, rectifier=rectifier, uncalibrated=pair)
+
+
+def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None) -> Calibration:
+    """The calibration of opened videos: of the file given, else of the focal length, else of the file beside `left`.
+
+    A pair without any gets assumptions.
+
+    Raises:
+        RigError: a file that cannot be used or does not fit the images; one camera without file and focal length.
+    """
+    is_sought = rig is None and focal_px is None and isinstance(left, Path)
+    path = find_rig(left) if is_sought and isinstance(left, Path) else rig
+    search_notes = (f"No --rig given: {path} beside the left video is used.",) if is_sought and path else ()
+    if path is not None:
+        loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
+        return replace(loaded, search_notes=search_notes)
+    if inputs.pairs is not None:
+        pair = UncalibratedPair.of(inputs.size_px, focal_px)
+        check_camera(pair.camera, "--focal-px")
+        rectifier = Rectifier(_assumed_rig(pair.camera))
+        return Calibration(kind="estimated", camera=pair.camera, rectifier=rectifier, uncalibrated=pair)
+    if focal_px is None:
+        raise RigError(
+            f"{left}: no focal length, so no metres: give --focal-px F or --rig FILE "
+            "(or put a rig.yaml or calib.txt beside the video)."
+        )
+    camera = camera_of_focal_length(focal_px, inputs.size_px)
+    check_camera(camera, "--focal-px")
+    return Calibration(kind="focal length", camera=camera, rectifier=Undistorter(camera))
+
+
+def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:
+    is_grey = inputs.left.is_grey
+    raw_rig, notes = load_rig(path, size_px=inputs.size_px, is_grey=is_grey)
+    rectifier = Rectifier(raw_rig)
+    return Calibration(
+        kind="rig",
+        camera=rectifier.rig.left,
+        rectifier=rectifier,
+        rig=rectifier.rig,
+        raw_rig=raw_rig,
+        path=path,
+        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey),
+        file_notes=notes,
+    )
+
+
+def _loaded_camera(path: Path, inputs: Inputs) -> Calibration:
+    is_grey = inputs.left.is_grey
+    camera, notes = load_camera(path, size_px=inputs.size_px, is_grey=is_grey)
+    undistorter = Undistorter(camera)
+    return Calibration(
+        kind="rig",
+        camera=undistorter.camera,
+        rectifier=undistorter,
+        path=path,
+        left_from_reference_m=left_from_reference_m(path, is_grey=is_grey),
+        file_notes=notes,
+    )
+
+
+def _assumed_rig(camera: PinholeCamera) -> StereoRig:
+    """Two such cameras: a rectifier needs a baseline, and makes no use of it."""
+    return StereoRig.rectified(camera, ASSUMED_BASELINE_M)

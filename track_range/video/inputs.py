@@ -1,0 +1,156 @@
+"""Inputs: one or two videos (files, folders, cameras, streams), opened; of two, the pairs of one instant."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass
+
+from track_range.foundation.arrays import Image
+from track_range.video.frame import VideoError, VideoFrame
+from track_range.video.live.address import LiveAddress, VideoName
+from track_range.video.live.pair import LivePair
+from track_range.video.live.reader import LiveReader
+from track_range.video.look_ahead import LookAhead
+from track_range.video.pairing import StereoVideo
+from track_range.video.reader import VideoReader
+from track_range.video.threads import MAX_LOOK_AHEAD_BYTES
+
+Reader = VideoReader | LiveReader
+
+Images = tuple[VideoFrame, VideoFrame | None]
+"""Left and right of one instant; one video: no right one."""
+
+_CODEC_CROP_PX = 2  # video codecs need even sizes, so one of two videos may have lost a row or a column
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The opened videos of a recording.
+
+    Attributes:
+        left: the left or only video.
+        pairs: left and right, paired by time; None = one video.
+        size_px: width and height that both have.
+    """
+
+    left: Reader
+    pairs: LookAhead | None
+    size_px: tuple[int, int]
+
+    @classmethod
+    def open(
+        cls,
+        left: VideoName,
+        right: VideoName | None,
+        *,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        folder_fps: float = 10.0,
+    ) -> Inputs:
+        """Open one or two videos.
+
+        Args:
+            left: a file, a folder of numbered images, a camera or a stream.
+            right: the same; None = one video.
+            start_s: where to start, in seconds after the left video's first frame.
+            duration_s: how much to read from there; None = all.
+            folder_fps: rate of folders without timestamps.txt.
+
+        Raises:
+            VideoError: one cannot be used, their sizes differ, or one is live and the other recorded.
+        """
+
+        def reader(name: VideoName, origin_s: float | None = None) -> Reader:
+            if isinstance(name, LiveAddress):
+                return LiveReader(name, start_s=start_s, duration_s=duration_s)
+            return VideoReader(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, origin_s=origin_s)
+
+        first = reader(left)
+        if right is None:
+            return cls(first, None, (first.width_px, first.height_px))
+        try:
+            second = reader(right, origin_s=first.first_time_s)
+        except BaseException:
+            first.close()
+            raise
+        pairs = _paired(first, second)
+        is_live = isinstance(pairs, LivePair)
+        look_ahead = LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES)
+        return cls(first, look_ahead, _common_size_px(first, second))
+
+    def look(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
+        """The first pairs, before the iteration; see `LookAhead.look`. Nothing of one video."""
+        if self.pairs is not None:
+            yield from self.pairs.look()
+
+    def __iter__(self) -> Generator[Images, None, None]:
+        if self.pairs is not None:
+            yield from self.pairs
+            return
+        with closing(iter(self.left)) as images:
+            for image in images:
+                yield image, None
+
+    def cut(self, frame: VideoFrame) -> Image:
+        """The frame's image, cut to the common size."""
+        width_px, height_px = self.size_px
+        return frame.image[:height_px, :width_px]
+
+    @property
+    def readers(self) -> tuple[Reader, ...]:
+        """One or two."""
+        return (self.left,) if self.pairs is None else (self.left, self.pairs.pairs.right)
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate."""
+        return self.left.fps
+
+    @property
+    def n_frames(self) -> int | None:
+        """Frames to expect; None = unknown."""
+        return self.left.n_frames
+
+    @property
+    def live(self) -> LiveReader | None:
+        """The left video, where it is a camera or a stream."""
+        return self.left if isinstance(self.left, LiveReader) else None
+
+    @property
+    def busy_s(self) -> float:
+        """Time spent reading and decoding so far, of both videos together."""
+        return sum(reader.busy_s for reader in self.readers)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user; complete only after the last frame."""
+        paired = () if self.pairs is None else self.pairs.pairs.notes
+        return (*itertools.chain.from_iterable(reader.notes for reader in self.readers), *paired)
+
+    def close(self) -> None:
+        """End the reading: close files, and the connections of live streams."""
+        if self.pairs is not None:
+            self.pairs.close()
+        self.left.close()
+
+
+def _paired(left: Reader, right: Reader) -> StereoVideo | LivePair:
+    if isinstance(left, LiveReader) and isinstance(right, LiveReader):
+        return LivePair(left, right)
+    if isinstance(left, VideoReader) and isinstance(right, VideoReader):
+        return StereoVideo(left, right)
+    left.close()
+    right.close()
+    raise VideoError(f"{left.path} and {right.path}: one is live and the other a file; give two of a kind.")
+
+
+def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:
+    sizes = [(reader.width_px, reader.height_px) for reader in (left, right)]
+    if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(*sizes, strict=True)):
+        (lw, lh), (rw, rh) = sizes
+        left.close()
+        right.close()
+        raise VideoError(f"{left.path} is {lw}x{lh} but {right.path} {rw}x{rh}: left and right must have one size.")
+    return min(w for w, _ in sizes), min(h for _, h in sizes)

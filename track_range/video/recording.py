@@ -1,0 +1,197 @@
+"""open_recording: one video or a pair -> rectified frames; each video is opened and decoded once.
+
+open the videos -> find and check the calibration -> look at the first frames: swapped? alignment -> rectified frames
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from track_range.stereo.alignment.from_drive import MIN_STEP_S
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.video.auto_alignment import MAX_LOOK_S, Progress, find_alignment
+from track_range.video.calibration import Calibration, find_calibration
+from track_range.video.inputs import Images, Inputs
+from track_range.video.live.address import VideoName, video_name
+from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
+
+_N_ROW_PAIRS = 3  # pairs of which the row offset of an uncalibrated pair is the median
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """An opened recording.
+
+    Attributes:
+        frames: rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos.
+        inputs: the opened videos.
+        calibration: the cameras.
+        monitors: the checks of a pair that go on while its frames pass.
+    """
+
+    frames: Generator[Frame, None, None]
+    inputs: Inputs
+    calibration: Calibration
+    monitors: tuple[Monitor, ...]
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The left or only camera that the frames seem to come from."""
+        return self.calibration.camera
+
+    @property
+    def rig(self) -> StereoRig | None:
+        """The rectified pair; None = one camera, or a pair without calibration."""
+        return self.calibration.rig
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the frames."""
+        return self.inputs.size_px
+
+    @property
+    def fps(self) -> float:
+        """Nominal frame rate."""
+        return self.inputs.fps
+
+    @property
+    def n_frames(self) -> int | None:
+        """Frames to expect; None = unknown."""
+        return self.inputs.n_frames
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user on the recording; complete only after the last frame."""
+        checks = (note for monitor in self.monitors for note in monitor.notes)
+        return (*self.calibration.notes, *self.inputs.notes, *checks)
+
+    def close(self) -> None:
+        """Close the videos."""
+        self.frames.close()
+        self.inputs.close()
+
+
+def open_recording(
+    left: str | VideoName,
+    right: str | VideoName | None = None,
+    *,
+    rig: str | Path | None = None,
+    focal_px: float | None = None,
+    align: str | Path | Alignment = "auto",
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    folder_fps: float = 10.0,
+    has_checks: bool = True,
+    progress: Progress | None = None,
+) -> Recording:
+    """Open one video or a pair for one pass over its rectified frames.
+
+    Args:
+        left: video file, folder of numbered images, camera (0, /dev/video0) or stream (rtsp://...).
+        right: the same; None = one camera.
+        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = the one beside `left`, if any.
+        focal_px: focal length of cameras without such a file.
+        align: correction of a calibrated pair's disparities: "auto" = estimated from its first frames (8 s at most),
+            "off", an alignment file, or an alignment.
+        start_s: where to start, in seconds after the left video's first frame.
+        duration_s: how much to read from there; None = all.
+        folder_fps: frame rate of folders of images without timestamps.txt.
+        has_checks: whether pairs are checked for swapped, misaligned or unsynchronised videos.
+        progress: opens a progress bar for the estimate of the alignment.
+
+    Raises:
+        VideoError: a video cannot be used, or the two do not fit each other.
+        RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
+
+    Example:
+        for frame in open_recording("left.mp4", "right.mp4", rig="rig.yaml").frames:
+            print(frame.index, frame.time_s, frame.left.shape)
+    """
+    left, right = video_name(left), None if right is None else video_name(right)
+    with ExitStack() as on_error:
+        inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
+        on_error.callback(inputs.close)
+        calibration = find_calibration(left, inputs, rig=None if rig is None else Path(rig), focal_px=focal_px)
+        monitors: tuple[Monitor, ...] = ()
+        if calibration.uncalibrated is not None:
+            calibration, monitors = _with_equal_rows(calibration, inputs)
+        elif calibration.rig is not None:
+            monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
+            calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
+        on_error.pop_all()
+    return Recording(_frames(inputs, calibration, monitors), inputs, calibration, monitors)
+
+
+def _aligned(
+    calibration: Calibration,
+    rig: StereoRig,
+    inputs: Inputs,
+    align: str | Path | Alignment,
+    checks: tuple[PairMonitor, ...],
+    progress: Progress | None,
+) -> Calibration:
+    """A calibrated pair with its alignment; the first pair is checked even where no alignment is estimated."""
+    with closing(_first_frames(calibration, inputs, checks)) as first_frames:
+        alignment = find_alignment(align, rig, first_frames, progress)
+        if align != "auto" and checks:
+            next(first_frames, None)
+    for check in checks:
+        check.corrected_px = alignment.measured.rows_to_move_px
+    return calibration.with_alignment(alignment)
+
+
+def _with_equal_rows(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:
+    """A pair without calibration, with the row offset of its first pairs taken out."""
+    monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
+    with closing(inputs.look()) as pairs:
+        for pair in islice(pairs, MAX_CHECKED_PAIRS):
+            monitor.add(_frame(pair, calibration, inputs))
+            if monitor.is_done:
+                break
+    return calibration.with_rows(monitor.row_offsets_px), (SyncMonitor(),) if monitor.row_offsets_px else ()
+
+
+def _first_frames(
+    calibration: Calibration, inputs: Inputs, checks: tuple[PairMonitor, ...]
+) -> Generator[Frame, None, None]:
+    """Frames of the first seconds, as far apart as the alignment needs them; `checks` get each that they need."""
+    first_s, last_s = math.nan, -math.inf
+    with closing(inputs.look()) as pairs:
+        for pair in pairs:
+            time_s = pair[0].time_s - inputs.left.first_time_s
+            first_s = time_s if math.isnan(first_s) else first_s
+            is_due = time_s - last_s >= MIN_STEP_S
+            if is_due or not all(check.is_done for check in checks):
+                frame = _frame(pair, calibration, inputs)
+                for check in checks:
+                    check.add(frame)
+                if is_due:
+                    last_s = time_s
+                    yield frame
+            if time_s - first_s > MAX_LOOK_S:
+                return
+
+
+def _frames(inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, ...]) -> Generator[Frame, None, None]:
+    """All frames, checked as they pass; closing closes the videos."""
+    with closing(inputs), closing(iter(inputs)) as images:
+        for left_and_right in images:
+            frame = _frame(left_and_right, calibration, inputs)
+            for monitor in monitors:
+                monitor.add(frame)
+            yield frame
+
+
+def _frame(images: Images, calibration: Calibration, inputs: Inputs) -> Frame:
+    """The images of one instant, cut to their common size and rectified."""
+    left, right = images
+    left_image, right_image = calibration.rectified(inputs.cut(left), None if right is None else inputs.cut(right))
+    return Frame(left.index, left.time_s - inputs.left.first_time_s, left_image, right_image)
