@@ -1,0 +1,96 @@
+"""A registered method of another package appears in every output of a run, with no other file touched."""
+
+import json
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+
+from tests.toy_method import TOY
+from tests.track_range.conftest import cli, write_film  # noqa: F401
+from tests.track_range.overlay_results import BOX, result
+from track_range.overlay.colours import colour_of_each
+from track_range.overlay.labels import corner_lines, label_lines
+from track_range.ranging import registry
+
+
+@pytest.fixture
+def toy():
+    with registry.registered(TOY):
+        yield
+
+
+@pytest.fixture
+def run_folder(tmp_path, cli):  # noqa: F811
+    """Runs on a film of eight frames with a box in each."""
+    video, boxes, out = tmp_path / "film.mp4", tmp_path / "boxes.txt", tmp_path / "out"
+    write_film(video, [0.1 * i for i in range(8)])
+    boxes.write_text("".join(f"{i},10,4,40,40,0.9\n" for i in range(8)))
+
+    def run():
+        arguments = ("--mono", video, "--focal-px", 100, "--detections", boxes, "--lanes", "off", "--out", out)
+        status, printed, complaint = cli(*arguments)
+        assert status == 0, complaint
+        return out, printed
+
+    return run
+
+
+def text_of(lines):
+    return " ".join(span.text for line in lines for span in line)
+
+
+def assert_is_everywhere(out, printed):
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["stages_ms"]["toy"] > 0
+    assert summary["toy_boxes"] == 8
+    assert "toy: 8 boxes." in summary["notes"]
+    assert "toy" in printed
+    assert "toy" in (out / "report.html").read_text()
+
+
+def test_toy_method_in_every_output_of_a_run(toy, run_folder):
+    assert_is_everywhere(*run_folder())
+
+
+def test_toy_method_by_entry_point(run_folder, monkeypatch):
+    registry._installed.cache_clear()
+    entry = EntryPoint("toy", "tests.toy_method:TOY", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    try:
+        assert_is_everywhere(*run_folder())
+    finally:
+        registry._installed.cache_clear()
+
+
+def test_broken_entry_point_is_a_note(run_folder, monkeypatch):
+    registry._installed.cache_clear()
+    entry = EntryPoint("toy", "tests.no_such_method:TOY", registry.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [entry])
+    try:
+        out, printed = run_folder()
+    finally:
+        registry._installed.cache_clear()
+    notes = json.loads((out / "summary.json").read_text())["notes"]
+    assert [note for note in notes if "toy = tests.no_such_method:TOY" in note]
+    assert "tests.no_such_method" in printed
+
+
+def test_toy_method_in_the_overlay(toy):
+    frame_result = result([BOX], ranges={"toy": (33.3, 1.0), "mono": (30.0, 2.0), "fused": (31.0, 1.0)})
+    assert "W 33.3" in text_of(label_lines(frame_result, 0, class_names=("a", "b", "c"), sizes_px=(20, 12)))
+    assert "W box width" in text_of(corner_lines(frame_result, 12)[1])
+    assert colour_of_each(["toy_kf"]) == {"toy_kf": TOY.colour}
+
+
+def test_toy_method_is_gone_without_its_registration(run_folder):
+    out, _ = run_folder()
+    assert "toy" not in (out / "tracks.csv").read_text()
+    assert "toy" not in json.loads((out / "summary.json").read_text())["methods"]
+
+
+def test_toy_method_on_labelled_boxes(toy):
+    from track_range.ranging.evaluation.box_methods import method_names
+
+    assert method_names()[-4:] == ("mono", "ground", "toy", "mono+ground+toy")
+    assert np.isclose(TOY.noise_share, 0.5)
