@@ -20,7 +20,7 @@ from track_range.tracking.tracks import Tracks
 
 
 class DenseRanger(Ranger):
-    """Ranges each box by the median of dense disparity in its inner half; matching runs in a thread of its own.
+    """Ranges each box by the median of dense disparity in its inner half; matching runs in a background thread.
 
     Attributes:
         disparity: (H, W) px of the frame measured last, NaN where unknown, as matched (the alignment is not in it).
@@ -30,7 +30,7 @@ class DenseRanger(Ranger):
     def __init__(
         self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: Alignment | None = None
     ) -> None:
-        """Range for a rectified rig; disparities are put right by `alignment`."""
+        """Range for a rectified rig; `alignment` corrects its disparities."""
         self._triangulate = Triangulation(rig, alignment or Alignment())
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
@@ -38,7 +38,7 @@ class DenseRanger(Ranger):
         self._pending: dict[int, Future[FloatArray32]] = {}
 
     def start(self, frame: Frame) -> None:
-        """Begin on a frame's disparity image in the background; `measure` waits for it."""
+        """Compute the disparity image of a frame in the background; `measure` waits for it."""
         self._pending[frame.index] = self._thread.submit(self._disparity, frame)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
@@ -51,7 +51,7 @@ class DenseRanger(Ranger):
         return self._triangulate.ranges(tracks, disparity_px, sigma_px)
 
     def close(self) -> None:
-        """Drop what is pending and end the thread."""
+        """Drop pending frames and end the thread."""
         self._thread.shutdown(wait=True, cancel_futures=True)
 
     def _disparity(self, frame: Frame) -> FloatArray32:

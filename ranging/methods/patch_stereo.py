@@ -22,21 +22,21 @@ class PatchRanger(Ranger):
     """Ranges each observed box by matching it alone."""
 
     def __init__(self, rig: StereoRig, matcher: BoxMatcher, *, alignment: Alignment | None = None) -> None:
-        """Range for a rectified rig; disparities are put right by `alignment`."""
+        """Range for a rectified rig; `alignment` corrects its disparities."""
         self._triangulate = Triangulation(rig, alignment or Alignment())
         self._matcher = TrackMatcher(matcher)
 
     @property
     def outcomes(self) -> Counter[Outcome]:
-        """How many boxes were matched so far, and how many were not, by the reason."""
+        """Number of boxes so far by outcome: matched, or the reason why not."""
         return self._matcher.outcomes
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match; NaN where the matcher does not commit itself or there is no right eye."""
+        """Distances of the boxes that match; NaN where the match is rejected or there is no right image."""
         return self._triangulate.ranges(tracks, *self._matcher.match(tracks, frame))
 
     def summary(self) -> dict[str, Any]:
-        """How many boxes were not matched, by the reason."""
+        """Number of boxes that were not matched, by reason."""
         unmatched = {REASONS[why]: n for why, n in self.outcomes.most_common() if why is not Outcome.MATCHED}
         return {"stereo_unmatched": unmatched}
 

@@ -17,7 +17,7 @@ _MIN_HEIGHT_PX = 4.0
 
 
 class SizeRegressionRanger(Ranger):
-    """Ranges observed boxes that the image does not cut at top or bottom; a cut side is left out of the measure."""
+    """Ranges observed boxes that the image does not cut at top or bottom; where a side is cut off, by height alone."""
 
     def __init__(
         self,
@@ -30,10 +30,10 @@ class SizeRegressionRanger(Ranger):
         """Range for `camera` (undistorted).
 
         Args:
-            camera: that sees the boxes.
-            curves: what is known of sizes; None = the packaged priors.
+            camera: of the images in which the boxes were detected.
+            curves: model of the sizes of road users; None = the packaged priors.
             box_sigma_px: standard deviation of one edge where it is the same for all boxes.
-            noise: how unsure edges are otherwise; None = a detector's boxes.
+            noise: standard deviation of the edges otherwise; None = a detector's boxes.
         """
         self._camera = camera
         self._curves = curves or load_curves()

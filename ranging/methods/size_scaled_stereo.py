@@ -1,11 +1,11 @@
-"""SizeScaledRanger: stereo without a calibration; what one px of disparity is worth is learnt from the sizes of things.
+"""SizeScaledRanger: stereo without a calibration; its scale is learnt from the sizes of the tracked objects.
 
-    Z = K / d,   K = f B, the product of focal length and baseline that a calibration would tell
-    every track with a class whose size is known says   K = Z_mono d,   and the median over the tracks is taken
+    Z = K / d,   K = f B, the product of focal length and baseline that a calibration would give
+    every track of a class of known size is a measurement   K = Z_mono d;   K is their weighted median
 
-One object's size says little (people differ, cars too), many together say the mean: after that stereo is as even
-between near and far, and from frame to frame, as ever; only the common scale stays in doubt. What the focal length adds
-to the doubt is common to mono as well, and not in these sigmas.
+The size of one object is a poor measurement (people differ, and so do cars), the mean of many is a good one: then
+stereo is consistent between near and far, and from frame to frame, as ever; only the common scale stays uncertain. The
+error of the focal length is common to all methods and not part of these sigmas.
 """
 
 from __future__ import annotations
@@ -25,41 +25,41 @@ from track_range.stereo.matching.patch_matches import BoxMatcher
 from track_range.tracking.tracks import Tracks
 
 _UNALIGNED_SIGMA_PX = 1.0
-"""Disparity error of eyes that nobody has calibrated, as far as a scale does not take it up."""
+"""Disparity error of uncalibrated cameras, as far as it is not a scale."""
 
 _SIZES_SIGMA = 0.08
 """Relative error of the mean of a class: other countries, other makes, other detectors."""
 
 _TRACK_SIGMA = 0.15
-"""Relative scatter of single tracks about the truth, beyond what their size's own sigma says."""
+"""Relative scatter of single tracks about the truth, beyond the sigma of their distances by size."""
 
-_MIN_TRACKS_TOLD = 6
-"""So many tracks tell their own scatter."""
+_MIN_TRACKS_FOR_SCATTER = 6
+"""Effective number of tracks from which their own scatter is used."""
 
 _MIN_DISPARITY_PX = 3.0
-"""Smaller ones tell more of the eyes' alignment than of the scale."""
+"""Smaller disparities depend more on the alignment of the cameras than on the scale."""
 
-_ENOUGH_SAMPLES = 10
-"""A track seen more often than this counts no more for it: its size stays the same."""
+_MAX_WEIGHTED_SAMPLES = 10
+"""Further samples of a track do not add to its weight: its size stays the same."""
 
 _MAX_SAMPLES, _MAX_TRACKS = 30, 500
-"""More of a track, and more tracks, are not listened to: they would change nothing."""
+"""Further samples of a track, and further tracks, are ignored: they would change nothing."""
 
 
-class _Told:
-    """What one track has told: log K, again and again, and how much that weighs."""
+class _TrackScale:
+    """Median of the samples of log K of one track, and its weight."""
 
     def __init__(self) -> None:
         self._samples: list[float] = []
         self.median = float("nan")
         self.weight = 0.0
 
-    def hear(self, log_k: float, variance: float) -> None:
+    def add(self, log_k: float, variance: float) -> None:
         if len(self._samples) == _MAX_SAMPLES:
             return
         self._samples.append(log_k)
         self.median = float(np.median(self._samples))
-        if len(self._samples) <= _ENOUGH_SAMPLES:
+        if len(self._samples) <= _MAX_WEIGHTED_SAMPLES:
             self.weight += 1.0 / variance
 
 
@@ -67,10 +67,10 @@ class FocalBaseline:
     """K = f B in px m, learnt track by track."""
 
     def __init__(self) -> None:
-        self._told: dict[int, _Told] = {}
+        self._tracks: dict[int, _TrackScale] = {}
 
     def learn(self, disparity_px: FloatArray, by_size: Ranges) -> None:
-        """Take in a frame: (N,) disparities, NaN = not matched, and what size says of the same tracks."""
+        """Add a frame: (N,) disparities, NaN = not matched, and distances of the same tracks by size."""
         with np.errstate(invalid="ignore"):
             clear_px = np.where(disparity_px >= _MIN_DISPARITY_PX, disparity_px, np.nan)
             log_k = np.log(clear_px * by_size.distance_m)
@@ -78,33 +78,33 @@ class FocalBaseline:
         variance = _TRACK_SIGMA**2 + of_size**2 + (_UNALIGNED_SIGMA_PX / clear_px) ** 2
         for i in np.flatnonzero(np.isfinite(log_k)).tolist():
             track_id = int(by_size.track_id[i])
-            if track_id in self._told or len(self._told) < _MAX_TRACKS:
-                self._told.setdefault(track_id, _Told()).hear(float(log_k[i]), float(variance[i]))
+            if track_id in self._tracks or len(self._tracks) < _MAX_TRACKS:
+                self._tracks.setdefault(track_id, _TrackScale()).add(float(log_k[i]), float(variance[i]))
 
     @property
     def n_tracks(self) -> int:
-        """Tracks that have told something."""
-        return len(self._told)
+        """Number of tracks with a sample."""
+        return len(self._tracks)
 
     def estimate(self) -> tuple[float, float]:
-        """K in px m and its relative standard deviation; NaN both before any track has told anything."""
-        if not self._told:
+        """K in px m and its relative standard deviation; both NaN before the first sample."""
+        if not self._tracks:
             return float("nan"), float("nan")
-        log_k = np.array([told.median for told in self._told.values()])
-        weight = np.array([told.weight for told in self._told.values()])
-        middle = weighted_median(log_k, weight)
-        scatter = MAD_TO_SIGMA * weighted_median(np.abs(log_k - middle), weight)
+        log_k = np.array([track.median for track in self._tracks.values()])
+        weight = np.array([track.weight for track in self._tracks.values()])
+        centre = weighted_median(log_k, weight)
+        scatter = MAD_TO_SIGMA * weighted_median(np.abs(log_k - centre), weight)
         n_effective = float(weight.sum() ** 2 / (weight @ weight))
-        scatter = scatter if n_effective >= _MIN_TRACKS_TOLD else max(scatter, _TRACK_SIGMA)
-        # 1.25: a median scatters a quarter more than a mean.
-        return float(np.exp(middle)), float(np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective)))
+        scatter = scatter if n_effective >= _MIN_TRACKS_FOR_SCATTER else max(scatter, _TRACK_SIGMA)
+        # 1.25: the standard error of a median is a quarter larger than that of a mean.
+        return float(np.exp(centre)), float(np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective)))
 
 
 class SizeScaledRanger(Ranger):
-    """Ranges boxes of an uncalibrated pair; the first ones of a video by few sizes, later ones by more.
+    """Ranges boxes of an uncalibrated pair, by a scale that gets more certain with the number of tracks.
 
     Attributes:
-        scale: what has been learnt so far.
+        scale: learnt so far.
     """
 
     def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
@@ -124,7 +124,7 @@ class SizeScaledRanger(Ranger):
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """Distances of the boxes that match, after mono's distances have taught the scale; NaN for the rest."""
+        """Distances of the boxes that match, after mono's distances have updated the scale; NaN for the rest."""
         disparity_px, sigma_px = self._matcher.match(tracks, frame)
         if "mono" in others:
             self.scale.learn(disparity_px, others["mono"])

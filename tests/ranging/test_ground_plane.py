@@ -66,7 +66,7 @@ def test_the_horizon_is_found_from_the_sizes(horizon_px):
 
 
 def test_an_unknown_height_is_told_by_near_and_far_objects_together():
-    plane = GroundPlane(CAMERA, GroundSettings(box_sigma_px=0.1, kerb_m=0.0, roughness_rad=0.001))
+    plane = GroundPlane(CAMERA, GroundSettings(box_sigma_px=0.1, kerb_m=0.0, pitch_sigma_rad=0.001))
     assert plane.horizon.height_m == pytest.approx(1.5)
     for k in range(20):
         plane.measure(*cars_at([6.0, 8.0, 12.0, 30.0, 50.0, 80.0], height_m=1.2, sigma=0.03), at(0.1 * k, k))
@@ -88,7 +88,7 @@ def test_what_was_seen_is_forgotten():
 
 def test_a_horizon_seen_otherwise_helps():
     plane = GroundPlane(CAMERA, SMOOTH)
-    plane.hint(200.0, 1.0)
+    plane.add_horizon(200.0, 1.0)
     assert plane.horizon.y_px == pytest.approx(200.0, abs=3.0)
     tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)  # alone: nobody else tells of the horizon
     with_lanes = plane.measure(tracks, by_size, at(0.0))
@@ -97,7 +97,7 @@ def test_a_horizon_seen_otherwise_helps():
     assert not (with_lanes.sigma_m[0] >= without.sigma_m[0])
     other = GroundPlane(CAMERA, SMOOTH)
     for y_px in (200.0, 160.0):  # what is said anew replaces what was said before
-        other.hint(y_px, 1.0)
+        other.add_horizon(y_px, 1.0)
     assert other.horizon.y_px == pytest.approx(160.0, abs=3.0)
 
 
