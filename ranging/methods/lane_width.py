@@ -106,8 +106,8 @@ class LaneWidth:
         weight = 1.0 / sigma[good] ** 2
         innovation, variance = float((weight * log[good]).sum() / weight.sum()), float(1.0 / weight.mean())
         gain = self.sigma**2 / (self.sigma**2 + variance)
-        sigma = max(self.sigma * (1 - gain) ** 0.5, _MIN_WIDTH_SIGMA)
-        return LaneWidth(self.width_m * float(np.exp(gain * innovation)), sigma)
+        remaining = max(self.sigma * (1 - gain) ** 0.5, _MIN_WIDTH_SIGMA)
+        return LaneWidth(self.width_m * float(np.exp(gain * innovation)), remaining)
 
 
 class LaneWidthRanger(Ranger):
