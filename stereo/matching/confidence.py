@@ -1,4 +1,4 @@
-"""Clarity: whether the minimum that a surface stands for is deep, and alone."""
+"""Match confidence: how far a surface's cost lies below a chance match and below the second best disparity."""
 
 from __future__ import annotations
 
@@ -7,67 +7,76 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, IntArray
+from track_range.stereo.matching.plane_fit import Surface
 from track_range.stereo.matching.sample_windows import BoxWindows
-from track_range.stereo.matching.surfaces import Surface
 
 _CHANCE_PERCENTILE = 75.0
-"""The costs' percentile that stands for a chance match, also about a prior, where half the costs are in the valley."""
+"""Percentile of a box's costs that is taken as the cost of a chance match; above the median, since in a search about a
+prior half of the costs belong to the minimum."""
+
+_PEAK_HALF_WIDTH = 2
+"""Disparities on both sides of the best one that belong to its own minimum, px of the level."""
+
+_PEAK_HALF_WIDTH_PER_DISPARITY = 20
+"""The half width grows by 1 px with each 20 px of disparity: nearer objects extend over more disparities."""
 
 
 @dataclass(frozen=True, slots=True)
-class Clarity:
-    """How clearly each of N boxes has one disparity.
+class MatchConfidence:
+    """How clearly each of N boxes has one disparity; costs in bits of 24 per pixel.
 
     Attributes:
-        cost: (N,) of the object's minimum, bits per pixel; inf = none.
-        depth: (N,) of that minimum below the cost of a chance match, bits per pixel.
-        rival: (N,) cost of the next best minimum above it, bits per pixel; inf = there is none.
-        is_inside: (N,) whether the minimum lies inside the range that was searched.
+        cost: (N,) cost of the object's minimum; inf = none.
+        margin: (N,) cost of a chance match less that of the minimum.
+        second_best_margin: (N,) cost of the second best minimum less that of the best; inf = there is no other.
+        is_inside: (N,) whether the minimum lies inside the search range, not at an end.
     """
 
     cost: FloatArray
-    depth: FloatArray
-    rival: FloatArray
+    margin: FloatArray
+    second_best_margin: FloatArray
     is_inside: BoolArray
 
 
-def clarity_of(cost: FloatArray32, surface: Surface, windows: BoxWindows, first: IntArray) -> Clarity:
-    """From costs (D, N, G) at the disparities first (N,) + k, and the surfaces found in them.
-
-    What counts are the costs of the object's windows, each shifted by the plane's tilt, so that a slanted surface has
-    one minimum.
-    """
+def match_confidence(cost: FloatArray32, surface: Surface, windows: BoxWindows, first: IntArray) -> MatchConfidence:
+    """Confidence of surfaces found in costs (D, N, G), bits per pixel, at the disparities first (N,) + k."""
     last = len(cost) - 1
-    curve = _object_curve(cost, surface, windows.places())
+    curve = _object_curve(cost, surface, windows.normalized_positions())
     best = np.nan_to_num(np.rint(surface.centre - first), nan=-1.0).astype(np.int64)
     is_inside = (best > 0) & (best < last)
-    at = curve[np.clip(best, 0, last), np.arange(len(first))]
-    depth = _percentile_of_finite(curve) - at
-    aside = 2 + (first + best) // 20  # the nearer the object, the wider the valley that it makes itself
-    is_rival = np.abs(np.arange(len(cost))[:, None] - best) > aside
-    rival = np.where(is_rival, curve, np.inf).min(axis=0)
+    best_cost = curve[np.clip(best, 0, last), np.arange(len(first))]
+    margin = _chance_cost(curve) - best_cost
+    half_width = _PEAK_HALF_WIDTH + (first + best) // _PEAK_HALF_WIDTH_PER_DISPARITY
+    is_other = np.abs(np.arange(len(cost))[:, None] - best) > half_width
+    second_best_cost = np.where(is_other, curve, np.inf).min(axis=0)
     with np.errstate(invalid="ignore"):  # no surface, no costs: inf - inf
-        return Clarity(np.asarray(at), np.asarray(depth), np.asarray(rival - at), is_inside)
+        second_best_margin = np.asarray(second_best_cost - best_cost)
+    return MatchConfidence(np.asarray(best_cost), np.asarray(margin), second_best_margin, is_inside)
 
 
-def _object_curve(cost: FloatArray32, surface: Surface, places: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(D, N) mean cost of the object's windows where the plane's middle is at each disparity; inf = few are seen."""
+def _object_curve(cost: FloatArray32, surface: Surface, positions: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """(D, N) mean cost of the object's windows as a function of the plane's p0; inf = less than half of them are seen.
+
+        curve(k) = mean over the object's windows i of C_i(k + round(p1 u_i + p2 v_i))
+
+    so that a slanted surface, too, has one minimum.
+    """
     last = len(cost) - 1
-    right, down = places
+    u, v = positions
     is_object = np.isfinite(surface.residual)
-    shift = np.rint(surface.tilt[:, :1] * right + surface.tilt[:, 1:] * down).astype(np.int64)
+    shift = np.rint(surface.tilt[:, :1] * u + surface.tilt[:, 1:] * v).astype(np.int64)
     k = np.arange(len(cost))[:, None, None] + shift
-    place = np.arange(shift.size).reshape(shift.shape)
-    shifted = cost.reshape(-1).take(np.clip(k, 0, last) * shift.size + place)  # a third of `take_along_axis`'s time
-    known = (k >= 0) & (k <= last) & is_object & np.isfinite(shifted)
-    n_known = known.sum(axis=2)
-    total = np.where(known, shifted, np.float32(0.0)).sum(axis=2)
-    enough = n_known >= np.maximum(0.5 * is_object.sum(axis=1), 1)
-    return np.where(enough, total / np.maximum(n_known, 1), np.inf)
+    window = np.arange(shift.size).reshape(shift.shape)
+    shifted = cost.reshape(-1).take(np.clip(k, 0, last) * shift.size + window)  # a third of `take_along_axis`'s time
+    is_seen = (k >= 0) & (k <= last) & is_object & np.isfinite(shifted)
+    n_seen = is_seen.sum(axis=2)
+    total = np.where(is_seen, shifted, np.float32(0.0)).sum(axis=2)
+    is_enough = n_seen >= np.maximum(0.5 * is_object.sum(axis=1), 1)
+    return np.where(is_enough, total / np.maximum(n_seen, 1), np.inf)
 
 
-def _percentile_of_finite(curve: FloatArray) -> FloatArray:
-    """(N,) chance cost of each column of (D, N); -inf where it has no finite value."""
+def _chance_cost(curve: FloatArray) -> FloatArray:
+    """(N,) the percentile of the finite costs of each column of (D, N); -inf where there are none."""
     ordered = np.sort(curve, axis=0)
     n_finite = np.isfinite(curve).sum(axis=0)
     index = np.rint(_CHANCE_PERCENTILE / 100 * (n_finite - 1)).astype(np.int64)

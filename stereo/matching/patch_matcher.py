@@ -1,12 +1,18 @@
-"""PatchMatcher: the disparity of each box, from the windows in its inner half, all boxes of a frame at once.
+"""PatchMatcher: the disparity of each box, from windows in its inner half, all boxes of a frame at once.
 
-    windows (`box_windows`) -> costs at each disparity (`census`) -> between pixels (`refinement`)
-    -> the object's surface (`surfaces`) -> is it clear (`clarity`)?
+    1. windows    a grid of windows in each box, in the image pyramid                     `sample_windows`
+    2. costs      census costs of each window at each disparity                           `census`
+    3. matches    semi-global matching between the windows of a box                       `window_sgm`
+    4. subpixel   least squares on grey values, where a prior is near                     `subpixel`
+    5. surface    the windows that belong to the object, and a plane through them         `plane_fit`
+    6. checks     texture, uniqueness, search range, cost; sigma                          `confidence`
 
-It rather says NaN, with the reason, than a wrong number: where the windows' common minimum lies at the end of the
-range, is not deep (no texture), has a rival of nearly the same depth (repeated texture), or costs nearly as much as a
-match by chance (12 bits). The best of many chance matches has some depth too: that the object is not near its prior
-shows in the cost, and in windows without a minimum; then the full range is searched.
+Boxes without a prior are searched in the full range on a coarse grid first, and again about what was found.
+
+A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is shallow (no texture), has
+a second best of nearly the same depth (repeated texture), or costs nearly as much as a match by chance (12 bits). The
+best of many chance matches has some depth too: that the object is not near its prior shows in the cost, and in windows
+without a minimum; then the full range is searched.
 """
 
 from __future__ import annotations
@@ -21,36 +27,45 @@ from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, I
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.census import cost_curves
-from track_range.stereo.matching.confidence import clarity_of
+from track_range.stereo.matching.confidence import match_confidence
 from track_range.stereo.matching.patch_matches import Outcome, PatchMatches
-from track_range.stereo.matching.sample_windows import COARSE, FINE, WINDOW_HW, BoxWindows, GreyLevels, band_of
-from track_range.stereo.matching.subpixel import refined_windows
-from track_range.stereo.matching.surfaces import Surface, WindowMatches, matched_windows, object_surface
+from track_range.stereo.matching.plane_fit import Surface, object_surface
+from track_range.stereo.matching.sample_windows import (
+    COARSE_GRID,
+    FINE_GRID,
+    MARGIN_PX,
+    WINDOW_HW,
+    BoxWindows,
+    GreyLevels,
+    band_of,
+)
+from track_range.stereo.matching.subpixel import refine_windows
+from track_range.stereo.matching.window_sgm import WindowMatches, match_windows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchMatcherSettings:
-    """What the matcher searches, and what it refuses.
+    """Search range, thresholds of the checks, and the parts of sigma.
 
     Attributes:
-        min_disparity_px: smallest disparity that is searched.
-        max_disparity_px: largest; sets the nearest distance (192 px: 2 m with KITTI's rig).
+        min_disparity_px: smallest disparity of the full search.
+        max_disparity_px: largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig).
         max_disparity_per_side: largest disparity per px of the box's larger side, baseline / smallest object, both in
             metres; inf = no limit.
         search_px: half width of the search about a prior, px of the box's level.
         min_side_px: smallest side of a box.
-        min_seen_share: share of the windows that must have a minimum that the right eye sees.
-        min_support: share of those that must belong to one surface.
-        min_depth_bits: least depth of the minimum below the cost of a chance match, in bits of 24 per pixel.
-        max_cost_bits: largest cost of the minimum; not asked near what the full range has shown already.
+        min_seen_share: smallest share of the windows that must have a minimum, and lie within the right image.
+        min_support: smallest share of those that must belong to one surface.
+        min_margin_bits: least cost of a chance match less the minimum's, in bits of 24 per pixel.
+        max_cost_bits: largest cost of the minimum; not checked where the full search has found the prior.
         min_minima_share: share of the windows seen that must have a minimum near a track's prior: where the object is
-            elsewhere, most have theirs at an end of the search. As above.
-        min_sure_share: share of those minima that grey values must confirm. As above.
-        min_rival_share: cost of the next best minimum above the best one, as a share of the depth.
-        floor_px: error of a flat, textured, noiseless box, px of its level.
-        noise_share: share of what the windows' own variances leave that goes into sigma.
-        scatter_share: the same of the windows' scatter about the plane.
-        tilt_share: the same of the plane's tilt across the box.
+            elsewhere, most have theirs at an end of the search. Not checked where the full search has found the prior.
+        min_confirmed_share: share of those minima that grey values must confirm; as above.
+        min_uniqueness: least cost of the second best minimum less the best one's, as a share of the margin.
+        floor_px: sigma of a flat, textured, noiseless box, px of its level.
+        noise_share: share of the propagated variances of the windows that goes into sigma.
+        scatter_share: share of the windows' scatter about the plane that goes into sigma.
+        tilt_share: share of the plane's tilt across the box that goes into sigma.
     """
 
     min_disparity_px: int = 1
@@ -60,11 +75,11 @@ class PatchMatcherSettings:
     min_side_px: float = 8.0
     min_seen_share: float = 0.25
     min_support: float = 0.3
-    min_depth_bits: float = 1.5
+    min_margin_bits: float = 1.5
     max_cost_bits: float = 8.0
     min_minima_share: float = 0.5
-    min_sure_share: float = 0.25
-    min_rival_share: float = 0.1
+    min_confirmed_share: float = 0.25
+    min_uniqueness: float = 0.1
     floor_px: float = 0.03
     noise_share: float = 0.7
     scatter_share: float = 0.75
@@ -72,22 +87,31 @@ class PatchMatcherSettings:
 
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
-        """Settings for a rectified rig that reach as near as `nearest_m`, for objects no smaller than `smallest_m`."""
-        reach_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
-        return cls(max_disparity_px=math.ceil(reach_px), max_disparity_per_side=rig.baseline_m / smallest_m)
+        """Settings for a rectified rig that measure from `nearest_m` on, for objects no smaller than `smallest_m`."""
+        nearest_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
+        return cls(max_disparity_px=math.ceil(nearest_px), max_disparity_per_side=rig.baseline_m / smallest_m)
 
 
 class _Search(NamedTuple):
-    """Costs (D, N, G) at the disparities first (N,) + k of N boxes' windows, px of their levels; priors (N,) px."""
+    """Costs of the windows of N boxes.
+
+    Attributes:
+        cost: (D, N, G) bits per pixel at the disparities first (N,) + k, px of the boxes' levels; NaN = not seen.
+        first: (N,) disparity of index 0, px of the level.
+        windows: the windows.
+        prior_px: (N,) priors, px of the image; NaN = none.
+        is_known: whether the priors were found by the full search of this very pair.
+    """
 
     cost: FloatArray32
     first: IntArray
     windows: BoxWindows
     prior_px: FloatArray
+    is_known: bool
 
 
 class PatchMatcher:
-    """Measures disparities of boxes; keeps no state between calls."""
+    """Measures disparities of boxes; stateless."""
 
     def __init__(self, settings: PatchMatcherSettings | None = None) -> None:
         self._settings = settings or PatchMatcherSettings()
@@ -97,54 +121,53 @@ class PatchMatcher:
 
         Args:
             left: (H, W) grey or (H, W, 3) BGR uint8, rectified.
-            right: the same height and width; only what the boxes need of it is looked at.
+            right: the same height and width; only the pixels that the boxes need are read.
             xyxy_px: (N, 4) boxes; any values, also NaN and outside the image.
-            prior_px: (N,) the disparity expected; NaN = none, and the full range is searched, as it is where the match
-                near the prior is not clear.
+            prior_px: (N,) expected disparity; NaN = none. Without a prior, and where the match near the prior is
+                doubtful, the full range is searched.
 
         Raises:
             ValueError: the images differ in size.
         """
         if left.shape[:2] != right.shape[:2]:
-            raise ValueError(f"left and right: equal sizes wanted, {left.shape[:2]} and {right.shape[:2]} got")
+            raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
         boxes, outcome = self._usable(xyxy_px, (left.shape[0], left.shape[1]))
-        found = PatchMatches(np.full(len(boxes), np.nan), np.full(len(boxes), np.nan), outcome)
-        todo = outcome == Outcome.MATCHED
+        matches = PatchMatches(np.full(len(boxes), np.nan), np.full(len(boxes), np.nan), outcome)
+        is_usable = outcome == Outcome.MATCHED
         limit_px = self._limit_px(boxes)
-        near = np.flatnonzero(todo & (prior_px >= self._settings.min_disparity_px) & (prior_px <= limit_px))
+        near = np.flatnonzero(is_usable & (prior_px >= self._settings.min_disparity_px) & (prior_px <= limit_px))
         if len(near):
-            found.put(near, self._search(left, right, boxes[near], prior_px[near], limit_px[near]))
-        lost = np.flatnonzero(todo & np.isnan(found.disparity_px))
+            matches.put(near, self._search(left, right, boxes[near], prior_px[near], limit_px[near]))
+        lost = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
         if len(lost):
-            nothing = np.full(len(lost), np.nan)
-            found.put(lost, self._search(left, right, boxes[lost], nothing, limit_px[lost]))
-            again = lost[np.isfinite(found.disparity_px[lost])]
+            no_prior = np.full(len(lost), np.nan)
+            matches.put(lost, self._search(left, right, boxes[lost], no_prior, limit_px[lost]))
+            again = lost[np.isfinite(matches.disparity_px[lost])]
             if len(again):
-                coarse_px = found.disparity_px[again]
-                found.put(again, self._search(left, right, boxes[again], coarse_px, limit_px[again], is_known=True))
-        return found
+                coarse_px = matches.disparity_px[again]
+                matches.put(again, self._search(left, right, boxes[again], coarse_px, limit_px[again], is_known=True))
+        return matches
 
     def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
-        """Boxes cut to the image, and which of them can be looked at."""
+        """Boxes (N, 4) clipped to the image, and (N,) outcome: MATCHED where they can be searched."""
         height, width = image_hw
         with np.errstate(invalid="ignore"):
             boxes = np.clip(xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
             side_px = (boxes[:, 2:] - boxes[:, :2]).min(axis=1)
-            outside = ~np.isfinite(xyxy_px).all(axis=1) | ~(side_px > 0)
+            is_outside = ~np.isfinite(xyxy_px).all(axis=1) | ~(side_px > 0)
         outcome = np.full(len(boxes), int(Outcome.MATCHED), np.int64)
-        outcome[(side_px < self._settings.min_side_px) | (height < WINDOW_HW[0] + 4) | (width < WINDOW_HW[1] + 4)] = (
-            Outcome.TOO_SMALL
-        )
-        outcome[outside] = Outcome.OUTSIDE
+        is_small_image = height < WINDOW_HW[0] + 2 * MARGIN_PX or width < WINDOW_HW[1] + 2 * MARGIN_PX
+        outcome[(side_px < self._settings.min_side_px) | is_small_image] = Outcome.TOO_SMALL
+        outcome[is_outside] = Outcome.OUTSIDE
         return boxes, outcome
 
     def _limit_px(self, boxes: FloatArray) -> FloatArray:
-        """(N,) largest disparity that is searched for each box."""
-        keep = self._settings
-        if math.isinf(keep.max_disparity_per_side):
-            return np.full(len(boxes), float(keep.max_disparity_px))
+        """(N,) largest disparity of each box."""
+        settings = self._settings
+        if math.isinf(settings.max_disparity_per_side):
+            return np.full(len(boxes), float(settings.max_disparity_px))
         side_px = (boxes[:, 2:] - boxes[:, :2]).max(axis=1)
-        return np.asarray(np.minimum(side_px * keep.max_disparity_per_side, keep.max_disparity_px))
+        return np.asarray(np.minimum(side_px * settings.max_disparity_per_side, settings.max_disparity_px))
 
     def _search(
         self,
@@ -156,76 +179,91 @@ class PatchMatcher:
         *,
         is_known: bool = False,
     ) -> PatchMatches:
-        """Boxes that can be looked at, all about their priors or all (NaN) over the full range.
+        """Matches of usable boxes: all about their priors, on the fine grid, or all (NaN) in the full range, coarsely.
 
-        is_known: the priors were found in this very pair.
+        is_known: whether the priors were found by the full search of this very pair.
         """
-        is_near = bool(np.isfinite(prior_px).all())
-        windows = BoxWindows.of_boxes(boxes, (left.shape[0], left.shape[1]), look=FINE if is_near else COARSE)
+        has_prior = bool(np.isfinite(prior_px).all())
+        image_hw = (left.shape[0], left.shape[1])
+        windows = BoxWindows.of_boxes(boxes, image_hw, grid=FINE_GRID if has_prior else COARSE_GRID)
         first, n_disparities = self._range(windows.scale, prior_px, limit_px)
-        reach = windows.reach(first, first + n_disparities - 1, (left.shape[0], left.shape[1]))
+        # Only the rows that the windows need are made grey and shrunk; the windows then count rows from the first.
+        required = windows.required_pixels(first, first + n_disparities - 1, image_hw)
         n_levels = int(windows.level.max()) + 1
-        top = int(reach[:, 1].min())
-        eyes = (
-            GreyLevels.of(left[top : int(reach[:, 3].max())], n_levels),
-            GreyLevels.of(band_of(right, reach), n_levels),
+        top, bottom = int(required[:, 1].min()), int(required[:, 3].max())
+        grey_left, grey_right = (
+            GreyLevels.of(left[top:bottom], n_levels),
+            GreyLevels.of(band_of(right, required), n_levels),
         )
         windows = replace(windows, row=windows.row - (top >> windows.level)[:, None])
-        cost = cost_curves(*eyes, windows, first=first, n_disparities=n_disparities)
-        beyond = first + np.arange(n_disparities)[:, None] > limit_px / windows.scale + 1
-        cost[beyond] = np.nan  # the range is the largest box's
-        found = matched_windows(cost)
-        is_sure = found.weight > 0
-        if is_near:
-            found, is_sure = refined_windows(*eyes, windows, found, first=first)
-        return self._measured(_Search(cost, first, windows, prior_px), found, is_sure, is_known=is_known)
+        cost = cost_curves(grey_left, grey_right, windows, first=first, n_disparities=n_disparities)
+        # All boxes are given the range of the largest; what is beyond a box's own is not a match.
+        cost[first + np.arange(n_disparities)[:, None] > limit_px / windows.scale + 1] = np.nan
+        matches = match_windows(cost)
+        is_confirmed = matches.weight > 0
+        if has_prior:
+            matches, is_confirmed = refine_windows(grey_left, grey_right, windows, matches, first=first)
+        return self._measure(_Search(cost, first, windows, prior_px, is_known), matches, is_confirmed)
 
     def _range(self, scale: FloatArray, prior_px: FloatArray, limit_px: FloatArray) -> tuple[IntArray, int]:
-        """First disparity (N,) of each box at its level, and how many; one more at both ends than is searched.
+        """First disparity (N,) of each box, px of its level, and their number D; one more at both ends than searched.
 
-        In the full range the first may be -1: a disparity of 1 px is about 0 in the shrunk image that finds it.
+        In the full range the first may be -1: a disparity of 1 px is about 0 in the shrunk image.
         """
-        keep = self._settings
-        lowest = np.floor(keep.min_disparity_px / scale).astype(np.int64) - 1
+        settings = self._settings
+        lowest = np.floor(settings.min_disparity_px / scale).astype(np.int64) - 1
         if np.isfinite(prior_px).all():
-            first = np.rint(prior_px / scale).astype(np.int64) - keep.search_px - 1
-            return np.maximum(first, np.maximum(lowest, 0)), 2 * keep.search_px + 3
+            first = np.rint(prior_px / scale).astype(np.int64) - settings.search_px - 1
+            return np.maximum(first, np.maximum(lowest, 0)), 2 * settings.search_px + 3
         n_disparities = int(np.ceil(limit_px / scale).max()) + 2 - int(lowest.min())
-        return lowest, max(n_disparities, 2 * keep.search_px + 3)
+        return lowest, max(n_disparities, 2 * settings.search_px + 3)
 
-    def _measured(self, search: _Search, found: WindowMatches, is_sure: BoolArray, *, is_known: bool) -> PatchMatches:
-        keep, (cost, first, windows, prior_px) = self._settings, search
-        disparity = np.maximum(first[:, None] + found.index + found.offset, 0.1)
-        surface = object_surface(disparity, found.weight, places=windows.places(), prior=prior_px / windows.scale)
+    def _measure(self, search: _Search, matches: WindowMatches, is_confirmed: BoolArray) -> PatchMatches:
+        """The surface of each box, the checks, and sigma; the last check that fails gives the outcome."""
+        settings, (cost, first, windows, prior_px, is_known) = self._settings, search
+        disparity = np.maximum(first[:, None] + matches.index + matches.offset, 0.1)
+        positions, prior = windows.normalized_positions(), prior_px / windows.scale
+        surface = object_surface(disparity, matches.weight, positions=positions, prior=prior)
+        confidence = match_confidence(cost, surface, windows, first)
+        minima_share = (matches.weight > 0).mean(axis=1)
+        seen_share = np.isfinite(cost).any(axis=0).mean(axis=1)
+
         outcome = np.full(len(first), int(Outcome.MATCHED), np.int64)
-        clear = clarity_of(cost, surface, windows, first)
-        is_alone = clear.rival >= keep.min_rival_share * clear.depth
-        outcome[~is_alone | (surface.support < keep.min_support)] = Outcome.AMBIGUOUS
-        outcome[~clear.is_inside] = Outcome.OUT_OF_RANGE
-        outcome[~(clear.depth >= keep.min_depth_bits) | np.isnan(surface.centre)] = Outcome.NO_TEXTURE
-        minima, seen = (found.weight > 0).mean(axis=1), np.isfinite(cost).any(axis=0).mean(axis=1)
+        is_unique = confidence.second_best_margin >= settings.min_uniqueness * confidence.margin
+        outcome[~is_unique | (surface.support < settings.min_support)] = Outcome.AMBIGUOUS
+        outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
+        outcome[~(confidence.margin >= settings.min_margin_bits) | np.isnan(surface.centre)] = Outcome.NO_TEXTURE
         if not is_known:
-            few_sure = is_sure.mean(axis=1) < keep.min_sure_share * minima
-            elsewhere = (minima < keep.min_minima_share * seen) | few_sure
-            elsewhere &= np.isfinite(prior_px)
-            outcome[np.isfinite(clear.cost) & (elsewhere | (clear.cost > keep.max_cost_bits))] = Outcome.NO_FIT
-        outcome[minima < keep.min_seen_share] = Outcome.NO_TEXTURE
-        outcome[seen < keep.min_seen_share] = Outcome.NOT_SEEN
-        sigma_px = windows.scale * self._sigma(surface, found.weight, windows)
-        matched = outcome == Outcome.MATCHED
-        disparity_px = np.where(matched, windows.scale * surface.centre, np.nan)
-        return PatchMatches(disparity_px, np.where(matched, sigma_px, np.nan), outcome)
+            is_elsewhere = minima_share < settings.min_minima_share * seen_share
+            is_elsewhere |= is_confirmed.mean(axis=1) < settings.min_confirmed_share * minima_share
+            is_elsewhere &= np.isfinite(prior_px)
+            is_costly = confidence.cost > settings.max_cost_bits
+            outcome[np.isfinite(confidence.cost) & (is_elsewhere | is_costly)] = Outcome.NO_FIT
+        outcome[minima_share < settings.min_seen_share] = Outcome.NO_TEXTURE
+        outcome[seen_share < settings.min_seen_share] = Outcome.NOT_SEEN
+
+        is_matched = outcome == Outcome.MATCHED
+        sigma_px = windows.scale * self._sigma(surface, matches.weight, windows)
+        disparity_px = np.where(is_matched, windows.scale * surface.centre, np.nan)
+        return PatchMatches(disparity_px, np.where(is_matched, sigma_px, np.nan), outcome)
 
     def _sigma(self, surface: Surface, weight: FloatArray, windows: BoxWindows) -> FloatArray:
-        """(N,) standard deviation at the boxes' levels, from the windows' weights, 1 / variance."""
-        keep = self._settings
-        belongs = np.isfinite(surface.residual)
-        total = np.maximum(np.where(belongs, weight, 0.0).sum(axis=1), 1e-6)
-        # Windows that overlap see the same pixels: they count as if there were as many as fit side by side.
-        n_apart = windows.n_pixels / (WINDOW_HW[0] * WINDOW_HW[1])
-        noise = np.sqrt(weight.shape[1] / (n_apart * total))
-        spread = np.where(belongs, np.abs(surface.residual), 0.0).sum(axis=1)
-        scatter = 1.25 * spread / np.maximum(belongs.sum(axis=1), 1)  # mean absolute deviation -> standard deviation
+        """(N,) standard deviation of p0, px of the boxes' levels; weight (N, G) = 1 / variance of the windows.
+
+        sigma^2 = floor^2 + (noise_share noise)^2 + (scatter_share scatter)^2 + (tilt_share (|p1| + |p2|))^2
+
+            noise^2 = G / (G_independent sum of weight)
+            scatter = 1.25 mean |residual|          mean absolute deviation -> standard deviation
+
+        Windows that overlap share pixels: G_independent is the number of windows that fit side by side.
+        """
+        settings = self._settings
+        is_inlier = np.isfinite(surface.residual)
+        total = np.maximum(np.where(is_inlier, weight, 0.0).sum(axis=1), 1e-6)
+        n_independent = windows.n_pixels / (WINDOW_HW[0] * WINDOW_HW[1])
+        noise = np.sqrt(weight.shape[1] / (n_independent * total))
+        deviation = np.where(is_inlier, np.abs(surface.residual), 0.0).sum(axis=1)
+        scatter = 1.25 * deviation / np.maximum(is_inlier.sum(axis=1), 1)
         tilt = np.abs(surface.tilt).sum(axis=1)
-        parts = (keep.noise_share * noise, keep.scatter_share * scatter, keep.tilt_share * tilt)
-        return np.sqrt(keep.floor_px**2 + sum((part**2 for part in parts), np.zeros(len(tilt))))
+        parts = (settings.noise_share * noise, settings.scatter_share * scatter, settings.tilt_share * tilt)
+        return np.sqrt(settings.floor_px**2 + sum((part**2 for part in parts), np.zeros(len(tilt))))

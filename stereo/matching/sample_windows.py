@@ -1,8 +1,8 @@
 """BoxWindows: a grid of small windows over the inner half of each box; GreyLevels: the pixels they are read from.
 
-+---------------------+     However large a box is, it is looked at through equally many windows of equal size, so that
-|    # # # # # #      |     all boxes of a frame are one array. Large boxes are looked at in a smaller image: level l is
-|    # # # # # #      |     the image shrunk by 2^l, in which disparities are 2^l times smaller.
++---------------------+     However large a box is, it is sampled by equally many windows of equal size, so that all
+|    # # # # # #      |     boxes of a frame are one array. Large boxes are sampled in a smaller image: level l is the
+|    # # # # # #      |     image shrunk by 2^l, in which disparities are 2^l times smaller.
 |    # # # # # #      |
 +---------------------+     Windows of small boxes overlap.
 """
@@ -20,33 +20,40 @@ from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
 
 MARGIN_PX = 2
-"""Pixels around a window that are read with it: the 5 x 5 census reaches so far."""
+"""Pixels around a window that are read with it, the half width of the 5 x 5 census."""
 
 WINDOW_HW = (7, 9)
-"""Height and width of a window, px of its level."""
+"""(height, width) of a window, px of its level."""
 
 MAX_LEVEL = 2
+"""Highest level of the image pyramid: the image shrunk by 4."""
 
 
-class Look(NamedTuple):
-    """How closely boxes are looked at: `grid` windows per row and column; larger inner halves are shrunk."""
+class SamplingGrid(NamedTuple):
+    """How densely boxes are sampled.
 
-    grid: int
+    Attributes:
+        n: windows per row, and per column.
+        max_inner_hw: largest (height, width) of a box's inner half, px of its level; larger ones are shrunk.
+    """
+
+    n: int
     max_inner_hw: tuple[int, int]
 
 
-FINE = Look(6, (64, 128))
-"""To be measured."""
+FINE_GRID = SamplingGrid(6, (64, 128))
+"""For the measurement about a prior."""
 
-COARSE = Look(3, (10, 20))
-"""To be found in the full range, which then is a few dozen disparities."""
+COARSE_GRID = SamplingGrid(3, (10, 20))
+"""For the search of the full range, which at this size is a few dozen disparities."""
 
 _INNER_SHARE = 0.5
+"""Share of a box's width and height that is sampled, about its centre: there it shows the object and little else."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoxWindows:
-    """Where the windows of N boxes are; G of them per box, a square grid row by row.
+    """The windows of N boxes; G per box, a square grid row by row.
 
     Attributes:
         level: (N,) 0, 1 or 2: the image shrunk by 2^level.
@@ -59,23 +66,23 @@ class BoxWindows:
     row: IntArray
 
     @classmethod
-    def of_boxes(cls, xyxy_px: FloatArray, image_hw: tuple[int, int], *, look: Look = FINE) -> BoxWindows:
+    def of_boxes(cls, xyxy_px: FloatArray, image_hw: tuple[int, int], *, grid: SamplingGrid = FINE_GRID) -> BoxWindows:
         """Windows of finite boxes (N, 4) that lie in the image, which has room for a window with its margin."""
         size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
-        excess = (size_px * _INNER_SHARE / np.array(look.max_inner_hw[::-1])).max(axis=1)
+        excess = (size_px * _INNER_SHARE / np.array(grid.max_inner_hw[::-1])).max(axis=1)
         level_hw = np.array(image_hw) // (2 ** np.arange(MAX_LEVEL + 1))[:, None]
         has_room = (level_hw >= np.array(WINDOW_HW) + 2 * MARGIN_PX).all(axis=1)
         largest = max(int(has_room.sum()) - 1, 0)
         level = np.clip(np.ceil(np.log2(np.maximum(excess, 1.0))), 0, largest).astype(np.int64)
         boxes = (xyxy_px + 0.5) / (2.0**level)[:, None] - 0.5
         height, width = level_hw[level].T
-        column = _spread(boxes[:, 0], boxes[:, 2], WINDOW_HW[1], width, look.grid)
-        row = _spread(boxes[:, 1], boxes[:, 3], WINDOW_HW[0], height, look.grid)
-        grid = (len(boxes), look.grid, look.grid)
+        column = _spread(boxes[:, 0], boxes[:, 2], WINDOW_HW[1], width, grid.n)
+        row = _spread(boxes[:, 1], boxes[:, 3], WINDOW_HW[0], height, grid.n)
+        shape = (len(boxes), grid.n, grid.n)
         return cls(
             level,
-            np.broadcast_to(column[:, None, :], grid).reshape(len(boxes), -1),
-            np.broadcast_to(row[:, :, None], grid).reshape(len(boxes), -1),
+            np.broadcast_to(column[:, None, :], shape).reshape(len(boxes), -1),
+            np.broadcast_to(row[:, :, None], shape).reshape(len(boxes), -1),
         )
 
     @property
@@ -91,14 +98,14 @@ class BoxWindows:
         columns = np.ptp(self.column, axis=1) + width
         return np.asarray(np.minimum(rows * columns, self.row.shape[1] * height * width), np.float64)
 
-    def places(self) -> tuple[FloatArray, FloatArray]:
-        """(N, G) each: where a window is within its inner half, to the right and down, -0.5 .. 0.5."""
-        return _centred(self.column), _centred(self.row)
+    def normalized_positions(self) -> tuple[FloatArray, FloatArray]:
+        """U and v, (N, G) each: position of a window in the box's inner half, to the right and down, -0.5 .. 0.5."""
+        return _normalized(self.column), _normalized(self.row)
 
-    def reach(self, smallest: IntArray, largest: IntArray, image_hw: tuple[int, int]) -> IntArray:
-        """(N, 4) pixels that each box needs for the disparities `smallest` .. `largest` (N,) of its level.
+    def required_pixels(self, smallest: IntArray, largest: IntArray, image_hw: tuple[int, int]) -> IntArray:
+        """(N, 4) pixels that each box needs for the disparities `smallest` .. `largest` (N,), px of its level.
 
-        Left, top, right, bottom, ends exclusive; whole pixels at each level.
+        Left, top, right, bottom, ends exclusive; multiples of the coarsest level's pixels.
         """
         unit = 1 << MAX_LEVEL
         scale = self.scale.astype(np.int64)
@@ -125,14 +132,15 @@ def _spread(first: FloatArray, last: FloatArray, side: int, image_side: IntArray
     return np.clip(starts, MARGIN_PX, (image_side - MARGIN_PX - side)[:, None])
 
 
-def _centred(start: IntArray) -> FloatArray:
+def _normalized(start: IntArray) -> FloatArray:
+    """(N, G) starts of windows as -0.5 .. 0.5 of the range of each row."""
     low, high = start.min(axis=1, keepdims=True), start.max(axis=1, keepdims=True)
     return np.asarray((start - (low + high) / 2) / np.maximum(high - low, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class GreyLevels:
-    """An image in grey, and shrunk by 2 and 4, one after the other in one flat array.
+    """An image pyramid: the grey image, and shrunk by 2 and 4, one after the other in one flat array.
 
     Attributes:
         pixels: (P,) all levels, row by row.
@@ -178,7 +186,7 @@ class GreyLevels:
 def band_of(view: ImageView, boxes: IntArray) -> Image:
     """The rows from the highest top to the lowest bottom of boxes (N, 4): left, top, right, bottom, ends exclusive.
 
-    An array is cut, not copied; a view is looked at within the boxes only, and black elsewhere.
+    An array is cut, not copied; a lazily rectified view is computed within the boxes only, and black elsewhere.
     """
     top, bottom = int(boxes[:, 1].min()), int(boxes[:, 3].max())
     if isinstance(view, np.ndarray):

@@ -1,18 +1,18 @@
-"""Refinement: a window's disparity between pixels, and how surely, from the grey values themselves.
+"""Subpixel disparities: least squares on the grey values of each window (Lucas & Kanade 1981).
 
-Census knows the order of grey values only: about a pixel it is sure, within it the steps of its bits pull. Least
-squares on grey values (Lucas & Kanade 1981), from where census left off: with g the left window's derivative along
-the row,
+Census knows only the order of grey values: it is sure about a pixel, and within it the steps of its bits bias the
+minimum. Starting from census, with g the left window's derivative along the row,
 
-    left(x) = gain right(x - d) + s g(x) + bias        d <- d - s        twice
+    left(x) = a right(x - d) + s g(x) + b        d <- d - s        twice
 
-`gain` and `bias` belong to each window, so that the eyes' exposures may differ, as with census. The derivative is the
-left window's throughout, and the cubic that reads right(x - d) moves all that a smoothed image holds by nearly the same
-amount: no fraction of a pixel is preferred. The variance of d is that of the least squares, with what is left over as
-the noise. A window is as wide as in the census, and two rows higher, since the margin is there.
+The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with census. The
+derivative is the left window's in both iterations, and the cubic that interpolates right(x - d) shifts all frequencies
+of a smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d is that of the
+least squares, with the residuals as the noise. A window is as wide as in the census, and two rows higher, since the
+margin is there.
 
-Rows of the two eyes that do not quite match move slanted edges sideways: on KITTI's cars up to half a pixel per pixel.
-So one row offset per box is fitted to what is left over, and its share in each window's d taken out.
+A vertical offset between the two images moves slanted edges sideways: on KITTI's cars up to half a pixel per pixel. So
+one vertical offset per box is fitted to the residuals, and its share in each window's d removed.
 """
 
 from __future__ import annotations
@@ -24,75 +24,77 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray32, IntArray
 from track_range.stereo.matching.sample_windows import WINDOW_HW, BoxWindows, GreyLevels
-from track_range.stereo.matching.surfaces import WindowMatches
+from track_range.stereo.matching.window_sgm import WindowMatches
 
 _MAX_STEP_PX = 0.5
+"""Largest |s| of one iteration, px of the level."""
 
 _REACH = 2
-"""Pixels that are read right and left of the whole disparity's place: four of the five for any fraction within 1 px."""
+"""Pixels read to the right and left of a whole disparity: the cubic needs four of these five for |fraction| <= 1 px."""
 
-_MAX_MOVE_PX = 0.75
-"""A window that wants to be farther than this from its census disparity did not fit."""
+_MAX_CHANGE_PX = 0.75
+"""A window that moves farther than this from its census disparity is not confirmed, px of the level."""
 
 _MIN_GAIN = 0.3
-"""Nor did one whose right pixels hardly look like the left ones, or are 0.3 times as bright."""
+"""Smallest gain a of a confirmed window, and of its inverse: below, the right pixels hardly resemble the left ones."""
 
-_SURE_SD_PX = 0.2
-"""Nor did one whose variance is larger."""
+_MAX_SIGMA_PX = 0.2
+"""Largest standard deviation of d of a confirmed window, px of the level."""
 
-_UNFIT_SD_PX = 0.6
-"""Standard deviation of a window that did not fit: its census disparity is kept."""
+_UNCONFIRMED_SIGMA_PX = 0.6
+"""Standard deviation of a window that is not confirmed and keeps its census disparity, px of the level."""
 
-_LEAST_NOISE_GREY2 = 0.14
-"""Variance of a smoothed grey value that was rounded, or compressed, as the least: 1 grey level before smoothing."""
+_MIN_NOISE_GREY2 = 0.14
+"""Smallest variance of a smoothed grey value: rounding or compression, 1 grey level before smoothing."""
 
-_ALIKE = 3.5
-"""Smoothing makes neighbours' noise alike, and least squares think of it as independent: measured on exact shifts."""
+_NOISE_CORRELATION = 3.5
+"""Factor on the variance, since smoothing correlates the noise of neighbours, which least squares take as independent;
+measured on exact shifts."""
 
-_ROWS_SD_PX = 0.3
-"""How far apart rows may be expected to be: what is worse is corrected beforehand (`alignment.py`)."""
+_VERTICAL_SIGMA_PX = 0.3
+"""Prior standard deviation of the vertical offset, px of the level; larger ones are corrected by the alignment."""
 
-_FLOOR_PX = 0.06
-_FLOOR_SHARE = 0.006
-"""Standard deviation that the best window keeps, and the same as a share of its disparity: objects are not planes."""
+_FLOOR_PX, _FLOOR_SHARE = 0.06, 0.006
+"""Standard deviation that the best window keeps, px of the level, and as a share of its disparity: objects are not
+planes."""
 
 
-def refined_windows(
+def refine_windows(
     left: GreyLevels, right: GreyLevels, windows: BoxWindows, found: WindowMatches, *, first: IntArray
 ) -> tuple[WindowMatches, BoolArray]:
-    """The windows' matches with offsets -1 .. 1 by least squares, and 1 / variance (px of the level) as weights.
+    """Window matches with offsets -1 .. 1 by least squares, and 1 / variance (px^-2 of the level) as weights.
 
     Args:
-        left: grey levels of the left eye.
-        right: of the right one.
-        windows: N boxes' windows.
-        found: what census costs say; a window without a minimum keeps weight 0.
+        left: grey levels of the left image.
+        right: grey levels of the right image.
+        windows: windows of N boxes, G each.
+        found: matches by census; a window without a minimum keeps weight 0.
         first: (N,) disparity of the costs' index 0, px of the level.
 
     Returns:
-        The matches, and (N, G) which of them the grey values confirm; the others keep their census disparities.
+        The matches, and (N, G) whether the grey values confirm them; the others keep their census disparities.
     """
-    ours = _smooth(left.windows(windows, windows.column, width=WINDOW_HW[1]))
-    strip_from = windows.column - (first[:, None] + found.index) - _REACH + 1
-    theirs = _smooth(right.windows(windows, strip_from, width=WINDOW_HW[1] + 2 * _REACH - 2))
-    at = start = found.offset.ravel().astype(np.float32)
-    equations = _Equations.of(ours)
-    for weights_at in (_linear_weights, _cubic_weights):
-        seen = _read(theirs, weights_at(-at))
-        fit = equations.fit(seen)
-        at = np.clip(at - np.clip(fit.step, -_MAX_STEP_PX, _MAX_STEP_PX), -1.0, 1.0)
-    fits = (np.abs(at - start) < _MAX_MOVE_PX) & (fit.gain > _MIN_GAIN) & (fit.gain * _MIN_GAIN < 1.0)
+    smooth_left = _smooth(left.windows(windows, windows.column, width=WINDOW_HW[1]))
+    strip_column = windows.column - (first[:, None] + found.index) - _REACH + 1
+    smooth_right = _smooth(right.windows(windows, strip_column, width=WINDOW_HW[1] + 2 * _REACH - 2))
+    d = d_census = found.offset.ravel().astype(np.float32)
+    equations = _Equations.of(smooth_left)
+    for interpolation_weights in (_linear_weights, _cubic_weights):
+        right_at_d = _interpolated(smooth_right, interpolation_weights(-d))
+        fit = equations.fit(right_at_d)
+        d = np.clip(d - np.clip(fit.s, -_MAX_STEP_PX, _MAX_STEP_PX), -1.0, 1.0)
+    is_fitted = (np.abs(d - d_census) < _MAX_CHANGE_PX) & (fit.a > _MIN_GAIN) & (fit.a * _MIN_GAIN < 1.0)
     shape = found.offset.shape
-    is_sure = (fits & (fit.variance < _SURE_SD_PX**2)).reshape(shape) & (found.weight > 0)
-    at = np.clip(at + _moved_by_rows(ours, seen, equations, fit, is_sure), -1.0, 1.0)
-    variance = np.where(is_sure, fit.variance.reshape(shape).astype(np.float64), _UNFIT_SD_PX**2)
+    is_confirmed = (is_fitted & (fit.variance < _MAX_SIGMA_PX**2)).reshape(shape) & (found.weight > 0)
+    d = np.clip(d + _vertical_offset_share(smooth_left, right_at_d, equations, fit, is_confirmed), -1.0, 1.0)
+    variance = np.where(is_confirmed, fit.variance.reshape(shape).astype(np.float64), _UNCONFIRMED_SIGMA_PX**2)
     variance += _FLOOR_PX**2 + (_FLOOR_SHARE * (first[:, None] + found.index)) ** 2
-    offset = np.where(is_sure, at.reshape(shape), found.offset)
-    return WindowMatches(found.index, offset, np.where(found.weight > 0, 1.0 / variance, 0.0)), is_sure
+    offset = np.where(is_confirmed, d.reshape(shape), found.offset)
+    return WindowMatches(found.index, offset, np.where(found.weight > 0, 1.0 / variance, 0.0)), is_confirmed
 
 
 def _smooth(grey: npt.NDArray[np.uint8]) -> FloatArray32:
-    """(H - 2, W - 2, P) of (H, W, P), by 1 2 1 both ways: what is finer than the cubic reads well is mostly noise."""
+    """(H - 2, W - 2, P) of (H, W, P), by the binomial filter 1 2 1 both ways, so that the cubic interpolates well."""
     values = grey.astype(np.uint16)
     down = values[:-2] + values[2:]
     down += 2 * values[1:-1]
@@ -102,38 +104,38 @@ def _smooth(grey: npt.NDArray[np.uint8]) -> FloatArray32:
 
 
 def _centred(values: FloatArray32) -> FloatArray32:
-    """(K, P) of (H, W, P): the pixels of a window in one axis, their mean taken off."""
+    """(K, P) of (H, W, P): the pixels of each window in one axis, less their mean."""
     flat = values.reshape(-1, values.shape[-1])
     return np.asarray(flat - flat.mean(axis=0))
 
 
-def _read(theirs: FloatArray32, weights: FloatArray32) -> FloatArray32:
-    """(H, W - 4, P) right values: the sums of 3 or 5 neighbours, weighted by (3, P) or (5, P)."""
-    width = theirs.shape[1] - 2 * _REACH
+def _interpolated(right: FloatArray32, weights: FloatArray32) -> FloatArray32:
+    """(H, W - 4, P) right values between pixels of (H, W, P): sums of 3 or 5 neighbours with weights (3 or 5, P)."""
+    width = right.shape[1] - 2 * _REACH
     first = _REACH - len(weights) // 2
-    total = np.asarray(weights[0] * theirs[:, first : first + width])
+    total = np.asarray(weights[0] * right[:, first : first + width])
     part = np.empty_like(total)
     for start, weight in enumerate(weights[1:], first + 1):
-        total += np.multiply(weight, theirs[:, start : start + width], out=part)
+        total += np.multiply(weight, right[:, start : start + width], out=part)
     return total
 
 
-def _linear_weights(place: FloatArray32) -> FloatArray32:
-    """(3, P) weights of the neighbours for a place within -1 .. 1; good enough for a first step."""
-    return np.asarray(np.stack([np.maximum(-place, 0.0), 1.0 - np.abs(place), np.maximum(place, 0.0)]))
+def _linear_weights(position: FloatArray32) -> FloatArray32:
+    """(3, P) weights of the pixels -1, 0, 1 for positions (P,) within -1 .. 1; sufficient for the first iteration."""
+    return np.asarray(np.stack([np.maximum(-position, 0.0), 1.0 - np.abs(position), np.maximum(position, 0.0)]))
 
 
-def _cubic_weights(place: FloatArray32) -> FloatArray32:
-    """(5, P) weights of the neighbours for a place within -1 .. 1: Lagrange's cubic through the four around it."""
-    below = np.minimum(np.floor(place), 0.0)
-    t = place - below
+def _cubic_weights(position: FloatArray32) -> FloatArray32:
+    """(5, P) weights of the pixels -2 .. 2 for positions (P,) within -1 .. 1: Lagrange's cubic through four of them."""
+    below = np.minimum(np.floor(position), 0.0)
+    t = position - below
     four = (
         -t * (t - 1) * (t - 2) / 6,
         (t + 1) * (t - 1) * (t - 2) / 2,
         -(t + 1) * t * (t - 2) / 2,
         (t + 1) * t * (t - 1) / 6,
     )
-    weights = np.zeros((2 * _REACH + 1, len(place)), np.float32)
+    weights = np.zeros((2 * _REACH + 1, len(position)), np.float32)
     is_left = below < 0
     for number, weight in enumerate(four):
         weights[number] += np.where(is_left, weight, np.float32(0.0))
@@ -142,68 +144,88 @@ def _cubic_weights(place: FloatArray32) -> FloatArray32:
 
 
 class _Fit(NamedTuple):
-    """Least squares of P windows: the step still to go, the gain, the variance of the step, and of a grey value."""
+    """Least squares of P windows, (P,) each: the step s, the gain a, the variance of s, and of a grey value."""
 
-    step: FloatArray32
-    gain: FloatArray32
+    s: FloatArray32
+    a: FloatArray32
     variance: FloatArray32
     noise: FloatArray32
 
 
 class _Equations(NamedTuple):
-    """left = gain right + step slope + bias in P windows of K pixels: `ours`, `slope` (K, P), centred, and products."""
+    """The parts of `l = a r + s g + b` in P windows of K pixels that do not change with the iterations.
 
-    ours: FloatArray32
-    slope: FloatArray32
-    ours2: FloatArray32
-    slope2: FloatArray32
-    slope_ours: FloatArray32
+    Centring l and g removes b. With <x, y> the dot product over a window's pixels of the centred values, the normal
+    equations of (s, a) and their solution are
+
+        <g, g> s + <g, r> a = <g, l>        s = (<g, l> <r, r> - <r, l> <g, r>) / D
+        <g, r> s + <r, r> a = <r, l>        a = (<r, l> <g, g> - <g, l> <g, r>) / D
+
+        D = <g, g> <r, r> - <g, r>^2        var s = noise <r, r> / D
+                                            noise = (<l, l> - a <r, l> - s <g, l>) / (K - 4)
+
+    Attributes:
+        l: (K, P) left grey values, centred.
+        g: (K, P) their derivative along the row, centred.
+        ll, gg, gl: (P,) <l, l>, <g, g>, <g, l>.
+    """
+
+    l: FloatArray32  # noqa: E741 (as in the equations)
+    g: FloatArray32
+    ll: FloatArray32
+    gg: FloatArray32
+    gl: FloatArray32
 
     @classmethod
     def of(cls, left: FloatArray32) -> _Equations:
         """From smoothed left windows (H, W + 2, P)."""
-        slope, ours = _centred(0.5 * (left[:, 2:] - left[:, :-2])), _centred(left[:, 1:-1])
-        return cls(ours, slope, _dot(ours, ours), _dot(slope, slope), _dot(slope, ours))
+        g, l = _centred(0.5 * (left[:, 2:] - left[:, :-2])), _centred(left[:, 1:-1])  # noqa: E741
+        return cls(l, g, _dot(l, l), _dot(g, g), _dot(g, l))
 
-    def fit(self, theirs: FloatArray32) -> _Fit:
-        """Solved for right values (H, W, P) as they are: products with what is centred need not be."""
-        theirs = theirs.reshape(-1, theirs.shape[-1])
-        theirs2 = _dot(theirs, theirs) - theirs.sum(axis=0) ** 2 / len(theirs)
-        slope_theirs, theirs_ours = _dot(self.slope, theirs), _dot(theirs, self.ours)
-        determinant = self.slope2 * theirs2 - slope_theirs**2 + np.float32(1e-3)
-        step = (self.slope_ours * theirs2 - theirs_ours * slope_theirs) / determinant
-        gain = (theirs_ours * self.slope2 - self.slope_ours * slope_theirs) / determinant
-        rest = np.maximum(self.ours2 - gain * theirs_ours - step * self.slope_ours, 0.0) / (len(theirs) - 4)
-        information = np.maximum(determinant / (np.maximum(theirs2, 0.0) + np.float32(1e-3)), np.float32(1e-6))
-        noise = np.float32(_ALIKE) * (rest + np.float32(_LEAST_NOISE_GREY2))
-        return _Fit(step, gain, noise / information, noise)
+    def fit(self, right: FloatArray32) -> _Fit:
+        """The solution for right values (H, W, P), not centred: products with centred values need only one centred."""
+        r = right.reshape(-1, right.shape[-1])
+        rr = _dot(r, r) - r.sum(axis=0) ** 2 / len(r)
+        gr, rl = _dot(self.g, r), _dot(r, self.l)
+        determinant = self.gg * rr - gr**2 + np.float32(1e-3)
+        s = (self.gl * rr - rl * gr) / determinant
+        a = (rl * self.gg - self.gl * gr) / determinant
+        residual = np.maximum(self.ll - a * rl - s * self.gl, 0.0) / (len(r) - 4)
+        information = np.maximum(determinant / (np.maximum(rr, 0.0) + np.float32(1e-3)), np.float32(1e-6))
+        noise = np.float32(_NOISE_CORRELATION) * (residual + np.float32(_MIN_NOISE_GREY2))
+        return _Fit(s, a, noise / information, noise)
 
 
-def _moved_by_rows(
-    left: FloatArray32, seen: FloatArray32, equations: _Equations, fit: _Fit, is_sure: BoolArray
+def _vertical_offset_share(
+    left: FloatArray32, right: FloatArray32, equations: _Equations, fit: _Fit, is_confirmed: BoolArray
 ) -> FloatArray32:
-    """(P,) px that each window's disparity is too small because the rows of its box's two views do not match.
+    """(P,) px to add to each window's d because of the vertical offset t between the images of its box.
+
+    With h the left derivative down the column, the model is l = a r + s g + t h + b; s absorbs t <g, h> / <g, g>. One t
+    per box is estimated from all its confirmed windows, with the prior N(0, _VERTICAL_SIGMA_PX^2):
+
+        t = sum_w <h, l - a r - s g> / noise / (sum_w (<h, h> - <g, h>^2 / <g, g>) / noise + 1 / sigma^2)
 
     Args:
         left: smoothed left windows (H, W + 2, P).
-        seen: the right values (H, W, P) they were fitted to.
-        equations: which were solved.
-        fit: how.
-        is_sure: (N, G) windows that say something of their box's rows.
+        right: right values (H, W, P) that they were fitted to.
+        equations: the equations that were solved.
+        fit: their solution.
+        is_confirmed: (N, G) windows to use, P = N G.
     """
-    width = seen.shape[1]
-    inner = slice(width, -width)  # no derivative downwards in the first and the last row
-    down = _centred(0.5 * (left[2:, 1:-1] - left[:-2, 1:-1]))
-    slope, theirs = equations.slope[inner], seen.reshape(-1, seen.shape[2])[inner]
-    down_slope = _dot(down, slope)
-    share = down_slope / np.maximum(_dot(slope, slope), np.float32(1e-3))
-    down_rest = _dot(down, equations.ours[inner]) - fit.step * down_slope - fit.gain * _dot(down, theirs)
-    weight = is_sure.ravel() / fit.noise
-    per_box = (is_sure.shape[0], -1)
-    wanted = (weight * down_rest).reshape(per_box).sum(axis=1)
-    known = (weight * (_dot(down, down) - share * down_slope)).reshape(per_box).sum(axis=1)
-    rows_px = wanted / (known + _ROWS_SD_PX**-2)
-    return np.asarray(share * np.repeat(rows_px, is_sure.shape[1]), np.float32)
+    width = right.shape[1]
+    inner = slice(width, -width)  # no derivative down the column in the first and the last row
+    h = _centred(0.5 * (left[2:, 1:-1] - left[:-2, 1:-1]))
+    g, r = equations.g[inner], right.reshape(-1, right.shape[2])[inner]
+    gh = _dot(h, g)
+    share = gh / np.maximum(_dot(g, g), np.float32(1e-3))
+    residual = _dot(h, equations.l[inner]) - fit.s * gh - fit.a * _dot(h, r)
+    weight = is_confirmed.ravel() / fit.noise
+    per_box = (is_confirmed.shape[0], -1)
+    numerator = (weight * residual).reshape(per_box).sum(axis=1)
+    information = (weight * (_dot(h, h) - share * gh)).reshape(per_box).sum(axis=1)
+    t = numerator / (information + _VERTICAL_SIGMA_PX**-2)
+    return np.asarray(share * np.repeat(t, is_confirmed.shape[1]), np.float32)
 
 
 def _dot(a: FloatArray32, b: FloatArray32) -> FloatArray32:

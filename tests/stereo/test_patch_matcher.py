@@ -364,7 +364,7 @@ def test_no_boxes_give_no_disparities() -> None:
 def test_images_of_different_size_are_an_error() -> None:
     left, right = pair(12.0)
     for other in (right[:-1], right[:, 1:]):
-        with pytest.raises(ValueError, match="equal sizes wanted"):
+        with pytest.raises(ValueError, match="equal sizes"):
             PatchMatcher().match(left, other, np.array([BOX]), np.array([NONE]))
 
 

@@ -7,7 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.matching.surfaces import Surface, matched_windows, object_surface
+from track_range.stereo.matching.plane_fit import Surface, object_surface
+from track_range.stereo.matching.window_sgm import match_windows
 
 SMALL_STEP, LARGE_STEP, UNSEEN = 1.5, 6.0, 8.0
 NO_PRIOR = np.array([np.nan])
@@ -60,7 +61,7 @@ def test_windows_equal_a_literal_semi_global_matching(seed: int, side: int) -> N
     cost = rng.uniform(0, 12, (9, 4, side * side))
     cost[rng.uniform(size=cost.shape) < 0.1] = np.nan
     cost[:, 3, :2] = np.nan  # windows that are not seen at all
-    found = matched_windows(cost.astype(np.float32))
+    found = match_windows(cost.astype(np.float32))
     for box in range(4):
         index, offset, weight = slow_matches(cost[:, box])
         assert found.index[box].tolist() == index
@@ -74,7 +75,7 @@ def test_a_window_without_a_minimum_of_its_own_takes_its_neighbours() -> None:
     cost[6, 0, :] = 2.0
     cost[:, 0, 4] = 9.0  # bare paint, in the middle
     cost[12, 0, 4] = 8.9
-    found = matched_windows(cost)
+    found = match_windows(cost)
     assert found.index[0, [0, 3, 5, 8]].tolist() == [6] * 4
     assert found.index[0, 4] in (5, 6, 7)  # its own least cost is at 12
     assert found.weight[0].tolist() == [8.0] * 4 + [0.0] + [8.0] * 4
@@ -83,14 +84,14 @@ def test_a_window_without_a_minimum_of_its_own_takes_its_neighbours() -> None:
 def test_the_v_shaped_fit_is_exact_for_a_v() -> None:
     true = np.array([5.0, 5.2, 5.49, 4.6, 4.51, 5.3, 5.1, 4.9, 4.8])
     cost = 3.0 + 4.0 * np.abs(np.arange(12)[:, None, None] - true)
-    found = matched_windows(cost.astype(np.float32))
+    found = match_windows(cost.astype(np.float32))
     assert np.allclose(found.index[0] + found.offset[0], true, atol=1e-5)
     assert np.allclose(found.weight[0], 4.0, atol=1e-5)
 
 
 def test_a_common_minimum_at_the_end_has_no_weight() -> None:
     cost = np.broadcast_to(np.linspace(2, 10, 9)[:, None, None], (9, 1, 9)).astype(np.float32)
-    found = matched_windows(cost)
+    found = match_windows(cost)
     assert found.index.tolist() == [[1] * 9]
     assert not found.weight.any()
 
@@ -108,7 +109,7 @@ RIGHT, DOWN = grid_places()
 def surface_of(disparity: FloatArray, *, weight: FloatArray | None = None, prior: FloatArray = NO_PRIOR) -> Surface:
     """Of one box of 6 x 6 windows."""
     return object_surface(
-        disparity, np.full((1, 36), 4.0) if weight is None else weight, places=(RIGHT, DOWN), prior=prior
+        disparity, np.full((1, 36), 4.0) if weight is None else weight, positions=(RIGHT, DOWN), prior=prior
     )
 
 
@@ -183,7 +184,7 @@ def test_boxes_are_fitted_one_by_one() -> None:
     rng = np.random.default_rng(2)
     disparity, weight = rng.uniform(18, 24, (5, 36)), rng.uniform(0, 5, (5, 36))
     places = np.repeat(RIGHT, 5, axis=0), np.repeat(DOWN, 5, axis=0)
-    together = object_surface(disparity, weight, places=places, prior=np.full(5, 21.0))
+    together = object_surface(disparity, weight, positions=places, prior=np.full(5, 21.0))
     for i in range(5):
         alone = surface_of(disparity[i : i + 1], weight=weight[i : i + 1], prior=np.array([21.0]))
         assert together.centre[i] == pytest.approx(alone.centre[0])

@@ -9,13 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.stereo.shifted_pairs import texture, to_u8
-from track_range.stereo.matching.sample_windows import COARSE, FINE, MARGIN_PX, WINDOW_HW, BoxWindows, Look, band_of
+from track_range.stereo.matching.sample_windows import (
+    COARSE_GRID,
+    FINE_GRID,
+    MARGIN_PX,
+    WINDOW_HW,
+    BoxWindows,
+    SamplingGrid,
+    band_of,
+)
 
 IMAGE_HW = (375, 1242)
 
 
-def of_box(*edges: float, image_hw: tuple[int, int] = IMAGE_HW, look: Look = FINE) -> BoxWindows:
-    return BoxWindows.of_boxes(np.array([edges]), image_hw, look=look)
+def of_box(*edges: float, image_hw: tuple[int, int] = IMAGE_HW, grid: SamplingGrid = FINE_GRID) -> BoxWindows:
+    return BoxWindows.of_boxes(np.array([edges]), image_hw, grid=grid)
 
 
 def test_windows_of_a_box_by_hand() -> None:
@@ -24,7 +32,7 @@ def test_windows_of_a_box_by_hand() -> None:
     assert windows.level.tolist() == [0]
     assert windows.column.reshape(6, 6)[0].tolist() == [100, 110, 120, 131, 141, 151]
     assert windows.row.reshape(6, 6)[:, 0].tolist() == [70, 77, 83, 90, 96, 103]
-    right, down = windows.places()
+    right, down = windows.normalized_positions()
     assert right.min() == down.min() == -0.5
     assert right.max() == down.max() == 0.5
     assert windows.n_pixels.tolist() == [36 * 7 * 9]  # fewer than the 60 x 40 that they lie in
@@ -35,7 +43,7 @@ def test_windows_of_a_small_box_lie_on_each_other_in_its_middle() -> None:
     assert set(windows.column.ravel().tolist()) == {97}  # 97 .. 105
     assert set(windows.row.ravel().tolist()) == {97}  # 97 .. 103
     assert windows.n_pixels.tolist() == [63]
-    assert not np.any(windows.places())
+    assert not np.any(windows.normalized_positions())
 
 
 @pytest.mark.parametrize(
@@ -45,7 +53,7 @@ def test_windows_of_a_small_box_lie_on_each_other_in_its_middle() -> None:
 def test_large_boxes_are_looked_at_in_smaller_images(width_px: int, height_px: int, fine: int, coarse: int) -> None:
     box = (300.0, 20.0, 300.0 + width_px, 20.0 + height_px)
     assert of_box(*box).level.tolist() == [fine]
-    assert of_box(*box, look=COARSE).level.tolist() == [coarse]
+    assert of_box(*box, grid=COARSE_GRID).level.tolist() == [coarse]
 
 
 def test_a_level_without_room_for_a_window_is_not_used() -> None:
@@ -59,27 +67,27 @@ def test_a_level_without_room_for_a_window_is_not_used() -> None:
 @given(
     st.tuples(st.integers(11, 400), st.integers(13, 1300)),
     st.tuples(*[st.floats(0, 1)] * 4),
-    st.sampled_from([FINE, COARSE]),
+    st.sampled_from([FINE_GRID, COARSE_GRID]),
 )
 def test_windows_and_their_margins_are_inside_the_image(
-    image_hw: tuple[int, int], shares: tuple[float, float, float, float], look: Look
+    image_hw: tuple[int, int], shares: tuple[float, float, float, float], grid: SamplingGrid
 ) -> None:
     height, width = image_hw
     x, y = sorted(shares[:2]), sorted(shares[2:])
     windows = of_box(
-        x[0] * width - 0.5, y[0] * height - 0.5, x[1] * width - 0.5, y[1] * height - 0.5, image_hw=image_hw, look=look
+        x[0] * width - 0.5, y[0] * height - 0.5, x[1] * width - 0.5, y[1] * height - 0.5, image_hw=image_hw, grid=grid
     )
     level = int(windows.level[0])
     assert windows.column.min() >= MARGIN_PX
     assert windows.row.min() >= MARGIN_PX
     assert windows.column.max() + WINDOW_HW[1] + MARGIN_PX <= width >> level
     assert windows.row.max() + WINDOW_HW[0] + MARGIN_PX <= height >> level
-    assert np.abs(windows.places()).max() <= 0.5
+    assert np.abs(windows.normalized_positions()).max() <= 0.5
 
 
 def test_what_a_box_needs_of_the_right_image_by_hand() -> None:
     windows = BoxWindows(np.array([0, 1]), np.array([[100, 150]] * 2), np.array([[20, 31]] * 2))
-    reach = windows.reach(np.array([3, -1]), np.array([40, 20]), IMAGE_HW)
+    reach = windows.required_pixels(np.array([3, -1]), np.array([40, 20]), IMAGE_HW)
     # level 0: columns 100 - 40 - 2 .. 150 + 9 + 2, rows 18 .. 40, in steps of 4 px
     assert reach[0].tolist() == [56, 16, 164, 40]
     # level 1: columns 78 .. 150 + 1 + 11 = 162, rows 18 .. 40, twice as many pixels
@@ -88,10 +96,10 @@ def test_what_a_box_needs_of_the_right_image_by_hand() -> None:
 
 def test_what_a_box_needs_ends_at_the_image() -> None:
     windows = BoxWindows(np.array([0]), np.array([[10, 1231]]), np.array([[2, 366]]))
-    assert windows.reach(np.array([0]), np.array([200]), IMAGE_HW).tolist() == [[0, 0, 1242, 375]]
+    assert windows.required_pixels(np.array([0]), np.array([200]), IMAGE_HW).tolist() == [[0, 0, 1242, 375]]
 
 
-class Looked:
+class SamplingGrided:
     """An image that remembers which windows of it were looked at."""
 
     def __init__(self, image: npt.NDArray[np.uint8]) -> None:
@@ -112,7 +120,7 @@ class Looked:
 def test_a_band_is_the_image_within_the_boxes_and_black_elsewhere(depth: tuple[int, ...]) -> None:
     image = np.maximum(np.broadcast_to(to_u8(texture(0)).reshape(140, 400, *[1] * len(depth)), (140, 400, *depth)), 1)
     boxes = np.array([[10, 20, 30, 40], [200, 36, 260, 60]])
-    view = Looked(image)
+    view = SamplingGrided(image)
     band = band_of(view, boxes)
     assert view.windows == [(10, 20, 30, 40), (200, 36, 260, 60)]
     expected = np.zeros((40, 400, *depth), np.uint8)

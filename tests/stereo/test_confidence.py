@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from track_range.stereo.matching.confidence import Clarity, clarity_of
+from track_range.stereo.matching.confidence import MatchConfidence, match_confidence
+from track_range.stereo.matching.plane_fit import Surface
 from track_range.stereo.matching.sample_windows import BoxWindows
-from track_range.stereo.matching.surfaces import Surface
 
 N_DISPARITIES = 41
 GRID = np.arange(3) * 10
@@ -29,47 +29,47 @@ def costs(*minima: tuple[int, float]) -> npt.NDArray[np.float32]:
     return cost
 
 
-def clear(cost: npt.NDArray[np.float32], found: Surface, first: int = 0) -> Clarity:
-    return clarity_of(cost, found, WINDOWS, np.array([first]))
+def clear(cost: npt.NDArray[np.float32], found: Surface, first: int = 0) -> MatchConfidence:
+    return match_confidence(cost, found, WINDOWS, np.array([first]))
 
 
 def test_one_minimum_is_deep_and_alone() -> None:
     found = clear(costs((20, 3.0), (19, 6.0), (21, 6.0)), surface(19.8))
-    assert (found.cost[0], found.depth[0], found.rival[0]) == (3.0, 9.0, 9.0)
+    assert (found.cost[0], found.margin[0], found.second_best_margin[0]) == (3.0, 9.0, 9.0)
     assert found.is_inside[0]
 
 
 def test_a_second_minimum_is_a_rival_unless_it_is_the_same_valley() -> None:
     # at 20 px what is within 2 + 20 // 20 = 3 px is no rival
-    assert clear(costs((20, 3.0), (23, 4.0)), surface(20.0)).rival[0] == 9.0
-    assert clear(costs((20, 3.0), (24, 4.0)), surface(20.0)).rival[0] == 1.0
-    assert clear(costs((20, 3.0), (24, 2.0)), surface(20.0)).rival[0] == -1.0
+    assert clear(costs((20, 3.0), (23, 4.0)), surface(20.0)).second_best_margin[0] == 9.0
+    assert clear(costs((20, 3.0), (24, 4.0)), surface(20.0)).second_best_margin[0] == 1.0
+    assert clear(costs((20, 3.0), (24, 2.0)), surface(20.0)).second_best_margin[0] == -1.0
     # the same costs 80 px nearer: within 2 + 100 // 20 = 7 px
-    assert clear(costs((20, 3.0), (27, 4.0)), surface(100.0), first=80).rival[0] == 9.0
-    assert clear(costs((20, 3.0), (28, 4.0)), surface(100.0), first=80).rival[0] == 1.0
+    assert clear(costs((20, 3.0), (27, 4.0)), surface(100.0), first=80).second_best_margin[0] == 9.0
+    assert clear(costs((20, 3.0), (28, 4.0)), surface(100.0), first=80).second_best_margin[0] == 1.0
 
 
 def test_windows_aside_do_not_count() -> None:
     cost = costs((20, 3.0))
     cost[30, 0, :4] = 0.0  # another surface in four windows
     found = clear(cost, surface(20.0, aside=(0, 1, 2, 3)))
-    assert (found.depth[0], found.rival[0]) == (9.0, 9.0)
+    assert (found.margin[0], found.second_best_margin[0]) == (9.0, 9.0)
 
 
 def test_a_slanted_surface_has_one_minimum() -> None:
     cost = np.full((N_DISPARITIES, 1, 9), 12.0, np.float32)
     for window, disparity in enumerate([17, 20, 23, 18, 21, 24, 19, 22, 25]):  # 6 px to the right, 2 px down
         cost[disparity, 0, window] = 2.0
-    assert clear(cost, surface(21.0, tilt=(6.0, 2.0))).depth[0] == 10.0
-    assert clear(cost, surface(21.0)).depth[0] < 2.0
+    assert clear(cost, surface(21.0, tilt=(6.0, 2.0))).margin[0] == 10.0
+    assert clear(cost, surface(21.0)).margin[0] < 2.0
 
 
 def test_what_few_windows_see_is_neither_minimum_nor_rival() -> None:
     cost = costs((20, 3.0), (30, 1.0))
     cost[30, 0, :5] = np.nan
-    assert clear(cost, surface(20.0)).rival[0] == 9.0
+    assert clear(cost, surface(20.0)).second_best_margin[0] == 9.0
     cost[30, 0, 4] = 1.0
-    assert clear(cost, surface(20.0)).rival[0] == -2.0
+    assert clear(cost, surface(20.0)).second_best_margin[0] == -2.0
 
 
 @pytest.mark.parametrize(("centre", "is_inside"), [(0.4, False), (0.6, True), (39.4, True), (39.6, False)])
@@ -80,13 +80,13 @@ def test_the_ends_of_the_range_are_not_inside(centre: float, is_inside: bool) ->
 
 def test_chance_is_what_three_quarters_of_the_disparities_cost_less_than() -> None:
     cost = np.broadcast_to(np.arange(41, dtype=np.float32)[:, None, None], (41, 1, 9)).copy()
-    assert clear(cost, surface(5.0)).depth[0] == pytest.approx(30.0 - 5.0)
+    assert clear(cost, surface(5.0)).margin[0] == pytest.approx(30.0 - 5.0)
 
 
 def test_no_surface_and_no_costs_are_not_clear() -> None:
     nothing = clear(costs((20, 3.0)), surface(np.nan, aside=tuple(range(9))))
     assert not nothing.is_inside[0]
-    assert not nothing.depth[0] > 0
+    assert not nothing.margin[0] > 0
     unseen = clear(np.full((N_DISPARITIES, 1, 9), np.nan, np.float32), surface(20.0))
-    assert not unseen.depth[0] > 0
+    assert not unseen.margin[0] > 0
     assert not np.isfinite(unseen.cost[0])

@@ -15,8 +15,8 @@ from track_range.foundation.arrays import BoolArray
 from track_range.stereo.evaluation.kitti_2015 import pair_names, read_pair
 from track_range.stereo.matching.patch_matcher import PatchMatcher
 from track_range.stereo.matching.sample_windows import BoxWindows, GreyLevels
-from track_range.stereo.matching.subpixel import refined_windows
-from track_range.stereo.matching.surfaces import WindowMatches
+from track_range.stereo.matching.subpixel import refine_windows
+from track_range.stereo.matching.window_sgm import WindowMatches
 
 BOX = np.array([[200.0, 20.0, 320.0, 120.0]])
 WHOLE = 20
@@ -32,7 +32,7 @@ def refined(eyes: tuple[Image, Image], start: float, *, slope: float = 4.0) -> t
     shape = windows.column.shape
     found = WindowMatches(np.full(shape, 3), np.full(shape, start), np.full(shape, slope))
     left, right = (GreyLevels.of(eye, 1) for eye in eyes)
-    return refined_windows(left, right, windows, found, first=np.array([WHOLE - 3]))
+    return refine_windows(left, right, windows, found, first=np.array([WHOLE - 3]))
 
 
 def pooled(eyes: tuple[Image, Image], start: float) -> float:
