@@ -1,13 +1,15 @@
-"""Which of the methods that are fused does not count for a track in a frame: another one does, or contradicts it.
+"""Which measurements do not count: those that others of the same track contradict.
 
-All functions give (M, N), True = left out.
+Every rule returns (M, N), True = left out. None names a method: they go by the error sources that methods declare.
 
-Methods that have long agreed on a track: the one that is farther from where the track has just been. A track without a
-past goes by size: where stereo and mono are apart by more than a factor of 2.5 stereo is left out. An object that is
-partly hidden can look half as large as it is, but none of its class is that much larger or smaller, while a match on
-what stands in front of it, or on the background, can be anywhere. But if the foot of the box, which asks for no class,
-stands by stereo, mono is left out: the class is wrong. And where lane contradicts mono it is left out, as the lines may
-be those of another lane, unless the foot stands by it.
+On a track without much of a past, matching that differs from all sizes by more than a factor of 2.5 is left out. An
+object that is partly hidden can look half as large as it is, but none of its class is that much larger or smaller,
+while a match on what stands in front of it, or on the background, can be anywhere. But where the foot of the box, which
+does not depend on the class, agrees with matching the sizes are left out: the class is wrong.
+
+Where methods contradict each other, in this order: those that are far from where the track has just been, if at least
+as many are near; of three or more the one without which all others agree; what depends on the width of the lane if it
+contradicts sizes, as the lines may be those of another lane, unless the foot of the box is nearer to it.
 """
 
 from __future__ import annotations
@@ -17,69 +19,128 @@ import math
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray
-from track_range.ranging.fusion.measurements import GROUND, LANE, MONO, STEREO, Readings
-from track_range.ranging.fusion.track_biases import TrackBiases
+from track_range.ranging.fusion.error_model import ErrorModel
+from track_range.ranging.fusion.estimation import Estimate, Measurements, TrackBiases, least_squares
 
-_ONLY_WITHOUT = ((GROUND, MONO), (LANE, STEREO))
-"""The first counts only where the second is silent: mono's sizes have the frame's ground in them already (a mean of
-both is no better on KITTI, and too sure), and stereo has taught the lane its width."""
+CONTRADICTION = 9.0
+"""t^2 from which methods contradict each other."""
 
 TRUSTED_FRAMES = 5
-"""After so many frames of agreement a contradiction is one method's slip."""
+"""After so many frames of agreement the track's past decides which method is wrong."""
 
-_LOG_MAX_SIZE = math.log(2.5)
+_LOG_MAX_SIZE_RATIO = math.log(2.5)
 
-_ODD_SIGMA = 3.0
+_OUTLIER_SIGMA = 3.0
+"""Farther from the track's past, or from another method, is an outlier; nearer agrees."""
+
 _MAX_SPEED_MPS = 20.0
-"""How fast distances change, for what is plainly elsewhere."""
+"""How fast distances change at most, for the prediction of where a track is."""
+
+_SAME_ERRORS = 0.5
+"""Methods whose systematic errors are correlated as much do not confirm each other."""
 
 
-def silent(readings: Readings) -> BoolArray:
-    """(M, N) what does not count beside another method."""
-    left_out = np.zeros_like(readings.there)
-    for method, other in _ONLY_WITHOUT:
-        left_out[method] = readings.there[other]
-    return left_out
+def inconsistent_with_size(
+    measured: Measurements, counts: BoolArray, track: TrackBiases, model: ErrorModel
+) -> BoolArray:
+    """Matching, or sizes, of new tracks whose object would be too large or too small for its class.
 
-
-def impossible(readings: Readings, biases: TrackBiases) -> BoolArray:
-    """(M, N) of stereo and mono that no object's size reconciles, of tracks without much of a past, which to leave out.
-
-    Stereo, unless the foot of the box, by ground or lane, stands by it: then it is a car taken for a truck, say.
+    Args:
+        measured: all measurements; those that do not count can still be witnesses.
+        counts: (M, N) which count.
+        track: the tracks' past.
+        model: the methods.
     """
-    there, log_m, sigma = readings.there, readings.log_m, readings.sigma
-    is_new = there[MONO] & there[STEREO] & (biases.trust < TRUSTED_FRAMES)
-    apart = is_new & (np.abs(log_m[STEREO] - log_m[MONO]) > _LOG_MAX_SIZE)
-    left_out = np.zeros_like(there)
-    if apart.any():
-        foot = [GROUND, LANE]
-        off = np.abs(log_m[foot] - log_m[STEREO])
-        agrees = there[foot] & (off < _ODD_SIGMA * np.hypot(sigma[foot], sigma[STEREO]))
-        is_other_class = (agrees & (off < np.abs(log_m[foot] - log_m[MONO]))).any(axis=0)
-        left_out[MONO], left_out[STEREO] = apart & is_other_class, apart & ~is_other_class
-    return left_out
+    out = np.zeros_like(counts)
+    is_new = counts[model.matching] & (track.n_agreements < TRUSTED_FRAMES)
+    if not is_new.any():
+        return out
+    z, sigma, has_size = measured.z, measured.sigma, counts[model.size]
+    ratio = np.abs(z[model.matching, None] - z[model.size])
+    is_apart = is_new & has_size.any(axis=0) & ((ratio > _LOG_MAX_SIZE_RATIO) | ~has_size).all(axis=1)
+    for j, tracks in zip(model.matching.tolist(), is_apart, strict=True):
+        if tracks.any():
+            off = np.abs(z[model.contact] - z[j])
+            agrees = measured.valid[model.contact] & (off < _OUTLIER_SIGMA * np.hypot(sigma[model.contact], sigma[j]))
+            off_size = np.where(has_size, np.abs(z[model.contact, None] - z[model.size]), np.inf).min(axis=1)
+            is_wrong_class = (agrees & (off < off_size)).any(axis=0)
+            out[j] |= tracks & ~is_wrong_class
+            out[model.size] |= has_size & tracks & is_wrong_class
+    return out
 
 
-def other_lane(heard: Readings, readings: Readings, contradicts: BoolArray) -> BoolArray:
-    """(M, N) lane where it contradicts mono: its lines may be another lane's, which its sigma knows nothing of.
+def outliers(
+    used: Measurements,
+    measured: Measurements,
+    estimate: Estimate,
+    track: TrackBiases,
+    model: ErrorModel,
+    *,
+    contradicts: BoolArray,
+    time_s: float,
+) -> BoolArray:
+    """What to leave out where the methods of `used` contradict each other.
 
-    But mono where ground, which knows neither lane nor class, is nearer to lane.
+    Args:
+        used: the methods that count.
+        measured: all methods; those that do not count can still be witnesses.
+        estimate: of `used`.
+        track: the tracks' past.
+        model: the methods.
+        contradicts: (N,) of which tracks.
+        time_s: of the frame.
     """
-    off = np.abs(heard.log_m - heard.log_m[GROUND])
-    by_lane = heard.there[GROUND] & (off[LANE] < off[MONO])
-    contradicts = contradicts & readings.there[LANE] & readings.there[MONO]
-    left_out = np.zeros_like(readings.there)
-    left_out[MONO], left_out[LANE] = contradicts & by_lane, contradicts & ~by_lane
-    return left_out
+    out = contradicts & _far_from_past(used, estimate, track, model, time_s)
+    undecided = np.flatnonzero(contradicts & ~out.any(axis=0) & (estimate.n_valid > 2))
+    if len(undecided):
+        out[:, undecided] = _outvoted(used.of_tracks(undecided), track.of_tracks(undecided), model)
+    undecided = contradicts & ~out.any(axis=0)
+    return out | _wrong_lane(used, measured, estimate, model, undecided) if undecided.any() else out
 
 
-def odd(readings: Readings, biases: TrackBiases, contradicts: BoolArray, time_s: float) -> BoolArray:
-    """(M, N) of contradicting methods the one farther from where the track has just been, if the other is near."""
-    kept, noise = readings.kept, readings.noise
-    moved = _MAX_SPEED_MPS * (time_s - biases.time_s) / np.exp(biases.log_m)
-    expected = kept * kept * biases.own_variance + noise * noise + biases.variance + moved * moved
-    away = np.abs(readings.log_m - kept * biases.mean - biases.log_m) / np.sqrt(expected)
-    away = np.where(readings.there & np.isfinite(away), away, 0.0)
-    near = (readings.there & (away < _ODD_SIGMA)).any(axis=0)
-    is_farther = away == away.max(axis=0)
-    return np.asarray(contradicts & near & (biases.trust >= TRUSTED_FRAMES) & is_farther & (away > _ODD_SIGMA))
+def _far_from_past(
+    used: Measurements, estimate: Estimate, track: TrackBiases, model: ErrorModel, time_s: float
+) -> BoolArray:
+    """What is far from where a trusted track has just been, where at least as many methods are near."""
+    n = used.sigma * model.independent
+    moved = _MAX_SPEED_MPS * (time_s - track.time_s) / np.exp(track.log_m)
+    variance = estimate.k**2 * track.u_variance + n * n + track.variance + moved * moved
+    off = np.abs(estimate.y - track.log_m) / np.sqrt(variance)  # NaN: a new track
+    is_near, is_far = used.valid & (off < _OUTLIER_SIGMA), used.valid & (off > _OUTLIER_SIGMA)
+    n_near = is_near.sum(axis=0)
+    decides = (track.n_agreements >= TRUSTED_FRAMES) & (n_near > 0) & (n_near >= is_far.sum(axis=0))
+    return np.asarray(is_far & decides)
+
+
+def _outvoted(used: Measurements, track: TrackBiases, model: ErrorModel) -> BoolArray:
+    """The one method of three or more without which all others agree, two of them for reasons of their own."""
+    is_independent = model.systematic_correlation < _SAME_ERRORS
+    t2_without = np.full(used.valid.shape, np.inf)
+    for i in np.flatnonzero(used.valid.any(axis=1)).tolist():
+        others = used.valid.copy()
+        others[i] = False
+        confirmed = (others[:, None] & others & is_independent[:, :, None]).any(axis=(0, 1))
+        t2 = least_squares(used.only(others), track, model).t2
+        t2_without[i] = np.where(used.valid[i] & confirmed, t2, np.inf)
+    best = t2_without.min(axis=0)
+    return np.asarray((t2_without == best) & (best <= CONTRADICTION))
+
+
+def _wrong_lane(
+    used: Measurements, measured: Measurements, estimate: Estimate, model: ErrorModel, contradicts: BoolArray
+) -> BoolArray:
+    """What depends on the lane's width and contradicts sizes, or the sizes where the foot of the box is nearer to it.
+
+    The lines may be those of another lane, which no sigma accounts for.
+    """
+    out = np.zeros_like(used.valid)
+    y, A, z = estimate.y, estimate.A, measured.z
+    for lane in model.lane.tolist():
+        for size in model.size.tolist():
+            is_apart = (y[lane] - y[size]) ** 2 > CONTRADICTION * (A[lane, lane] - 2 * A[lane, size] + A[size, size])
+            is_apart &= contradicts & used.valid[lane] & used.valid[size]
+            is_nearer = np.abs(z[lane] - z[model.horizon]) < np.abs(z[size] - z[model.horizon])
+            for_lane = (measured.valid[model.horizon] & is_nearer).any(axis=0)
+            out[size] |= is_apart & for_lane
+            out[lane] |= is_apart & ~for_lane
+    return out

@@ -74,8 +74,8 @@ MONO = RangingMethod(
     create=_create,
     error_sources=(
         ErrorSource("size", systematic=0.64),
-        ErrorSource("box_height", independent=0.2571),
-        ErrorSource("contact_point", independent=0.1029),
+        ErrorSource("box_height", independent=0.36 * 5 / 7),
+        ErrorSource("contact_point", independent=0.36 * 2 / 7),
     ),
     is_filtered=True,
 )

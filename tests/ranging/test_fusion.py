@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.fusion.fusion import FUSED_METHODS, Fusion
+from track_range.ranging.fusion.fusion import Fusion, ScaleSource
 from track_range.ranging.ranges import Ranges
 
 ONE = np.array([1])
+METHODS = ("mono", "ground", "lane", "stereo", "sgbm")
 
 
 def ranges(distance_m, sigma_m):
@@ -33,7 +34,7 @@ def test_inverse_variance_by_hand():
 
 
 def test_one_method_is_left_as_it_is():
-    for name in (*FUSED_METHODS, "sgbm"):
+    for name in METHODS:
         found = alone({name: ranges(30.0, 3.0)}).ranges
         assert (found.distance_m[0], found.sigma_m[0]) == pytest.approx((30.0, 3.0))
 
@@ -57,7 +58,7 @@ def test_contradiction_widens_sigma():
 def test_a_match_that_no_size_can_explain_is_left_out():
     found = alone({"mono": ranges(75.0, 6.0), "stereo": ranges(15.0, 0.3)})
     assert (found.ranges.distance_m[0], found.ranges.sigma_m[0]) == pytest.approx((75.0, 6.0))
-    assert found.way == [0]
+    assert found.scale_source == [ScaleSource.ASSUMED]
     half_hidden = alone({"mono": ranges(30.0, 2.0), "stereo": ranges(15.0, 0.3)})
     assert half_hidden.ranges.distance_m[0] < 17
 
@@ -100,7 +101,7 @@ def test_dense_stands_in_for_patches_only_where_they_are_silent():
         ({"sgbm": dense}, 30.0),
     ):
         assert alone(by_method).ranges.distance_m == pytest.approx([expected_m])
-        assert alone(by_method).way == [1]
+        assert alone(by_method).scale_source == [ScaleSource.REFERENCE]
 
 
 def test_nobody_measured():
@@ -108,7 +109,7 @@ def test_nobody_measured():
         found = alone(by_method)
         assert np.isnan(found.ranges.distance_m).all()
         assert np.isnan(found.ranges.sigma_m).all()
-        assert found.way == [0]
+        assert found.scale_source == [ScaleSource.ASSUMED]
     assert len(Fusion().fuse({}, np.zeros(0, np.int64), 0.0).ranges) == 0
 
 
@@ -123,7 +124,7 @@ def test_stereo_teaches_mono_the_tracks_size_and_mono_carries_on():
         stereo = ranges(true_m * np.exp(rng.normal(0, 0.003)), 0.01 * true_m) if sees else SILENT
         found = fusion.fuse({"mono": ranges(mono_m, 0.08 * mono_m), "stereo": stereo}, ONE, step * 0.1)
         errors[sees].append(found.ranges.distance_m[0] / true_m - 1)
-        assert found.way == [1]
+        assert found.scale_source == [ScaleSource.REFERENCE]
     assert np.max(np.abs(errors[True][5:])) < 0.01
     assert np.mean(np.abs(errors[False])) < 0.025  # 10 % without having learnt
     assert 0.01 * 18.3 < found.ranges.sigma_m[0] < 0.07 * 18.3  # and it knows so, but not that stereo was that good
@@ -221,7 +222,7 @@ def test_fused_lies_between_and_is_no_less_certain_than_agreement_allows(a, b, s
 @settings(deadline=None)
 @given(
     st.lists(
-        st.tuples(*[st.one_of(st.none(), st.tuples(st.floats(1, 150), st.floats(0.005, 0.5)))] * 4),
+        st.tuples(*[st.one_of(st.none(), st.tuples(st.floats(1, 150), st.floats(0.005, 0.5)))] * 5),
         min_size=1,
         max_size=8,
     )
@@ -231,7 +232,7 @@ def test_whatever_is_measured_fused_is_finite_where_anybody_measured(frames):
     for step, frame in enumerate(frames):
         by_method = {
             name: SILENT if told is None else ranges(told[0], told[0] * told[1])
-            for name, told in zip(FUSED_METHODS, frame, strict=True)
+            for name, told in zip(METHODS, frame, strict=True)
         }
         found = fusion.fuse(by_method, ONE, step * 0.1).ranges
         assert np.isfinite(found.distance_m[0]) == any(told is not None for told in frame)
