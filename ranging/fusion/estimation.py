@@ -103,7 +103,7 @@ class TrackBiases:
     @property
     def u_variance(self) -> FloatArray:
         """(M, N) variance of u, the diagonal of C."""
-        return self.C.reshape(-1, self.u.shape[1])[:: len(self.u) + 1]
+        return self.C.reshape(len(self.u) ** 2, self.u.shape[1])[:: len(self.u) + 1]
 
     def decayed(self, share: FloatArray, model: ErrorModel) -> TrackBiases:
         """With u moved towards 0 and C towards C0; `share` (N,) of u is left."""
