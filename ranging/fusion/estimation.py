@@ -83,7 +83,7 @@ class TrackBiases:
     @staticmethod
     def times_s(columns: FloatArray) -> FloatArray:
         """(N,) `time_s` of such columns."""
-        return columns[-4]
+        return np.asarray(columns[-4])
 
     def to_columns(self) -> FloatArray:
         """The columns (M + M M + 6, N)."""
@@ -195,4 +195,4 @@ def _inverse(A: FloatArray, valid: BoolArray) -> FloatArray:
     """(M, M, N) inverses of the valid parts of covariances A, which are 0 outside of them; 1 on the diagonal there."""
     complete = A.transpose(2, 0, 1).copy()
     complete.reshape(-1, len(A) ** 2)[:, :: len(A) + 1] += ~valid.T
-    return np.linalg.inv(complete).transpose(1, 2, 0)
+    return np.asarray(np.linalg.inv(complete).transpose(1, 2, 0), np.float64)

@@ -94,8 +94,8 @@ def outliers(
     undecided = np.flatnonzero(contradicts & ~out.any(axis=0) & (estimate.n_valid > 2))
     if len(undecided):
         out[:, undecided] = _outvoted(used.of_tracks(undecided), track.of_tracks(undecided), model)
-    undecided = contradicts & ~out.any(axis=0)
-    return out | _wrong_lane(used, measured, estimate, model, undecided) if undecided.any() else out
+    contradicts = contradicts & ~out.any(axis=0)
+    return out | _wrong_lane(used, measured, estimate, model, contradicts) if contradicts.any() else out
 
 
 def _far_from_past(
