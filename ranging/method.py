@@ -9,14 +9,17 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from track_range.detection.models.onnx_session import Runtime
+from track_range.foundation.errors import UserError
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
+
+if TYPE_CHECKING:  # onnxruntime takes long to import, and reports do without it
+    from track_range.detection.models.onnx_session import Runtime
 
 SourceName = Literal["size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "own"]
 """What a distance error comes from.
@@ -38,8 +41,8 @@ RESERVED_NAMES = ("fused", "fuse", "read", "lanes", "detect", "track", "write", 
 """Names of columns and stages that are no method's."""
 
 
-class MethodError(ValueError):
-    """A description of a method that cannot be used; the message says which and why."""
+class MethodError(UserError):
+    """A ranging method that cannot be used; the message names it and the reason."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -60,7 +63,7 @@ class MethodContext:
         has_lane_lines: whether a lane finder runs.
         has_dense_disparity: whether dense stereo is switched on.
         sgbm_options: parameters of dense stereo chosen by the user.
-        runtime: threads and device for networks.
+        runtime: threads and device for networks; None = the defaults.
         rangers: those created so far, by method; `RangingMethod.reads` are created first.
     """
 
@@ -77,7 +80,7 @@ class MethodContext:
     has_lane_lines: bool = False
     has_dense_disparity: bool = False
     sgbm_options: Mapping[str, Any] = field(default_factory=dict)
-    runtime: Runtime = field(default_factory=Runtime)
+    runtime: Runtime | None = None
     rangers: dict[str, Ranger] = field(default_factory=dict)
 
     @property

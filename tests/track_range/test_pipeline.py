@@ -5,6 +5,7 @@ import pytest
 
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLine, LaneLines
+from track_range.ranging.method import MethodError
 from track_range.ranging.methods.ground_plane import GroundPlaneRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
@@ -179,3 +180,14 @@ def test_a_receding_track_has_no_time_to_collision():
     last = list(loop.run(frames(30)))[-1]
     assert last.closing_mps[0] < -3
     assert np.isnan(last.ttc_s[0])
+
+
+def test_a_ranger_that_measures_other_tracks_is_named():
+    class Missing(Ranger):
+        def measure(self, tracks, frame):
+            return Ranges.unmeasured(tracks.track_id[1:])
+
+    loop = pipeline()
+    loop.rangers = {"mono": Falling(), "radar": Missing()}
+    with pytest.raises(MethodError, match="radar"):
+        list(loop.run(frames(1)))

@@ -148,7 +148,8 @@ def band_error_pct(row: Mapping[str, Any], band: tuple[float, float]) -> float |
 def speed_grid(summary: Mapping[str, Any]) -> Grid:
     """One row per stage that ran, and the whole run by the wall's clock.
 
-    Stages overlap in threads; detect and sgbm are timed by the wall's clock, the others by their processor time.
+    Stages overlap in threads; detection and background work are timed by the wall clock, the others by their processor
+    time.
     """
     found = summary.get("stages_ms") or {}
     stages = {name: ms for name in found if (ms := figure(found, name))}

@@ -25,6 +25,7 @@ from track_range.ranging.filtering.collision_course import CollisionCourse
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges
 from track_range.ranging.fusion.fusion import Fusion
+from track_range.ranging.method import MethodError
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
@@ -176,7 +177,11 @@ class Pipeline:
             return self.tracker.update(detections, frame.time_s, frame.left)
 
     def _ranges(self, frame: Frame, lanes: LaneLines | None, tracks: Tracks) -> dict[str, Ranges]:
-        """The tracks' distances by each method."""
+        """Distances of the tracks by each method.
+
+        Raises:
+            MethodError: a ranger of another package measured other tracks.
+        """
         ranges: dict[str, Ranges] = {}
         for name, ranger in self.rangers.items():
             others = {other: ranges[other] for other in self._reads.get(name, ()) if other in ranges}
@@ -184,6 +189,8 @@ class Pipeline:
                 if lanes is not None and lanes is not self._lanes:
                     ranger.update_lanes(lanes)
                 ranges[name] = ranger.measure_with(tracks, frame, others)
+            if len(ranges[name]) != len(tracks):
+                raise MethodError(f"ranging method {name!r}: expected {len(tracks)} ranges, got {len(ranges[name])}")
         self._lanes = lanes
         return ranges
 
