@@ -24,10 +24,9 @@ from track_range.detection.lanes.lookup import CLASSICAL
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth
-from track_range.report.series import Columns
-from track_range.report.truth import with_truth
-from track_range.results.csv_file import FILTERED_METHODS, read_tracks_csv
-from track_range.results.summary import matched_truth
+from track_range.results.columns import Columns
+from track_range.results.csv_file import read_tracks_csv
+from track_range.results.truth import matched_truth, with_truth
 from track_range.run.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.drive import DriveOptions, write_drive
@@ -40,7 +39,7 @@ SECONDS = 8.0
 BLACK_S, NOISE_S = (3.0, 4.0), (5.5, 7.5)
 """When the right eye sees nothing."""
 
-METHODS = ("mono", "stereo", "fused", *FILTERED_METHODS)
+METHODS = ("mono", "stereo", "fused", "mono_kf", "stereo_kf", "fused_kf")
 COMPARED = ("mono", "mono_kf", "fused", "fused_kf")
 """On the same boxes."""
 

@@ -17,7 +17,8 @@ import yaml
 from benchmarks.drives import loop_video
 from track_range.detection.boxes import iou
 from track_range.detection.formats.kitti import read_kitti
-from track_range.results.csv_file import COLUMNS, read_tracks_csv
+from track_range.results.columns import column_names
+from track_range.results.csv_file import read_tracks_csv
 from track_range.simulation.drive import write_drive
 
 TRACK_RANGE = Path(sys.executable).with_name("track-range")
@@ -55,7 +56,7 @@ def test_all_files_are_there_and_whole(simulated_run):
     assert {file.name for file in out.iterdir()} == names
     assert n_frames_of(out / "overlay.mp4") == 16
     with (out / "tracks.csv").open() as file:
-        assert next(csv.reader(file)) == list(COLUMNS)
+        assert next(csv.reader(file)) == list(column_names())
     assert "<html" in (out / "report.html").read_text()
 
 

@@ -1,14 +1,14 @@
 """Interrupts wait for what belongs together, and are not lost."""
 
 import signal
+import threading
 
 import pytest
 
 from track_range.run.interrupts import (
-    deaf_to_interrupts,
-    first_interrupt_only,
-    interrupts_put_off,
-    termination_as_interrupt,
+    defer_interrupts,
+    ignore_interrupts,
+    stop_on_interrupt,
 )
 
 
@@ -17,7 +17,7 @@ def test_an_interrupt_waits_for_the_end_of_the_frame(number):
     done = []
 
     def frame():
-        with interrupts_put_off():
+        with defer_interrupts():
             signal.raise_signal(number)
             done.append("rows")
             signal.raise_signal(number)
@@ -31,15 +31,15 @@ def test_an_interrupt_waits_for_the_end_of_the_frame(number):
 
 
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("is_put_off", [False, True])
-def test_only_the_first_interrupt_counts(first, is_put_off):
+@pytest.mark.parametrize("is_deferred", [False, True])
+def test_only_the_first_interrupt_counts(first, is_deferred):
     done = []
 
     def run():
-        with first_interrupt_only():
+        with stop_on_interrupt():
             try:
-                if is_put_off:
-                    with interrupts_put_off():
+                if is_deferred:
+                    with defer_interrupts():
                         signal.raise_signal(first)
                 else:
                     signal.raise_signal(first)
@@ -55,9 +55,9 @@ def test_only_the_first_interrupt_counts(first, is_put_off):
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
-def test_an_error_of_the_frame_is_told_rather_than_the_interrupt():
+def test_an_error_wins_over_a_deferred_interrupt():
     def frame():
-        with interrupts_put_off():
+        with defer_interrupts():
             signal.raise_signal(signal.SIGTERM)
             raise OSError("disk full")
 
@@ -68,20 +68,33 @@ def test_an_error_of_the_frame_is_told_rather_than_the_interrupt():
 def test_what_was_ignored_stays_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with interrupts_put_off():
+        with defer_interrupts():
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-def test_a_polite_kill_is_an_interrupt_and_ends_with_the_block():
+def test_sigterm_is_an_interrupt_inside_of_the_block():
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), termination_as_interrupt():
+    with pytest.raises(KeyboardInterrupt), stop_on_interrupt():
         signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGTERM) == before
 
 
-def test_nothing_interrupts_the_report():
-    with deaf_to_interrupts():
+def test_ignored_interrupts():
+    with ignore_interrupts():
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGTERM)
+
+
+def test_other_threads_have_no_signal_handlers():
+    done = []
+
+    def run():
+        with stop_on_interrupt(), defer_interrupts(), ignore_interrupts():
+            done.append("rows")
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert done == ["rows"]

@@ -16,7 +16,7 @@ import pytest
 
 from track_range.report.comparison import ComparedRun
 from track_range.report.page import comparison_page, embedded, report_page, run_content, write_comparison, write_report
-from track_range.results.csv_file import COLUMNS
+from track_range.results.columns import column_names
 from track_range.results.output_files import OutputError
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
@@ -64,7 +64,7 @@ class Page(HTMLParser):
 def columns(*lengths: int, class_name: str = "car", truth: bool = True) -> dict[str, npt.NDArray[Any]]:
     """tracks.csv's columns with one track of each length, ids from 1; mono, stereo and fused measured."""
     n = sum(lengths)
-    found: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in COLUMNS}
+    found: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in column_names()}
     time_s = np.concatenate([np.arange(length) * 0.1 for length in lengths]) if lengths else np.zeros(0)
     distance_m = 40.0 - time_s
     found |= {

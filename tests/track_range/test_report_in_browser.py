@@ -18,7 +18,7 @@ import pytest
 from track_range.overlay.colours import method_colours
 from track_range.report.comparison import ComparedRun
 from track_range.report.page import write_comparison, write_report
-from track_range.results.csv_file import COLUMNS
+from track_range.results.columns import column_names
 from track_range.video.reader import VideoWriter
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
@@ -70,7 +70,7 @@ def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0
     """tracks.csv with one track of each length; the distance of each falls by a metre per frame, the truth likewise."""
     n = sum(lengths)
     number = np.concatenate([np.arange(length, dtype=np.float64) for length in lengths]) if lengths else np.zeros(0)
-    found: dict[str, Any] = {column: np.full(n, np.nan) for column in COLUMNS}
+    found: dict[str, Any] = {column: np.full(n, np.nan) for column in column_names()}
     found |= {
         "frame": number,
         "time_s": from_s + number * STEP_S,

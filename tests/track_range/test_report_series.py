@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.report.series import LINE_POINTS, MOST_CELLS, methods_measured, packed, thinned, track_records
+from track_range.report.series import LINE_POINTS, MOST_CELLS, packed, thinned, track_records
+from track_range.results.columns import methods_measured
 
 
 def unpacked(text: str, ticks_per_unit: float) -> list[float]:

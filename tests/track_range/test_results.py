@@ -1,19 +1,34 @@
+"""The rows of a run: columns, tracks.csv, mot.txt and the table in memory."""
+
 import csv
+import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
-from track_range.results.csv_file import COLUMNS, ResultRows, read_tracks_csv
+from track_range.ranging.registry import methods, registered
+from track_range.results.columns import column_names, methods_with_sigma
+from track_range.results.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
+from track_range.results.table import RunTable
+from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.frame_result import FrameResult
+from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.mot_format import read_mot
 from track_range.tracking.tracks import Tracks
 
 CONTRACT = (
     "frame,time_s,track_id,class,score,observed,x1_px,y1_px,x2_px,y2_px,mono_m,mono_sigma_m,lane_m,lane_sigma_m,"
     "stereo_m,stereo_sigma_m,sgbm_m,sgbm_sigma_m,fused_m,fused_sigma_m,closing_mps,ttc_s,"
-    "mono_kf_m,stereo_kf_m,fused_kf_m,ground_m,x_m,y_m"
+    "mono_kf_m,stereo_kf_m,fused_kf_m,ground_m,x_m,y_m,"
+    "mono_kf_sigma_m,stereo_kf_sigma_m,fused_kf_sigma_m,ground_sigma_m,closing_sigma_mps,ttc_sigma_s"
 ).split(",")
 
 
@@ -45,13 +60,49 @@ def result(frame=4):
     )
 
 
-def test_columns_are_the_contract_and_then_more():
-    assert list(COLUMNS[: len(CONTRACT)]) == CONTRACT
-    assert len(set(COLUMNS)) == len(COLUMNS)
+@contextmanager
+def writing(folder, names=("csv", "mot")):
+    camera = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480)
+    with OpenWriters(names, RunInfo(camera=camera, rig=None, fps=10.0, settings={}), folder) as opened:
+        yield opened
+
+
+def toy_method(*, is_filtered):
+    source = ErrorSource("own", independent=1.0)
+    return RangingMethod(
+        name="toy", title="toy", letter="y", colour="#123456", create=lambda context: None, error_sources=(source,),
+        is_filtered=is_filtered,
+    )  # fmt: skip
+
+
+def test_columns_are_the_contract():
+    assert column_names() == CONTRACT
+
+
+def test_columns_of_further_methods_are_appended(tmp_path):
+    with registered(toy_method(is_filtered=False)):
+        assert column_names() == [*CONTRACT, "toy_m", "toy_sigma_m"]
+    with registered(toy_method(is_filtered=True)):
+        assert column_names() == [*CONTRACT, "toy_m", "toy_sigma_m", "toy_kf_m", "toy_kf_sigma_m"]
+        assert methods_with_sigma()[-5:] == ["toy", "mono_kf", "stereo_kf", "fused_kf", "toy_kf"]
+        found = result()
+        toy = {"toy": replace(found.ranges["mono"], distance_m=np.array([9.0, np.nan]))}
+        with writing(tmp_path) as rows, RunTable() as table:
+            rows.write(replace(found, ranges={**found.ranges, **toy}))
+            table.append(replace(found, ranges={**found.ranges, **toy}))
+            np.testing.assert_equal(table.to_columns()["toy_m"], [9.0, np.nan])
+        columns = read_tracks_csv(tmp_path / "tracks.csv")
+    np.testing.assert_equal(columns["toy_m"], [9.0, np.nan])
+    np.testing.assert_equal(columns["toy_kf_m"], [np.nan, np.nan])
+
+
+def test_every_built_in_method_has_columns():
+    names = {f"{method.name}{end}" for method in methods() for end in ("_m", "_sigma_m")}
+    assert names <= set(CONTRACT)
 
 
 def test_rows_by_hand(tmp_path):
-    with ResultRows(tmp_path) as rows:
+    with writing(tmp_path) as rows:
         rows.write(result())
     with (tmp_path / "tracks.csv").open() as file:
         first, second = csv.DictReader(file)
@@ -66,14 +117,24 @@ def test_rows_by_hand(tmp_path):
     assert (tmp_path / "mot.txt").read_text().splitlines()[0].startswith("5,3,2.00,3.00,2.00,2.50,0.5")
 
 
+def test_mot_file_counts_frames_from_1(tmp_path):
+    with writing(tmp_path) as rows:
+        for frame in (0, 1, 5):  # a gap
+            rows.write(result(frame))
+    frames = [line.split(",")[0] for line in (tmp_path / "mot.txt").read_text().splitlines()]
+    assert frames == ["1", "1", "2", "2", "6", "6"]
+    assert read_mot(tmp_path / "mot.txt").frame.tolist() == [0, 0, 1, 1, 5, 5]
+    assert read_tracks_csv(tmp_path / "tracks.csv")["frame"].tolist() == [0, 0, 1, 1, 5, 5]
+
+
 def test_rows_are_on_disk_before_the_run_ends(tmp_path):
-    with ResultRows(tmp_path) as rows:
+    with writing(tmp_path) as rows:
         rows.write(result())
         assert len(read_tracks_csv(tmp_path / "tracks.csv")["frame"]) == 2
 
 
 def test_columns_come_back_and_a_torn_last_row_is_dropped(tmp_path):
-    with ResultRows(tmp_path) as rows:
+    with writing(tmp_path) as rows:
         rows.write(result(4))
         rows.write(result(5))
     file = tmp_path / "tracks.csv"
@@ -85,14 +146,71 @@ def test_columns_come_back_and_a_torn_last_row_is_dropped(tmp_path):
 
 
 def test_no_rows_at_all(tmp_path):
-    with ResultRows(tmp_path):
-        pass
+    with writing(tmp_path), RunTable() as table:
+        assert {len(column) for column in table.to_columns().values()} == {0}
+        assert table.to_arrow().num_rows == 0
     columns = read_tracks_csv(tmp_path / "tracks.csv")
     assert {len(column) for column in columns.values()} == {0}
 
 
-def test_what_cannot_be_written_or_read(tmp_path):
-    with pytest.raises(OutputError, match="cannot be written to"):
-        ResultRows(tmp_path / "nowhere")
-    with pytest.raises(OutputError, match=r"not a readable tracks\.csv"):
-        read_tracks_csv(tmp_path / "tracks.csv")
+def test_unreadable_tracks_csv(tmp_path):
+    for content in (None, b"", b"\xff\xfe\x00", b"frame,frame\n1,2\n"):
+        if content is not None:
+            (tmp_path / "tracks.csv").write_bytes(content)
+        with pytest.raises(OutputError, match=r"not a readable tracks\.csv"):
+            read_tracks_csv(tmp_path / "tracks.csv")
+
+
+@given(
+    values=st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=2, max_size=2),
+    times_s=st.lists(st.floats(0, 1e5), min_size=1, max_size=5),
+)
+@settings(deadline=None, max_examples=50)
+def test_table_equals_tracks_csv(tmp_path_factory, values, times_s):
+    folder = tmp_path_factory.mktemp("run")
+    with writing(folder) as rows, RunTable(rows_per_batch=3) as table:
+        for index, time_s in enumerate(times_s):
+            found = replace(result(index), closing_mps=np.array(values), ttc_s=np.array(values[::-1]))
+            found = replace(found, frame=replace(found.frame, time_s=time_s))
+            rows.write(found)
+            table.append(found)
+        columns = table.to_columns()
+    read = read_tracks_csv(folder / "tracks.csv")
+    assert list(columns) == list(read)
+    for name in columns:
+        np.testing.assert_array_equal(columns[name], read[name], err_msg=name)
+
+
+def test_table_of_many_batches():
+    with RunTable(rows_per_batch=3) as table, RunTable() as whole:
+        for index in range(10):
+            table.append(result(index))
+            whole.append(result(index))
+            assert table.to_arrow().num_rows == 2 * (index + 1)
+        arrow = table.to_arrow()
+        assert arrow.equals(whole.to_arrow())
+    assert arrow.column("frame").to_pylist() == [index for index in range(10) for _ in range(2)]  # outlives its file
+    assert arrow.column("mono_m").to_pylist()[:2] == [12.346, None]
+    assert arrow.column("class").to_pylist()[:2] == ["car", "traffic light"]
+    assert arrow.schema.field("closing_mps").metadata == {b"unit": b"m/s"}
+
+
+def test_temporary_file_is_deleted(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with RunTable(rows_per_batch=3) as table:
+        table.append(result())
+        assert list(tmp_path.iterdir()) == []  # a short run writes nothing
+        table.append(result())
+        assert len(list(tmp_path.iterdir())) == 1
+    assert list(tmp_path.iterdir()) == []
+    dropped = RunTable(rows_per_batch=1)
+    dropped.append(result())
+    assert len(list(tmp_path.iterdir())) == 1
+    del dropped
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_temporary_folder_that_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with RunTable(rows_per_batch=1) as table, pytest.raises(OutputError, match="missing"):
+        table.append(result())

@@ -16,11 +16,10 @@ from rich.console import Console
 
 from track_range.commands.report import report, short_names
 from track_range.ranging.evaluation.truth import Truth
-from track_range.report.truth import with_truth
-from track_range.results.csv_file import COLUMNS
+from track_range.results.columns import column_names
 from track_range.results.folder import read_run_folder
 from track_range.results.output_files import OutputError
-from track_range.results.summary import matched_truth
+from track_range.results.truth import matched_truth, with_truth
 
 N_FRAMES = 6
 
@@ -35,7 +34,7 @@ def write_run(folder: Path, **run: Any) -> Path:
         )
     )
     with (folder / "tracks.csv").open("w", newline="") as file:
-        rows = csv.DictWriter(file, COLUMNS, restval="")
+        rows = csv.DictWriter(file, column_names(), restval="")
         rows.writeheader()
         for frame in range(N_FRAMES):
             box = {"x1_px": 280, "y1_px": 140, "x2_px": 360, "y2_px": 220}
@@ -94,7 +93,7 @@ def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:
     rows = "".join(f"{frame},1,car,280,140,360,220,18.0,2.0\n" for frame in range(N_FRAMES))
     (run / "truth.txt").write_text("frame,id,class,x1,y1,x2,y2,distance_m,closing_mps\n" + rows)
     lines = (run / "tracks.csv").read_text().splitlines()
-    place = {name: COLUMNS.index(name) for name in ("closing_mps", "closing_sigma_mps")}
+    place = {name: column_names().index(name) for name in ("closing_mps", "closing_sigma_mps")}
     cells = [line.split(",") for line in lines[1:]]
     for row in cells:
         row[place["closing_mps"]], row[place["closing_sigma_mps"]] = "2.5", "0.4"
@@ -185,7 +184,7 @@ def test_folders_that_are_no_runs_are_refused(run: Path, tmp_path: Path) -> None
 
 
 def test_a_killed_run_without_any_track_has_a_page(run: Path) -> None:
-    (run / "tracks.csv").write_text(",".join(COLUMNS) + "\n")
+    (run / "tracks.csv").write_text(",".join(column_names()) + "\n")
     (run / "summary.json").unlink()
     assert "No track was confirmed in this run." in report([run], None, Console(file=io.StringIO())).read_text()
 

@@ -5,15 +5,16 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.csv_file import COLUMNS
-from track_range.results.summary import matched_truth, range_scores, stage_times_ms, track_scores, write_summary
+from track_range.results.columns import column_names
+from track_range.results.summary import range_scores, stage_times_ms, track_scores, write_summary
+from track_range.results.truth import matched_truth
 
 BOX = np.array([10.0, 10.0, 40.0, 40.0])
 
 
 def columns_of(n=10, *, fused=20.0, name="car"):
     """One track over n frames; mono only every other frame."""
-    columns = {key: np.full(n, np.nan) for key in COLUMNS}
+    columns = {key: np.full(n, np.nan) for key in column_names()}
     columns |= {"frame": np.arange(n, dtype=float), "track_id": np.ones(n), "class": np.full(n, name)}
     columns |= {f"{edge}_px": np.full(n, value) for edge, value in zip(("x1", "y1", "x2", "y2"), BOX, strict=True)}
     columns |= {"fused_m": np.full(n, fused), "fused_sigma_m": np.ones(n), "mono_sigma_m": np.ones(n)}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from track_range.report.page import report_page
-from track_range.results.rows import no_rows
+from track_range.results.columns import no_rows
 from track_range.results.summary_shape import fitting_summary
 
 WHOLE: dict[str, Any] = {

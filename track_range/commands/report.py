@@ -11,7 +11,8 @@ from rich.console import Console
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.results.folder import RunFolder, read_run_folder
-from track_range.results.output_files import RESULT_NAMES, check_outputs
+from track_range.results.output_files import check_outputs
+from track_range.results.writers import result_names
 from track_range.run.progress import say
 from track_range.terminal_tables import tell_grid
 
@@ -30,7 +31,7 @@ def report(folders: Sequence[Path], out: Path | None, console: Console) -> Path:
     runs = [read_run_folder(folder) for folder in {each.resolve(): each for each in folders}.values()]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
     if out is not None:
-        inputs = (run.folder / name for run in runs for name in RESULT_NAMES if name != "report.html")
+        inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
         check_outputs([*pages, out], inputs)
     for run in runs:
         for sentence in run.missing:

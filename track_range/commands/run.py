@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy.typing as npt
 from rich.console import Console
 
 from track_range.commands.ready_model import ready_model
@@ -21,16 +20,17 @@ from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
 from track_range.report.page import write_report
 from track_range.report.tables import markdown
-from track_range.report.truth import with_truth
-from track_range.results.csv_file import ResultRows, read_tracks_csv
-from track_range.results.output_files import RESULT_NAMES, check_outputs, clear_results, make_folder, write_text
-from track_range.results.summary import matched_truth, write_summary
+from track_range.results.columns import Columns
+from track_range.results.output_files import check_outputs, clear_results, make_folder, write_text
+from track_range.results.summary import write_summary
+from track_range.results.truth import matched_truth, with_truth
+from track_range.results.writers import OpenWriters, result_names
 from track_range.run.box_source import open_box_source
 from track_range.run.build import open_input, open_pipeline
-from track_range.run.interrupts import deaf_to_interrupts, first_interrupt_only, interrupts_put_off
+from track_range.run.interrupts import defer_interrupts, ignore_interrupts, stop_on_interrupt
 from track_range.run.prefetch import short_switch_interval
 from track_range.run.progress import frame_progress, step_progress
-from track_range.run.session import RunRecord, found_by, summary_of
+from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, absolute_settings, save_settings
 from track_range.run.throughput import FrameMeter
 from track_range.terminal_tables import tell_summary
@@ -45,7 +45,7 @@ def run(settings: RunSettings, console: Console, view: LiveView | None = None) -
         RunStoppedError: the user stopped it.
         Exception: the error of an input that cannot be used, a `UserError`.
     """
-    with first_interrupt_only():
+    with stop_on_interrupt():
         try:
             return _run(settings, console, view)
         except KeyboardInterrupt:
@@ -53,62 +53,66 @@ def run(settings: RunSettings, console: Console, view: LiveView | None = None) -
 
 
 def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path:
-    results = [settings.out_dir / name for name in RESULT_NAMES]
+    results = [settings.out_dir / name for name in result_names()]
     check_outputs([settings.table] if settings.table is not None else [], [*_input_files(settings), *results])
     curves = load_curves(settings.curves)
     began_s = time.perf_counter()
     source = open_input(settings, partial(step_progress, console))
     opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
-    opened_s -= source.calibration.alignment.look_s if source.calibration.alignment else 0.0
-    with closing(source):
-        boxes = open_box_source(settings, source.calibration.rectified_boxes, lambda word: ready_model(word, console))
-        truth = (
-            read_truth(settings.truth, source.camera, source.calibration.left_from_reference_m)
-            if settings.truth
-            else None
-        )
-        pipeline = open_pipeline(settings, source, boxes, curves)
-        meter = FrameMeter(source.inputs.live)
-        this = RunRecord(settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline, meter=meter)
-        folder = settings.out_dir
-        make_folder(folder)
-        clear_results(folder, keep=_input_files(settings))
-        told = this.notes
-        _tell_notes(console, told)
-        save_settings(settings, folder / "settings.yaml", found=found_by(this))
-        _work(this, folder, console, view)
-        this.wall_s += opened_s
-    with deaf_to_interrupts():
-        columns = read_tracks_csv(folder / "tracks.csv")
-        matched = None if truth is None else matched_truth(columns, truth)
-        summary = summary_of(this, columns, matched)
-        charted = columns if matched is None else with_truth(columns, matched)
-        _tell_notes(console, [note for note in this.notes if note not in told])
-        _tell_tables(console, summary)  # before they are written: a full disk may be why the run ended
-        _keep(this, summary, charted, folder)
-    _tell_files(console, this, folder)
-    if isinstance(this.stopped_by, KeyboardInterrupt):
+    calibration = source.calibration
+    opened_s -= calibration.alignment.look_s if calibration.alignment else 0.0
+    with ExitStack() as outputs:
+        with closing(source):
+            boxes = open_box_source(settings, calibration.rectified_boxes, lambda word: ready_model(word, console))
+            truth = read_truth(settings.truth, source.camera, calibration.left_from_reference_m) if settings.truth else None
+            pipeline = open_pipeline(settings, source, boxes, curves)
+            meter = FrameMeter(source.inputs.live)
+            session = RunSession(
+                settings=settings, boxes=boxes, source=source, truth=truth, pipeline=pipeline, meter=meter
+            )
+            outputs.enter_context(session.table)
+            folder = settings.out_dir
+            make_folder(folder)
+            clear_results(folder, result_names(), keep=_input_files(settings))
+            printed_notes = session.notes
+            _print_notes(console, printed_notes)
+            save_settings(settings, folder / "settings.yaml", found=session.found())
+            writers = outputs.enter_context(OpenWriters(settings.write, session.info, folder))
+            _process_frames(session, writers, folder, console, view)
+            session.wall_s += opened_s
+        with ignore_interrupts():
+            columns = session.table.to_columns()
+            matched = None if truth is None else matched_truth(columns, truth)
+            summary = session.summary(columns, matched)
+            _print_notes(console, [note for note in session.notes if note not in printed_notes])
+            _print_tables(console, summary)  # before they are written: a full disk may be why the run ended
+            try:
+                _write_outputs(session, summary, columns if matched is None else with_truth(columns, matched), folder)
+            finally:
+                writers.close(summary)
+    _print_files(console, session, writers.files, folder)
+    if isinstance(session.stopped_by, KeyboardInterrupt):
         raise RunStoppedError("stopped by the user; what was finished is kept.")
-    if this.stopped_by is not None:
-        raise this.stopped_by
+    if session.stopped_by is not None:
+        raise session.stopped_by
     return folder
 
 
-def _tell_tables(console: Console, summary: dict[str, Any]) -> None:
-    with _nobody_may_listen():
+def _print_tables(console: Console, summary: dict[str, Any]) -> None:
+    with _ignore_broken_pipe():
         tell_summary(console, summary)
 
 
-def _tell_files(console: Console, this: RunRecord, folder: Path) -> None:
-    videos = "".join(f"{name}.mp4, " for name in pictures(this.settings, this.source))
-    names = f"{videos}report.html, tracks.csv, mot.txt, summary.json, settings.yaml"
-    with _nobody_may_listen():
+def _print_files(console: Console, session: RunSession, files: Sequence[str], folder: Path) -> None:
+    videos = [f"{name}.mp4" for name in pictures(session.settings, session.source)]
+    names = ", ".join([*videos, "report.html", *files, "summary.json", "settings.yaml"])
+    with _ignore_broken_pipe():
         console.print(f"Results in {folder}: {names}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager
-def _nobody_may_listen() -> Iterator[None]:
-    """A closed pipe, a full disk or a terminal without sigma ends the telling, not the run."""
+def _ignore_broken_pipe() -> Iterator[None]:
+    """A closed pipe, a full disk or a terminal without the character sigma ends the printing, not the run."""
     with suppress(OSError, UnicodeError, SystemExit):  # SystemExit is what Rich makes of a closed pipe
         yield
 
@@ -127,55 +131,56 @@ def _input_files(settings: RunSettings) -> list[Path]:
     return [*(path for path in named if path is not None), *(Path(word) for word in words if word is not None)]
 
 
-def _work(this: RunRecord, folder: Path, console: Console, view: LiveView | None) -> None:
+def _process_frames(
+    session: RunSession, writers: OpenWriters, folder: Path, console: Console, view: LiveView | None
+) -> None:
     """Run every frame through the pipeline and write it."""
     began_s = time.perf_counter()
-    clock = this.pipeline.clock
+    settings, source, clock = session.settings, session.source, session.pipeline.clock
+    captions = session.meter.captions
     try:
         with ExitStack() as stack:
             stack.enter_context(short_switch_interval())
-            rows = stack.enter_context(ResultRows(folder))
             videos = [
                 stack.enter_context(
-                    ResultVideo(
-                        folder / f"{name}.mp4", draw, form=video_format(name, this.settings, this.source), clock=clock
-                    )
+                    ResultVideo(folder / f"{name}.mp4", draw, form=video_format(name, settings, source), clock=clock)
                 )
-                for name, draw in pictures(this.settings, this.source, this.meter.words).items()
+                for name, draw in pictures(settings, source, captions).items()
             ]
             if view is not None:
-                _tell_notes(console, [view.begin(overlay_picture(this.settings, this.source, this.meter.words))])
-            results = this.pipeline.run(this.source.frames)
+                _print_notes(console, [view.begin(overlay_picture(settings, source, captions))])
+            results = session.pipeline.run(source.frames)
             stack.callback(results.close)
-            advance = stack.enter_context(frame_progress(console, this.source.n_frames))
-            for result in this.meter.watched(results):
+            advance = stack.enter_context(frame_progress(console, source.n_frames))
+            for result in results:
+                session.meter.add(result)
                 if view is not None:
                     view.offer(result)
-                with interrupts_put_off():
+                with defer_interrupts():
                     with clock.stage("write"):
-                        rows.write(result)
+                        writers.write(result)
                     for video in videos:
                         video.write(result)
-                    this.count(result)
+                    session.add(result)
                 advance()
     except (KeyboardInterrupt, Exception) as error:
-        if not this.frame_index:
+        if not session.frame_index:
             raise
-        this.stopped_by = error
-    this.wall_s = time.perf_counter() - began_s
-    clock.busy_s["read"] = this.source.inputs.busy_s
+        session.stopped_by = error
+    session.wall_s = time.perf_counter() - began_s
+    clock.busy_s["read"] = source.inputs.busy_s
 
 
-def _keep(this: RunRecord, summary: dict[str, Any], columns: dict[str, npt.NDArray[Any]], folder: Path) -> None:
-    """Write summary.json and report.html."""
+def _write_outputs(session: RunSession, summary: dict[str, Any], columns: Columns, folder: Path) -> None:
+    """Write summary.json, report.html and the tables in Markdown."""
     write_summary(folder / "summary.json", summary)
-    if this.settings.table is not None:
-        write_text(this.settings.table, markdown(summary))
-    settings = {key: value for key, value in absolute_settings(this.settings).items() if value not in ([], {})}
+    if session.settings.table is not None:
+        write_text(session.settings.table, markdown(summary))
+    settings = {key: value for key, value in absolute_settings(session.settings).items() if value not in ([], {})}
     write_report(folder / "report.html", {**summary, "settings": settings}, columns)
 
 
-def _tell_notes(console: Console, notes: Sequence[str]) -> None:
-    with _nobody_may_listen():
+def _print_notes(console: Console, notes: Sequence[str]) -> None:
+    with _ignore_broken_pipe():
         for note in notes:
             console.print(f"- {note}", style="dim", highlight=False, markup=False)

@@ -31,7 +31,7 @@ from track_range.detection.training.train import Training, prepare_torch
 from track_range.report.detection_tables import class_grid
 from track_range.report.figures import training_chart
 from track_range.results.output_files import OutputError, make_folder
-from track_range.run.interrupts import termination_as_interrupt
+from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.progress import say
 from track_range.terminal_tables import tell_grid
 
@@ -101,7 +101,7 @@ def train(options: TrainOptions, console: Console) -> None:
     teacher = _teacher(options, data, settings, console)
     make_folder(options.out)
     curves = options.out / CURVES
-    with locked(options.out), termination_as_interrupt():
+    with locked(options.out), stop_on_interrupt():
         try:
             training = _prepared(options, settings, data, teacher, console)
             with _Display(console, settings.n_epochs, lambda: training_chart(training.history, curves)) as display:

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.special import erfinv
 
 from track_range.foundation.arrays import FloatArray
-from track_range.report.series import Columns, column, methods_measured, thinned
+from track_range.report.series import column, thinned
 from track_range.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
+from track_range.results.columns import Columns, methods_measured
 
 SCATTER_POINTS = 1500
 """Points of one method in the chart of errors; more would hide each other."""
@@ -54,7 +55,7 @@ def _errors_pct(columns: Columns, method: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _scored_truth_m(columns: Columns) -> FloatArray:
-    """The truth that the tables' errors are of, where the columns tell it apart (`report_truth`)."""
+    """The truth that the tables' errors are of, where the columns tell it apart (`results.truth`)."""
     return column(columns, "scored_truth_m" if "scored_truth_m" in columns else "truth_m")
 
 

@@ -25,7 +25,8 @@ from track_range.report.comparison import ComparedRun, comparison_grids, compari
 from track_range.report.errors import calibration_curves, error_curves
 from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
 from track_range.report.sentences import cards, geometry_words, run_name, settings_groups, sigma_words
-from track_range.report.series import Columns, methods_measured, track_records
+from track_range.report.series import track_records
+from track_range.results.columns import Columns, methods_measured
 from track_range.results.output_files import write_text
 
 _NEVER_SHOWN_FIRST = "_kf"
@@ -38,7 +39,7 @@ def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> No
     Args:
         path: the file to write, usually report.html beside overlay.mp4.
         summary: what summary.json holds.
-        columns: tracks.csv by column, NaN = empty, with the truth (`report_truth`) where there is one; zero rows when
+        columns: tracks.csv by column, NaN = empty, with the truth (`results.truth`) where there is one; zero rows when
             nothing was tracked.
 
     Raises:

@@ -8,16 +8,13 @@ track only when its chart comes into view. Where all tracks together have too ma
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-
-Columns = Mapping[str, npt.NDArray[Any]]
-"""tracks.csv by column: one row per track and frame, NaN = empty; a column may be missing."""
+from track_range.results.columns import Columns, methods_measured
 
 LINE_POINTS = 1200
 """A longer line is thinned to at most as many: a page shows about one per pixel."""
@@ -26,14 +23,6 @@ MOST_CELLS = 1_800_000
 """Numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
 
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS = 1000.0, 100.0, 10.0
-
-_NOT_METHODS = ("truth", "scored_truth", "x", "y")
-
-
-def methods_measured(columns: Columns) -> list[str]:
-    """Names of the methods that have at least one distance, in the columns' order."""
-    named = [name.removesuffix("_m") for name in columns if name.endswith("_m") and not name.endswith("_sigma_m")]
-    return [name for name in named if name not in _NOT_METHODS and bool(np.isfinite(columns[f"{name}_m"]).any())]
 
 
 def column(columns: Columns, name: str, rows: BoolArray | IntArray | slice = slice(None)) -> FloatArray:

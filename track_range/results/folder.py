@@ -7,6 +7,7 @@ metrics of tracking are then computed anew, as far as the labels that it was mea
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,18 +17,25 @@ import numpy as np
 import yaml
 
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.foundation.arrays import BoolArray
 from track_range.ranging.evaluation.truth import Truth, read_truth
-from track_range.report.series import Columns, methods_measured
-from track_range.report.truth import with_truth
+from track_range.results.columns import Columns, column_names, methods_measured, no_rows
+from track_range.results.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
-from track_range.results.rows import no_rows, read_run_rows
-from track_range.results.summary import MatchedTruth, matched_truth, range_scores, track_scores
+from track_range.results.summary import range_scores, track_scores
 from track_range.results.summary_shape import fitting_summary
+from track_range.results.truth import MatchedTruth, matched_truth, with_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.rig_formats.reading import left_from_reference_m
 
 Sections = Mapping[str, Any]
+
+_NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
+"""Columns without which nothing can be told; an earlier version's file may lack others."""
+
+_LARGEST = 2.0**53
+"""Up to here every whole number is a float of its own."""
 
 _MOST_NAMED = 5
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
@@ -178,3 +186,44 @@ def _with_what_is_there(folder: Path, summary: Sections, settings: Sections, mis
             f"{', '.join(misfits[:_MOST_NAMED])}{more}."
         )
     return {**fitting, "notes": [*missing, *(fitting.get("notes") or [])]}
+
+
+def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
+    """A tracks.csv by column; rows that no run writes are left out, and counted in a sentence added to `missing`.
+
+    Raises:
+        OutputError: the file cannot be read, or is not a tracks.csv.
+    """
+    columns = read_tracks_csv(path)
+    if not columns.keys() >= _NEEDED_COLUMNS:
+        raise OutputError(f"{path}: not a tracks.csv (no {', '.join(sorted(_NEEDED_COLUMNS - columns.keys()))}).")
+    whole = whole_rows(columns)
+    n_broken = int(np.sum(~whole))
+    if n_broken:
+        missing.append(f"{n_broken} of {len(whole)} rows of tracks.csv are damaged and left out.")
+    if _ends_within_a_row(path):
+        missing.append("tracks.csv ends in the middle of a row: what should come after it is not shown.")
+    n_rows = int(np.sum(whole))
+    # A column that an earlier version did not write is empty; but sigmas, without which a method cannot be judged.
+    unknown = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
+    return unknown | {name: values[whole] for name, values in columns.items()}
+
+
+def _ends_within_a_row(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)  # it has a header at least
+        return file.read() != b"\n"
+
+
+def whole_rows(columns: Columns) -> BoolArray:
+    """(N,) rows with a frame, a time, an identity that the frame has but once, and a box."""
+    frame, track_id = columns["frame"], columns["track_id"]
+    edges = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
+    whole: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
+    for number, least in ((frame, 0), (track_id, 1)):
+        whole &= (number >= least) & (number <= _LARGEST) & (number == np.floor(number))
+    rows = np.flatnonzero(whole)
+    _, first = np.unique(np.stack([frame, track_id], axis=1)[rows], axis=0, return_index=True)
+    is_first = np.zeros(len(frame), np.bool_)
+    is_first[rows[first]] = True
+    return is_first

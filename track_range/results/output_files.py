@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that a user asked for: written whole or not at all, with errors as one sentence; checks before the work."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class OutputError(UserError):
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8.
+    """Write a text file atomically, in UTF-8 (see `foundation.atomic_files`).
 
     Raises:
         OutputError: it cannot be written.
@@ -24,7 +24,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file atomically.
+    """Write a binary file atomically (see `foundation.atomic_files`).
 
     Raises:
         OutputError: it cannot be written.
@@ -67,25 +67,26 @@ def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
         make_folder(file.parent)
 
 
-RESULT_NAMES = (
-    *("tracks.csv", "mot.txt", "summary.json", "settings.yaml", "overlay.mp4", "disparity.mp4", "report.html"),
-)
-"""The files of a run."""
+def clear_results(folder: Path, names: Sequence[str], *, keep: Iterable[Path]) -> None:
+    """Remove the files of an earlier run, so that all files in the folder are of one run; folders are left.
 
-
-def clear_results(folder: Path, *, keep: Iterable[Path]) -> None:
-    """Remove an earlier run's files, so that what is found later is all of one run.
+    Args:
+        folder: of the results.
+        names: of the files to remove.
+        keep: inputs of this run.
 
     Raises:
-        OutputError: one of them is among the inputs in `keep`, or cannot be removed.
+        OutputError: one of the files is an input, or cannot be removed.
     """
     inputs = {path.resolve() for path in keep}
-    for name in RESULT_NAMES:
+    for name in names:
         file = folder / name
         if file.resolve() in inputs:
             raise OutputError(f"{file} is an input of this run and would be overwritten: choose another --out folder.")
     try:
-        for name in RESULT_NAMES:
-            (folder / name).unlink(missing_ok=True)
+        for name in names:
+            if not (folder / name).is_dir():
+                (folder / name).unlink(missing_ok=True)
     except OSError as error:
-        raise OutputError(f"{folder}: an earlier run's files cannot be removed ({describe(error)}).") from error
+        reason = describe(error)
+        raise OutputError(f"{folder}: an earlier run's files cannot be removed ({reason}).") from error

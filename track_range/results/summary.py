@@ -6,13 +6,12 @@ Figures without `_pct` are fractions 0..1, except the MOT metrics, which are per
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
 from track_range.foundation.arrays import IntArray
@@ -20,47 +19,23 @@ from track_range.ranging.evaluation.errors import (
     BANDS_M,
     MethodColumn,
     coverage_only,
-    match_truth,
     score_closing,
     score_methods,
 )
 from track_range.ranging.evaluation.truth import Truth
-from track_range.results.csv_file import FILTERED_METHODS, MEASURED_METHODS
+from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.output_files import write_text
+from track_range.results.truth import MatchedTruth, boxes_px
 from track_range.tracking.benchmark_rules import MIN_HEIGHT_PX
 from track_range.tracking.evaluation import evaluate_tracks
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
-Columns = Mapping[str, npt.NDArray[Any]]
 
-
-@dataclass(frozen=True, slots=True)
-class MatchedTruth:
-    """The truth of each of N track-frames.
-
-    Attributes:
-        truth: the labels.
-        row: (N,) row of `truth` that matches; -1 = none.
-        distance_m: (N,) its true distance; NaN = none.
-    """
-
-    truth: Truth
-    row: IntArray
-    distance_m: npt.NDArray[np.float64]
-
-
-def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
-    """The rows of a run matched to the truth; once per run, for tables and charts."""
-    row = match_truth(columns["frame"].astype(np.int64), _boxes(columns), truth)
-    distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
-    return MatchedTruth(truth, row, distance_m)
-
-
-def range_scores(columns: Columns, matched: MatchedTruth | None, methods: tuple[str, ...]) -> dict[str, Any]:
+def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
     """The `methods` and `common` sections for the methods that ran; `closing` where the truth knows speeds."""
     by_name = {
         name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
-        for name in (*MEASURED_METHODS, *FILTERED_METHODS)
+        for name in methods_with_sigma()
         if name in methods
     }
     if matched is None:
@@ -109,7 +84,7 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
 
 def _tracked(columns: Columns, class_id: IntArray) -> TrackedBoxes:
     return TrackedBoxes(
-        columns["frame"].astype(np.int64), columns["track_id"].astype(np.int64), _boxes(columns), class_id
+        columns["frame"].astype(np.int64), columns["track_id"].astype(np.int64), boxes_px(columns), class_id
     )
 
 
@@ -130,7 +105,3 @@ def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, floa
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
     """Write summary.json, whole or not at all; NaN is not JSON and may not be in it."""
     write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-
-
-def _boxes(columns: Columns) -> npt.NDArray[np.float64]:
-    return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)

@@ -1,84 +1,78 @@
-"""Ctrl-C and polite kills while a run has something to lose."""
+"""Ctrl-C and SIGTERM while files are being written.
+
+with stop_on_interrupt():               the first signal raises KeyboardInterrupt, later ones are ignored
+    for frame in frames:
+        with defer_interrupts():        a signal waits for the end of the block
+            write rows, pictures, counts
+    with ignore_interrupts():           write the summary
+
+Python runs signal handlers in the main thread only; in other threads these blocks do nothing.
+"""
 
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
-
-_BOTH = (signal.SIGINT, signal.SIGTERM)
 
 _Handler = Callable[[int, FrameType | None], None] | signal.Handlers
 
 
 @contextmanager
-def termination_as_interrupt() -> Iterator[None]:
-    """While inside, a polite kill (SIGTERM) ends the run as Ctrl-C does: files are closed first."""
-
-    def interrupt(number: int, at: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    with _handled((signal.SIGTERM,), interrupt):
-        yield
-
-
-@contextmanager
-def first_interrupt_only() -> Iterator[None]:
+def stop_on_interrupt() -> Iterator[None]:
     """While inside, the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored.
 
-    What the first one lets end in order (threads, videos, the summary), an impatient second one would tear apart.
+    The first one lets threads, videos and the summary end in order, which a second one would cut short.
     """
-    heeded = _heeded()
+    handled = _signals_heeded()
 
-    def interrupt(number: int, at: FrameType | None) -> None:
-        for each in heeded:
-            signal.signal(each, signal.SIG_IGN)
+    def stop(number: int, at: FrameType | None) -> None:
+        for signal_number in handled:
+            signal.signal(signal_number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    with _handled(heeded, interrupt):
+    with _handled_signals(handled, stop):
         yield
 
 
 @contextmanager
-def interrupts_put_off() -> Iterator[None]:
-    """While inside, Ctrl-C and SIGTERM wait: what belongs together (a frame's rows, pictures and count) is done first.
+def defer_interrupts() -> Iterator[None]:
+    """While inside, Ctrl-C and SIGTERM wait, so that what belongs together is finished.
 
     Raises:
-        KeyboardInterrupt: one came; raised at the end.
+        KeyboardInterrupt: at the end of the block, if there was one.
     """
-    came: list[int] = []
-
-    def note(number: int, at: FrameType | None) -> None:
-        came.append(number)
-
-    with _handled(_heeded(), note):
+    received: list[int] = []
+    with _handled_signals(_signals_heeded(), lambda number, at: received.append(number)):
         yield
-    if came:
-        handler = signal.getsignal(came[0])
+    if received:
+        handler = signal.getsignal(received[0])
         if callable(handler):
-            handler(came[0], None)  # so that it knows
+            handler(received[0], None)  # `stop_on_interrupt` then ignores later ones
         raise KeyboardInterrupt
 
 
+def ignore_interrupts() -> AbstractContextManager[None]:
+    """While inside, Ctrl-C and SIGTERM are ignored."""
+    return _handled_signals((signal.SIGINT, signal.SIGTERM), signal.SIG_IGN)
+
+
+def _signals_heeded() -> list[signal.Signals]:
+    """SIGINT and SIGTERM, as far as they are not ignored already, as in the background of a shell or under nohup."""
+    return [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
+
+
 @contextmanager
-def deaf_to_interrupts() -> Iterator[None]:
-    """While inside, Ctrl-C and SIGTERM are ignored: the summary and the report take a second, and are worth it."""
-    with _handled(_BOTH, signal.SIG_IGN):
+def _handled_signals(numbers: Iterable[signal.Signals], handler: _Handler) -> Iterator[None]:
+    """While inside, these signals have this handler; afterwards the previous one."""
+    if threading.current_thread() is not threading.main_thread():
         yield
-
-
-def _heeded() -> list[signal.Signals]:
-    """Those that are not ignored already, as in the background of a shell or under nohup."""
-    return [number for number in _BOTH if signal.getsignal(number) != signal.SIG_IGN]
-
-
-@contextmanager
-def _handled(numbers: Iterable[signal.Signals], handler: _Handler) -> Iterator[None]:
-    """While inside, these signals have this handler; then again the one that they had."""
-    before = {number: signal.signal(number, handler) for number in numbers}
+        return
+    previous = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, earlier in before.items():
+        for number, earlier in previous.items():
             signal.signal(number, earlier)

@@ -22,6 +22,7 @@ from pydantic import (
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.results.output_files import write_text
+from track_range.results.writers import DEFAULT_WRITERS, writer_names
 from track_range.stereo.matching.sgbm import SgbmSettings
 from track_range.tracking.registry import TrackerError, find_tracker
 from track_range.video.live.address import LiveAddress, live_address
@@ -80,6 +81,8 @@ class RunSettings(BaseModel):
     """A Markdown file for the tables."""
     out: Path | None = None
     """Folder of the results; None = named after the left video."""
+    write: tuple[str, ...] = DEFAULT_WRITERS
+    """Formats of the results (`track_range.results.writers`); summary.json and settings.yaml are always written."""
     classes: tuple[str, ...] = ()
     """Road classes wanted; empty = all."""
     start_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
@@ -141,6 +144,15 @@ class RunSettings(BaseModel):
     def _off_is_a_word(cls, given: Any) -> Any:
         """YAML takes a bare `off` for false."""
         return "off" if given is False else given
+
+    @field_validator("write", mode="before")
+    @classmethod
+    def _known_writers(cls, given: Any) -> Any:
+        names = tuple(name.strip() for name in given.split(",")) if isinstance(given, str) else given
+        known = writer_names()
+        if unknown := [str(name) for name in names if name not in known]:
+            raise ValueError(f"unknown format {', '.join(unknown)}: expected {', '.join(known)}")
+        return tuple(dict.fromkeys(names))
 
     @field_validator("sgbm_options")
     @classmethod

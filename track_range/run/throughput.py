@@ -1,37 +1,38 @@
-"""FrameMeter: how fast a run goes, and of a live one how late its results are and how many frames it left out."""
+"""FrameMeter: results per second of a run; of a live run also its latency and the frames it dropped."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from track_range.run.frame_result import FrameResult
 
-_OVER_S = 2.0  # the rate is that of so much time
+_WINDOW_S = 2.0
+"""The rate is that of the results in the last two seconds."""
 
 
 class LiveOrigin(Protocol):
-    """Whatever reads a camera."""
+    """A reader of a camera."""
 
     @property
     def first_time_s(self) -> float:
-        """When, by the meter's clock, the run's time began."""
+        """Time of the first frame by the meter's clock; frame times count from it."""
         ...
 
 
 class FrameMeter:
-    """Watches the results of one run.
+    """Rate and latency of the results of one run.
 
     Args:
-        live: the left eye of a run that reads a camera; None = it reads files.
-        now_s: the clock, the same as the camera's times.
+        live: reader of the left camera; None = the run reads files.
+        now_s: the clock, the same as that of the camera's times.
 
     Attributes:
-        latency_s: from the camera to the result, of each frame of a live run.
+        latency_s: seconds from the camera's image to the result, of each frame of a live run.
     """
 
     def __init__(self, live: LiveOrigin | None = None, *, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -40,45 +41,39 @@ class FrameMeter:
         self.latency_s: list[float] = []
         self._n_frames, self._first_index, self._last_index = 0, 0, 0
 
-    def watched(self, results: Iterable[FrameResult]) -> Generator[FrameResult, None, None]:
-        """The same results."""
-        for result in results:
-            self.see(result)
-            yield result
-
-    def see(self, result: FrameResult) -> None:
-        """One more result."""
+    def add(self, result: FrameResult) -> None:
+        """Count a result, at the time at which it is ready."""
         now_s = self._now_s()
         self._stamps_s.append(now_s)
-        while self._stamps_s[0] < now_s - _OVER_S:
+        while self._stamps_s[0] < now_s - _WINDOW_S:
             self._stamps_s.popleft()
-        self._first_index = self._first_index if self._n_frames else result.frame.index
-        self._n_frames, self._last_index = self._n_frames + 1, result.frame.index
+        self._first_index = self._first_index if self._n_frames else result.index
+        self._n_frames, self._last_index = self._n_frames + 1, result.index
         if self._live is not None:
-            self.latency_s.append(now_s - self._live.first_time_s - result.frame.time_s)
+            self.latency_s.append(now_s - self._live.first_time_s - result.time_s)
 
     @property
     def rate_hz(self) -> float:
-        """Results per second over the last two; NaN = not known yet."""
+        """Results per second; NaN = unknown yet."""
         span_s = self._stamps_s[-1] - self._stamps_s[0] if self._stamps_s else 0.0
         return (len(self._stamps_s) - 1) / span_s if span_s > 0 else float("nan")
 
     @property
-    def n_left_out(self) -> int:
-        """Frames between the first and the last one that the run did not see."""
+    def n_dropped(self) -> int:
+        """Frames between the first and the last one that the run did not process."""
         return self._last_index - self._first_index + 1 - self._n_frames if self._n_frames else 0
 
-    def words(self) -> tuple[str, ...]:
-        """For the corner of a picture."""
+    def captions(self) -> tuple[str, ...]:
+        """Short texts for the corner of a picture."""
         rate = () if np.isnan(self.rate_hz) else (f"{self.rate_hz:.1f} fps",)
         if not self.latency_s:
             return rate
-        left_out = (f"{self.n_left_out} dropped",) if self.n_left_out else ()
-        return (*rate, f"{1000 * self.latency_s[-1]:.0f} ms behind", *left_out)
+        dropped = (f"{self.n_dropped} dropped",) if self.n_dropped else ()
+        return (*rate, f"{1000 * self.latency_s[-1]:.0f} ms behind", *dropped)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know of a live run, once it is over."""
+        """Sentences for the user after a live run."""
         if not self.latency_s:
             return ()
         median_ms, longest_ms = 1000 * np.median(self.latency_s), 1000 * max(self.latency_s)

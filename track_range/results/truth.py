@@ -1,0 +1,51 @@
+"""The ground truth of a run's rows, matched once for the summary, the tables and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.ranging.evaluation.errors import BANDS_M, match_truth
+from track_range.ranging.evaluation.truth import Truth
+from track_range.results.columns import Columns
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedTruth:
+    """The truth of each of N rows (a track in a frame).
+
+    Attributes:
+        truth: the labels.
+        row: (N,) row of `truth` that matches; -1 = none.
+        distance_m: (N,) its true distance; NaN = none.
+    """
+
+    truth: Truth
+    row: IntArray
+    distance_m: FloatArray
+
+
+def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
+    """The rows of a run matched to the truth."""
+    row = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
+    distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
+    return MatchedTruth(truth, row, distance_m)
+
+
+def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
+    """The columns with `truth_m` of each row, and `scored_truth_m`, without vans, trams and what is too near or far.
+
+    NaN = no label matches the row, or it is not scored.
+    """
+    truth, row, truth_m = matched.truth, matched.row, matched.distance_m
+    is_road_class = (row >= 0) & (truth.class_id[row] >= 0) if len(truth) else np.zeros(len(row), np.bool_)
+    scored = is_road_class & (truth_m >= BANDS_M[0]) & (truth_m <= BANDS_M[-1])
+    return {**columns, "truth_m": truth_m, "scored_truth_m": np.where(scored, truth_m, np.nan)}
+
+
+def boxes_px(columns: Columns) -> FloatArray:
+    """(N, 4) boxes x1, y1, x2, y2."""
+    return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
