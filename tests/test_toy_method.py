@@ -45,6 +45,10 @@ def assert_is_everywhere(out, printed):
     assert summary["stages_ms"]["toy"] > 0
     assert summary["toy_boxes"] == 8
     assert "toy: 8 boxes." in summary["notes"]
+    assert {"toy", "toy_kf"} <= set(summary["methods"])
+    header, first = (out / "tracks.csv").read_text().splitlines()[:2]
+    assert header.endswith(",toy_m,toy_sigma_m,toy_kf_m,toy_kf_sigma_m")
+    assert float(dict(zip(header.split(","), first.split(","), strict=True))["toy_m"]) > 0
     assert "toy" in printed
     assert "toy" in (out / "report.html").read_text()
 

@@ -64,7 +64,9 @@ def _run(settings: RunSettings, console: Console, view: LiveView | None) -> Path
     with ExitStack() as outputs:
         with closing(source):
             boxes = open_box_source(settings, calibration.rectified_boxes, lambda word: ready_model(word, console))
-            truth = read_truth(settings.truth, source.camera, calibration.left_from_reference_m) if settings.truth else None
+            truth = (
+                read_truth(settings.truth, source.camera, calibration.left_from_reference_m) if settings.truth else None
+            )
             pipeline = open_pipeline(settings, source, boxes, curves)
             meter = FrameMeter(source.inputs.live)
             session = RunSession(
