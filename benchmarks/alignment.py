@@ -1,7 +1,7 @@
 """Alignment from a drive alone: simulated pairs with a known error of disparity, and what a run would find of it.
 
 Each seed is a drive of its own: scenarios and errors in turn. The look is that of a run (`find_alignment`): three
-stretches of 16 frames at most, of undisturbed pictures. `at the axis` compares the offset with its sigma; `in the
+segments of 16 frames at most, of undisturbed pictures. `at the axis` compares the offset with its sigma; `in the
 image` is the error that the correction leaves, root mean square across the image's width, against the residual that is
 added to every sigma of stereo. Both sigmas are claims that the truth judges: 68 % within one, 95 % within two.
 """

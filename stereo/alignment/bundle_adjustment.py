@@ -1,13 +1,14 @@
-"""A bundle over a stretch of a drive: poses, points and the disparity error of the rig, all free, from tracked points.
+"""Bundle adjustment of a segment of a drive: poses, points and the disparity error of the rig from tracked points.
 
     point on frame 0's ray (a, b, 1), inverse depth r:    q = R (a, b, 1) + r t         R, t = frame f from frame 0
-    left eye   x = f q_x / q_z + cx,  y = f q_y / q_z + cy
-    right eye  x - f B r / q_z + offset + bow u^2         u = the left column from the axis, see `stereo.alignment`
+    left image   x = f q_x / q_z + cx,  y = f q_y / q_z + cy
+    right image  x - f B r / q_z + offset + bow u^2       u = column from the axis, see `stereo.alignment.model`
 
-Motion alone gives depths up to scale, disparity alone up to the error; where near and far points are seen from several
-places, the error is the intercept of one against the other. Points held fixed at their triangulated places would carry
-their noise into it as a bias, so points are unknowns too. Gauss-Newton with the points eliminated (Triggs et al. 2000,
-"Bundle adjustment: a modern synthesis", section 6) with Cauchy weights, under which moving objects and bad tracks lose.
+Motion alone gives depths up to scale, disparity alone up to the error; where near and far points are observed from
+several positions, the error is the intercept of one against the other. Points fixed at their triangulated positions
+would bias it by their noise, so points are unknowns too. Levenberg-Marquardt with the points eliminated by the Schur
+complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6), and Cauchy weights, which suppress
+moving objects and bad tracks.
 """
 
 from __future__ import annotations
@@ -23,29 +24,35 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.geometry.rig import StereoRig
 
 N_ERRORS = 2
-"""Offset and bow."""
+"""Number of disparity errors: offset and bow."""
 
 _MAX_STEPS = 25
+"""Steps of Levenberg-Marquardt at most."""
+
 _MAX_DAMPING = 1e6
-_ENOUGH = 1e-5
-"""Relative gain of cost below which further steps change nothing that matters."""
+"""Damping, relative to the diagonal, at which no step is found to lower the cost."""
+
+_MIN_RELATIVE_GAIN = 1e-5
+"""Decrease of the cost, relative to the cost, below which the iteration has converged."""
 
 _CAUCHY_SIGMAS = 2.0
+"""Scale of the Cauchy loss: length of a residual, in standard deviations, that has half the weight."""
+
 _NOISE_PX = (0.05, 1.0)
-"""Plausible noise of a tracked point: within it, it is taken from the residuals."""
+"""Smallest and largest standard deviation of a tracked point; within them it is estimated from the residuals."""
 
 _MEDIAN_NORM = 1.538
 """Median length of a vector of three standard normal numbers."""
 
 _POSE_RIDGE = 1e-6
-"""Nothing beside what the points say of a pose (1e5 per m^2, 1e8 per rad^2); keeps a frame without points solvable."""
+"""Ridge on poses; negligible beside the information of points (1e5 per m^2, 1e8 per rad^2), for frames without any."""
 
 _ERROR_PRIOR_PX = 5.0
-"""Standard deviation of an error before anything is seen: wide, it only keeps the equations solvable."""
+"""Prior standard deviation of offset and bow: wide, it only keeps the equations solvable."""
 
 
-class Sightings(NamedTuple):
-    """Points as both eyes saw them, one row per point and frame, no pair twice.
+class Observations(NamedTuple):
+    """Tracked points in both images, one row per point and frame, no pair twice.
 
     Attributes:
         frame: (N,) from 0.
@@ -60,7 +67,7 @@ class Sightings(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """Unknowns of a stretch of F frames and P points.
+    """Unknowns of a segment of F frames and P points.
 
     Attributes:
         rotation: (F, 3, 3), frame from frame 0.
@@ -76,13 +83,13 @@ class Bundle:
 
     @property
     def path_m(self) -> float:
-        """Distance between the first place of the left eye and the one farthest from it."""
+        """Distance between the first position of the left camera and the one farthest from it."""
         places = np.einsum("fji,fj->fi", self.rotation, self.translation_m)
         return float(np.linalg.norm(places - places[0], axis=1).max())
 
 
 class Fit(NamedTuple):
-    """A bundle at its best, the noise of its points, and the (N,) weight, 0..1, of each sighting."""
+    """A bundle at its best, the noise of its points, and the (N,) weight, 0..1, of each observation."""
 
     bundle: Bundle
     noise_px: float
@@ -90,7 +97,14 @@ class Fit(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """Residuals (N, 3) in px, and expected's derivatives by pose (N, 3, 6), point (N, 3, 3) and errors (N, 3, E)."""
+    """Residuals and Jacobians of N observations.
+
+    Attributes:
+        residual: (N, 3) observed less predicted, px: x and y in the left image, x in the right one.
+        by_pose: (N, 3, 6) derivatives of the prediction by rotation vector and translation of the frame.
+        by_point: (N, 3, 3) by a, b and r of the point.
+        by_error: (N, 3, E) by the disparity errors.
+    """
 
     residual: FloatArray
     by_pose: FloatArray
@@ -99,44 +113,59 @@ class Linear(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Normal equations with the points eliminated: poses of all frames but the first, then the errors.
+    """Normal equations S x = b with the points eliminated: x = poses of all frames but the first, then the errors.
 
-    Those of disjoint sets of points add up.
+    Equations of disjoint sets of points add up.
+
+    Attributes:
+        s: (C, C) Schur complement.
+        b: (C,) right side.
+        n_pose_unknowns: number of pose unknowns, which come first.
     """
 
-    matrix: FloatArray
-    rhs: FloatArray
+    s: FloatArray
+    b: FloatArray
     n_pose_unknowns: int
 
     def of_errors(self) -> tuple[FloatArray, FloatArray]:
-        """(E, E) information on the errors and (E,) right side, with the poses eliminated too."""
+        """(E, E) information on the errors and (E,) right side, with the poses p eliminated too.
+
+        I = S_ee - S_ep S_pp^-1 S_pe,  i = b_e - S_ep S_pp^-1 b_p
+        """
         n = self.n_pose_unknowns
-        across = self.matrix[n:, :n]
-        poses = self.matrix[:n, :n] + _POSE_RIDGE * np.eye(n)
-        solved = np.linalg.solve(poses, np.column_stack([across.T, self.rhs[:n]]))
-        return self.matrix[n:, n:] - across @ solved[:, :-1], self.rhs[n:] - across @ solved[:, -1]
+        s_ep = self.s[n:, :n]
+        s_pp = self.s[:n, :n] + _POSE_RIDGE * np.eye(n)
+        solved = np.linalg.solve(s_pp, np.column_stack([s_ep.T, self.b[:n]]))
+        return self.s[n:, n:] - s_ep @ solved[:, :-1], self.b[n:] - s_ep @ solved[:, -1]
 
 
-class _Step(NamedTuple):
-    """Normal equations, and what brings the eliminated points back: V^-1 (P, 3, 3), W (3 P, C) and their right side."""
+class _Elimination(NamedTuple):
+    """Equations without the points, and what solves for the points y = V^-1 (b_y - W x) afterwards.
+
+    Attributes:
+        equations: S x = b.
+        v_inverse: (P, 3, 3) V^-1.
+        w: (3 P, C) W.
+        b_y: (3 P,) right side of the points.
+    """
 
     equations: Equations
-    point_inverse: FloatArray
-    point_across: FloatArray
-    point_rhs: FloatArray
+    v_inverse: FloatArray
+    w: FloatArray
+    b_y: FloatArray
 
 
-def fit_bundle(seen: Sightings, start: Bundle, rig: StereoRig) -> Fit:
-    """The most likely bundle, from a start within some pixels of it; `rig` is the rectified one."""
+def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> Fit:
+    """The bundle of least robust cost, from a start within a few pixels of it; `rig` is the rectified one."""
     bundle, damping = start, 1e-4
-    linear = linearised(seen, bundle, rig)
+    linear = linearize(observed, bundle, rig)
     for _ in range(_MAX_STEPS):
         noise_px = _noise_px(linear.residual)
         cost = _cost(linear.residual, noise_px)
         weight = _cauchy(linear.residual, noise_px) / noise_px**2
         while damping < _MAX_DAMPING:
-            trial = _stepped(bundle, _eliminated(seen, linear, weight, len(bundle.rotation), damping))
-            trial_linear = linearised(seen, trial, rig)
+            trial = _updated(bundle, _eliminate_points(observed, linear, weight, len(bundle.rotation), damping))
+            trial_linear = linearize(observed, trial, rig)
             trial_cost = _cost(trial_linear.residual, noise_px)
             if trial_cost <= cost:  # False for NaN too
                 break
@@ -144,21 +173,25 @@ def fit_bundle(seen: Sightings, start: Bundle, rig: StereoRig) -> Fit:
         else:
             break
         bundle, linear, damping = trial, trial_linear, max(damping / 5.0, 1e-9)
-        if cost - trial_cost < _ENOUGH * cost:
+        if cost - trial_cost < _MIN_RELATIVE_GAIN * cost:
             break
     noise_px = _noise_px(linear.residual)
     return Fit(bundle, noise_px, _cauchy(linear.residual, noise_px))
 
 
-def equations_of(seen: Sightings, linear: Linear, weight: FloatArray, *, n_frames: int) -> Equations:
-    """Normal equations of sightings with inverse variances `weight` (N,); no prior in them."""
-    return _eliminated(seen, linear, weight, n_frames, 0.0).equations
+def equations_of(observed: Observations, linear: Linear, weight: FloatArray, *, n_frames: int) -> Equations:
+    """Normal equations of observations with inverse variances `weight` (N,), without a prior."""
+    return _eliminate_points(observed, linear, weight, n_frames, 0.0).equations
 
 
-def linearised(seen: Sightings, bundle: Bundle, rig: StereoRig, *, extra: FloatArray | None = None) -> Linear:
+def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: FloatArray | None = None) -> Linear:
     """Residuals and derivatives at a bundle; `extra` (N, E) are columns of further errors of the right x."""
     camera, bf = rig.left, rig.left.fx_px * rig.baseline_m
-    turn, shift, point = bundle.rotation[seen.frame], bundle.translation_m[seen.frame], bundle.points[seen.point]
+    turn, shift, point = (
+        bundle.rotation[observed.frame],
+        bundle.translation_m[observed.frame],
+        bundle.points[observed.point],
+    )
     turned = turn[:, :, 0] * point[:, :1] + turn[:, :, 1] * point[:, 1:2] + turn[:, :, 2]
     place = turned + point[:, 2:] * shift
     inverse_z = 1.0 / place[:, 2]
@@ -183,7 +216,7 @@ def linearised(seen: Sightings, bundle: Bundle, rig: StereoRig, *, extra: FloatA
     all_columns = columns if extra is None else np.concatenate([columns, extra], axis=1)
     by_error = np.zeros((len(x), 3, all_columns.shape[1]))
     by_error[:, 2] = all_columns
-    return Linear(seen.xyx_px - expected, by_pose, by_point, by_error)
+    return Linear(observed.xyx_px - expected, by_pose, by_point, by_error)
 
 
 def error_columns(u: FloatArray) -> FloatArray:
@@ -191,28 +224,36 @@ def error_columns(u: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(u), u**2], axis=1)
 
 
-def _eliminated(seen: Sightings, linear: Linear, weight: FloatArray, n_frames: int, damping: float) -> _Step:
-    """The equations of poses and errors, and what brings the points back; the first frame's pose is held."""
-    n_points, n_poses, n_errors = int(seen.point.max()) + 1, 6 * n_frames, linear.by_error.shape[2]
-    errors = np.broadcast_to(n_poses + np.arange(n_errors), (len(seen.frame), n_errors))
-    columns = np.concatenate([6 * seen.frame[:, None] + np.arange(6), errors], axis=1)
-    by_rest = _sparse(np.concatenate([linear.by_pose, linear.by_error], axis=2), columns, n_poses + n_errors)
-    by_point = _sparse(linear.by_point, 3 * seen.point[:, None] + np.arange(3), 3 * n_points)
-    row_weight = np.repeat(weight, 3)
-    weighted_rest, weighted_point = (sparse.diags_array(row_weight) @ part for part in (by_rest, by_point))
-    residual = linear.residual.reshape(-1)
+def _eliminate_points(
+    observed: Observations, linear: Linear, weight: FloatArray, n_frames: int, damping: float
+) -> _Elimination:
+    """The Schur complement of the points in the normal equations; the first frame's pose is fixed.
 
-    matrix = (by_rest.T @ weighted_rest).toarray()[6:, 6:]
-    across = (by_point.T @ weighted_rest).toarray()[:, 6:]
-    points = np.zeros((n_points, 3, 3))
-    np.add.at(points, seen.point, np.einsum("nki,nkj->nij", linear.by_point * weight[:, None, None], linear.by_point))
-    points += (damping * np.einsum("pii->pi", points) + 1e-9)[:, :, None] * np.eye(3)
-    inverse = np.asarray(np.linalg.inv(points), np.float64)
-    solved = (inverse @ across.reshape(n_points, 3, -1)).reshape(across.shape)
-    point_rhs = weighted_point.T @ residual
-    reduced = matrix + damping * np.diag(np.diag(matrix)) - across.T @ solved
-    rhs = (weighted_rest.T @ residual)[6:] - solved.T @ point_rhs
-    return _Step(Equations(reduced, rhs, n_poses - 6), inverse, across, point_rhs)
+    [ U  W^T ] [x]   [b_x]       x: poses and errors       U = Jx^T L Jx,  W = Jy^T L Jx,  V = Jy^T L Jy
+    [ W  V   ] [y] = [b_y]       y: points                 b_x = Jx^T L r, b_y = Jy^T L r, L = diag(weight)
+
+    S = U - W^T V^-1 W,  b = b_x - W^T V^-1 b_y,  with V block diagonal (3 x 3); damping scales the diagonals
+    """
+    n_points, n_poses, n_errors = int(observed.point.max()) + 1, 6 * n_frames, linear.by_error.shape[2]
+    error_columns_of_x = np.broadcast_to(n_poses + np.arange(n_errors), (len(observed.frame), n_errors))
+    columns = np.concatenate([6 * observed.frame[:, None] + np.arange(6), error_columns_of_x], axis=1)
+    jx = _sparse(np.concatenate([linear.by_pose, linear.by_error], axis=2), columns, n_poses + n_errors)
+    jy = _sparse(linear.by_point, 3 * observed.point[:, None] + np.arange(3), 3 * n_points)
+    row_weight = np.repeat(weight, 3)
+    l_jx, l_jy = (sparse.diags_array(row_weight) @ jacobian for jacobian in (jx, jy))
+    r = linear.residual.reshape(-1)
+
+    u = (jx.T @ l_jx).toarray()[6:, 6:]
+    w = (jy.T @ l_jx).toarray()[:, 6:]
+    v = np.zeros((n_points, 3, 3))
+    np.add.at(v, observed.point, np.einsum("nki,nkj->nij", linear.by_point * weight[:, None, None], linear.by_point))
+    v += (damping * np.einsum("pii->pi", v) + 1e-9)[:, :, None] * np.eye(3)
+    v_inverse = np.asarray(np.linalg.inv(v), np.float64)
+    v_inverse_w = (v_inverse @ w.reshape(n_points, 3, -1)).reshape(w.shape)
+    b_y = l_jy.T @ r
+    s = u + damping * np.diag(np.diag(u)) - w.T @ v_inverse_w
+    b = (l_jx.T @ r)[6:] - v_inverse_w.T @ b_y
+    return _Elimination(Equations(s, b, n_poses - 6), v_inverse, w, b_y)
 
 
 def _sparse(blocks: FloatArray, columns: IntArray, n_columns: int) -> sparse.csr_array:
@@ -224,22 +265,22 @@ def _sparse(blocks: FloatArray, columns: IntArray, n_columns: int) -> sparse.csr
     )
 
 
-def _stepped(bundle: Bundle, step: _Step) -> Bundle:
-    """The bundle after a step of Gauss and Newton."""
-    equations, n = step.equations, step.equations.n_pose_unknowns
-    prior = np.zeros(len(equations.rhs))
+def _updated(bundle: Bundle, elimination: _Elimination) -> Bundle:
+    """The bundle after a Gauss-Newton step: (S + prior) x = b for poses and errors, y = V^-1 (b_y - W x) for points."""
+    equations, n = elimination.equations, elimination.equations.n_pose_unknowns
+    prior = np.zeros(len(equations.b))
     prior[n:] = _ERROR_PRIOR_PX**-2
-    towards = equations.rhs.copy()
-    towards[n:] -= bundle.error_px * prior[n:]
-    rest = np.linalg.solve(equations.matrix + np.diag(prior), towards)
-    points = (step.point_rhs - step.point_across @ rest).reshape(-1, 3, 1)
-    poses = np.concatenate([np.zeros((1, 6)), rest[:n].reshape(-1, 6)])
-    turns = np.stack([cv2.Rodrigues(turn)[0] for turn in poses[:, :3]])
+    b = equations.b.copy()
+    b[n:] -= bundle.error_px * prior[n:]
+    x = np.linalg.solve(equations.s + np.diag(prior), b)
+    y = elimination.v_inverse @ (elimination.b_y - elimination.w @ x).reshape(-1, 3, 1)
+    poses = np.concatenate([np.zeros((1, 6)), x[:n].reshape(-1, 6)])
+    rotations = np.stack([cv2.Rodrigues(vector)[0] for vector in poses[:, :3]])
     return Bundle(
-        turns @ bundle.rotation,
+        rotations @ bundle.rotation,
         bundle.translation_m + poses[:, 3:],
-        bundle.points + (step.point_inverse @ points)[:, :, 0],
-        bundle.error_px + rest[n:],
+        bundle.points + y[:, :, 0],
+        bundle.error_px + x[n:],
     )
 
 

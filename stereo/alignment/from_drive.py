@@ -1,8 +1,8 @@
 """DriveAlignment: the disparity error of a rig from a drive with it, without anything known about the scene.
 
-Frames about 0.1 s apart are cut into stretches of 1.6 s; each is a bundle of its own (`stereo.alignment_bundle`), and
+Frames about 0.1 s apart are cut into segments of 1.6 s; each is a bundle of its own (`stereo.alignment_bundle`), and
 what they say of offset and bow is added up. Measured: on KITTI's drives 0003 and 0005, 16 frames each, 0.47 and 0.44 px
-(bow 1.60 and 1.47), where lidar and labels say 0.4 to 0.5 px; three stretches of one other drive within 0.03 px.
+(bow 1.60 and 1.47), where lidar and labels say 0.4 to 0.5 px; three segments of one other drive within 0.03 px.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import Sightings
+from track_range.stereo.alignment.bundle_adjustment import Observations
 from track_range.stereo.alignment.feature_tracks import MIN_ROWS, FeatureTracks, PairPoints, grey
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
-from track_range.stereo.alignment.segments import Stretch, Together, stretch_of, together
+from track_range.stereo.alignment.segments import CombinedEstimate, Segment, combine, segment_of
 from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -25,8 +25,8 @@ N_FRAMES = 16
 MIN_FRAMES = 10
 """A shorter rest says too little."""
 
-_MAX_STRETCHES = 3
-_MAX_LOOKED = 300
+_MAX_SEGMENTS = 3
+_MAX_FRAMES = 300
 """Frames that are looked at before it gives up on a vehicle that does not move."""
 
 MIN_STEP_S = 0.09
@@ -61,7 +61,7 @@ class DriveAlignment:
     def __init__(self, rig: StereoRig) -> None:
         """For frames rectified to `rig`."""
         self._rig = rig
-        self._stretches: list[Stretch] = []
+        self._segments: list[Segment] = []
         self._reasons: list[str] = []
         self._rows_px: list[FloatArray] = []
         self._seen: list[PairPoints] = []
@@ -71,7 +71,7 @@ class DriveAlignment:
     @property
     def is_full(self) -> bool:
         """Whether enough of this drive has been seen; more frames of it are not looked at."""
-        return self._n_stretches_left <= 0 or self._n_looks_left <= 0
+        return self._n_segments_left <= 0 or self._n_frames_left <= 0
 
     def start_drive(self) -> None:
         """Say that the next frame is of another drive with the same rig."""
@@ -87,7 +87,7 @@ class DriveAlignment:
             self._close()
             self._tracks = FeatureTracks()
         self._last_s = frame.time_s
-        self._n_looks_left -= 1
+        self._n_frames_left -= 1
         points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
         self._rows_px.append(points.row_offsets_px)
         if self._tracks.share_kept < _MIN_KEPT:
@@ -108,11 +108,11 @@ class DriveAlignment:
         """
         self._close()
         row_offset_px = self._row_offset_px()
-        if not self._stretches:
+        if not self._segments:
             return Alignment(row_offset_px=row_offset_px, source=f"this drive tells nothing ({self._reason()})")
-        found = together(self._stretches, has_bow=True)
+        found = combine(self._segments, has_bow=True)
         if abs(found.error_px[1]) <= _MIN_BOW_SIGMAS * found.sigma_px[1]:
-            found = together(self._stretches, has_bow=False)
+            found = combine(self._segments, has_bow=False)
         offset_sigma_px = math.hypot(found.sigma_px[0], _LOCKING_PX)
         if not offset_sigma_px <= _MAX_SIGMA_PX:
             reason = f"its estimate of {found.error_px[0]:+.2f} px is uncertain by {offset_sigma_px:.2f} px"
@@ -124,11 +124,11 @@ class DriveAlignment:
             residual_px=_residual_px(found),
             offset_sigma_px=offset_sigma_px,
             bow_sigma_px=float(found.sigma_px[1]),
-            source=f"this drive, {sum(stretch.n_frames for stretch in self._stretches)} frames",
+            source=f"this drive, {sum(stretch.n_frames for stretch in self._segments)} frames",
         )
 
     def _begin_drive(self) -> None:
-        self._n_stretches_left, self._n_looks_left, self._n_still = _MAX_STRETCHES, _MAX_LOOKED, 0
+        self._n_segments_left, self._n_frames_left, self._n_still = _MAX_SEGMENTS, _MAX_FRAMES, 0
         self._last_s, self._tracks = -math.inf, FeatureTracks()
 
     def _close(self) -> None:
@@ -140,12 +140,12 @@ class DriveAlignment:
                 still = n_still > len(seen)
                 self._reasons.append("the vehicle stands still" if still else "fewer than 10 frames in motion")
             return
-        found = stretch_of(_sightings(seen), self._rig)
+        found = segment_of(_sightings(seen), self._rig)
         if isinstance(found, str):
             self._reasons.append(found)
             return
-        self._n_stretches_left -= 1
-        self._stretches.append(found)
+        self._n_segments_left -= 1
+        self._segments.append(found)
 
     def _reason(self) -> str:
         return max(self._reasons, key=self._reasons.count) if self._reasons else "no pairs of images"
@@ -155,13 +155,13 @@ class DriveAlignment:
         return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else 0.0
 
 
-def _sightings(seen: list[PairPoints]) -> Sightings:
+def _sightings(seen: list[PairPoints]) -> Observations:
     frame = np.concatenate([np.full(len(points.number), index) for index, points in enumerate(seen)])
     number = np.concatenate([points.number for points in seen])
     xyx_px = np.concatenate([np.column_stack([points.left_px, points.right_px[:, 0]]) for points in seen])
-    return Sightings(frame, number, xyx_px)
+    return Observations(frame, number, xyx_px)
 
 
-def _residual_px(found: Together) -> float:
+def _residual_px(found: CombinedEstimate) -> float:
     spread_px = found.spread_px if np.isfinite(found.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
     return float(max(_LEAST_RESIDUAL_PX, np.hypot(found.sigma_px[0], _SPREADS * spread_px)))

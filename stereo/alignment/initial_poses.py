@@ -1,7 +1,7 @@
-"""start_bundle: poses and points to begin a bundle from, by the perspective-n-point problem from frame to frame.
+"""initial_bundle: poses and points to begin a bundle from, by the perspective-n-point problem from frame to frame.
 
-Points are placed where their first sighting triangulates them, with the disparity as it is read; the next frame's pose
-is the one that most of the points known so far agree on (RANSAC), so what moves by itself has no say unless it is most.
+Points are triangulated from their first observation, with the measured disparity; the next frame's pose is the one that
+most of the known points agree on (RANSAC), so moving objects have no influence unless they are the majority.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import Bundle, Sightings
+from track_range.stereo.alignment.bundle_adjustment import Bundle, Observations
 from track_range.stereo.geometry.rig import StereoRig
 
-MIN_SIGHTINGS = 4
+MIN_OBSERVATIONS = 4
 """A point seen less often says little, and is left out."""
 
 MIN_POINTS = 60
@@ -32,8 +32,8 @@ _LEAST_DEPTH_SHARE = 0.3
 """A point must keep this share of its depth in frame 0, where its ray is taken; in sharp turns some do not."""
 
 
-def start_bundle(seen: Sightings, rig: StereoRig) -> tuple[Sightings, Bundle] | None:
-    """The sightings that can be used, renumbered, and where to start from; None with too few points or no pose."""
+def initial_bundle(seen: Observations, rig: StereoRig) -> tuple[Observations, Bundle] | None:
+    """The observations that can be used, renumbered, and where to start from; None with too few points or no pose."""
     seen = _often_seen(seen)
     if not len(seen.point) or seen.point.max() + 1 < MIN_POINTS:
         return None
@@ -61,20 +61,20 @@ def start_bundle(seen: Sightings, rig: StereoRig) -> tuple[Sightings, Bundle] | 
     return only_points(seen, ahead), Bundle(np.stack(rotations), np.stack(translations), rays, np.zeros(2))
 
 
-def _often_seen(seen: Sightings) -> Sightings:
+def _often_seen(seen: Observations) -> Observations:
     points, index, count = np.unique(seen.point, return_inverse=True, return_counts=True)
     if not len(points):
         return seen
-    return only_points(Sightings(seen.frame, index, seen.xyx_px), count >= MIN_SIGHTINGS)
+    return only_points(Observations(seen.frame, index, seen.xyx_px), count >= MIN_OBSERVATIONS)
 
 
-def only_points(seen: Sightings, wanted: npt.NDArray[np.bool_]) -> Sightings:
-    """The sightings of the wanted points (P,), numbered anew."""
+def only_points(seen: Observations, wanted: npt.NDArray[np.bool_]) -> Observations:
+    """The observations of the wanted points (P,), numbered anew."""
     keep, number = wanted[seen.point], np.cumsum(wanted) - 1
-    return Sightings(seen.frame[keep], number[seen.point[keep]], seen.xyx_px[keep])
+    return Observations(seen.frame[keep], number[seen.point[keep]], seen.xyx_px[keep])
 
 
-def _triangulated(seen: Sightings, rig: StereoRig) -> FloatArray:
+def _triangulated(seen: Observations, rig: StereoRig) -> FloatArray:
     disparity_px = np.maximum(seen.xyx_px[:, 0] - seen.xyx_px[:, 2], _LEAST_DISPARITY_PX)
     return rig.left.rays(seen.xyx_px[:, :2]) * rig.distance_m(disparity_px)[:, None]
 

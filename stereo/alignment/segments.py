@@ -1,9 +1,9 @@
-"""What a stretch of a drive says about the disparity error, kept apart by where and when, and what several say.
+"""Disparity errors from segments of a drive, and their uncertainty by a jackknife over image strips and time.
 
-The noise of single points is the least of what is uncertain: a facade, a bush, the road's slant or a wrong model of the
-lens err together. So the normal equations are kept for each strip of the image and each part of the time, and
-uncertainty is the scatter of the estimate when one strip, or one part, is left out (the jackknife over groups;
-Efron, "The jackknife, the bootstrap and other resampling plans", 1982), not what the number of points promises.
+The noise of single points is the smallest part of the uncertainty: errors of a facade, a bush, the road's slope or a
+wrong lens model are common to many points. So the normal equations are stored per strip of the image and part of the
+time, and sigma is that of the delete-a-group jackknife (`foundation.robust_statistics`) over strips and over parts,
+instead of what the number of points suggests.
 """
 
 from __future__ import annotations
@@ -22,34 +22,44 @@ from track_range.stereo.alignment.bundle_adjustment import (
     Equations,
     Fit,
     Linear,
-    Sightings,
+    Observations,
     equations_of,
     fit_bundle,
-    linearised,
+    linearize,
 )
-from track_range.stereo.alignment.initial_poses import MIN_POINTS, only_points, start_bundle
+from track_range.stereo.alignment.initial_poses import MIN_POINTS, initial_bundle, only_points
 from track_range.stereo.geometry.rig import StereoRig
 
 N_STRIPS = 8
+"""Vertical strips of the image."""
+
 _N_ALL = N_ERRORS + N_STRIPS
 _N_PARTS = 12
-"""Parts of a stretch by time; leaving one of few out would leave frames without points, whose poses then run away."""
+"""Parts of a segment by time; with fewer, leaving one out would leave frames without points to hold their pose."""
 
 _MIN_PATH_M = 2.0
-"""Over a shorter way the noise of the poses is a good part of what points seem to move."""
+"""Shortest path; on a shorter one the noise of the poses is a good part of the points' apparent motion."""
 
 _STILL_WEIGHT = 0.25
-"""Mean weight from which a point belongs to what stands still (about 0.6 there, 0.02 for what moves by itself)."""
+"""Mean Cauchy weight from which a point counts as static (about 0.6 for static points, 0.02 for moving objects)."""
 
 _MIN_STILL = 0.5
-"""Share of the points that must stand still."""
+"""Smallest share of static points."""
 
 _MAX_ERROR_PX = 15.0
+"""Largest plausible offset or bow; beyond, motion and disparities contradict each other."""
 
 _PRIOR_PX = 5.0
+"""Prior standard deviation of offset and bow."""
+
 _STRIP_PRIOR_PX = 1.0
+"""Prior standard deviation of a strip's own offset."""
+
 _MAX_STRIP_SIGMA_PX = 0.3
+"""Largest standard deviation of a strip's own offset that counts in the spread."""
+
 _MIN_STRIPS = 3
+"""Fewest strips for a spread."""
 
 
 class Cell(NamedTuple):
@@ -60,13 +70,13 @@ class Cell(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """What some seconds of a drive say.
+class Segment:
+    """Equations for the disparity error from some seconds of a drive.
 
     Attributes:
-        n_frames: that were used.
-        error_px: (2,) offset and bow that the equations are linearised at.
-        cells: equations of the errors: offset, bow, and an offset of each strip of its own.
+        n_frames: number of frames used.
+        error_px: (2,) offset and bow that the equations are linearize at.
+        cells: equations for offset, bow, and an additional offset of each strip, by strip and part of the time.
     """
 
     n_frames: int
@@ -74,22 +84,22 @@ class Stretch:
     cells: dict[Cell, Equations]
 
     def information(self, left_out: Collection[Cell] = ()) -> tuple[FloatArray, FloatArray]:
-        """(E, E) information on the errors and (E,) its product with them, of all cells but some."""
+        """I (E, E) and I e (E,): information on the errors e, and its product with them, without some cells."""
         used = [equations for cell, equations in self.cells.items() if cell not in left_out]
         if not used:
             return np.zeros((_N_ALL, _N_ALL)), np.zeros(_N_ALL)
-        matrix, rhs = np.sum([each.matrix for each in used], axis=0), np.sum([each.rhs for each in used], axis=0)
-        information, towards = Equations(matrix, rhs, used[0].n_pose_unknowns).of_errors()
-        return information, towards + information[:, :N_ERRORS] @ self.error_px
+        s, b = np.sum([cell.s for cell in used], axis=0), np.sum([cell.b for cell in used], axis=0)
+        information, step = Equations(s, b, used[0].n_pose_unknowns).of_errors()
+        return information, step + information[:, :N_ERRORS] @ self.error_px
 
 
-class Together(NamedTuple):
-    """The estimate of several stretches.
+class CombinedEstimate(NamedTuple):
+    """The disparity error estimated from several segments.
 
     Attributes:
-        error_px: (2,) offset and bow; the bow 0 where it was not asked for.
+        error_px: (2,) offset and bow; bow 0 where it was not estimated.
         sigma_px: (2,) their standard deviations.
-        spread_px: root mean square of what strips of the image want beyond offset and bow; NaN where too few tell.
+        spread_px: root mean square of the strips' own offsets, beyond offset and bow; NaN where too few are determined.
     """
 
     error_px: FloatArray
@@ -97,70 +107,76 @@ class Together(NamedTuple):
     spread_px: float
 
 
-def stretch_of(seen: Sightings, rig: StereoRig) -> Stretch | str:
-    """What the sightings of a stretch say, or why they say nothing; `rig` is the rectified one."""
-    begun = start_bundle(seen, rig)
-    if begun is None:
+def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
+    """The segment of some observations, or why they cannot be used; `rig` is the rectified one."""
+    start_points = initial_bundle(observed, rig)
+    if start_points is None:
         return "too few points that stay in view"
-    seen, start = begun
-    seen, fit, share_still = _of_what_stands_still(seen, start, rig)
+    observed, start = start_points
+    observed, fit, share_still = _static_points(observed, start, rig)
     if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > _MAX_ERROR_PX:
         return "the points' motion and their disparities do not fit each other"
     if fit.bundle.path_m < _MIN_PATH_M:
         return "the vehicle hardly moves, or only turns"
     if share_still < _MIN_STILL:
         return "too little of the scene stands still"
-    return Stretch(int(seen.frame.max()) + 1, fit.bundle.error_px, _cells(seen, fit, rig))
+    return Segment(int(observed.frame.max()) + 1, fit.bundle.error_px, _cells(observed, fit, rig))
 
 
-def _of_what_stands_still(seen: Sightings, start: Bundle, rig: StereoRig) -> tuple[Sightings, Fit, float]:
-    """The fit without the points that do not belong, which pull even with little weight, and the share of the rest."""
-    fit = fit_bundle(seen, start, rig)
+def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, Fit, float]:
+    """Observations and fit of static points only, and their share: moving ones bias it even with small weights."""
+    fit = fit_bundle(observed, start, rig)
     n_points = len(start.points)
-    weight = np.bincount(seen.point, fit.weight, n_points) / np.bincount(seen.point, minlength=n_points)
+    weight = np.bincount(observed.point, fit.weight, n_points) / np.bincount(observed.point, minlength=n_points)
     is_still = weight > _STILL_WEIGHT
     if is_still.all() or is_still.sum() < MIN_POINTS:
-        return seen, fit, float(is_still.mean())
-    kept = only_points(seen, is_still)
+        return observed, fit, float(is_still.mean())
+    kept = only_points(observed, is_still)
     start = replace(fit.bundle, points=fit.bundle.points[is_still])
     return kept, fit_bundle(kept, start, rig), float(is_still.mean())
 
 
-def together(stretches: Sequence[Stretch], *, has_bow: bool) -> Together:
-    """The error that the stretches agree on best; at least one stretch."""
-    asked = np.arange(N_ERRORS if has_bow else 1)
-    whole = [stretch.information() for stretch in stretches]
-    strips = {cell.strip for stretch in stretches for cell in stretch.cells}
-    by_strip, by_time = [], []
-    for strip in strips:
-        out = [Cell(strip, part) for part in range(_N_PARTS)]
-        by_strip.append(_solved([stretch.information(out) for stretch in stretches], asked))
-    for number, stretch in enumerate(stretches):
-        for part in range(_N_PARTS):
-            out = [Cell(strip, part) for strip in strips]
-            others = whole[:number] + whole[number + 1 :]
-            by_time.append(_solved([*others, stretch.information(out)], asked))
-    sigma_px = np.hypot(jackknife_sigma(np.array(by_strip)), jackknife_sigma(np.array(by_time)))
-    return Together(_padded(_solved(whole, asked)), _padded(sigma_px), _spread_px(whole))
+def combine(segments: Sequence[Segment], *, has_bow: bool) -> CombinedEstimate:
+    """The least-squares error of one or more segments together.
+
+    sigma^2 = jackknife variance over the strips (of all segments) + jackknife variance over the parts of the time.
+    """
+    estimated = np.arange(N_ERRORS if has_bow else 1)
+    all_parts = range(_N_PARTS)
+    strips = {cell.strip for segment in segments for cell in segment.cells}
+    whole = [segment.information() for segment in segments]
+    without_strip = [
+        _solve([segment.information([Cell(strip, part) for part in all_parts]) for segment in segments], estimated)
+        for strip in strips
+    ]
+    without_part = [
+        _solve([*others, segment.information([Cell(strip, part) for strip in strips])], estimated)
+        for segment, others in ((segment, whole[:i] + whole[i + 1 :]) for i, segment in enumerate(segments))
+        for part in all_parts
+    ]
+    sigma_px = np.hypot(jackknife_sigma(np.array(without_strip)), jackknife_sigma(np.array(without_part)))
+    return CombinedEstimate(_padded(_solve(whole, estimated)), _padded(sigma_px), _spread_px(whole))
 
 
-def _cells(seen: Sightings, fit: Fit, rig: StereoRig) -> dict[Cell, Equations]:
-    n_points, n_frames = int(seen.point.max()) + 1, int(seen.frame.max()) + 1
-    strip = _strip(seen.xyx_px[:, 0], rig)
-    linear = linearised(seen, fit.bundle, rig, extra=np.eye(N_STRIPS)[strip])
-    n_sightings = np.bincount(seen.point, minlength=n_points)
-    point_strip = _strip(np.bincount(seen.point, seen.xyx_px[:, 0], n_points) / n_sightings, rig)
-    mean_frame = np.bincount(seen.point, seen.frame, n_points) / n_sightings
+def _cells(observed: Observations, fit: Fit, rig: StereoRig) -> dict[Cell, Equations]:
+    """Equations per cell; a point belongs to the cell of its mean column and mean frame, parts hold equally many."""
+    n_points, n_frames = int(observed.point.max()) + 1, int(observed.frame.max()) + 1
+    n_observations = np.bincount(observed.point, minlength=n_points)
+    mean_x_px = np.bincount(observed.point, observed.xyx_px[:, 0], n_points) / n_observations
+    mean_frame = np.bincount(observed.point, observed.frame, n_points) / n_observations
     edges = np.quantile(mean_frame, np.arange(1, _N_PARTS) / _N_PARTS)
-    point_cell = point_strip * _N_PARTS + np.searchsorted(edges, mean_frame)
+    point_cell = _strip(mean_x_px, rig) * _N_PARTS + np.searchsorted(edges, mean_frame)
+
+    own_offset = np.eye(N_STRIPS)[_strip(observed.xyx_px[:, 0], rig)]
+    linear = linearize(observed, fit.bundle, rig, extra=own_offset)
     weight = fit.weight / fit.noise_px**2
     cells = {}
     for number in np.unique(point_cell).tolist():
-        keep = (point_cell == number)[seen.point]
-        _, point = np.unique(seen.point[keep], return_inverse=True)
-        here = Sightings(seen.frame[keep], point, seen.xyx_px[keep])
+        keep = (point_cell == number)[observed.point]
+        _, point = np.unique(observed.point[keep], return_inverse=True)
+        in_cell = Observations(observed.frame[keep], point, observed.xyx_px[keep])
         rows = Linear(*(part[keep] for part in linear))
-        cells[Cell(*divmod(number, _N_PARTS))] = equations_of(here, rows, weight[keep], n_frames=n_frames)
+        cells[Cell(*divmod(number, _N_PARTS))] = equations_of(in_cell, rows, weight[keep], n_frames=n_frames)
     return cells
 
 
@@ -168,11 +184,11 @@ def _strip(x_px: FloatArray, rig: StereoRig) -> IntArray:
     return np.clip((x_px * N_STRIPS / rig.left.width_px).astype(np.int64), 0, N_STRIPS - 1)
 
 
-def _solved(parts: Sequence[tuple[FloatArray, FloatArray]], asked: IntArray) -> FloatArray:
-    """The asked errors, the others held at 0, from the stretches' information."""
-    information, towards = _summed(parts)
-    prior = np.eye(len(asked)) / _PRIOR_PX**2
-    return np.asarray(np.linalg.solve(information[np.ix_(asked, asked)] + prior, towards[asked]))
+def _solve(parts: Sequence[tuple[FloatArray, FloatArray]], estimated: IntArray) -> FloatArray:
+    """The estimated errors, the others 0, from the sums of I and I e of the segments."""
+    information, rhs = _summed(parts)
+    prior = np.eye(len(estimated)) / _PRIOR_PX**2
+    return np.asarray(np.linalg.solve(information[np.ix_(estimated, estimated)] + prior, rhs[estimated]))
 
 
 def _summed(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
@@ -180,11 +196,13 @@ def _summed(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray,
 
 
 def _spread_px(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    information, towards = _summed(parts)
+    information, rhs = _summed(parts)
     prior = np.diag([_PRIOR_PX**-2] * N_ERRORS + [_STRIP_PRIOR_PX**-2] * N_STRIPS)
-    wanted_px = np.linalg.solve(information + prior, towards)[N_ERRORS:]
-    told = np.diag(information)[N_ERRORS:] > _MAX_STRIP_SIGMA_PX**-2
-    return float(np.sqrt((wanted_px[told] ** 2).mean())) if told.sum() >= _MIN_STRIPS else float("nan")
+    own_offset_px = np.linalg.solve(information + prior, rhs)[N_ERRORS:]
+    is_determined = np.diag(information)[N_ERRORS:] > _MAX_STRIP_SIGMA_PX**-2
+    if is_determined.sum() < _MIN_STRIPS:
+        return float("nan")
+    return float(np.sqrt((own_offset_px[is_determined] ** 2).mean()))
 
 
 def _padded(errors: FloatArray) -> FloatArray:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from track_range.foundation.arrays import FloatArray
-from track_range.stereo.alignment.bundle_adjustment import Bundle, Sightings, fit_bundle, linearised
-from track_range.stereo.alignment.initial_poses import start_bundle
-from track_range.stereo.alignment.segments import Stretch, stretch_of, together
+from track_range.stereo.alignment.bundle_adjustment import Bundle, Observations, fit_bundle, linearize
+from track_range.stereo.alignment.initial_poses import initial_bundle
+from track_range.stereo.alignment.segments import Segment, combine, segment_of
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -31,7 +31,7 @@ def drive(
     n_frames: int = 14,
     share_moving: float = 0.0,
     noise_px: float = NOISE_PX,
-) -> Sightings:
+) -> Observations:
     """A street of random points, driven through; the share of moving ones keeps its distance to the vehicle."""
     rng = np.random.default_rng(seed)
     z_m = rng.uniform(5.0, 90.0, n_points)
@@ -53,12 +53,14 @@ def drive(
         points.append(seen)
         pixels.append(np.column_stack([left_px[seen], right_px[seen]]))
     xyx_px = np.concatenate(pixels)
-    return Sightings(np.concatenate(frames), np.concatenate(points), xyx_px + rng.normal(0.0, noise_px, xyx_px.shape))
+    return Observations(
+        np.concatenate(frames), np.concatenate(points), xyx_px + rng.normal(0.0, noise_px, xyx_px.shape)
+    )
 
 
-def told(seen: Sightings) -> Stretch:
-    found = stretch_of(seen, RIG)
-    assert isinstance(found, Stretch), found
+def told(seen: Observations) -> Segment:
+    found = segment_of(seen, RIG)
+    assert isinstance(found, Segment), found
     return found
 
 
@@ -71,12 +73,12 @@ def test_derivatives_are_those_of_the_residuals() -> None:
         np.column_stack([rng.uniform(-0.5, 0.5, (6, 2)), rng.uniform(0.01, 0.1, 6)]),
         np.array([0.3, -0.8]),
     )
-    seen = Sightings(np.ones(6, np.int64), np.arange(6), np.zeros((6, 3)))
-    linear = linearised(seen, bundle, RIG)
+    seen = Observations(np.ones(6, np.int64), np.arange(6), np.zeros((6, 3)))
+    linear = linearize(seen, bundle, RIG)
     small = 1e-6
 
     def changed(moved: Bundle) -> FloatArray:
-        return (linear.residual - linearised(seen, moved, RIG).residual) / small
+        return (linear.residual - linearize(seen, moved, RIG).residual) / small
 
     for axis in range(3):
         vector = small * np.eye(3)[axis]
@@ -95,7 +97,7 @@ def test_derivatives_are_those_of_the_residuals() -> None:
 
 
 def test_without_noise_all_is_found_exactly() -> None:
-    begun = start_bundle(drive(2, offset_px=0.5, bow_px=1.0, noise_px=0.0), RIG)
+    begun = initial_bundle(drive(2, offset_px=0.5, bow_px=1.0, noise_px=0.0), RIG)
     assert begun is not None
     fit = fit_bundle(*begun, RIG)
     assert fit.bundle.error_px == pytest.approx([0.5, 1.0], abs=0.01)
@@ -104,7 +106,7 @@ def test_without_noise_all_is_found_exactly() -> None:
 
 @pytest.mark.parametrize(("offset_px", "bow_px"), [(0.0, 0.0), (0.5, 0.0), (-0.3, 1.5)])
 def test_the_error_is_found_within_two_sigma(offset_px: float, bow_px: float) -> None:
-    found = together([told(drive(3, offset_px=offset_px, bow_px=bow_px))], has_bow=True)
+    found = combine([told(drive(3, offset_px=offset_px, bow_px=bow_px))], has_bow=True)
     assert np.abs(found.error_px - [offset_px, bow_px]) == pytest.approx([0.0, 0.0], abs=2 * found.sigma_px.max())
     assert (found.sigma_px < [0.06, 0.2]).all()
     assert found.spread_px < 0.05
@@ -114,7 +116,7 @@ def test_sigma_is_honest() -> None:
     """Over ten drives the errors are as large as they are said to be, and no bias stands out."""
     normal = []
     for seed in range(10):
-        found = together([told(drive(10 + seed, offset_px=0.5, n_points=400))], has_bow=False)
+        found = combine([told(drive(10 + seed, offset_px=0.5, n_points=400))], has_bow=False)
         normal.append((found.error_px[0] - 0.5) / found.sigma_px[0])
     assert 0.3 < float(np.std(normal)) < 1.5
     assert abs(float(np.mean(normal))) < 1.0
@@ -122,8 +124,8 @@ def test_sigma_is_honest() -> None:
 
 def test_two_stretches_are_put_together() -> None:
     one, other = told(drive(30, offset_px=0.4, n_points=400)), told(drive(31, offset_px=0.4, n_points=400))
-    alone = [together([stretch], has_bow=False) for stretch in (one, other)]
-    both = together([one, other], has_bow=False)
+    alone = [combine([stretch], has_bow=False) for stretch in (one, other)]
+    both = combine([one, other], has_bow=False)
     low, high = sorted(found.error_px[0] for found in alone)
     assert low < both.error_px[0] < high
     assert both.sigma_px[0] < max(found.sigma_px[0] for found in alone)
@@ -133,19 +135,19 @@ def test_two_stretches_are_put_together() -> None:
 
 @pytest.mark.parametrize("share_moving", [0.1, 0.25])
 def test_what_moves_by_itself_has_no_say(share_moving: float) -> None:
-    found = together([told(drive(4, offset_px=0.5, share_moving=share_moving))], has_bow=False)
+    found = combine([told(drive(4, offset_px=0.5, share_moving=share_moving))], has_bow=False)
     assert found.error_px[0] == pytest.approx(0.5, abs=0.03)
 
 
 def test_where_most_moves_nothing_is_told() -> None:
-    assert isinstance(stretch_of(drive(4, share_moving=0.6), RIG), str)
+    assert isinstance(segment_of(drive(4, share_moving=0.6), RIG), str)
 
 
 def test_what_the_model_does_not_know_shows_as_spread() -> None:
     seen = drive(5, offset_px=0.5)
     u = (seen.xyx_px[:, 0] - CAMERA.cx_px) / 600.0
     tilted = seen._replace(xyx_px=seen.xyx_px + np.column_stack([0 * u, 0 * u, 0.6 * np.sin(3 * u)]))
-    straight, bent = together([told(seen)], has_bow=True), together([told(tilted)], has_bow=True)
+    straight, bent = combine([told(seen)], has_bow=True), combine([told(tilted)], has_bow=True)
     assert bent.spread_px > 0.15 > 3 * straight.spread_px
     assert bent.sigma_px[0] > 2 * straight.sigma_px[0]
 
@@ -159,12 +161,12 @@ def test_what_the_model_does_not_know_shows_as_spread() -> None:
         (drive(6, n_frames=3), "too few points that stay in view"),
     ],
 )
-def test_drives_that_tell_nothing(seen: Sightings, reason: str) -> None:
-    assert stretch_of(seen, RIG) == reason
+def test_drives_that_tell_nothing(seen: Observations, reason: str) -> None:
+    assert segment_of(seen, RIG) == reason
 
 
 def test_points_that_obey_no_motion_are_refused() -> None:
     rng = np.random.default_rng(8)
     seen = drive(8)
     lost = seen._replace(xyx_px=rng.uniform(0.0, 360.0, seen.xyx_px.shape))
-    assert isinstance(stretch_of(lost, RIG), str)
+    assert isinstance(segment_of(lost, RIG), str)
