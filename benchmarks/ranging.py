@@ -91,7 +91,7 @@ def box_only_ms(n_tracks: int, *, n_frames: int) -> dict[str, float]:
             fused = fusion.fuse(ranges, now.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         with watch.timing(FUSE_STAGE[1]):
-            filters.update(ranges, frame.time_s, ways={"fused": fused.condition})
+            filters.update(ranges, frame.time_s, conditions={"fused": fused.condition})
     median = watch.median_ms
     sums = {"box-only methods": tuple(rangers), "fusing and filtering": FUSE_STAGE}
     return {**median, **{name: sum(median[part] for part in parts) for name, parts in sums.items()}}

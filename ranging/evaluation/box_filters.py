@@ -1,7 +1,7 @@
 """Filters over time put on the distances of labelled boxes, track by track, as a run puts them on its own.
 
 The ego speed is not known here: the paper's filter (`ranging.paper_filter`) takes it for 0, and the default one
-(`ranging.smoothing.DistanceFilter`) goes by the relative speed.
+(`ranging.filtering.distance_filter`) goes by the relative speed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,26 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.evaluation.box_evaluation import frame_rows
 from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.evaluation.paper_filter import PaperFilter
-from track_range.ranging.filtering.distance_filter import DistanceFilter
+from track_range.ranging.filtering.distance_filter import DistanceFilters
+from track_range.ranging.filtering.filtered_ranges import FilteredRanges
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.ranges import Ranges
 
 FilterName = Literal["none", "paper", "default"]
 
-_FILTERS: Mapping[str, Callable[[], PaperFilter | DistanceFilter]] = {"paper": PaperFilter, "default": DistanceFilter}
+_Filter = Callable[[Ranges, float], FilteredRanges]
+"""From measured ranges and the time of a frame to filtered ranges."""
+
+_NOISE_SHARE = 0.6
+"""Part of sigma that is independent from frame to frame, where the default filter starts."""
+
+
+def _default_filter() -> _Filter:
+    filters = DistanceFilters({"": _NOISE_SHARE})
+    return lambda measured, time_s: filters.update({"": measured}, time_s)[""]
+
+
+_FILTERS: Mapping[str, Callable[[], _Filter]] = {"paper": lambda: PaperFilter().update, "default": _default_filter}
 
 _UNKNOWN_SIGMA = 0.1
 """Relative sigma of a method that tells none."""
@@ -49,7 +62,7 @@ def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> Fi
             sequence, smooth = boxes.sequence[rows[0]], _FILTERS[filter_name]()
         kept_m = None if column.sigma_kept_m is None else column.sigma_kept_m[rows]
         measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], kept_m)
-        found = smooth.update(measured, float(boxes.time_s[rows[0]]))
+        found = smooth(measured, float(boxes.time_s[rows[0]]))
         distance_m[rows], out_sigma_m[rows] = found.ranges.distance_m, found.ranges.sigma_m
         closing_mps[rows] = -found.rate_mps
     return FilteredColumn(MethodColumn(distance_m, np.where(is_told.any(), out_sigma_m, np.nan)), closing_mps)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.foundation.arrays import IntArray
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
@@ -21,15 +20,13 @@ _MAX_GAP_S = 1.0
 
 
 class PaperFilter:
-    """As `DistanceFilter` to look at; what a measurement says of its own sigma, and of its way, is not listened to."""
+    """Filters distances as `DistanceFilters` do, without regard to their sigmas."""
 
     def __init__(self) -> None:
         """Start without tracks."""
         self._tracks = TrackState(np.full(4, np.nan))
 
-    def update(
-        self, measured: Ranges, time_s: float, *, way: IntArray | None = None, ego_speed_mps: float = np.nan
-    ) -> FilteredRanges:
+    def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = np.nan) -> FilteredRanges:
         """Every track's filtered range at `time_s`; the rate is the difference to the frame before."""
         columns = self._tracks.get(measured.track_id)
         distance_m, variance, before_s, measured_s = columns  # views: what is written here is remembered

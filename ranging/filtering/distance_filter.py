@@ -1,20 +1,21 @@
 """Distance, closing speed and time to collision per track: one Kalman filter per track, all tracks as arrays.
 
-    x = [d, v]    F = [1 dt; 0 1]    Q = q [dt^3/3 dt^2/2; dt^2/2 dt]
-    z = log d     H = [1/d 0]        R = lambda (share sigma / d)^2
+    x = [d, v]    F = [1 dt; 0 1]    Q = q [dt^3/3 dt^2/2; dt^2/2 dt]         (`foundation.constant_velocity`)
+    z = log d     H = [1/d 0]        R = lambda (share sigma / d)^2           so nu = d (z - log d), R in metres d^2 R
 
 d is the distance, v its rate (m/s, negative = closing). z is a logarithm since a box's size in pixels is what jumps:
-a small box that looks smaller still is far too far away, and also says that it is uncertain, so that a filter in metres
-would believe the near ones more. Where the ego speed V is known, v + V, the target's own speed, is what stays:
+a small box that looks smaller still is far too far away, and also has a large sigma, so that a filter in metres would
+believe the near ones more. Where the ego speed V is known, v + V, the target's own speed, is what stays:
 d' = d + v dt - dV dt / 2, v' = v - dV, and a new track begins with a target that may stand still, v = -V.
 
-A method's sigma has a part that changes from frame to frame (box jitter, matching noise) and a part that a track keeps
-(a tall car stays a tall car): only the first averages out, so it alone is R, with a factor lambda that the method's own
-innovations tell (`noise_scale.py`), and the second is added to the filter's own variance afterwards. Distance and speed
-share it, so the time to collision d / -v has none of it. Where a measurement comes about in another way than the one
-before (a method joined or left the fusion), the kept part is another one, too: its variance is given to d, so that the
-step is taken for what it is and not for speed. A measurement beyond 3 sigma is not thrown away but counts less, in
-proportion (Huber); three in a row mean that the filter is wrong, and it starts anew. The steps are true time steps.
+The sigma of a method has a part that is independent from frame to frame (box jitter, matching noise) and a systematic
+one that a track keeps (a tall car stays a tall car): only the first averages out, so it alone is R, with a factor
+lambda that is learnt from the method's own innovations (`noise_scale`), and the second is added to the filter's own
+variance afterwards. Distance and speed share it, so the time to collision d / -v has none of it. Where the condition of
+a measurement is another one than before (a method joined or left the fusion), the systematic error is another one, too:
+both variances are given to d, so that the step is taken for what it is and not for speed. A measurement beyond 3 sigma
+is not thrown away but counts less, in proportion (Huber); three in a row mean that the filter is wrong, and it
+restarts. The steps are true time steps.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.filtering.noise_scale import NoiseScale
 from track_range.ranging.ranges import Ranges
 
-_LEAST_NOISE_SHARE = 0.1
-"""No measurement is quite free of noise, even where its method says so."""
+_MIN_INDEPENDENT_SHARE = 0.1
+"""Least part of sigma that is taken to be independent, also where a method declares less."""
 
-_NEAREST_M = 0.3
-"""Nothing is predicted to be nearer: a track that runs through the camera is a new one."""
+_MIN_DISTANCE_M = 0.3
+"""No track is predicted to be nearer: one that runs through the camera starts anew."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,24 +45,22 @@ class FilterSettings:
     """Settings of a distance filter.
 
     Attributes:
-        acceleration_noise: q is its square: how far the speed wanders, m/s per root second.
-        initial_rate_sigma_mps: how unknown the rate of a new track is,
-        target_speed_sigma_mps: and where the ego speed is known the target's own speed: many stand still.
-        noise_share: part of sigma that is independent from frame to frame, of a method that does not tell: where
-            learning it starts.
-        learns_noise: whether the innovations may correct it.
+        acceleration_noise: random walk of the speed, m/s per root second; q is its square.
+        initial_rate_sigma_mps: standard deviation of the rate of a new track where the ego speed is unknown.
+        target_speed_sigma_mps: standard deviation of a new track's own speed where the ego speed is known: many stand
+            still.
+        learns_noise: whether lambda is learnt from the innovations; else it is 1.
         outlier_sigma: innovations beyond so many standard deviations count less.
-        max_outliers: so many of them in a row start the track's filter anew.
+        max_outliers: so many of them in a row restart the track's filter.
         max_gap_s: a track without a measurement for longer is NaN, and starts anew.
-        max_rate_sigma_mps: the rate is NaN while less certain,
-        min_steady_s: and for so long after the filter's start or a change of way: a false alarm costs more than a
-            late one.
+        max_rate_sigma_mps: the rate is NaN while its standard deviation is larger.
+        min_steady_s: the rate is NaN for so long after a start or a change of condition: a false alarm costs more than
+            a late one.
     """
 
     acceleration_noise: float = 1.5
     initial_rate_sigma_mps: float = 12.0
     target_speed_sigma_mps: float = 8.0
-    noise_share: float = 0.6
     learns_noise: bool = True
     outlier_sigma: float = 3.0
     max_outliers: int = 3
@@ -70,64 +70,50 @@ class FilterSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
-    """What each method's filter knows of each track: (M, N) views of (12, M, N) columns, which change with them."""
-
-    distance_m: FloatArray
-    rate_mps: FloatArray
-    variance: FloatArray  # of the distance,
-    covariance: FloatArray  # of both,
-    rate_variance: FloatArray  # and of the rate
-    kept_variance: FloatArray  # relative to the squared distance
-    time_s: FloatArray
-    measured_s: FloatArray
-    ego_mps: FloatArray
-    n_outliers: FloatArray
-    way: FloatArray
-    steady_since_s: FloatArray
-
-
-_BLANK = np.array([np.nan, np.nan, 0.0, 0.0, 0.0, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, np.nan])
-"""The state of a new track."""
-
-
-@dataclass(frozen=True, slots=True)
 class _Measured:
-    """A frame's measurements as the filters see them, (M, N): variances are of the logarithm."""
+    """Measurements of one frame, (M, N).
 
-    distance_m: FloatArray
-    noise: FloatArray
-    kept: FloatArray
-    there: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Innovation:
-    """(M, N) how far measurements are from their predictions, in metres: d (z - log d); NaN = no filter or measure.
-
-    `excess` is its size in units of the largest one that counts fully.
+    Attributes:
+        distance_m: NaN where there is none, and so the variances.
+        independent: variance of log distance that is new in every frame, lambda included.
+        systematic: variance of log distance that a track keeps.
+        valid: whether there is a measurement.
     """
 
-    step_m: FloatArray
-    noise_m2: FloatArray
-    excess: FloatArray
+    distance_m: FloatArray
+    independent: FloatArray
+    systematic: FloatArray
+    valid: BoolArray
+
+
+_INITIAL = (np.nan, np.nan, 0.0, 0.0, 0.0, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, np.nan)
+"""State of a new track: d, v, P_xx, P_xv, P_vv, systematic variance, time of the state, time of the last measurement,
+ego speed, outliers in a row, condition of the last measurement, time of the start or last change of condition."""
+
+_MEASURED_S = 7
 
 
 class DistanceFilters:
-    """The filters of several methods for all tracks of a video; a track is remembered through short absences."""
+    """The filters of M methods for all tracks of a video; a track is remembered through short absences."""
 
     def __init__(self, noise_shares: Mapping[str, float], settings: FilterSettings | None = None) -> None:
-        """Start without tracks; `noise_shares` has the methods' names, and `FilterSettings.noise_share` for each."""
+        """Start without tracks.
+
+        Args:
+            noise_shares: by method, the part of its sigma that is independent from frame to frame, where learning it
+                starts; not used where `Ranges` give that part box by box.
+            settings: of all filters.
+        """
         self._settings = settings or FilterSettings()
         self._methods = tuple(noise_shares)
-        self._shares = np.array(list(noise_shares.values()))[:, None] ** 2
-        self._noise = NoiseScale(len(self._methods))
-        self._tracks = TrackState(np.repeat(_BLANK[:, None], len(self._methods), axis=1))
+        self._independent_share = np.array(list(noise_shares.values()))[:, None] ** 2  # of the variance
+        self._noise_scale = NoiseScale(len(self._methods))
+        self._tracks = TrackState(np.repeat(np.array(_INITIAL)[:, None], len(self._methods), axis=1))
 
     @property
     def noise_shares(self) -> dict[str, float]:
-        """As at the start, as far as they are known by now."""
-        shares = np.sqrt(self._shares * self._noise.factor)[:, 0]
+        """Part of each method's sigma that is independent from frame to frame, as learnt so far."""
+        shares = np.sqrt(self._independent_share * self._noise_scale.factor)[:, 0]
         return dict(zip(self._methods, shares.tolist(), strict=True))
 
     def update(
@@ -135,150 +121,110 @@ class DistanceFilters:
         by_method: Mapping[str, Ranges],
         time_s: float,
         *,
-        ways: Mapping[str, IntArray] | None = None,
+        conditions: Mapping[str, IntArray] | None = None,
         ego_speed_mps: float = math.nan,
     ) -> dict[str, FilteredRanges]:
-        """Predict to `time_s`, take in the measurements (NaN = none), and give every track's filtered ranges.
+        """The filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
         Args:
-            by_method: distances and their whole sigmas, of the same tracks in the same order; others are ignored.
+            by_method: distances and their whole sigmas, of the same tracks in the same order, NaN = not measured;
+                methods without a filter are ignored.
             time_s: of the frame; never earlier than the last one.
-            ways: of methods that have several, (N,) a number for how each measurement came about.
+            conditions: of methods whose measurements come about in different ways, (N,) a number for each way.
             ego_speed_mps: of the camera along its axis, now; NaN = unknown.
         """
         given = [name for name in self._methods if name in by_method]
         if not given:
             return {}
-        track_id = by_method[given[0]].track_id
+        settings, track_id = self._settings, by_method[given[0]].track_id
+        measured = self._measured(by_method, len(track_id))
         columns = self._tracks.get(track_id)
-        state, seen = _State(*columns), self._seen(by_method, len(track_id))
-        self._predict(state, time_s, ego_speed_mps)
-        self._take_ways(state, seen, ways or {})
-        found = self._innovation(state, seen)
-        self._count_outliers(state, seen, found)
-        is_lost = np.isnan(state.distance_m) | (state.n_outliers >= self._settings.max_outliers)
-        known, fresh = seen.there & ~is_lost, seen.there & is_lost
-        self._learn(state, found, use=known)
-        self._correct(state, found, known)
-        if fresh.any():
-            self._start(state, seen, fresh)
-        np.copyto(state.measured_s, time_s, where=seen.there)
-        np.copyto(state.kept_variance, seen.kept, where=seen.there)
-        is_recent = time_s - _State(*self._tracks.known).measured_s <= self._settings.max_gap_s
-        self._tracks.put(track_id, columns, keep=np.logical_or.reduce(is_recent))
-        results = self._results(state, track_id)
-        return {name: results[name] for name in given}
+        state = ConstantVelocity(*columns[:5])
+        systematic, state_s, measured_s, state_ego_mps, n_outliers, condition, steady_since_s = columns[5:]
 
-    def _seen(self, by_method: Mapping[str, Ranges], n: int) -> _Measured:
+        # Predict.
+        dt = np.fmax(time_s - state_s, 0.0)  # 0 for a new track
+        faster_mps = np.nan_to_num(ego_speed_mps - state_ego_mps)  # 0 where unknown, before or now
+        state = state.predict(dt, q=settings.acceleration_noise**2)
+        d, v = state.x - dt * faster_mps / 2, state.v - faster_mps
+        is_over = (time_s - measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
+        d[is_over] = v[is_over] = np.nan
+
+        # Change of condition: the old systematic error and the new one may be the step between them.
+        is_changed = np.zeros_like(measured.valid)
+        for name, number in (conditions or {}).items():
+            i = self._methods.index(name)
+            is_changed[i] = measured.valid[i] & (number != condition[i]) & np.isfinite(d[i])
+            np.copyto(condition[i], number, where=measured.valid[i])
+        P_xx = state.P_xx + np.where(is_changed, d * d * (systematic + measured.systematic), 0.0)
+        steady_since_s[is_changed] = time_s
+
+        # Gate.
+        nu = d * np.log(measured.distance_m / d)
+        R = d * d * measured.independent
+        excess = np.abs(nu) / (settings.outlier_sigma * np.sqrt(P_xx + R))
+        np.copyto(n_outliers, (excess > 1) * (n_outliers + 1), where=measured.valid)
+        is_lost = np.isnan(d) | (n_outliers >= settings.max_outliers)
+        known, starts = measured.valid & ~is_lost, measured.valid & is_lost
+        if settings.learns_noise:
+            is_steady = time_s - steady_since_s >= settings.min_steady_s
+            self._noise_scale.learn(nu * nu, P_xx, noise=R, use=known & is_steady)
+
+        # Update.
+        state = ConstantVelocity(d, v, P_xx, state.P_xv, state.P_vv)
+        state = state.update(nu, R * np.maximum(1.0, excess) ** 2, valid=known)
+        columns[:5] = np.maximum(state.x, _MIN_DISTANCE_M), state.v, state.P_xx, state.P_xv, state.P_vv
+
+        # Restart.
+        if starts.any():
+            z = measured.distance_m
+            is_ego_known = math.isfinite(ego_speed_mps)
+            rate_mps = -ego_speed_mps if is_ego_known else 0.0
+            rate_sigma_mps = settings.target_speed_sigma_mps if is_ego_known else settings.initial_rate_sigma_mps
+            initial = np.broadcast_arrays(z, rate_mps, z * z * measured.independent, 0.0, rate_sigma_mps**2)
+            np.copyto(columns[:5], initial, where=starts)
+            n_outliers[starts] = 0.0
+            steady_since_s[starts] = time_s
+
+        state_s[:], state_ego_mps[:] = time_s, ego_speed_mps
+        np.copyto(measured_s, time_s, where=measured.valid)
+        np.copyto(systematic, measured.systematic, where=measured.valid)
+        is_recent = (time_s - self._tracks.known[_MEASURED_S] <= settings.max_gap_s).any(axis=0)
+        self._tracks.put(track_id, columns, keep=is_recent)
+        is_steady = time_s - steady_since_s >= settings.min_steady_s
+        filtered = self._filtered(ConstantVelocity(*columns[:5]), systematic, is_steady, track_id)
+        return {name: filtered[name] for name in given}
+
+    def _measured(self, by_method: Mapping[str, Ranges], n: int) -> _Measured:
+        """The measurements of N tracks; a method that is missing has measured nothing."""
         distance_m, sigma_m = np.full((2, len(self._methods), n), np.nan)
-        share = np.repeat(self._shares, n, axis=1)  # of the variance: what is new in every frame
+        share = np.repeat(self._independent_share, n, axis=1)
         for i, name in enumerate(self._methods):
             if name in by_method:
-                one = by_method[name]
-                distance_m[i], sigma_m[i] = one.distance_m, one.sigma_m
-                if one.sigma_kept_m is not None:
-                    share[i] = np.maximum(1.0 - (one.sigma_kept_m / one.sigma_m) ** 2, _LEAST_NOISE_SHARE**2)
-        there = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
-        distance_m = np.where(there, distance_m, np.nan)
-        variance, factor = (sigma_m / distance_m) ** 2, self._noise.factor
-        kept = 1 - share * np.minimum(factor, 1.0)  # noise that is not there was not told as noise, but as doubt
-        return _Measured(distance_m, share * factor * variance, kept * variance, there)
+                ranges = by_method[name]
+                distance_m[i], sigma_m[i] = ranges.distance_m, ranges.sigma_m
+                if ranges.sigma_kept_m is not None:
+                    independent = 1.0 - (ranges.sigma_kept_m / ranges.sigma_m) ** 2
+                    share[i] = np.maximum(independent, _MIN_INDEPENDENT_SHARE**2)
+        valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
+        distance_m = np.where(valid, distance_m, np.nan)
+        variance, factor = (sigma_m / distance_m) ** 2, self._noise_scale.factor
+        # Where there is less noise than declared the rest of sigma is still uncertain: it is systematic.
+        systematic = (1 - share * np.minimum(factor, 1.0)) * variance
+        return _Measured(distance_m, share * factor * variance, systematic, valid)
 
-    def _predict(self, state: _State, time_s: float, ego_speed_mps: float) -> None:
-        dt = np.fmax(time_s - state.time_s, 0.0)  # NaN: a new track
-        faster_mps = ego_speed_mps - state.ego_mps
-        faster_mps[np.isnan(faster_mps)] = 0.0  # unknown before or now
-        state.distance_m[:] += dt * (state.rate_mps - faster_mps / 2)
-        state.rate_mps[:] -= faster_mps
-        is_over = (time_s - state.measured_s > self._settings.max_gap_s) | (state.distance_m < _NEAREST_M)
-        state.distance_m[is_over] = state.rate_mps[is_over] = np.nan
-        wander = self._settings.acceleration_noise**2 * dt
-        reached = state.covariance + dt * state.rate_variance
-        state.variance[:] += dt * (state.covariance + reached + wander * dt / 3)
-        state.covariance[:] = reached + wander * dt / 2
-        state.rate_variance[:] += wander
-        state.time_s[:] = time_s
-        state.ego_mps[:] = ego_speed_mps
-
-    def _take_ways(self, state: _State, seen: _Measured, ways: Mapping[str, IntArray]) -> None:
-        """Where the way is another one, what the old and the new one keep may be the step between them."""
-        for name, way in ways.items():
-            i = self._methods.index(name)
-            is_another = seen.there[i] & (way != state.way[i]) & np.isfinite(state.distance_m[i])
-            kept = (state.kept_variance[i] + seen.kept[i])[is_another]
-            state.variance[i, is_another] += state.distance_m[i, is_another] ** 2 * kept
-            state.steady_since_s[i, is_another] = state.time_s[i, is_another]
-            np.copyto(state.way[i], way, where=seen.there[i])
-
-    def _innovation(self, state: _State, seen: _Measured) -> _Innovation:
-        step_m = state.distance_m * np.log(seen.distance_m / state.distance_m)
-        noise_m2 = state.distance_m * state.distance_m * seen.noise
-        largest_m = self._settings.outlier_sigma * np.sqrt(state.variance + noise_m2)
-        return _Innovation(step_m, noise_m2, np.abs(step_m) / largest_m)
-
-    def _count_outliers(self, state: _State, seen: _Measured, found: _Innovation) -> None:
-        """A measurement that fits ends the row."""
-        np.copyto(state.n_outliers, (found.excess > 1) * (state.n_outliers + 1), where=seen.there)
-
-    def _is_steady(self, state: _State) -> BoolArray:
-        return np.asarray(state.time_s - state.steady_since_s >= self._settings.min_steady_s)  # NaN: not yet begun
-
-    def _learn(self, state: _State, found: _Innovation, *, use: BoolArray) -> None:
-        if self._settings.learns_noise:
-            steady = use & self._is_steady(state)
-            self._noise.learn(found.step_m * found.step_m, state.variance, noise=found.noise_m2, use=steady)
-
-    def _correct(self, state: _State, found: _Innovation, known: BoolArray) -> None:
-        total_m2 = state.variance + found.noise_m2 * np.maximum(1.0, found.excess) ** 2
-        weight, step_m = np.where(known, (1.0 / total_m2, found.step_m), 0.0)
-        of_distance, of_rate = weight * state.variance, weight * state.covariance
-        state.distance_m[:] = np.maximum(state.distance_m + of_distance * step_m, _NEAREST_M)
-        state.rate_mps[:] += of_rate * step_m
-        state.rate_variance[:] -= of_rate * state.covariance
-        state.covariance[:] -= of_distance * state.covariance
-        state.variance[:] -= of_distance * state.variance
-
-    def _start(self, state: _State, seen: _Measured, fresh: BoolArray) -> None:
-        is_known = np.isfinite(state.ego_mps[fresh])
-        sigma_mps = np.where(is_known, self._settings.target_speed_sigma_mps, self._settings.initial_rate_sigma_mps)
-        state.n_outliers[fresh] = 0.0
-        state.steady_since_s[fresh] = state.time_s[fresh]
-        state.distance_m[fresh] = seen.distance_m[fresh]
-        state.rate_mps[fresh] = np.where(is_known, -state.ego_mps[fresh], 0.0)
-        state.variance[fresh] = seen.distance_m[fresh] ** 2 * seen.noise[fresh]
-        state.covariance[fresh] = 0.0
-        state.rate_variance[fresh] = sigma_mps**2
-
-    def _results(self, state: _State, track_id: IntArray) -> dict[str, FilteredRanges]:
-        sigma_m = np.sqrt(state.variance + state.kept_variance * state.distance_m**2)
-        certain = (state.rate_variance <= self._settings.max_rate_sigma_mps**2) & self._is_steady(state)
-        rate_mps = np.where(certain, state.rate_mps, np.nan)
-        rate_sigma_mps = np.sqrt(state.rate_variance + state.kept_variance * rate_mps**2)
-        variances = (state.variance, state.covariance, state.rate_variance)
-        ttc_s, ttc_sigma_s = time_to_collision(state.distance_m, rate_mps, variances=variances)
-        columns = zip(state.distance_m, sigma_m, rate_mps, rate_sigma_mps, ttc_s, ttc_sigma_s, strict=True)
+    def _filtered(
+        self, state: ConstantVelocity, systematic: FloatArray, is_steady: BoolArray, track_id: IntArray
+    ) -> dict[str, FilteredRanges]:
+        """Distances, rates and times to collision by method."""
+        sigma_m = np.sqrt(state.P_xx + systematic * state.x**2)
+        is_certain = (state.P_vv <= self._settings.max_rate_sigma_mps**2) & is_steady
+        rate_mps = np.where(is_certain, state.v, np.nan)
+        rate_sigma_mps = np.sqrt(state.P_vv + systematic * rate_mps**2)
+        ttc_s, ttc_sigma_s = time_to_collision(state.x, rate_mps, variances=(state.P_xx, state.P_xv, state.P_vv))
         return {
-            name: FilteredRanges(Ranges(track_id, distance_m, sigma_m), *motion)
-            for name, (distance_m, sigma_m, *motion) in zip(self._methods, columns, strict=True)
+            name: FilteredRanges(
+                Ranges(track_id, state.x[i], sigma_m[i]), rate_mps[i], rate_sigma_mps[i], ttc_s[i], ttc_sigma_s[i]
+            )
+            for i, name in enumerate(self._methods)
         }
-
-
-class DistanceFilter:
-    """The filter of one method, see `DistanceFilters`."""
-
-    def __init__(self, settings: FilterSettings | None = None) -> None:
-        """Start without tracks."""
-        settings = settings or FilterSettings()
-        self._filters = DistanceFilters({"": settings.noise_share}, settings)
-
-    @property
-    def noise_share(self) -> float:
-        """As in the settings, as far as it is known by now."""
-        return self._filters.noise_shares[""]
-
-    def update(
-        self, measured: Ranges, time_s: float, *, way: IntArray | None = None, ego_speed_mps: float = math.nan
-    ) -> FilteredRanges:
-        """The filtered ranges of every track at `time_s`; `way` None = always in the same way."""
-        ways = None if way is None else {"": way}
-        return self._filters.update({"": measured}, time_s, ways=ways, ego_speed_mps=ego_speed_mps)[""]

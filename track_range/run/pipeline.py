@@ -199,7 +199,9 @@ class Pipeline:
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         ego_mps = math.nan if self.ego_speed is None else self.ego_speed.at(frame.time_s)
-        filtered = self._filters.update(ranges, frame.time_s, ways={"fused": fused.condition}, ego_speed_mps=ego_mps)
+        filtered = self._filters.update(
+            ranges, frame.time_s, conditions={"fused": fused.condition}, ego_speed_mps=ego_mps
+        )
         ranges |= {f"{name}_kf": each.ranges for name, each in filtered.items()}
         motion = filtered["fused"]
         if not self.shared_sigma:

@@ -6,10 +6,23 @@ from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.ranging.filtering.distance_filter import DistanceFilter, DistanceFilters, FilterSettings
+from track_range.ranging.filtering.distance_filter import DistanceFilters, FilterSettings
 from track_range.ranging.ranges import Ranges
 
-SETTINGS = FilterSettings(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
+
+class OneFilter:
+    """The filter of one method alone."""
+
+    def __init__(self, noise_share=0.6, **settings):
+        self.filters = DistanceFilters({"a": noise_share}, FilterSettings(**settings))
+
+    @property
+    def noise_share(self):
+        return self.filters.noise_shares["a"]
+
+    def update(self, measured, time_s, *, condition=None, **options):
+        conditions = None if condition is None else {"a": condition}
+        return self.filters.update({"a": measured}, time_s, conditions=conditions, **options)["a"]
 
 
 def measured(ids, distance_m, sigma_m=1.0):
@@ -19,7 +32,7 @@ def measured(ids, distance_m, sigma_m=1.0):
 
 def test_equals_filterpy_with_uneven_steps():
     rng = np.random.default_rng(1)
-    ours = DistanceFilter(SETTINGS)
+    ours = OneFilter(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
     oracle = ExtendedKalmanFilter(dim_x=2, dim_z=1)
     time_s = np.cumsum(rng.uniform(0.03, 0.3, 40))
     for i, t in enumerate(time_s):
@@ -52,7 +65,7 @@ def simulated(rng, *, n, steps, dt=0.1):
 
 def test_innovations_of_simulated_motion_are_as_large_as_the_filter_says():
     rng = np.random.default_rng(2)
-    tracker = DistanceFilter(FilterSettings(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0))
+    tracker = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0)
     of_distance, of_rate = [], []
     for step, (distance, rate) in enumerate(simulated(rng, n=300, steps=40)):
         result = tracker.update(measured(np.arange(300), distance + rng.normal(0, 0.5, 300), 0.5), step * 0.1)
@@ -66,7 +79,7 @@ def test_innovations_of_simulated_motion_are_as_large_as_the_filter_says():
 @pytest.mark.parametrize("true_sigma_m", [0.2, 0.5, 1.5])
 def test_the_noise_is_learnt_whatever_the_method_says_of_it(true_sigma_m):
     rng = np.random.default_rng(3)
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step, (distance, _) in enumerate(simulated(rng, n=40, steps=60)):
         tracker.update(measured(np.arange(40), distance + rng.normal(0, true_sigma_m, 40), 1.0), step * 0.1)
     assert tracker.noise_share == pytest.approx(true_sigma_m, rel=0.25)
@@ -75,7 +88,7 @@ def test_the_noise_is_learnt_whatever_the_method_says_of_it(true_sigma_m):
 def test_boxes_that_jump_hardly_move_the_mean():
     """A height of 20 px that jumps by 3: small boxes are far and say so, which in metres would cost 7 % of distance."""
     rng = np.random.default_rng(4)
-    tracker, ids, last = DistanceFilter(), np.arange(200), []
+    tracker, ids, last = OneFilter(), np.arange(200), []
     for step in range(60):
         height_px = 20 + rng.normal(0, 3, 200)
         distance_m = 1000 / height_px
@@ -88,7 +101,7 @@ def test_with_ego_speed_braking_is_not_taken_for_the_targets():
     """A parked car, 40 m ahead; the ego car brakes from 15 m/s at 8 m/s^2."""
     errors = {}
     for name in ("told", "not told"):
-        tracker, distance_m = DistanceFilter(FilterSettings(max_rate_sigma_mps=9.0)), 40.0
+        tracker, distance_m = OneFilter(max_rate_sigma_mps=9.0), 40.0
         for step in range(18):
             speed_mps = 15.0 - 0.8 * max(step - 6, 0)
             result = tracker.update(
@@ -100,7 +113,7 @@ def test_with_ego_speed_braking_is_not_taken_for_the_targets():
 
 
 def test_a_new_track_may_stand_still_beside_a_moving_camera():
-    tracker = DistanceFilter(FilterSettings(min_steady_s=0.0, max_rate_sigma_mps=99.0))
+    tracker = OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0)
     assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0).rate_mps == [-12.0]
     assert tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1).rate_mps == pytest.approx([-12.0, 0.0])  # unknown now
     again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # and a jump while unknown is no braking
@@ -110,7 +123,7 @@ def test_a_new_track_may_stand_still_beside_a_moving_camera():
 def test_time_to_collision_is_as_uncertain_as_it_says_and_knows_no_size():
     """Every track looks 20 % too small, for good: distance and speed are wrong alike, and the time is right."""
     rng = np.random.default_rng(5)
-    tracker, ids, off = DistanceFilter(FilterSettings(noise_share=0.1, max_rate_sigma_mps=9.0)), np.arange(300), 1.2
+    tracker, ids, off = OneFilter(noise_share=0.1, max_rate_sigma_mps=9.0), np.arange(300), 1.2
     for step in range(20):
         true_m = 60 - 12 * step * 0.1
         noise = rng.normal(0, 0.02, 300)
@@ -123,7 +136,7 @@ def test_time_to_collision_is_as_uncertain_as_it_says_and_knows_no_size():
 
 
 def test_tracks_come_go_and_are_remembered_through_a_gap():
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step in range(10):
         tracker.update(measured([1, 2], [30 - step, 50.0]), step * 0.1)
     assert len(tracker.update(measured([], []), 1.0).rate_mps) == 0
@@ -136,14 +149,14 @@ def test_tracks_come_go_and_are_remembered_through_a_gap():
 
 
 def test_one_wild_measurement_moves_the_distance_little():
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step in range(20):
         tracker.update(measured([1], [30.0]), step * 0.1)
     assert tracker.update(measured([1], [60.0]), 2.0).ranges.distance_m[0] == pytest.approx(30, abs=2)
 
 
 def test_a_track_that_is_plainly_elsewhere_is_followed_after_three_measurements():
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step in range(20):
         tracker.update(measured([1], [15.0]), step * 0.1)
     moved = [tracker.update(measured([1], [60.0]), 2.0 + step * 0.1).ranges.distance_m[0] for step in range(4)]
@@ -152,7 +165,7 @@ def test_a_track_that_is_plainly_elsewhere_is_followed_after_three_measurements(
 
 
 def test_two_wild_ones_and_a_good_one_do_not_restart_the_filter():
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step in range(30):
         tracker.update(measured([1], [50 - step]), step * 0.1)
     for step, distance_m in ((30, 60.0), (31, 60.0), (32, 18.0), (33, 60.0), (34, 16.0)):
@@ -160,14 +173,14 @@ def test_two_wild_ones_and_a_good_one_do_not_restart_the_filter():
     assert result.rate_mps[0] == pytest.approx(-10, abs=2.5)
 
 
-def test_a_step_between_ways_of_measuring_is_no_speed():
+def test_step_at_a_change_of_condition_is_no_speed():
     """Mono says 6.6 m, stereo 4.4 m: where one takes over from the other nothing has moved."""
     rates = {}
-    for name, ways in (("told", (0, 1)), ("not told", (0, 0))):
-        tracker = DistanceFilter()
+    for name, numbers in (("told", (0, 1)), ("not told", (0, 0))):
+        tracker = OneFilter()
         for step in range(16):
-            way, distance_m = (ways[0], 6.6) if step < 8 else (ways[1], 4.4)
-            result = tracker.update(measured([1], [distance_m], 0.6), step * 0.1, way=np.array([way]))
+            number, distance_m = (numbers[0], 6.6) if step < 8 else (numbers[1], 4.4)
+            result = tracker.update(measured([1], [distance_m], 0.6), step * 0.1, condition=np.array([number]))
             rates.setdefault(name, []).append(abs(result.rate_mps[0]))
     assert np.nanmax(rates["told"]) < 0.5 < 2.0 < np.nanmax(rates["not told"])
     assert np.isnan(rates["told"][8:11]).all()  # and for a third of a second nothing is said
@@ -176,7 +189,7 @@ def test_a_step_between_ways_of_measuring_is_no_speed():
 
 def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
     rng, ids = np.random.default_rng(10), np.arange(50)
-    tracker = DistanceFilter(FilterSettings(noise_share=0.6))
+    tracker = OneFilter(noise_share=0.6)
     for step in range(50):
         result = tracker.update(measured(ids, 30.0 + rng.normal(0, 1.2, 50), 2.0), step * 0.1)
     assert 0.8 * 2.0 < np.mean(result.ranges.sigma_m) < 0.9 * 2.0
@@ -185,8 +198,8 @@ def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
 def test_what_a_method_tells_of_the_kept_part_is_taken_box_by_box():
     """Sigma 2, of which sqrt(3) is kept: as if half of it were noise; the track beside it has noise alone."""
     rng, ids = np.random.default_rng(11), np.array([1, 2])
-    told = DistanceFilter(FilterSettings(noise_share=0.9, learns_noise=False))
-    half, whole = (DistanceFilter(FilterSettings(noise_share=share, learns_noise=False)) for share in (0.5, 1.0))
+    told = OneFilter(noise_share=0.9, learns_noise=False)
+    half, whole = (OneFilter(noise_share=share, learns_noise=False) for share in (0.5, 1.0))
     for step in range(20):
         now = measured(ids, 30.0 + rng.normal(0, 1.0, 2), 2.0)
         found = told.update(replace(now, sigma_kept_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
@@ -198,7 +211,7 @@ def test_what_a_method_tells_of_the_kept_part_is_taken_box_by_box():
 
 
 def test_a_measurement_that_claims_to_be_free_of_noise_is_still_filtered():
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step in range(3):  # twice at the same time
         now = replace(measured([1], [30.0], 2.0), sigma_kept_m=np.array([2.0]))
         found = tracker.update(now, max(step - 1, 0) * 0.1).ranges
@@ -207,24 +220,24 @@ def test_a_measurement_that_claims_to_be_free_of_noise_is_still_filtered():
 
 
 def test_a_sigma_that_shows_no_noise_is_all_kept():
-    tracker = DistanceFilter(FilterSettings(noise_share=0.6))
+    tracker = OneFilter(noise_share=0.6)
     for step in range(200):
         result = tracker.update(measured([1], [30.0], 2.0), step * 0.1)
     assert result.ranges.sigma_m[0] == pytest.approx(2.0, rel=0.05)
 
 
 def test_two_filters_share_nothing():
-    first, second = DistanceFilter(), DistanceFilter()
+    first, second = OneFilter(), OneFilter()
     first.update(measured([1], [30.0]), 0.0)
     assert np.isnan(second.update(measured([1], [np.nan]), 0.1).ranges.distance_m).all()
 
 
 def test_filters_of_several_methods_are_those_of_each_alone():
-    """Whatever one method measures, or says of its noise and its ways, is nothing to the others."""
+    """Whatever one method measures, or says of its noise and its condition, is nothing to the others."""
     rng, shares = np.random.default_rng(12), {"a": 0.6, "b": 0.3, "c": 0.35}
     together, alone = (
         DistanceFilters(shares),
-        {n: DistanceFilter(FilterSettings(noise_share=s)) for n, s in shares.items()},
+        {n: OneFilter(noise_share=s) for n, s in shares.items()},
     )
     ids, last = np.arange(6), {}
     for step in range(40):
@@ -234,12 +247,14 @@ def test_filters_of_several_methods_are_those_of_each_alone():
             for name in shares
         }
         by_method["b"] = replace(by_method["b"], sigma_kept_m=0.8 * by_method["b"].sigma_m)
-        way = rng.integers(0, 2, len(here))
-        found = together.update({**by_method, "other": by_method["a"]}, step * 0.1, ways={"c": way}, ego_speed_mps=3.0)
+        condition = rng.integers(0, 2, len(here))
+        found = together.update(
+            {**by_method, "other": by_method["a"]}, step * 0.1, conditions={"c": condition}, ego_speed_mps=3.0
+        )
         assert list(found) == ["a", "b", "c"]
         for name, tracker in alone.items():
             last[name] = tracker.update(
-                by_method[name], step * 0.1, way=way if name == "c" else None, ego_speed_mps=3.0
+                by_method[name], step * 0.1, condition=condition if name == "c" else None, ego_speed_mps=3.0
             )
             for ours, theirs in (
                 (found[name].ranges.distance_m, last[name].ranges.distance_m),
@@ -265,7 +280,7 @@ def test_a_method_that_is_not_given_has_measured_nothing():
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.just(np.nan), st.floats(0.1, 500)), min_size=1, max_size=12), st.floats(-40, 40))
 def test_whatever_is_measured_distances_are_positive_and_sigmas_too(distances_m, ego_mps):
-    tracker = DistanceFilter()
+    tracker = OneFilter()
     for step, distance_m in enumerate(distances_m):
         result = tracker.update(measured([1], [distance_m]), step * 0.1, ego_speed_mps=ego_mps)
         is_known = np.isfinite(result.ranges.distance_m)

@@ -5,7 +5,7 @@ import pytest
 
 from track_range.detection.formats.kitti import read_kitti
 from track_range.ranging.evaluation.box_surface import surface_distance_m
-from track_range.ranging.filtering.distance_filter import DistanceFilter
+from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.ranges import Ranges
 
 FOCAL_PX, CENTRE_PX, STEP_S, HEIGHT_M = 721.5377, np.array([609.5593, 172.854]), 0.1036, 1.55
@@ -42,10 +42,11 @@ class Cars:
         measured_m = FOCAL_PX * HEIGHT_M / np.maximum(height_px, 5)
         sigma_m = measured_m * np.hypot(0.08, 1.5 * np.sqrt(2) / np.maximum(height_px, 5))
         found_m, found_sigma_m, rate_mps = np.full((3, len(measured_m)), np.nan)
-        one = DistanceFilter()
+        one = DistanceFilters({"a": 0.6})
         for number in np.unique(self.frame):
             rows = np.flatnonzero(self.frame == number)
-            frame = one.update(Ranges(self.track_id[rows], measured_m[rows], sigma_m[rows]), number * STEP_S)
+            measured = Ranges(self.track_id[rows], measured_m[rows], sigma_m[rows])
+            frame = one.update({"a": measured}, number * STEP_S)["a"]
             found_m[rows], found_sigma_m[rows] = frame.ranges.distance_m, frame.ranges.sigma_m
             rate_mps[rows] = frame.rate_mps
         return measured_m, found_m, found_sigma_m, rate_mps
