@@ -1,9 +1,10 @@
 """A registered method of another package appears in every output of a run, with no other file touched."""
 
+import csv
 import json
+import re
 from importlib.metadata import EntryPoint
 
-import numpy as np
 import pytest
 
 from tests.toy_method import TOY
@@ -12,6 +13,9 @@ from tests.track_range.overlay_results import BOX, result
 from track_range.overlay.colours import colour_of_each
 from track_range.overlay.labels import corner_lines, label_lines
 from track_range.ranging import registry
+from track_range.ranging.evaluation.box_methods import method_names
+
+TOY_M = 100 * 1.8 / 30
 
 
 @pytest.fixture
@@ -25,7 +29,7 @@ def run_folder(tmp_path, cli):  # noqa: F811
     """Runs on a film of eight frames with a box in each."""
     video, boxes, out = tmp_path / "film.mp4", tmp_path / "boxes.txt", tmp_path / "out"
     write_film(video, [0.1 * i for i in range(8)])
-    boxes.write_text("".join(f"{i},10,4,40,40,0.9\n" for i in range(8)))
+    boxes.write_text("".join(f"{i},10,4,40,47,0.9\n" for i in range(8)))
 
     def run():
         arguments = ("--mono", video, "--focal-px", 100, "--detections", boxes, "--lanes", "off", "--out", out)
@@ -41,16 +45,22 @@ def text_of(lines):
 
 
 def assert_is_everywhere(out, printed):
+    table = (out / "tracks.csv").read_text().splitlines()
+    assert table[0].endswith(",toy_m,toy_sigma_m,toy_kf_m,toy_kf_sigma_m")
+    last = list(csv.DictReader(table))[-1]
+    cells = [float(last[name]) for name in ("toy_m", "toy_sigma_m", "toy_kf_m")]
+    assert cells == pytest.approx([TOY_M, 0.1 * TOY_M, TOY_M], abs=0.01)
+    assert not last["mono_m"]  # the box is cut off at the bottom: toy measures alone
+    assert float(last["fused_m"]) == pytest.approx(TOY_M, abs=0.01)
     summary = json.loads((out / "summary.json").read_text())
     assert summary["stages_ms"]["toy"] > 0
+    assert summary["methods"]["toy"]["coverage"] == summary["methods"]["toy_kf"]["coverage"] == 1.0
     assert summary["toy_boxes"] == 8
     assert "toy: 8 boxes." in summary["notes"]
-    assert {"toy", "toy_kf"} <= set(summary["methods"])
-    header, first = (out / "tracks.csv").read_text().splitlines()[:2]
-    assert header.endswith(",toy_m,toy_sigma_m,toy_kf_m,toy_kf_sigma_m")
-    assert float(dict(zip(header.split(","), first.split(","), strict=True))["toy_m"]) > 0
-    assert "toy" in printed
-    assert "toy" in (out / "report.html").read_text()
+    assert re.search(r"^\W*toy\b.*\b100\b", printed, re.MULTILINE)
+    page = (out / "report.html").read_text()
+    assert TOY.colour in page
+    assert re.search(r"<t[hd][^>]*>\s*toy\b", page)
 
 
 def test_toy_method_in_every_output_of_a_run(toy, run_folder):
@@ -94,7 +104,4 @@ def test_toy_method_is_gone_without_its_registration(run_folder):
 
 
 def test_toy_method_on_labelled_boxes(toy):
-    from track_range.ranging.evaluation.box_methods import method_names
-
     assert method_names()[-4:] == ("mono", "ground", "toy", "mono+ground+toy")
-    assert np.isclose(TOY.noise_share, 0.5)
