@@ -67,8 +67,10 @@ def test_what_does_not_fit_is_named_left_out_and_harms_no_page(part: dict[str, A
 
 
 def test_the_rest_of_a_section_is_kept() -> None:
-    found, _ = fitting_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": ["one", 2, "three"]})
-    assert found == {"stages_ms": {"detect": 3.0}, "notes": ["one", "three"]}
+    notes = ["one", 2, *"abcdefgh", 10, "three"]  # item 10 goes before item 2
+    found, misfits = fitting_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": notes})
+    assert found == {"stages_ms": {"detect": 3.0}, "notes": ["one", *"abcdefgh", "three"]}
+    assert misfits == ["notes.1", "notes.10", "stages_ms.read"]
 
 
 @pytest.mark.parametrize(

@@ -1,83 +1,107 @@
-"""What a summary.json may hold: of one that was damaged, edited or written by another version, what fits is still told.
+"""What a summary.json holds, for reading one that was damaged, edited, or written by another version.
 
-A shape is the name of a kind of leaf, a list of one shape, or a mapping of names to shapes, in which "*" stands for all
-other names and `_NEEDED` lists those without which the mapping says nothing.
+Values of another type are left out, and the rest is kept; keys that are not listed here may hold anything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
-_NEEDED = "!"
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-_FIGURES = {"*": "figure"}
-_ANYTHING = {"*": "anything"}
-_ROW = {
-    "*": "figure",
-    "bands": [{"*": "figure", _NEEDED: ("from_m", "to_m")}],
-    "by_class": {"*": _FIGURES},
-}
-_SUMMARY: dict[str, Any] = {
-    **dict.fromkeys(("frames", "starts_s", "wall_s", "frames_per_s", "focal_px", "baseline_m"), "figure"),
-    **dict.fromkeys(("truth", "calibration"), "text"),
-    **dict.fromkeys(("stages_ms", "closing", "stereo_unmatched"), _FIGURES),
-    **{key: {"*": _ROW} for key in ("methods", "common")},
-    **dict.fromkeys(("inputs", "settings", "versions"), _ANYTHING),
-    "tracks": {"*": "figure", "classes": ["text"]},
-    "alignment": {"*": "figure", "source": "text", "is_applied": "anything"},
-    "learnt_scale": {"*": "figure", _NEEDED: ("n_tracks", "baseline_m", "focal_px", "relative_sigma")},
-    "files": {"*": "text"},
-    "notes": ["text"],
-    "*": "anything",
-}
-
-_LARGEST = 1e15
-"""No figure of a run is larger; and it is neither NaN nor infinite."""
-
-_LEAVES: dict[str, Callable[[Any], bool]] = {
-    "figure": lambda value: isinstance(value, int | float) and abs(value) < _LARGEST,
-    "text": lambda value: isinstance(value, str),
-    "anything": lambda value: True,
-}
+Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
+"""No figure of a run is larger; null = unknown."""
+Text = Annotated[str, Field(strict=True)] | None
 
 
-class _Misfit(Exception):
-    """A value of another shape."""
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="allow")
+
+
+class _Figures(_Section):
+    """A section whose further keys are figures too."""
+
+    __pydantic_extra__: dict[str, Figure]
+
+
+class _Band(_Figures):
+    from_m: Annotated[float, Field(strict=True)]
+    to_m: Annotated[float, Field(strict=True)]
+
+
+class _Method(_Figures):
+    bands: list[_Band] | None = None
+    by_class: dict[str, dict[str, Figure]] | None = None
+
+
+class _Tracks(_Figures):
+    classes: list[Text] | None = None
+
+
+class _Alignment(_Figures):
+    source: Text = None
+    is_applied: Any = None
+
+
+class _LearntScale(_Figures):
+    n_tracks: Annotated[float, Field(strict=True)]
+    baseline_m: Annotated[float, Field(strict=True)]
+    focal_px: Annotated[float, Field(strict=True)]
+    relative_sigma: Annotated[float, Field(strict=True)]
+
+
+class _Summary(_Section):
+    frames: Figure = None
+    starts_s: Figure = None
+    wall_s: Figure = None
+    frames_per_s: Figure = None
+    focal_px: Figure = None
+    baseline_m: Figure = None
+    truth: Text = None
+    calibration: Text = None
+    stages_ms: dict[str, Figure] = {}
+    closing: dict[str, Figure] = {}
+    stereo_unmatched: dict[str, Figure] = {}
+    methods: dict[str, _Method] = {}
+    common: dict[str, _Method] = {}
+    inputs: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
+    versions: dict[str, Any] = {}
+    tracks: _Tracks | None = None
+    alignment: _Alignment | None = None
+    learnt_scale: _LearntScale | None = None
+    files: dict[str, Text] = {}
+    notes: list[Text] = []
 
 
 def fitting_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The part of a summary that is as it should be, and the dotted names of what was left out."""
-    misfits: list[str] = []
-    return _fit_mapping(summary, _SUMMARY, "", misfits), misfits
-
-
-def _fit(value: Any, shape: Any, name: str, misfits: list[str]) -> Any:
-    """The value without its parts that do not fit, which are added to `misfits`; null is a leaf that is not known."""
-    if isinstance(shape, str):
-        if value is None or _LEAVES[shape](value):
-            return value
-    elif isinstance(shape, list):
-        if isinstance(value, list):
-            return _fit_list(value, shape[0], name, misfits)
-    elif isinstance(value, Mapping):
-        return _fit_mapping(value, shape, name, misfits)
-    raise _Misfit
-
-
-def _fit_list(values: list[Any], shape: Any, name: str, misfits: list[str]) -> list[Any]:
-    numbered = {str(number): value for number, value in enumerate(values)}
-    return list(_fit_mapping(numbered, {"*": shape}, name, misfits).values())
-
-
-def _fit_mapping(values: Mapping[str, Any], shape: Mapping[str, Any], name: str, misfits: list[str]) -> dict[str, Any]:
-    found = {}
-    for key, value in values.items():
-        full_name = f"{name}.{key}" if name else str(key)
+    """The part of a summary whose values have the right types, and the dotted names of those that were left out."""
+    kept, misfits = _copied(summary), list[str]()
+    while True:
         try:
-            found[str(key)] = _fit(value, shape.get(key, shape["*"]), full_name, misfits)
-        except _Misfit:
-            misfits.append(full_name)
-    if any(found.get(key) is None for key in shape.get(_NEEDED, ())):
-        raise _Misfit
-    return found
+            _Summary.model_validate(kept)
+        except ValidationError as error:
+            # Without a key that it needs, a section as a whole is left out.
+            places = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}
+            ordered = sorted(
+                places, key=lambda place: [(-1, part) if isinstance(part, str) else (part, "") for part in place]
+            )
+            misfits += [".".join(str(part) for part in place) for place in ordered]
+            for place in reversed(ordered):  # the last item of a list first
+                _remove(kept, place)
+        else:
+            return kept, misfits
+
+
+def _copied(value: Any) -> Any:
+    """The value with mappings and lists that can be changed; keys are strings."""
+    if isinstance(value, Mapping):
+        return {str(key): _copied(part) for key, part in value.items()}
+    return [_copied(part) for part in value] if isinstance(value, list) else value
+
+
+def _remove(container: Any, place: Sequence[int | str]) -> None:
+    for part in place[:-1]:
+        container = container[part]
+    del container[place[-1]]
