@@ -20,7 +20,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
 from track_range.live_view.server import LOOPBACK, LivePage
 from track_range.run.frame_result import FrameResult
-from track_range.run.prefetch import give_way
+from track_range.run.prefetch import lower_thread_priority
 
 _QUALITY = 80  # of JPEG; at 100 a picture takes thrice the bytes
 _WHERE = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
@@ -83,7 +83,7 @@ class LiveView:
             with self._changed:
                 newest, newest_number = self._newest, self._number
             if newest is not None and self._drawn[1] < newest_number:
-                give_way()
+                lower_thread_priority()
                 _, jpeg = cv2.imencode(".jpg", self._picture(newest), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
                 self._drawn = (jpeg.tobytes(), newest_number)
             return self._drawn

@@ -12,7 +12,7 @@ from typing import Self
 
 from track_range.foundation.arrays import Image
 from track_range.run.frame_result import FrameResult
-from track_range.run.prefetch import give_way
+from track_range.run.prefetch import lower_thread_priority
 from track_range.run.stage_clock import StageClock
 from track_range.video.reader import VideoWriter
 
@@ -47,7 +47,7 @@ class ResultVideo:
         self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=form.fps, quantizer=_QUANTIZER)
         self._picture = draw
         self._clock = clock
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=give_way)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=lower_thread_priority)
         self._waiting: deque[Future[None]] = deque()
 
     def __enter__(self) -> Self:

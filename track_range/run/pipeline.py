@@ -119,15 +119,15 @@ class Pipeline:
             # the videos are closed; then the rangers.
             stack.callback(self._close_rangers)
 
-            def in_thread(items: Iterable[_T], depth: int, *, gives_way: bool) -> Iterable[_T]:
-                return stack.enter_context(closing(prefetch(items, depth=depth, gives_way=gives_way)))
+            def in_thread(items: Iterable[_T], depth: int, *, low_priority: bool) -> Iterable[_T]:
+                return stack.enter_context(closing(prefetch(items, depth=depth, low_priority=low_priority)))
 
-            read = in_thread(frames, self.depths.read, gives_way=True)
+            read = in_thread(frames, self.depths.read, low_priority=True)
             with_lanes = self._with_lanes(read)
             if self.lane_finder is not None:
-                with_lanes = in_thread(with_lanes, self.depths.lanes, gives_way=True)
+                with_lanes = in_thread(with_lanes, self.depths.lanes, low_priority=True)
             for frame, lanes, detections in in_thread(
-                self._with_detections(with_lanes), self.depths.detected, gives_way=False
+                self._with_detections(with_lanes), self.depths.detected, low_priority=False
             ):
                 yield self.result(frame, lanes, detections)
 

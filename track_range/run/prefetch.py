@@ -1,4 +1,4 @@
-"""Overlap: the next items of a stage are made in a thread while the caller works on this one.
+"""prefetch: the next items of a stage are made in a thread while the caller works on this one.
 
     items -> thread -> [ at most `depth` items ] -> caller
 
@@ -22,8 +22,8 @@ _SWITCH_INTERVAL_S = 0.0005
 _NICENESS = 15  # of 19: a thirtieth of the weight of an ordinary thread
 
 
-def give_way() -> None:
-    """Let the calling thread, and those that it starts, run only where more urgent ones leave room (Linux only).
+def lower_thread_priority() -> None:
+    """Lower the priority of the calling thread and of those that it starts (Linux only).
 
     With fewer cores than busy threads, decoding and drawing would else take turns with inference, which all wait for.
     """
@@ -33,7 +33,7 @@ def give_way() -> None:
 
 @contextmanager
 def short_switch_interval() -> Iterator[None]:
-    """While inside, a thread that comes back from inference waits at most half a millisecond for Python's lock.
+    """Within this context a thread that comes back from inference waits at most 0.5 ms for Python's lock.
 
     The default, 5 ms, is a tenth of a frame.
     """
@@ -45,7 +45,7 @@ def short_switch_interval() -> Iterator[None]:
         sys.setswitchinterval(before_s)
 
 
-def prefetch(items: Iterable[T], *, depth: int, gives_way: bool = False) -> Generator[T, None, None]:
+def prefetch(items: Iterable[T], *, depth: int, low_priority: bool = False) -> Generator[T, None, None]:
     """The same items in the same order, made in a thread that is at most `depth` items ahead.
 
     The thread starts with the first item asked for. It ends, and closes `items` if that is a generator, when the items
@@ -55,85 +55,82 @@ def prefetch(items: Iterable[T], *, depth: int, gives_way: bool = False) -> Gene
     Args:
         items: iterated in the thread alone.
         depth: items waiting or being made beyond the one that the caller holds, at least 1.
-        gives_way: see `give_way`.
+        low_priority: see `lower_thread_priority`.
 
     Raises:
         ValueError: `depth` below 1.
     """
     if depth < 1:
-        raise ValueError(f"depth: at least 1 wanted, {depth} got")
-    return _consume(items, depth, gives_way)
+        raise ValueError(f"depth: expected at least 1, got {depth}")
+    return _consume(items, depth, low_priority)
 
 
-def _consume(items: Iterable[T], depth: int, gives_way: bool) -> Generator[T, None, None]:
-    belt: _Belt[T] = _Belt(depth)
+def _consume(items: Iterable[T], depth: int, low_priority: bool) -> Generator[T, None, None]:
+    queue: ClosableQueue[T] = ClosableQueue(depth)
     # A daemon, so that a caller who dies with the generator still in a traceback does not keep the program from ending.
-    thread = threading.Thread(target=_produce, args=(items, belt, gives_way), name="prefetch", daemon=True)
+    thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name="prefetch", daemon=True)
     del items  # from here on they are the thread's alone
     thread.start()
     try:
-        while belt.wait_for_item():
-            yield belt.taken()
-        if belt.error is not None:
-            raise belt.error
+        while queue.wait_for_item():
+            yield queue.get()
+        if queue.error is not None:
+            raise queue.error
     finally:
-        belt.stop()
+        queue.close()
         if thread is not threading.current_thread():  # the garbage collector may close us inside our own thread
             thread.join()
-        belt.error = None  # its traceback holds this frame, which holds the belt
+        queue.error = None  # its traceback holds this frame, which holds the queue
 
 
-def _produce(items: Iterable[T], belt: _Belt[T], gives_way: bool) -> None:
+def _produce(items: Iterable[T], queue: ClosableQueue[T], low_priority: bool) -> None:
     error: BaseException | None = None
     try:
-        if gives_way:
-            give_way()
-        _fill(items, belt)
+        if low_priority:
+            lower_thread_priority()
+        source = iter(items)
+        try:
+            while queue.wait_for_room():
+                try:
+                    item = next(source)
+                except StopIteration:
+                    break
+                queue.put(item)
+                del item  # the caller's alone now: an image must not live on in this frame
+        finally:
+            if isinstance(source, Generator):
+                source.close()
     except BaseException as raised:  # whatever it is, the caller must see it
         error = raised
-    belt.finish(error)
+    queue.finish(error)
 
 
-def _fill(items: Iterable[T], belt: _Belt[T]) -> None:
-    source = iter(items)
-    try:
-        while belt.wait_for_room():
-            try:
-                item = next(source)
-            except StopIteration:
-                return
-            belt.put(item)
-            del item  # the caller's alone now: an image must not live on in this frame
-    finally:
-        if isinstance(source, Generator):
-            source.close()
-
-
-class _Belt(Generic[T]):
-    """A bounded queue that either end can leave; queue.Queue has no such thing before Python 3.13."""
+class ClosableQueue(Generic[T]):
+    """A bounded queue that producer and consumer can end; `queue.Queue.shutdown` exists from Python 3.13 on only."""
 
     def __init__(self, depth: int) -> None:
         self.error: BaseException | None = None
         self._depth = depth
         self._items: deque[T] = deque()
         self._is_finished = False
-        self._is_stopped = False
-        self._changed = threading.Condition()  # its lock is re-entrant: the collector may call stop() inside put()
+        self._is_closed = False
+        self._changed = threading.Condition()  # its lock is re-entrant: the collector may call close() inside put()
 
     def wait_for_room(self) -> bool:
-        """Producer: wait until an item may be made; False = nobody wants any more."""
+        """Producer: wait until an item may be made; False = the consumer takes no more."""
         with self._changed:
-            self._changed.wait_for(lambda: self._is_stopped or len(self._items) < self._depth)
-            return not self._is_stopped
+            self._changed.wait_for(lambda: self._is_closed or len(self._items) < self._depth)
+            return not self._is_closed
 
     def put(self, item: T) -> None:
+        """Producer: add an item, unless the consumer takes no more."""
         with self._changed:
-            if not self._is_stopped:
+            if not self._is_closed:
                 self._items.append(item)
                 self._changed.notify_all()
 
     def finish(self, error: BaseException | None) -> None:
-        """Producer: nothing more comes."""
+        """Producer: there are no more items, because of an error or not."""
         with self._changed:
             self.error, self._is_finished = error, True
             self._changed.notify_all()
@@ -144,15 +141,15 @@ class _Belt(Generic[T]):
             self._changed.wait_for(lambda: self._is_finished or bool(self._items))
             return bool(self._items)
 
-    def taken(self) -> T:
+    def get(self) -> T:
         """Consumer: the oldest item, of which there is one."""
         with self._changed:
             self._changed.notify_all()
             return self._items.popleft()
 
-    def stop(self) -> None:
-        """Consumer: want no more items."""
+    def close(self) -> None:
+        """Consumer: take no more items."""
         with self._changed:
-            self._is_stopped = True
+            self._is_closed = True
             self._items.clear()
             self._changed.notify_all()

@@ -14,7 +14,6 @@ import numpy as np
 from track_range.video.frame import VideoError, VideoFrame, counted
 from track_range.video.live.reader import LiveReader
 from track_range.video.live.stream import SILENCE_S
-from track_range.video.pairing import PairCounts
 
 _SHARED_CLOCK_INTERVALS, _ARRIVAL_INTERVALS = 0.25, 0.5
 """The largest difference of time within a pair, in frame intervals: where stamps can be compared, and where arrivals
@@ -39,12 +38,6 @@ class LivePair:
         self.tolerance_s = intervals / max(left.fps, right.fps)
         self._apart_s: list[float] = []
         self._n_pairs = 0
-
-    @property
-    def counts(self) -> PairCounts:
-        """Counts so far; unpaired are all images that were not used."""
-        left, right = (eye.stream.n_received - eye.stream.n_taken for eye in (self.left, self.right))
-        return PairCounts(self._n_pairs, left, right)
 
     @property
     def notes(self) -> tuple[str, ...]:

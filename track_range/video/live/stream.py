@@ -16,7 +16,7 @@ import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
-from track_range.run.prefetch import give_way
+from track_range.run.prefetch import lower_thread_priority
 from track_range.video.frame import VideoError, VideoFrame, counted, is_neutral
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.clock import StreamClock
@@ -134,7 +134,7 @@ class LiveStream:
         self._thread.join(_OPEN_S + SILENCE_S)
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
-        give_way()
+        lower_thread_priority()
         try:
             with container:
                 self._receive(container, stream)

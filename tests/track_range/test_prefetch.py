@@ -119,7 +119,7 @@ def test_closing_early_ends_the_thread_and_the_source(n_taken: int) -> None:
     ahead = prefetch(source.items(), depth=2)
     for _ in range(n_taken):
         next(ahead)
-    ahead.close()  # whether the belt is full or not
+    ahead.close()  # whether the queue is full or not
     assert source.closed.is_set()
     assert not prefetch_threads()
 
@@ -189,5 +189,5 @@ def test_the_thread_does_not_keep_a_program_from_ending() -> None:
 
 @pytest.mark.parametrize("depth", [0, -1])
 def test_a_depth_below_one_is_refused(depth: int) -> None:
-    with pytest.raises(ValueError, match=f"depth: at least 1 wanted, {depth} got"):
+    with pytest.raises(ValueError, match="depth"):
         prefetch([], depth=depth)
