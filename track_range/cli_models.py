@@ -10,7 +10,7 @@ from rich.console import Console
 
 from track_range.commands.evaluate import evaluate_source, keep_figures, open_candidates, tell_figures
 from track_range.commands.evaluate_stereo import DEFAULT_MATCHERS, StereoTest, evaluate_stereo
-from track_range.commands.evaluate_tracks import TruthFormat, evaluate_track_files, keep_track_figures
+from track_range.commands.evaluate_tracks import Comparison, TruthFormat, evaluate_track_files, keep_track_figures
 from track_range.commands.model_files import import_model, list_models, pull_model
 from track_range.commands.models import tell_model
 from track_range.commands.quantize import quantize_model
@@ -146,9 +146,14 @@ def _tracks(
     road_class: Annotated[
         str | None, typer.Option("--class", metavar="NAME", help="KITTI: car (default), person or bicycle.")
     ] = None,
+    compare: Annotated[
+        Comparison | None, typer.Option(help="Also show this package's figures for the same boxes, and what differs.")
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    figures = evaluate_track_files(truth, results, truth_format=truth_format, road_class=road_class, console=_console)
+    figures = evaluate_track_files(
+        truth, results, truth_format=truth_format, road_class=road_class, console=_console, compare=compare
+    )
     keep_track_figures(figures, json_file)
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.tracking.similarity import Overlaps
+from track_range.tracking.similarity import Similarity
 
 MIN_IOU = 0.5
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -83,22 +83,22 @@ class ClearCounts:
         return _per_cent(self.idtp, self.idtp + self.idfn)
 
 
-def count_clear(overlaps: Overlaps) -> ClearCounts:
+def count_clear(similarity: Similarity) -> ClearCounts:
     """The counts of one sequence."""
-    n = len(overlaps.truth_count)
+    n = len(similarity.truth_count)
     last, last_frame = np.full(n, -1), np.full(n, -1)
     n_matched, n_starts = np.zeros(n, np.int64), np.zeros(n, np.int64)
     tp = idsw = 0
     iou_sum = 0.0
-    for wanted, got, iou in overlaps.frames():
-        if not len(wanted) or not len(got):
-            continue  # who was tracked in the frame before still counts as tracked there, as in TrackEval
-        score = iou + _STAY * (got[None, :] == last_frame[wanted][:, None])
+    for truth_ids, result_ids, iou in similarity.frames():
+        if not len(truth_ids) or not len(result_ids):
+            continue  # tracks matched in the frame before count as matched in this one, as in TrackEval
+        score = iou + _STAY * (result_ids[None, :] == last_frame[truth_ids][:, None])
         score[iou < MIN_IOU - _EPSILON] = 0.0
         rows, columns = linear_sum_assignment(score, maximize=True)
         keep = score[rows, columns] > _EPSILON
         rows, columns = rows[keep], columns[keep]
-        truth, result = wanted[rows], got[columns]
+        truth, result = truth_ids[rows], result_ids[columns]
         tp += len(truth)
         iou_sum += float(iou[rows, columns].sum())
         idsw += int(np.count_nonzero((last[truth] >= 0) & (last[truth] != result)))
@@ -107,13 +107,13 @@ def count_clear(overlaps: Overlaps) -> ClearCounts:
         last[truth] = result
         last_frame[:] = -1
         last_frame[truth] = result
-    share = n_matched / np.maximum(overlaps.truth_count, 1)
+    share = n_matched / np.maximum(similarity.truth_count, 1)
     mt, seen = int(np.count_nonzero(share > 0.8)), int(np.count_nonzero(share >= 0.2))
-    idtp = _identity_matches(overlaps)
+    idtp = _identity_matches(similarity)
     return ClearCounts(
         tp=tp,
-        fn=overlaps.n_truth - tp,
-        fp=overlaps.n_results - tp,
+        fn=similarity.n_truth - tp,
+        fp=similarity.n_results - tp,
         idsw=idsw,
         frag=int((n_starts[n_starts > 0] - 1).sum()),
         mt=mt,
@@ -121,16 +121,16 @@ def count_clear(overlaps: Overlaps) -> ClearCounts:
         ml=n - seen,
         iou_sum=iou_sum,
         idtp=idtp,
-        idfn=overlaps.n_truth - idtp,
-        idfp=overlaps.n_results - idtp,
+        idfn=similarity.n_truth - idtp,
+        idfp=similarity.n_results - idtp,
     )
 
 
-def _identity_matches(overlaps: Overlaps) -> int:
+def _identity_matches(similarity: Similarity) -> int:
     """Boxes that agree under the best mapping of truth identities to result identities."""
-    together = np.zeros((len(overlaps.truth_count), len(overlaps.result_count)))
-    for wanted, got, iou in overlaps.frames():
-        together[np.ix_(wanted, got)] += iou >= MIN_IOU
+    together = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
+    for truth_ids, result_ids, iou in similarity.frames():
+        together[np.ix_(truth_ids, result_ids)] += iou >= MIN_IOU
     rows, columns = linear_sum_assignment(together, maximize=True)
     return int(together[rows, columns].sum())
 

@@ -2,7 +2,7 @@
 
 A score of 0.5 means a car in 85 of 100 boxes of one detector and a person in 18 of 100 of another's. An object is
 detected again in the next frame; false alarms come and go. So the share of boxes that some box of the next frame
-overlaps, by score, shows how reliable a score is, without ground truth (on RRC's KITTI boxes, MOT15 and MOT17-05):
+similarity, by score, shows how reliable a score is, without ground truth (on RRC's KITTI boxes, MOT15 and MOT17-05):
 
     score                   0.3-0.4  0.4-0.5  0.5-0.6  0.6-0.7  0.7-0.8  0.8-0.9  best half
     RRC cars      true         63 %     82 %     87 %     79 %     94 %     80 %   (100 %)

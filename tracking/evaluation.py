@@ -16,7 +16,7 @@ from track_range.foundation.arrays import BoolArray
 from track_range.tracking.association import assigned
 from track_range.tracking.clear import MIN_IOU, ClearCounts, count_clear
 from track_range.tracking.hota import HotaCounts, count_hota
-from track_range.tracking.similarity import Overlaps
+from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 _MIN_SHARE_IGNORED = 0.5
@@ -69,9 +69,13 @@ class TrackingCounts:
 
     @classmethod
     def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> TrackingCounts:
-        """Of one sequence, cleaned of what does not count; ids need not agree between the two."""
-        overlaps = Overlaps.of(truth, results)
-        return cls(count_hota(overlaps), count_clear(overlaps))
+        """Of one sequence, after the benchmark's rules; ids need not agree between the two."""
+        return cls.of_similarity(Similarity.of(truth, results))
+
+    @classmethod
+    def of_similarity(cls, similarity: Similarity) -> TrackingCounts:
+        """The same, from the IoU of all boxes."""
+        return cls(count_hota(similarity), count_clear(similarity))
 
     @classmethod
     def sum_of(cls, counts: Sequence[TrackingCounts]) -> TrackingCounts:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.foundation.arrays import FloatArray
-from track_range.tracking.similarity import Overlaps
+from track_range.tracking.similarity import Similarity
 
 ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -72,36 +72,36 @@ class HotaCounts:
         return np.asarray(self.association_sum / np.maximum(1.0, self.tp))
 
 
-def count_hota(overlaps: Overlaps) -> HotaCounts:
+def count_hota(similarity: Similarity) -> HotaCounts:
     """The counts of one sequence."""
-    alignment = _alignment(overlaps)
+    alignment = _alignment(similarity)
     pairs = [np.zeros((0, 3))]
-    for wanted, got, iou in overlaps.frames():
+    for wanted, got, iou in similarity.frames():
         if len(wanted) and len(got):
             rows, columns = linear_sum_assignment(alignment[np.ix_(wanted, got)] * iou, maximize=True)
             pairs.append(np.column_stack([wanted[rows], got[columns], iou[rows, columns]]))
     matches = np.concatenate(pairs)
-    parts = [_at(overlaps, matches[matches[:, 2] >= alpha - _EPSILON]) for alpha in ALPHAS]
+    parts = [_at(similarity, matches[matches[:, 2] >= alpha - _EPSILON]) for alpha in ALPHAS]
     tp, iou_sum, association_sum = np.array(parts).T
-    return HotaCounts(tp, overlaps.n_truth - tp, overlaps.n_results - tp, iou_sum, association_sum)
+    return HotaCounts(tp, similarity.n_truth - tp, similarity.n_results - tp, iou_sum, association_sum)
 
 
-def _alignment(overlaps: Overlaps) -> FloatArray:
+def _alignment(similarity: Similarity) -> FloatArray:
     """(T, R) how well identities fit over the whole sequence, before anything is matched: a soft Jaccard index."""
-    shared = np.zeros((len(overlaps.truth_count), len(overlaps.result_count)))
-    for wanted, got, iou in overlaps.frames():
+    shared = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
+    for wanted, got, iou in similarity.frames():
         union = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
         shared[np.ix_(wanted, got)] += np.divide(iou, union, out=np.zeros_like(iou), where=union > _EPSILON)
-    together = overlaps.truth_count[:, None] + overlaps.result_count[None, :] - shared
+    together = similarity.truth_count[:, None] + similarity.result_count[None, :] - shared
     return np.asarray(shared / together)
 
 
-def _at(overlaps: Overlaps, matches: FloatArray) -> tuple[float, float, float]:
+def _at(similarity: Similarity, matches: FloatArray) -> tuple[float, float, float]:
     """Matches, their sum of IoU, and their sum of A(c), at one threshold."""
     if not len(matches):
         return 0.0, 0.0, 0.0
-    n_results = len(overlaps.result_count)
+    n_results = len(similarity.result_count)
     identity = matches[:, :2].astype(np.int64)
     pair, times = np.unique(identity[:, 0] * n_results + identity[:, 1], return_counts=True)
-    whole = overlaps.truth_count[pair // n_results] + overlaps.result_count[pair % n_results] - times
+    whole = similarity.truth_count[pair // n_results] + similarity.result_count[pair % n_results] - times
     return float(len(matches)), float(matches[:, 2].sum()), float((times * times / np.maximum(1, whole)).sum())

@@ -1,4 +1,4 @@
-"""Overlaps: which truth boxes and which result boxes meet in each frame of a sequence, by how much.
+"""Similarity: the IoU of truth and result boxes in each frame of a sequence.
 
 Every metric starts here, so that they all count the same boxes; identities are numbered from 0.
 """
@@ -16,7 +16,7 @@ from track_range.tracking.tracked_boxes import TrackedBoxes
 
 
 @dataclass(frozen=True, slots=True)
-class Overlaps:
+class Similarity:
     """One sequence.
 
     Attributes:
@@ -30,16 +30,16 @@ class Overlaps:
     by_frame: tuple[tuple[IntArray, IntArray, FloatArray], ...]
 
     @classmethod
-    def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> Overlaps:
-        """Of one sequence's boxes, cleaned of what does not count; boxes of different classes do not meet."""
-        wanted, got = _sorted(truth), _sorted(results)
-        truth_id, truth_count = _numbered(wanted.track_id)
-        result_id, result_count = _numbered(got.track_id)
-        frames = np.union1d(wanted.frame, got.frame)
-        starts = [np.searchsorted(boxes.frame, frames) for boxes in (wanted, got)]
-        ends = [np.searchsorted(boxes.frame, frames, side="right") for boxes in (wanted, got)]
+    def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> Similarity:
+        """Of one sequence's boxes, after the benchmark's rules; the IoU of different classes is 0."""
+        truth, results = _sorted(truth), _sorted(results)
+        truth_id, truth_count = _numbered(truth.track_id)
+        result_id, result_count = _numbered(results.track_id)
+        frames = np.union1d(truth.frame, results.frame)
+        starts = [np.searchsorted(boxes.frame, frames) for boxes in (truth, results)]
+        ends = [np.searchsorted(boxes.frame, frames, side="right") for boxes in (truth, results)]
         by_frame = tuple(
-            (truth_id[a:b], result_id[c:d], _overlap(wanted.select(slice(a, b)), got.select(slice(c, d))))
+            (truth_id[a:b], result_id[c:d], _iou(truth.select(slice(a, b)), results.select(slice(c, d))))
             for a, b, c, d in zip(starts[0], ends[0], starts[1], ends[1], strict=True)
         )
         return cls(truth_count, result_count, by_frame)
@@ -59,7 +59,7 @@ class Overlaps:
         return iter(self.by_frame)
 
 
-def _overlap(truth: TrackedBoxes, results: TrackedBoxes) -> FloatArray:
+def _iou(truth: TrackedBoxes, results: TrackedBoxes) -> FloatArray:
     """(n, m) IoU, 0 between classes."""
     return np.where(truth.class_id[:, None] == results.class_id[None, :], iou(truth.xyxy_px, results.xyxy_px), 0.0)
 

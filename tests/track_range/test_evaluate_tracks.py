@@ -120,3 +120,35 @@ def test_wrong_usage(kitti, tmp_path, cli):
         assert (status, said in complaint) == (2 if "unknown" not in said else 1, True), complaint
     status, _, complaint = cli("evaluate", "tracks", "--truth", tmp_path / "none", "--results", kitti)
     assert (status, "no such file or folder" in complaint) == (1, True)
+
+
+def test_motmetrics_beside_ours(kitti, tmp_path, cli):
+    results = tmp_path / "results"
+    results.mkdir()
+    rows = [(1, 7, 100), (2, 7, 100), (3, 8, 100), (4, 8, 100)]
+    (results / "0001.txt").write_text(mot_rows(*rows))
+    (results / "0002.txt").write_text(mot_rows(*((f, 1, 100) for f in (1, 2, 4))))
+    arguments = ("evaluate", "tracks", "--truth", kitti, "--results", results, "--json", tmp_path / "f.json")
+    status, shown, complaint = cli(*arguments, "--compare", "motmetrics")
+    assert status == 0, complaint
+    assert "motmetrics" in shown
+    read = json.loads((tmp_path / "f.json").read_text())
+    theirs = read["motmetrics"]
+    assert (theirs["combined"]["idsw"], theirs["combined"]["fn"], theirs["combined"]["mota"]) == (1, 1, 75.0)
+    assert set(theirs["sequences"]) == {"0001", "0002"}
+    assert (read["combined"]["frag"], theirs["combined"]["frag"]) == (0, 1)
+    assert "- Frag: " in shown
+    assert cli(*arguments)[0] == 0
+    assert "motmetrics" not in json.loads((tmp_path / "f.json").read_text())
+
+
+def test_motmetrics_on_mot17(shared_data, tmp_path, cli):
+    truth = shared_data / "mot/MOT17"
+    assert cli("track", truth, "--online", "--out", tmp_path)[0] == 0
+    figures = tmp_path / "f.json"
+    arguments = ("evaluate", "tracks", "--truth", truth, "--results", tmp_path, "--json", figures)
+    status, _, complaint = cli(*arguments, "--compare", "motmetrics")
+    assert status == 0, complaint
+    read = json.loads(figures.read_text())
+    for name in ("mota", "motp", "idf1", "idsw", "fp", "fn", "mt", "ml"):
+        assert read["motmetrics"]["combined"][name] == pytest.approx(read["combined"][name]), name

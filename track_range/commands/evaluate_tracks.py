@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -30,18 +31,28 @@ from track_range.sequences.find import (
 )
 from track_range.terminal_tables import tell_grid
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
-from track_range.tracking.evaluation import TrackingCounts, TrackingScores
+from track_range.tracking.evaluation import TrackingCounts
 from track_range.tracking.mot_format import read_mot
+from track_range.tracking.motmetrics_comparison import REASONS, MotmetricsFigures, motmetrics_figures
+from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import TrackedBoxes
 
 TruthFormat = Literal["mot", "kitti"]
+Comparison = Literal["motmetrics"]
+"""Another package that evaluates the same boxes."""
 
 _COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 
 
 def evaluate_track_files(
-    truth: Path, results: Path, *, truth_format: TruthFormat | None, road_class: str | None, console: Console
+    truth: Path,
+    results: Path,
+    *,
+    truth_format: TruthFormat | None,
+    road_class: str | None,
+    console: Console,
+    compare: Comparison | None = None,
 ) -> dict[str, Any]:
     """Figures of all sequences, as `--json` keeps them, printed as a table.
 
@@ -51,6 +62,7 @@ def evaluate_track_files(
         truth_format: of the truth; None = told by its first line.
         road_class: which KITTI class; MOTChallenge's is person. None = car for KITTI.
         console: where to print.
+        compare: also print this package's figures, and what differs; JSON keeps them under its name.
 
     Raises:
         LabelFileError, MotFormatError: files cannot be read, or results of a sequence are missing.
@@ -64,20 +76,23 @@ def evaluate_track_files(
     got = find_sequences(place, "det")
     pairs, name = paired(wanted, got), _class_of(form, road_class)
     notes = (*passed_over(truth, wanted), *passed_over(place, got), *without_truth(wanted, got))
-    counts = {of.name: _counts(of, tracks, form, name) for of, tracks in pairs}
+    similarity = {of.name: Similarity.of(*_cleaned(of, tracks, form, name)) for of, tracks in pairs}
+    counts = {key: TrackingCounts.of_similarity(each) for key, each in similarity.items()}
     combined = TrackingCounts.sum_of(list(counts.values()))
     figures: dict[str, Any] = {
         "truth": str(truth),
         "results": str(results),
         "format": form,
         "class": name,
-        "combined": _figures(combined.scores()),
-        "sequences": {key: _figures(each.scores()) for key, each in counts.items()},
+        "combined": _without_nan(asdict(combined.scores())),
+        "sequences": {key: _without_nan(asdict(each.scores())) for key, each in counts.items()},
         "notes": list(notes),
     }
     for note in notes:
         say(console, f"- {note}")
     tell_grid(console, _grid(figures))
+    if compare == "motmetrics":
+        _compare_motmetrics(figures, motmetrics_figures(similarity), console)
     return figures
 
 
@@ -102,16 +117,42 @@ def _class_of(form: TruthFormat, road_class: str | None) -> str:
     return name
 
 
-def _counts(truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str) -> TrackingCounts:
-    """One sequence, with the official rules of what does not count."""
+def _compare_motmetrics(figures: dict[str, Any], theirs: MotmetricsFigures, console: Console) -> None:
+    """Print and keep motmetrics' figures beside ours, and why some differ."""
+    figures["motmetrics"] = {
+        "combined": _without_nan(theirs.combined),
+        "sequences": {key: _without_nan(row) for key, row in theirs.sequences.items()},
+    }
+    rows: dict[str, Mapping[str, Any]] = {
+        "track-range": figures["combined"],
+        "motmetrics": figures["motmetrics"]["combined"],
+    }
+    heads = [head for head in _HEADS if head.lower() in REASONS]
+    compared = {head: [figure(row, head.lower()) for row in rows.values()] for head in heads}
+    columns = [Column(head, values, _pattern(head.lower())) for head, values in compared.items()]
+    tell_grid(console, grid_of("The same boxes evaluated with motmetrics", "", list(rows), columns))
+    differing: dict[str, list[str]] = {}
+    for head, (ours, other) in compared.items():
+        if not _is_same(ours, other):
+            differing.setdefault(REASONS[head.lower()], []).append(head)
+    for reason, differing_heads in differing.items():
+        say(console, f"- {', '.join(differing_heads)}: {reason}.")
+    if not differing:
+        say(console, "- All figures agree.")
+
+
+def _cleaned(
+    truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str
+) -> tuple[TrackedBoxes, TrackedBoxes]:
+    """Truth and results of one sequence that count by the benchmark's rules."""
     if form == "mot":
         wanted = read_mot(truth.path)
         _check_once(truth.path, wanted.frame, wanted.track_id)
-        return TrackingCounts.of(*mot_cleaned(wanted, _read_results(results.path, road_class)))
+        return mot_cleaned(wanted, _read_results(results.path, road_class))
     labels = read_kitti(truth.path)
     named = labels.track_id >= 0
     _check_once(truth.path, labels.frame[named], labels.track_id[named])
-    return TrackingCounts.of(*kitti_cleaned(labels, _read_results(results.path, road_class), road_class))
+    return kitti_cleaned(labels, _read_results(results.path, road_class), road_class)
 
 
 def _read_results(path: Path, road_class: str) -> TrackedBoxes:
@@ -141,10 +182,16 @@ def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: Any, clas
         raise LabelFileError(f"{path}: an identity is there twice in one frame.") from error
 
 
-def _figures(scores: TrackingScores) -> dict[str, float | int | None]:
-    """For JSON: None for NaN."""
-    told = asdict(scores)
-    return {key: None if np.isnan(value) else value if key in _COUNTS else float(value) for key, value in told.items()}
+def _is_same(ours: float | None, theirs: float | None) -> bool:
+    return ours == theirs if ours is None or theirs is None else math.isclose(ours, theirs, abs_tol=1e-6)
+
+
+def _without_nan(figures: Mapping[str, float]) -> dict[str, float | int | None]:
+    """For JSON: counts as whole numbers, None for NaN."""
+    return {
+        key: None if math.isnan(value) else int(value) if key in _COUNTS else float(value)
+        for key, value in figures.items()
+    }
 
 
 def _grid(figures: Mapping[str, Any]) -> Grid:
