@@ -38,7 +38,10 @@ _MATCHING = (
     "here only a match in the frame before is preferred, as in TrackEval"
 )
 
-_EIGHTY_PER_CENT = "a truth track matched in exactly 80 % of its frames is mostly tracked in motmetrics, not here"
+_EIGHTY_PER_CENT = (
+    "a truth track matched in exactly 80 % of its frames is mostly tracked in motmetrics, not here; and other pairs "
+    "may be matched, see IDsw"
+)
 
 REASONS: Mapping[str, str] = {
     "mota": "follows from IDsw, FP and FN",
@@ -51,7 +54,8 @@ REASONS: Mapping[str, str] = {
     "fn": _MATCHING,
     "frag": (
         "a truth track that is found again after frames without its truth box is a fragment here, not in motmetrics; "
-        "one missed in frames without any result is a fragment in motmetrics, not here"
+        "one missed in frames without any result is a fragment in motmetrics, not here; and other pairs may be "
+        "matched, see IDsw"
     ),
     "mt": _EIGHTY_PER_CENT,
     "pt": _EIGHTY_PER_CENT,
