@@ -19,7 +19,6 @@ from rich.console import Console
 
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import FPS
-from track_range.commands.run import run
 from track_range.detection.lanes.lookup import CLASSICAL
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
@@ -27,6 +26,7 @@ from track_range.ranging.evaluation.truth import read_truth
 from track_range.results.columns import Columns
 from track_range.results.csv_file import read_tracks_csv
 from track_range.results.truth import matched_truth, with_truth
+from track_range.run.job import run
 from track_range.run.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.drive import DriveOptions, write_drive

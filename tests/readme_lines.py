@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from track_range.cli import app
+from track_range.cli.app import app
 
 PROJECT = Path(__file__).resolve().parents[1]
 README = (PROJECT / "README.md").read_text(encoding="utf-8")
@@ -56,13 +56,18 @@ def without_comment(line):
     return re.sub(r"\s+#.*$", "", line).strip()
 
 
+def subcommand(group, name):
+    """A command of a group, imported where the group imports it when it is invoked."""
+    return group.load(name) if hasattr(group, "load") else group.commands[name]
+
+
 def command_of(line):
     """Name of the command that a line of `track-range` gives, its typer command, and its other words."""
     command, rest, name = typer.main.get_command(app), shlex.split(line)[1:], []
     while hasattr(command, "commands") and rest and rest[0] in command.commands:
         name.append(rest.pop(0))
-        command = command.commands[name[-1]]
+        command = subcommand(command, name[-1])
     if not name and rest[0].startswith("-"):  # the main job needs no name
-        name, command = ["run"], command.commands["run"]
+        name, command = ["run"], subcommand(command, "run")
     assert not hasattr(command, "commands"), f"{line}: no such command"
     return " ".join(name), command, rest

@@ -5,8 +5,18 @@ import re
 import pytest
 import typer
 
-from tests.readme_lines import PROJECT, README, block_commands, blocks, command_of, commands, inline_code, is_command
-from track_range.cli import app
+from tests.readme_lines import (
+    PROJECT,
+    README,
+    block_commands,
+    blocks,
+    command_of,
+    commands,
+    inline_code,
+    is_command,
+    subcommand,
+)
+from track_range.cli.app import app
 
 OPTION = re.compile(r"--[a-z][a-z0-9-]*")
 
@@ -17,7 +27,7 @@ def options_of(command):
 
 def all_options(command):
     """Options of a command and of all below it."""
-    below = getattr(command, "commands", {}).values()
+    below = (subcommand(command, name) for name in getattr(command, "commands", {}))
     return options_of(command).union(*(all_options(each) for each in below))
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from tests.readme_inputs import lay, write_inputs
 from tests.readme_lines import PROJECT, README, command_of, commands
-from track_range.cli import main
+from track_range.cli.app import main
 from track_range.detection.models.catalogue import CATALOGUE
 
 TRACK_RANGE = Path(sys.executable).with_name("track-range")

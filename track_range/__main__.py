@@ -8,7 +8,7 @@ import sys
 def main() -> None:
     """Run the command line; the libraries are loaded in here, so that Ctrl-C meanwhile gets one sentence, too."""
     try:
-        from track_range.cli import main as command_line
+        from track_range.cli.app import main as command_line
 
         command_line()
     except KeyboardInterrupt:

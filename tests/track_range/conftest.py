@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.cli import main
+from track_range.cli.app import main
 
 FIRST_LEVEL, LEVEL_STEP = 24, 4
 

@@ -5,12 +5,11 @@ import json
 import cv2
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tests.detection.onnx_models import write_model, write_rectangle_finder
-from track_range.commands.evaluate import Candidate
-from track_range.commands.evaluate import evaluate as evaluate_frames
 from track_range.detection.yolo.detector import YoloDetector
+from track_range.sequences.detector_evaluation import Candidate
+from track_range.sequences.detector_evaluation import evaluate as evaluate_frames
 from track_range.sequences.labelled_images import LabelledSource
 
 GREY = 114
@@ -167,15 +166,15 @@ def test_who_interrupts_gets_the_figures_of_what_is_done(rectangles, monkeypatch
     decode = detector.decode
 
     def interrupted(outputs):
-        if len(candidate.found) == 4:
+        if len(candidate.detections) == 4:
             raise KeyboardInterrupt
         return decode(outputs)
 
     monkeypatch.setattr(detector, "decode", interrupted)
-    figures = evaluate_frames([candidate], frames, min_score=None, console=Console(quiet=True))
+    figures = evaluate_frames([candidate], frames, min_score=None)
     assert (figures["n_images"], figures["is_complete"]) == (4, False)
     assert figures["models"]["finder"]["classes"]["car"]["recall"] == 1.0
     assert "Stopped early, after 4 images." in figures["notes"]
-    candidate.found[:] = [None] * 4  # now the first image is interrupted
+    candidate.detections[:] = [None] * 4  # now the first image is interrupted
     with pytest.raises(KeyboardInterrupt):
-        evaluate_frames([candidate], frames, min_score=None, console=Console(quiet=True))
+        evaluate_frames([candidate], frames, min_score=None)

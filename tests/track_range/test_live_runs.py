@@ -143,22 +143,22 @@ def test_the_overlay_with_the_disparities_below_it(
     eyes = {"left": seen[:, :192], "right": seen[:, 8:]}
     films = [film(tmp_path / f"{eye}.mp4", [0.0, 0.1, 0.2], images=[image] * 3) for eye, image in eyes.items()]
     pair = ("--stereo", *films, "--detections", boxes, "--lanes", "off", "--align", "off", "--out", tmp_path / "out")
-    status, _, wrong = cli(*pair, "--overlay-side")
+    status, _, wrong = cli(*pair, "--overlay-disparity")
     assert (status, wrong) == (0, "")
     with av.open(str(tmp_path / "out" / "overlay.mp4")) as container:
         picture = next(container.decode(video=0)).to_ndarray(format="bgr24")
     assert picture.shape == (192, 192, 3)
     assert np.ptp(picture[96:180, 64:180].astype(int), axis=2).mean() > 60  # in colours
-    status, _, wrong = cli(*pair, "--overlay-side", "--no-sgbm")
+    status, _, wrong = cli(*pair, "--overlay-disparity", "--no-sgbm")
     assert status == 2
-    assert "--overlay-side shows dense stereo below the overlay" in wrong
+    assert "--overlay-disparity shows dense stereo below the overlay" in wrong
 
 
 def test_without_a_rig_there_are_no_disparities_below_the_overlay(
     film: Callable[..., Path], boxes: Path, tmp_path: Path, cli: Cli
 ) -> None:
     films = [film(tmp_path / f"{eye}.mp4", [0.0, 0.1, 0.2]) for eye in ("left", "right")]
-    options = ("--detections", boxes, "--lanes", "off", "--overlay-side", "--out", tmp_path / "out")
+    options = ("--detections", boxes, "--lanes", "off", "--overlay-disparity", "--out", tmp_path / "out")
     status, told, wrong = cli("--stereo", *films, *options)
     assert (status, wrong) == (0, "")
     assert "No disparities below the overlay: dense stereo needs a rig." in " ".join(told.split())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 from pathlib import Path
@@ -12,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from rich.console import Console
 
-from track_range.commands.report import report, short_names
 from track_range.ranging.evaluation.truth import Truth
+from track_range.report.run_folders import report, short_names
 from track_range.results.columns import column_names
 from track_range.results.folder import read_run_folder
 from track_range.results.output_files import OutputError
@@ -99,7 +97,7 @@ def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:
         row[place["closing_mps"]], row[place["closing_sigma_mps"]] = "2.5", "0.4"
     (run / "tracks.csv").write_text("\n".join([lines[0], *(",".join(row) for row in cells)]) + "\n")
     (run / "summary.json").unlink()
-    page = report([run], None, Console(file=io.StringIO())).read_text()
+    page = report([run]).page.read_text()
     summary = read_run_folder(run).summary
     assert summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
     assert summary["closing"]["median_error_mps"] == pytest.approx(0.5)
@@ -145,9 +143,9 @@ def test_a_killed_pair_names_both_of_its_videos(tmp_path: Path) -> None:
 )
 def test_what_is_missing_is_said_and_the_rest_is_shown(run: Path, gone: str, words: str) -> None:
     (run / gone).unlink()
-    path = report([run], None, Console(file=(said := io.StringIO())))
-    assert words in said.getvalue()
-    page = path.read_text()
+    written = report([run])
+    assert any(words in sentence for sentence in written.missing)
+    page = written.page.read_text()
     assert words in page
     assert "as said" in page
     assert ("<video" in page) == (gone != "overlay.mp4")
@@ -186,12 +184,12 @@ def test_folders_that_are_no_runs_are_refused(run: Path, tmp_path: Path) -> None
 def test_a_killed_run_without_any_track_has_a_page(run: Path) -> None:
     (run / "tracks.csv").write_text(",".join(column_names()) + "\n")
     (run / "summary.json").unlink()
-    assert "No track was confirmed in this run." in report([run], None, Console(file=io.StringIO())).read_text()
+    assert "No track was confirmed in this run." in report([run]).page.read_text()
 
 
 def test_a_page_elsewhere_points_to_the_overlay(run: Path, tmp_path: Path) -> None:
     (tmp_path / "pages").mkdir()
-    path = report([run], tmp_path / "pages" / "mine.html", Console(file=io.StringIO()))
+    path = report([run], tmp_path / "pages" / "mine.html").page
     assert path == tmp_path / "pages" / "mine.html"
     assert 'src="../run/overlay.mp4"' in path.read_text()
     assert not (run / "report.html").exists()
@@ -205,10 +203,10 @@ def test_a_page_never_takes_the_place_of_what_it_is_made_from(run: Path, tmp_pat
         ([run, other], other / "report.html", "is to be written twice"),
     ):
         with pytest.raises(OutputError, match=words):
-            report(folders, out, Console(file=io.StringIO()))
+            report(folders, out)
     assert len(read_run_folder(run).columns["frame"]) == N_FRAMES
-    assert report([run], run / "report.html", Console(file=io.StringIO())).is_file()
-    assert report([run], tmp_path / "new" / "page.html", Console(file=io.StringIO())).is_file()
+    assert report([run], run / "report.html").page.is_file()
+    assert report([run], tmp_path / "new" / "page.html").page.is_file()
 
 
 def test_a_row_far_beyond_the_others_does_not_fill_the_memory(run: Path) -> None:
@@ -231,16 +229,17 @@ def test_settings_of_another_shape_are_left_out(run: Path, part: dict[str, Any],
 def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
     other = write_run(tmp_path / "more" / "run", sgbm=False)
     (other / "summary.json").unlink()
-    said = io.StringIO()
-    path = report([run, other, run / "."], tmp_path / "all.html", Console(file=said, width=120))
-    page = path.read_text()
+    written = report([run, other, run / "."], tmp_path / "all.html")
+    page = written.page.read_text()
     assert "2 runs side by side" in page
     assert 'href="run/report.html"' in page
     assert 'href="more/run/report.html"' in page
     assert '<th scope="row">sgbm</th><td>-</td><td>False</td>' in page
     assert (run / "report.html").exists()
-    for words in ("more/run", "The runs have different numbers of frames.", "Settings that differ", "5.00"):
-        assert words in said.getvalue()
+    assert "The runs have different numbers of frames." in written.notes
+    assert "Settings that differ" in [grid.title for grid in written.grids]
+    cells = {cell.text for grid in written.grids for row in grid.rows for cell in row}
+    assert {"more/run", "5.00"} <= cells
 
 
 def test_names_are_as_long_as_they_must_be() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from track_range.cli.console import print_grid, print_summary
 from track_range.report.tables import SIGMA, Cell, Grid, frames_per_s, grids, markdown, method_grid
-from track_range.terminal_tables import tell_grid, tell_summary
 
 STEREO = {
     "coverage": 0.984,
@@ -173,7 +173,7 @@ def test_markdown_keeps_a_pipe_in_a_name() -> None:
 
 def printed(summary: dict[str, Any], *, width: int) -> str:
     console = Console(file=io.StringIO(), width=width, force_terminal=False)
-    tell_summary(console, summary)
+    print_summary(console, summary)
     file = console.file
     assert isinstance(file, io.StringIO)
     return file.getvalue()
@@ -202,7 +202,7 @@ def wide_grid(n_columns: int) -> Grid:
 @pytest.mark.parametrize(("width", "n_parts"), [(30, 6), (80, 2), (200, 1)])
 def test_a_grid_wider_than_the_console_goes_on_below_and_breaks_no_figure(width: int, n_parts: int) -> None:
     console = Console(file=io.StringIO(), width=width, force_terminal=False)
-    tell_grid(console, wide_grid(12))
+    print_grid(console, wide_grid(12))
     assert isinstance(console.file, io.StringIO)
     shown = console.file.getvalue()
     figures = [word for word in shown.split() if word.endswith(".12345")]

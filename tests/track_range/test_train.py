@@ -111,7 +111,7 @@ def test_wrong_data_is_one_sentence(drawn, tmp_path, cli):
 
 def test_without_pytorch_it_says_what_to_install(drawn, tmp_path, cli, monkeypatch):
     _, data = drawn
-    monkeypatch.setattr("track_range.cli_training.find_spec", lambda name: None)
+    monkeypatch.setattr("track_range.detection.training.requirements.find_spec", lambda name: None)
     status, _, complaint = train(cli, data, tmp_path / "run")
     assert (status, "pip install 'track-range[train]'" in complaint) == (1, True)
 

@@ -24,7 +24,7 @@ def missing_outputs(settings: RunSettings, source: Recording) -> tuple[str, ...]
     if source.rig is not None:
         return ()
     disparity = ("No disparity.mp4: dense stereo needs a rig.",) if settings.disparity else ()
-    side = ("No disparities below the overlay: dense stereo needs a rig.",) if settings.overlay_side else ()
+    side = ("No disparities below the overlay: dense stereo needs a rig.",) if settings.overlay_disparity else ()
     return (*disparity, *side)
 
 
@@ -32,7 +32,7 @@ def overlay_picture(settings: RunSettings, source: Recording, status: Status = t
     """A new overlay, with the disparities below it where the settings want them and the source has them."""
     warning = "uncalibrated" if source.calibration.kind == "estimated" else ""
     overlay = Overlay(camera=source.camera, status=status, warning=warning)
-    if settings.overlay_side and source.rig is not None:
+    if settings.overlay_disparity and source.rig is not None:
         return SidePicture(overlay, source.rig).draw
     return overlay.draw
 
@@ -40,5 +40,5 @@ def overlay_picture(settings: RunSettings, source: Recording, status: Status = t
 def video_format(name: str, settings: RunSettings, source: Recording) -> VideoFormat:
     """Size and rate of one of `pictures`."""
     width_px, height_px = source.size_px
-    is_double = name == "overlay" and settings.overlay_side and source.rig is not None
+    is_double = name == "overlay" and settings.overlay_disparity and source.rig is not None
     return VideoFormat((width_px, 2 * height_px if is_double else height_px), source.fps)

@@ -40,7 +40,7 @@ def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[
 
 
 @contextmanager
-def step_progress(console: Console, text: str) -> Iterator[Callable[[int, int], None]]:
+def step_progress(console: Console, text: str) -> Iterator[Callable[[int, int | None], None]]:
     """A bar that goes when the work is done; the callable tells steps done, and of how many."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:

@@ -6,32 +6,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import yaml
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_serializer,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, ValidationError, field_serializer, field_validator, model_validator
 
-from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.errors import ConfigError, UsageError
+from track_range.foundation.options import Options, option
 from track_range.results.output_files import write_text
-from track_range.results.writers import DEFAULT_WRITERS, writer_names
-from track_range.stereo.matching.sgbm import SgbmSettings
-from track_range.tracking.registry import TrackerError, find_tracker
+from track_range.run.detector_fields import (
+    Device,
+    anchors_option,
+    device_option,
+    letterbox_option,
+    names_option,
+    size_option,
+    threads_option,
+)
 from track_range.video.live.address import LiveAddress, live_address
 
 VideoName = Path | LiveAddress
 """A video file or folder of images, or a camera or stream."""
 
-_NO_OPTION = ("sgbm_options",)
-"""Fields that are set in settings.yaml alone."""
+_INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
+"""Panels of the help."""
 
 
 def check_tracker(name: str, reid: Path | None) -> None:
@@ -40,6 +38,8 @@ def check_tracker(name: str, reid: Path | None) -> None:
     Raises:
         UsageError: there is none, or it does not.
     """
+    from track_range.tracking.registry import TrackerError, find_tracker
+
     try:
         tracker = find_tracker(name)
     except TrackerError as error:
@@ -48,81 +48,212 @@ def check_tracker(name: str, reid: Path | None) -> None:
         raise UsageError(f"--reid: --tracker {name} does not compare appearance; give one of the two.")
 
 
-class RunSettings(BaseModel):
-    """Everything that decides what a run computes; units are in the names."""
+class RunSettings(Options):
+    """Everything that decides what a run computes: the options of `track-range run` and the keys of settings.yaml."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    stereo: tuple[VideoName, VideoName] | None = None
-    """Left and right video, folders of numbered images, cameras or streams."""
-    mono: VideoName | None = None
-    """The video of a single camera."""
-    rig: Path | None = None
-    """rig.yaml, KITTI calib.txt or OpenCV's stereo calibration; None = looked for beside the left video."""
-    focal_px: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    """Focal length of cameras without a rig file; the principal point is taken as the image's centre."""
-    detector: str | None = None
-    """An ONNX file, or a name of `track-range models list`; None only where `detections` is given."""
-    detections: Path | None = None
-    """Boxes from a file in place of a detector."""
-    names: str | None = None
-    """Class names of the detector: a,b,c or a file with one per line."""
-    anchors: str | None = None
-    """Anchors of a detector with raw heads: 81,82 135,169 344,319 / 23,27 37,58 81,82."""
-    letterbox: str | None = None
-    """Where the image lies in the detector's input, such as centred-114."""
-    min_score: str | None = None
-    """Weakest boxes taken from the detector: 0.1, or 0.1,car=0.3; None = 0.1."""
-    curves: Path | None = None
-    """Size curves for the monocular distance, as `track-range fit` writes them; None = the packaged ones."""
-    truth: Path | None = None
-    """KITTI tracking labels or a CSV of true distances to measure against."""
-    table: Path | None = None
-    """A Markdown file for the tables."""
-    out: Path | None = None
-    """Folder of the results; None = named after the left video."""
-    write: tuple[str, ...] = DEFAULT_WRITERS
-    """Formats of the results (`track_range.results.writers`); summary.json and settings.yaml are always written."""
-    classes: tuple[str, ...] = ()
-    """Road classes wanted; empty = all."""
-    start_s: float = Field(default=0.0, ge=0, allow_inf_nan=False)
-    duration_s: float | None = Field(default=None, gt=0, allow_inf_nan=False)
-    folder_fps: float = Field(default=10.0, ge=0.01, le=1000)
-    """Frames per second of folders of images, which carry no times."""
-    size_px: int | None = Field(default=None, ge=32, le=4096)
-    """Longer side of the network's input where the model leaves it open; None = the model's own, else 640."""
-    threads: int = Field(default=0, ge=0, le=256)
-    """Threads of the network; 0 = one per core."""
-    device: Literal["auto", "cpu", "cuda", "tensorrt"] = "auto"
-    tracker: str = "deepsort"
-    """A name of `tracking.registry`, or package.module:Class."""
-    reid: Path | None = None
-    """A re-identification network for looks; None = the built-in descriptor."""
-    overlay: bool = True
-    lanes: str = "classical"
-    """The own lane's lines: classical, off, or a lane network's file."""
-    lane_width_m: float = Field(default=3.5, ge=1.5, le=6.0)
-    """Width of a lane, until stereo teaches it."""
-    camera_height_m: float | None = Field(default=None, ge=0.2, le=5.0)
-    """Of the camera above the road; None = estimated with the horizon."""
-    ego_speed: str | None = None
-    """How fast the camera moves: km/h, a CSV file, or a folder of KITTI's oxts; None = unknown."""
-    sgbm: bool = True
-    """Dense matching beside the patch matcher, in stereo runs."""
-    sgbm_options: dict[str, Any] = {}
-    """Dense stereo's parameters that the rig does not choose: fields of `stereo.sgbm.SgbmSettings`."""
-    overlay_side: bool = False
-    """The overlay with the disparities below it."""
-    disparity: bool = False
-    """Dense stereo's disparity picture of each frame, as disparity.mp4."""
-    align: str = "auto"
-    """Correction of the disparities: auto = estimated from the drive, off, or an alignment file."""
+    stereo: Annotated[
+        tuple[VideoName, VideoName] | None,
+        option(
+            "Left and right video: files, folders of numbered images, cameras (0 1) or streams (rtsp://...).",
+            metavar="LEFT RIGHT",
+            panel=_INPUT,
+        ),
+    ] = None
+    mono: Annotated[
+        VideoName | None,
+        option("Video of a single camera: a file, a folder, a camera or a stream.", metavar="VIDEO", panel=_INPUT),
+    ] = None
+    rig: Annotated[
+        Path | None,
+        option(
+            "Rig file: rig.yaml, KITTI's calib.txt, or OpenCV's stereo calibration (default: rig.yaml or calib.txt "
+            "beside the left video; two cameras without any give uncalibrated distances).",
+            panel=_INPUT,
+        ),
+    ] = None
+    focal_px: Annotated[
+        float | None,
+        option(
+            "Focal length in pixels of cameras without a rig file; the principal point is the image's centre.",
+            panel=_INPUT,
+            gt=0,
+            allow_inf_nan=False,
+        ),
+    ] = None
+    detector: Annotated[
+        str | None,
+        option(
+            "YOLO network: an ONNX file, or a name of `models list` (default: road, the packaged one).",
+            metavar="FILE|NAME",
+            panel=_INPUT,
+        ),
+    ] = None
+    names: Annotated[str | None, names_option(panel=_INPUT)] = None
+    anchors: Annotated[str | None, anchors_option(panel=_INPUT)] = None
+    letterbox: Annotated[str | None, letterbox_option(panel=_INPUT)] = None
+    detections: Annotated[
+        Path | None,
+        option(
+            "Boxes from a file in place of a detector: MOT det.txt, KITTI labels or detections, or a tracks.csv.",
+            panel=_INPUT,
+        ),
+    ] = None
+    curves: Annotated[
+        Path | None,
+        option(
+            "Size curves for the monocular distance, written by `track-range fit` (default: the packaged ones).",
+            panel=_INPUT,
+        ),
+    ] = None
+    truth: Annotated[
+        Path | None,
+        option(
+            "Ground truth: KITTI tracking labels, or a CSV (from lidar or radar, say) with the columns "
+            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps; others are "
+            "ignored.",
+            metavar="FILE",
+            panel=_INPUT,
+        ),
+    ] = None
+    ego_speed: Annotated[
+        str | None,
+        option(
+            "Speed of the camera: km/h, a CSV of time_s and speed_mps or speed_kmh, or KITTI's oxts folder.",
+            metavar="KMH|FILE|DIR",
+            panel=_INPUT,
+        ),
+    ] = None
+    folder_fps: Annotated[
+        float, option("Frame rate of folders of images, which carry no times.", panel=_INPUT, ge=0.01, le=1000)
+    ] = 10.0
+    classes: Annotated[
+        tuple[str, ...],
+        option(
+            "Road classes to track, of: person, bicycle, car, motorcycle, bus, truck, traffic light, traffic sign "
+            "(default: all).",
+            metavar="A,B,...",
+            panel=_WHAT,
+        ),
+    ] = ()
+    min_score: Annotated[
+        str | None,
+        option(
+            "Minimum detection confidence, such as 0.1,car=0.3 (default: 0.1).",
+            metavar="S[,CLASS=S...]",
+            panel=_WHAT,
+        ),
+    ] = None
+    start_s: Annotated[
+        float,
+        option(
+            "Start of the run in the video, in seconds.",
+            flag="--start",
+            metavar="S",
+            panel=_WHAT,
+            ge=0,
+            allow_inf_nan=False,
+        ),
+    ] = 0.0
+    duration_s: Annotated[
+        float | None,
+        option(
+            "Length of the run in seconds (default: to the end).",
+            flag="--duration",
+            metavar="S",
+            panel=_WHAT,
+            gt=0,
+            allow_inf_nan=False,
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        option("Folder of the results (default: LEFT-track-range, in this folder).", metavar="DIR", panel=_HOW),
+    ] = None
+    write: Annotated[
+        tuple[str, ...],
+        option(
+            "Formats of the result files: csv (tracks.csv), mot (mot.txt), or those of installed packages.",
+            metavar="A,B,...",
+            panel=_HOW,
+        ),
+    ] = ("csv", "mot")
+    table: Annotated[Path | None, option("Markdown file to write the tables to.", metavar="FILE.md", panel=_HOW)] = None
+    overlay: Annotated[bool, option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay", panel=_HOW)] = True
+    sgbm: Annotated[
+        bool,
+        option("Dense stereo matching beside the patch matcher (slow).", flag="--sgbm/--no-sgbm", panel=_HOW),
+    ] = True
+    sgbm_options: Annotated[
+        dict[str, Any],
+        option("Dense stereo's parameters that the rig does not choose: fields of SgbmSettings.", is_file_only=True),
+    ] = Field(default_factory=dict)
+    align: Annotated[
+        str,
+        option(
+            "Disparity correction: estimated from the drive (auto), none (off), or a file that `align` wrote.",
+            metavar="auto|off|FILE",
+            panel=_HOW,
+        ),
+    ] = "auto"
+    disparity: Annotated[
+        bool,
+        option("Video of dense stereo's disparities, disparity.mp4.", flag="--disparity/--no-disparity", panel=_HOW),
+    ] = False
+    overlay_disparity: Annotated[
+        bool,
+        option(
+            "Overlay with the colour-coded disparities of dense stereo below each frame.",
+            flag="--overlay-disparity/--no-overlay-disparity",
+            panel=_HOW,
+            old_names=("overlay_side",),
+        ),
+    ] = False
+    lanes: Annotated[
+        str,
+        option(
+            "Detector of the own lane's lines, for distances from the lane's width: edges (classical), none (off), or "
+            "a lane network (ONNX).",
+            metavar="classical|off|FILE",
+            panel=_HOW,
+        ),
+    ] = "classical"
+    lane_width_m: Annotated[
+        float,
+        option("Width of a lane in metres; stereo corrects it.", metavar="M", panel=_HOW, ge=1.5, le=6.0),
+    ] = 3.5
+    camera_height_m: Annotated[
+        float | None,
+        option(
+            "Height of the camera above the road in metres (default: estimated).",
+            metavar="M",
+            panel=_HOW,
+            ge=0.2,
+            le=5.0,
+        ),
+    ] = None
+    size_px: Annotated[int | None, size_option(panel=_HOW)] = None
+    tracker: Annotated[
+        str,
+        option(
+            "Tracker: deepsort compares appearance too, sort does not; or a tracker class of your own.",
+            metavar="NAME|MODULE:CLASS",
+            panel=_HOW,
+        ),
+    ] = "deepsort"
+    reid: Annotated[
+        Path | None,
+        option("Re-identification network (ONNX) for appearance (default: a built-in colour descriptor).", panel=_HOW),
+    ] = None
+    threads: Annotated[int, threads_option(panel=_HOW)] = 0
+    device: Annotated[Device, device_option(panel=_HOW)] = "auto"
 
     @model_validator(mode="before")
     @classmethod
     def _packaged_detector(cls, given: Any) -> Any:
         """Where neither a detector nor boxes are given, the packaged detector."""
         if isinstance(given, dict) and given.get("detector") is None and given.get("detections") is None:
+            from track_range.detection.models.lookup import DEFAULT_MODEL  # imports onnxruntime
+
             return {**given, "detector": DEFAULT_MODEL}
         return given
 
@@ -149,6 +280,8 @@ class RunSettings(BaseModel):
     @classmethod
     def _known_writers(cls, given: Any) -> Any:
         names = tuple(name.strip() for name in given.split(",")) if isinstance(given, str) else given
+        from track_range.results.writers import writer_names
+
         known = writer_names()
         if unknown := [str(name) for name in names if name not in known]:
             raise ValueError(f"unknown format {', '.join(unknown)}: expected {', '.join(known)}")
@@ -157,7 +290,10 @@ class RunSettings(BaseModel):
     @field_validator("sgbm_options")
     @classmethod
     def _known_parameters(cls, given: dict[str, Any]) -> dict[str, Any]:
-        SgbmSettings.of(given)
+        if given:
+            from track_range.stereo.matching.sgbm import SgbmSettings  # imports OpenCV
+
+            SgbmSettings.of(given)
         return given
 
     @model_validator(mode="after")
@@ -168,14 +304,14 @@ class RunSettings(BaseModel):
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
             raise ValueError("give --rig or --focal-px, not both")
-        if self.overlay_side and (self.stereo is None or not self.sgbm or not self.overlay):
+        if self.overlay_disparity and (self.stereo is None or not self.sgbm or not self.overlay):
             raise ValueError(
-                "--overlay-side shows dense stereo below the overlay; it needs --stereo, and goes not with --no-sgbm "
-                "or --no-overlay"
+                "--overlay-disparity shows dense stereo below the overlay; it needs --stereo, and cannot be "
+                "combined with --no-sgbm or --no-overlay"
             )
         if self.disparity and (self.stereo is None or not self.sgbm):
             raise ValueError(
-                "--disparity shows what dense stereo finds; it needs --stereo, and goes not with --no-sgbm"
+                "--disparity shows what dense stereo finds; it needs --stereo, and cannot be combined with --no-sgbm"
             )
         check_tracker(self.tracker, self.reid)
         return self
@@ -210,20 +346,9 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
     try:
         return RunSettings(**{**base, **chosen})
     except ValidationError as error:
-        first = error.errors()[0]
-        reason = first["msg"].removeprefix("Value error, ")
-        in_file = bool(first["loc"]) and str(first["loc"][0]) not in chosen
-        raise (ConfigError if in_file else UsageError)(f"{_option(first['loc'])}{reason}.") from error
-
-
-def _option(place: tuple[int | str, ...]) -> str:
-    """The option that a field stands for, with a colon; empty for the settings as a whole."""
-    if not place:
-        return ""
-    name = str(place[0])
-    if name not in RunSettings.model_fields or name in _NO_OPTION:
-        return f"{name}: "
-    return f"--{name.removesuffix('_s').replace('_', '-').replace('size-px', 'size')}: "
+        place = error.errors()[0]["loc"]
+        is_in_file = bool(place) and str(place[0]) not in chosen
+        raise (ConfigError if is_in_file else UsageError)(RunSettings.problem(error)) from error
 
 
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:

@@ -1,0 +1,174 @@
+"""The disparity error of a rig, from a drive with it or from objects of known distance."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.calibration.drive_pairs import LEFT, RIGHT, open_pair
+from track_range.calibration.reference_pairs import reference_pairs
+from track_range.calibration.settings import AlignmentSettings
+from track_range.foundation.errors import UsageError
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.results.output_files import check_outputs, write_text
+from track_range.stereo.alignment.feature_tracks import row_offset_px
+from track_range.stereo.alignment.file import save_alignment
+from track_range.stereo.alignment.from_drive import DriveAlignment
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.kitti_2015 import StereoPair
+from track_range.stereo.geometry.frames import whole_image
+from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.matching.box_matchers import measure_pairs
+from track_range.stereo.rig_formats.reading import find_rig
+from track_range.video.recording import Recording
+
+_MATCHER = "patch"
+_N_ROW_PAIRS = 12
+"""Pairs that the row offset is measured on; it hardly differs between them."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigAlignment:
+    """The disparity error of a rig.
+
+    Attributes:
+        applied: the alignment to apply, without what is not significant.
+        measured: the alignment as estimated.
+        notes: for the user.
+    """
+
+    applied: Alignment
+    measured: Alignment
+    notes: tuple[str, ...]
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "alignment": asdict(self.applied),
+            "measured": asdict(self.measured),
+            "is_clear": self.measured.is_clear,
+            "sentence": self.applied.sentence(),
+            "notes": list(self.notes),
+        }
+
+    def save(self, settings: AlignmentSettings) -> None:
+        """Write the alignment file and, where `settings.json_file` is given, the figures.
+
+        Raises:
+            OutputError, RigError: a file cannot be written.
+        """
+        save_alignment(self.applied, settings.out)
+        if settings.json_file is not None:
+            write_text(settings.json_file, json.dumps(self.figures, indent=2, allow_nan=False) + "\n")
+
+
+def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> RigAlignment:
+    """Estimate the disparity error of a rig; nothing is written before `RigAlignment.save`.
+
+    Raises:
+        UsageError: nothing to estimate from, or two kinds of it.
+        RigError: the rig cannot be used, or the data do not suffice for an estimate.
+        PairFileError, LabelFileError, VideoError: videos, images or labels cannot be used.
+        OutputError: a result would overwrite an input.
+    """
+    check_outputs([file for file in (settings.out, settings.json_file) if file is not None], _inputs(settings))
+    if settings.reference is not None:
+        if settings.drives:
+            raise UsageError("give --reference or --drive, not both.")
+        measured, notes = _from_reference(settings.reference, settings, progress)
+    else:
+        measured, notes = _from_drives(settings, progress)
+    return RigAlignment(measured.if_clear(), measured, (*notes, *_row_notes(measured)))
+
+
+def _inputs(settings: AlignmentSettings) -> list[Path]:
+    """Files that are read, with the rig files beside the images."""
+    folders = [folder for folder in (*settings.drives, settings.reference) if folder is not None]
+    videos = [*(settings.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]
+    named = (settings.rig, settings.reference, *map(find_rig, videos))
+    return [*videos, *(path for path in named if path is not None)]
+
+
+def _row_notes(measured: Alignment) -> tuple[str, ...]:
+    if not measured.rows_to_move_px:
+        return ()
+    return (
+        f"Rows of left and right are {measured.row_offset_px:+.2f} px apart: a run corrects it, but the rig does not "
+        "fit these images well; calibrate anew.",
+    )
+
+
+def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[Alignment, tuple[str, ...]]:
+    sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
+    sources += [settings.stereo] if settings.stereo else []
+    if not sources:
+        raise UsageError("nothing to align by: give --stereo LEFT RIGHT, --drive DIR or --reference DIR|FILE.")
+    opened = [open_pair(left, right, settings.rig, has_checks=True) for left, right in sources]
+    rigs = [rig for _, rig in opened]
+    if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
+        raise RigError("the drives are of different rigs; align each rig by its own drives.")
+    estimator = DriveAlignment(rigs[0])
+    with progress("frames") as advance:
+        for recording, _ in opened:
+            estimator.start_drive()
+            _feed(estimator, recording, advance)
+    measured = estimator.estimate()
+    if not measured.is_measured:
+        raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past things that stand still.")
+    named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
+    return named, tuple(dict.fromkeys(note for recording, _ in opened for note in recording.calibration.file_notes))
+
+
+def _names(sources: list[tuple[Path, Path]]) -> str:
+    """Of the drives: the file outlives the moment at which "this drive" says which."""
+    return ", ".join(left.parent.resolve().name if left.name == LEFT else left.name for left, _ in sources)
+
+
+def _feed(estimator: DriveAlignment, recording: Recording, advance: Callable[[int, int | None], None]) -> None:
+    with closing(recording):
+        for number, frame in enumerate(recording.frames):
+            if estimator.is_full:
+                return
+            estimator.add(frame)
+            advance(number + 1, max(recording.n_frames or 0, number + 1))
+
+
+def _from_reference(
+    reference: Path, settings: AlignmentSettings, progress: StepProgress
+) -> tuple[Alignment, tuple[str, ...]]:
+    rows_px: list[float] = []
+    pairs = reference_pairs(reference, stereo=settings.stereo, rig=settings.rig)
+    with progress("pairs") as advance:
+        found = measure_pairs(_rows_measured(pairs, rows_px, advance), (_MATCHER,))
+    objects, column = found.objects, found.columns[_MATCHER]
+    if not found.objects.cameras:
+        raise RigError(f"{reference}: none of its objects is in a frame of the videos; check the frames' numbers.")
+    fitted = fit_reference(
+        column.disparity_px,
+        objects.true_px,
+        x_px=objects.x_px,
+        camera=objects.cameras[0],
+        groups=objects.group,
+        sigma_px=column.sigma_px,
+        seed=settings.seed,
+    )
+    return replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0), found.notes
+
+
+def _rows_measured(
+    pairs: Iterator[StereoPair], rows_px: list[float], advance: Callable[[int, int | None], None]
+) -> Iterator[StereoPair]:
+    for number, pair in enumerate(pairs):
+        if number < _N_ROW_PAIRS:
+            row_px = row_offset_px(pair.left, whole_image(pair.right))
+            rows_px += [] if row_px is None else [row_px]
+        advance(number + 1, number + 1)
+        yield pair

@@ -1,0 +1,118 @@
+"""Errors of stereo matchers on pairs whose true disparities are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.calibration.drive_pairs import is_drive, read_drive
+from track_range.calibration.settings import LEAVE_TWO_OUT, OFF, StereoEvaluationSettings
+from track_range.foundation.errors import UsageError
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.stereo.alignment.file import load_alignment
+from track_range.stereo.alignment.from_reference import fit_reference
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.evaluation.disparity_errors import (
+    Column,
+    common_figures,
+    corrected,
+    left_out_alignments,
+    matcher_figures,
+)
+from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES, Measured, measure_pairs
+
+
+def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
+    """Errors, sigma and times per matcher, with intervals, as plain values for JSON.
+
+    Raises:
+        UsageError: an unknown matcher, or leave-two-out where there are no pairs to leave out.
+        PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig, the alignment cannot be used.
+    """
+    _check_names(settings.matchers)
+    known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(Path(settings.align))
+    n_pairs = _expected(settings)
+    with progress("pairs") as advance:
+        pairs = _counted(_pairs(settings, known), advance, n_pairs)
+        measured = measure_pairs(pairs, settings.matchers)
+    if not len(measured.objects):
+        raise PairFileError(f"{settings.pairs}: no object in it of which enough is known to measure against.")
+    columns, alignment = _aligned(measured, settings, known)
+    matchers = _with_times(matcher_figures(columns, measured.objects, seed=settings.seed), measured)
+    return {
+        "pairs": str(settings.pairs),
+        "n_pairs": len(measured.objects.cameras),
+        "n_objects": len(measured.objects),
+        "align": settings.align,
+        "alignment": alignment,
+        "matchers": matchers,
+        "common": common_figures(columns, measured.objects, seed=settings.seed) if len(columns) > 1 else {},
+        "notes": list(measured.notes),
+    }
+
+
+def _check_names(names: Sequence[str]) -> None:
+    for name in names:
+        if name not in MATCHER_NAMES:
+            raise UsageError(f"--matcher: '{name}' is no matcher; there are: {', '.join(MATCHER_NAMES)}.")
+    if len(set(names)) < len(names):
+        raise UsageError("--matcher: one is named twice.")
+
+
+def _expected(settings: StereoEvaluationSettings) -> int | None:
+    """How many pairs there are, where it is known beforehand."""
+    if not (is_kitti_2015(settings.pairs) or is_drive(settings.pairs)):
+        raise PairFileError(
+            f"{settings.pairs}: neither a set like KITTI 2015 (image_2, image_3, disp_occ_0, obj_map) nor a drive "
+            "(left.mp4, right.mp4 and truth.csv or truth.txt) is there."
+        )
+    if not is_kitti_2015(settings.pairs):
+        if settings.align == LEAVE_TWO_OUT:
+            raise UsageError(f"--align {LEAVE_TWO_OUT} is for sets of single pairs, and {settings.pairs} is a drive.")
+        return None
+    n_pairs = len(pair_names(settings.pairs))
+    if settings.align == LEAVE_TWO_OUT and n_pairs < 4:
+        raise UsageError(f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, {settings.pairs} has {n_pairs}.")
+    return n_pairs
+
+
+def _pairs(settings: StereoEvaluationSettings, known: Alignment | None) -> Iterator[StereoPair]:
+    row_offset_px = 0.0 if known is None else known.rows_to_move_px
+    read = read_pairs if is_kitti_2015(settings.pairs) else read_drive
+    return read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
+
+
+def _counted(pairs: Iterator[StereoPair], advance: Any, n_pairs: int | None) -> Iterator[StereoPair]:
+    for number, pair in enumerate(pairs):
+        yield pair
+        advance(number + 1, n_pairs)
+
+
+def _aligned(
+    measured: Measured, settings: StereoEvaluationSettings, known: Alignment | None
+) -> tuple[dict[str, Column], Any]:
+    """The columns put right, and what by, for the figures."""
+    objects, columns = measured.objects, measured.columns
+    n_pairs = len(objects.cameras)
+    if settings.align != LEAVE_TWO_OUT:
+        alignment = known or Alignment()
+        everywhere = dict.fromkeys(range(n_pairs), alignment)
+        return {name: corrected(column, objects, everywhere) for name, column in columns.items()}, asdict(alignment)
+    by_pair = {
+        name: left_out_alignments(column, objects, fit_reference, seed=settings.seed)
+        for name, column in columns.items()
+    }
+    means = {
+        name: {"mean_offset_px": float(np.mean([each.offset_px for each in found.values()]))}
+        for name, found in by_pair.items()
+    }
+    return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
+
+
+def _with_times(figures: dict[str, dict[str, Any]], measured: Measured) -> dict[str, dict[str, Any]]:
+    return {name: {**found, "ms_per_frame": round(measured.ms_per_frame[name], 3)} for name, found in figures.items()}

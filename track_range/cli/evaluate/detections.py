@@ -1,0 +1,83 @@
+"""`track-range evaluate detections`: average precision and speed of detectors on labelled images, side by side."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from track_range.cli.console import console, print_grid
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.options import option
+from track_range.report.detection_tables import accuracy_grid, class_grid, speed_grid
+from track_range.results.output_files import write_text
+from track_range.run.detector_options import DetectorOptions, class_names
+from track_range.run.progress import frame_progress
+from track_range.run.ready_model import ready_model
+from track_range.sequences.detector_evaluation import evaluate_source, open_candidates
+from track_range.sequences.labelled_images import LabelledSource
+from track_range.sequences.settings import DetectionEvaluationSettings
+
+
+class DetectionsOptions(DetectionEvaluationSettings):
+    """Options of `track-range evaluate detections`."""
+
+    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
+        None
+    )
+
+
+def _detections(options: DetectionsOptions) -> None:
+    detector = DetectorOptions(
+        names=options.names,
+        anchors=options.anchors,
+        letterbox=options.letterbox,
+        size_px=options.size_px,
+        threads=options.threads,
+        device=options.device,
+    )
+    source = LabelledSource(
+        images=options.images,
+        labels=options.labels,
+        label_format=options.label_format,
+        label_names=class_names(options.label_names),
+        manifest=options.manifest,
+        split=options.split,
+        classes=options.classes,
+    )
+    candidates = open_candidates(options.models, detector, lambda name: ready_model(name, console))
+    figures = evaluate_source(
+        candidates,
+        source,
+        min_score=options.min_score,
+        progress=partial(frame_progress, console),
+        min_height_px=options.min_height,
+    )
+    print_figures(figures)
+    write_figures(figures, options.json_file)
+    raise typer.Exit(0 if figures["is_complete"] else 1)
+
+
+def print_figures(figures: dict[str, Any]) -> None:
+    """Print the tables and notes."""
+    for grid in (accuracy_grid(figures), class_grid(figures), speed_grid(figures)):
+        print_grid(console, grid)
+    for note in figures["notes"]:
+        console.print(f"- {note}", style="dim", highlight=False, markup=False)
+
+
+def write_figures(figures: dict[str, Any], path: Path | None) -> None:
+    """Write the figures as JSON, where a file is given.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    if path is not None:
+        write_text(path, json.dumps(figures, indent=2) + "\n")
+
+
+app = single_app(command(DetectionsOptions, _detections))

@@ -1,0 +1,81 @@
+"""`track-range evaluate ranges`: errors of distances from labelled boxes, all methods side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from track_range.cli.console import console, print_grid, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.options import option
+from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges
+from track_range.ranging.evaluation.settings import RangeEvaluationSettings
+from track_range.report import tables
+from track_range.results.output_files import write_text
+
+
+class RangesOptions(RangeEvaluationSettings):
+    """Options of `track-range evaluate ranges`."""
+
+    table: Annotated[Path | None, option("Markdown file to write the tables to.", metavar="FILE.md")] = None
+    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
+        None
+    )
+
+
+def _ranges(options: RangesOptions) -> None:
+    figures = evaluate_ranges(options)
+    grids = _grids(figures)
+    for grid in grids:
+        print_grid(console, grid)
+    print_notes(console, figures["notes"])
+    if options.json_file is not None:
+        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    if options.table is not None:
+        notes = "\n".join(f"- {note}" for note in figures["notes"])
+        write_text(options.table, "\n\n".join([*map(tables.markdown_table, grids), notes]) + "\n")
+
+
+_COLUMNS: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
+    ("cover %", "coverage", "{:.0f}", 100.0, None),
+    ("n", "n", "{:.0f}", 1.0, None),
+    ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
+    ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
+    ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
+    (f"in 1{tables.SIGMA} %", "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
+    (f"in 2{tables.SIGMA} %", "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
+    ("rear %", "rear_view_pct", "{:.2f}", 1.0, abs),
+    ("far %", "far_pct", "{:.2f}", 1.0, abs),
+    ("rear,far %", "rear_view_far_pct", "{:.2f}", 1.0, abs),
+    ("closing m/s", "closing_median_error_mps", "{:.2f}", 1.0, abs),
+    ("95 % m/s", "closing_p95_error_mps", "{:.2f}", 1.0, abs),
+)
+
+
+def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
+    """A table per class, a row per method."""
+    methods: Mapping[str, Mapping[str, Any]] = figures["methods"]
+    kinds = dict.fromkeys(kind for row in methods.values() for kind in row)
+    return [_grid(kind, {name: row[kind] for name, row in methods.items() if kind in row}) for kind in kinds]
+
+
+def _grid(kind: str, rows: Mapping[str, Mapping[str, Any]]) -> tables.Grid:
+    columns = [
+        tables.Column(heading, [tables.figure(row, key) for row in rows.values()], pattern, scale, cost)
+        for heading, key, pattern, scale, cost in _COLUMNS
+    ]
+    bands = [(band["from_m"], band["to_m"]) for band in next(iter(rows.values()))["bands"]]
+    columns += [
+        tables.Column(
+            f"{low:g}-{high:g} m", [tables.band_error_pct(row, (low, high)) for row in rows.values()], cost=abs
+        )
+        for low, high in bands
+    ]
+    n_tracks = max(int(row["n_tracks"]) for row in rows.values())
+    return tables.grid_of(f"{kind}: {n_tracks} tracks", "method", list(rows), columns)
+
+
+app = single_app(command(RangesOptions, _ranges))

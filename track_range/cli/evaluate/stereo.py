@@ -1,0 +1,114 @@
+"""`track-range evaluate stereo`: errors of stereo matchers on pairs whose true disparities are known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from track_range.calibration.settings import StereoEvaluationSettings
+from track_range.calibration.stereo_evaluation import evaluate_stereo
+from track_range.cli.console import console, print_grid, print_line
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.options import option
+from track_range.report import tables
+from track_range.results.output_files import write_text
+from track_range.run.progress import step_progress
+
+
+class StereoOptions(StereoEvaluationSettings):
+    """Options of `track-range evaluate stereo`."""
+
+    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
+        None
+    )
+
+
+def _stereo(options: StereoOptions) -> None:
+    figures = evaluate_stereo(options, partial(step_progress, console))
+    _print(figures)
+    if options.json_file is not None:
+        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+
+
+_SIGMA = tables.SIGMA
+_Rows = Mapping[str, Mapping[str, Any]]
+_ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
+"""Heading, key, format, factor and cost of a column, as `tables.METHOD_COLUMNS`."""
+
+_COLUMNS: tuple[_ColumnSpec, ...] = (
+    ("cover %", "coverage", "{:.1f}", 100.0, lambda value: -value),
+    ("n", "n", "{:.0f}", 1.0, None),
+    ("fail %", "failures_pct", "{:.1f}", 1.0, abs),
+    ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
+    ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
+    ("95 %", "p95_relative_error_pct", "{:.2f}", 1.0, abs),
+    ("bias %", "bias_pct", "{:+.2f}", 1.0, abs),
+    ("error px", "median_abs_error_px", "{:.3f}", 1.0, abs),
+)
+_MORE_COLUMNS: tuple[_ColumnSpec, ...] = (
+    (f"in 1{_SIGMA} %", "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
+    (f"in 2{_SIGMA} %", "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
+    ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
+)
+_INTERVALS = (
+    ("fail %", "failures_pct", "{:.1f} .. {:.1f}"),
+    ("median %", "median_relative_error_pct", "{:.2f} .. {:.2f}"),
+    ("95 %", "p95_relative_error_pct", "{:.2f} .. {:.2f}"),
+    ("bias %", "bias_pct", "{:+.2f} .. {:+.2f}"),
+)
+
+
+def _print(figures: Mapping[str, Any]) -> None:
+    title = f"{figures['n_objects']} objects in {figures['n_pairs']} pairs, alignment {figures['align']}"
+    matchers = figures["matchers"]
+    print_grid(console, _grid(title, matchers, _COLUMNS))
+    print_grid(console, _more_grid(matchers))
+    print_grid(console, _interval_grid(matchers))
+    common = figures["common"]
+    if common:
+        n_common = next(iter(common.values()))["n"]
+        title = f"On the {n_common} objects that all matchers measured"
+        print_grid(console, _grid(title, common, _COLUMNS[1:]))
+    for note in figures["notes"]:
+        print_line(console, note)
+
+
+def _grid(title: str, matchers: _Rows, specs: Sequence[_ColumnSpec]) -> tables.Grid:
+    return tables.grid_of(title, "matcher", list(matchers), _columns(matchers, specs))
+
+
+def _more_grid(matchers: _Rows) -> tables.Grid:
+    """Medians by band of distance, calibration of sigma, and time."""
+    rows = list(matchers.values())
+    columns = []
+    for number, band in enumerate(rows[0]["bands"]):
+        medians = [tables.figure(row["bands"][number], "median_relative_error_pct") for row in rows]
+        heading = f"{band['from_m']:g}-{band['to_m']:g} m (n={band['n']})"
+        columns.append(tables.Column(heading, medians, "{:.2f}", cost=abs))
+    title = "Median error % by true distance, sigma, time"
+    return tables.grid_of(title, "matcher", list(matchers), [*columns, *_columns(matchers, _MORE_COLUMNS)])
+
+
+def _columns(matchers: _Rows, specs: Sequence[_ColumnSpec]) -> list[tables.Column]:
+    return [
+        tables.Column(heading, [tables.figure(row, key) for row in matchers.values()], pattern, scale, cost)
+        for heading, key, pattern, scale, cost in specs
+    ]
+
+
+def _interval_grid(matchers: _Rows) -> tables.Grid:
+    """95 % bootstrap intervals, matcher by matcher."""
+    lines = []
+    for name, found in matchers.items():
+        ends = [(pattern, found["intervals"].get(key)) for _, key, pattern in _INTERVALS]
+        texts = [tables.NOTHING if pair is None else pattern.format(*pair) for pattern, pair in ends]
+        lines.append((tables.Cell(name), *(tables.Cell(text) for text in texts)))
+    heads = ("matcher", *(heading for heading, _, _ in _INTERVALS))
+    return tables.Grid("95 % intervals (bootstrap over pairs, or a drive's tracks)", heads, tuple(lines))
+
+
+app = single_app(command(StereoOptions, _stereo))

@@ -1,0 +1,80 @@
+"""`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against truth."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from track_range.cli.console import console, print_grid, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.options import option
+from track_range.report.tables import Column, Grid, figure, grid_of
+from track_range.results.output_files import write_text
+from track_range.sequences.evaluation import COUNTS, evaluate_tracks
+from track_range.sequences.settings import TrackEvaluationSettings
+from track_range.tracking.motmetrics_comparison import REASONS
+
+_HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
+
+
+class TracksOptions(TrackEvaluationSettings):
+    """Options of `track-range evaluate tracks`."""
+
+    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
+        None
+    )
+
+
+def _tracks(options: TracksOptions) -> None:
+    figures = evaluate_tracks(options)
+    print_notes(console, figures["notes"])
+    print_grid(console, _grid(figures))
+    if options.compare is not None:
+        _print_comparison(figures)
+    if options.json_file is not None:
+        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+
+
+def _print_comparison(figures: Mapping[str, Any]) -> None:
+    """Motmetrics' figures beside ours, and why some differ."""
+    rows: dict[str, Mapping[str, Any]] = {
+        "track-range": figures["combined"],
+        "motmetrics": figures["motmetrics"]["combined"],
+    }
+    compared = {
+        head: [figure(row, head.lower()) for row in rows.values()] for head in _HEADS if head.lower() in REASONS
+    }
+    columns = [Column(head, values, _pattern(head.lower())) for head, values in compared.items()]
+    print_grid(console, grid_of("The same boxes evaluated with motmetrics", "", list(rows), columns))
+    differing: dict[str, list[str]] = {}
+    for head, (ours, theirs) in compared.items():
+        if not _is_same(ours, theirs):
+            differing.setdefault(REASONS[head.lower()], []).append(head)
+    reasons = [f"{', '.join(heads)}: {reason}." for reason, heads in differing.items()]
+    print_notes(console, reasons or ["All figures agree."])
+
+
+def _is_same(ours: float | None, theirs: float | None) -> bool:
+    return ours == theirs if ours is None or theirs is None else math.isclose(ours, theirs, abs_tol=1e-6)
+
+
+def _grid(figures: Mapping[str, Any]) -> Grid:
+    rows: Mapping[str, Mapping[str, Any]] = {**figures["sequences"], "together": figures["combined"]}
+    if len(figures["sequences"]) == 1:
+        rows = figures["sequences"]
+    names: Sequence[str] = list(rows)
+    columns = [
+        Column(head, [figure(row, head.lower()) for row in rows.values()], _pattern(head.lower())) for head in _HEADS
+    ]
+    return grid_of(f"Tracks of class {figures['class']}", "sequence", names, columns)
+
+
+def _pattern(key: str) -> str:
+    return "{:.0f}" if key in COUNTS else "{:.1f}"
+
+
+app = single_app(command(TracksOptions, _tracks))

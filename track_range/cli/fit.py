@@ -1,0 +1,92 @@
+"""`track-range fit`: size curves from a user's own labels, and the paper's comparison of plain curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit
+from track_range.ranging.fitting.fit import FittedSizes, fit_sizes
+from track_range.ranging.fitting.model_fit import SavedModel
+from track_range.ranging.fitting.settings import FitSettings
+from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
+from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.tables import TableSizes
+from track_range.report import tables
+
+
+def _fit(settings: FitSettings) -> None:
+    fitted = fit_sizes(settings)
+    for curves in fitted.comparison.values():
+        print_grid(console, _comparison_grid(curves))
+    if settings.picture is not None:
+        _draw(fitted, settings.picture)
+        print_line(console, f"Drawn in {settings.picture}")
+    if fitted.model is not None:
+        print_grid(console, _model_grid(fitted.name, fitted.model))
+        print_line(console, f"Written to {settings.out}")
+    print_notes(console, fitted.notes)
+
+
+def _draw(fitted: FittedSizes, picture: Path) -> None:
+    from track_range.report.figures import curve_picture  # matplotlib takes a third of a second to load
+
+    points = {name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison}
+    drawn = {
+        name: (points[name].wh_over_f, points[name].distance_m, curves) for name, curves in fitted.comparison.items()
+    }
+    curve_picture(drawn, picture)
+
+
+def _comparison_grid(fits: Sequence[CurveFit]) -> tables.Grid:
+    """One class's curves, a row each."""
+    columns = [
+        tables.Column("residual m2", [fit.residual_m2 for fit in fits], "{:.0f}", cost=abs),
+        tables.Column("fitted %", [fit.fitted_error_pct for fit in fits], "{:.2f}", cost=abs),
+        tables.Column("other drives %", _known([fit.other_drives_error_pct for fit in fits]), "{:.2f}", cost=abs),
+    ]
+    for k, true_m in enumerate(TABLE_DISTANCES_M):
+        columns.append(tables.Column(f"at {true_m:g} m", _known([fit.at_m[k] for fit in fits])))
+    title = f"{fits[0].class_name}: {fits[0].n} boxes"
+    return tables.grid_of(title, "curve", [fit.curve for fit in fits], columns)
+
+
+def _known(values: Sequence[float]) -> list[float | None]:
+    return [None if np.isnan(value) else value for value in values]
+
+
+def _model_grid(name: str, model: SavedModel) -> tables.Grid:
+    """A row per class: what was fitted."""
+    if isinstance(model, CuboidSizes):
+        priors = list(model.priors.values())
+        columns = [
+            tables.Column(f"{what} m", [prior.hwl_m[k] for prior in priors], "{:.2f}")
+            for k, what in enumerate(("height", "width", "length"))
+        ]
+        columns.append(tables.Column("height +- %", [100 * prior.log_sigma[0] for prior in priors]))
+        columns.append(tables.Column("objects", [prior.n_tracks for prior in priors], "{:.0f}"))
+        columns.append(tables.Column("boxes", [prior.n_boxes for prior in priors], "{:.0f}"))
+        return tables.grid_of("Priors over sizes", "class", list(model.priors), columns)
+    if not isinstance(model, SizeCurves | TableSizes):
+        raise TypeError(f"{name}: no table for {type(model).__name__}")
+    curves = model.whole if isinstance(model, SizeCurves) else model.curves
+    columns = [
+        tables.Column(f"{tables.SIGMA} %", [100 * curve.sigma_relative for curve in curves.values()]),
+        tables.Column("boxes", [curve.n for curve in curves.values()], "{:.0f}"),
+    ]
+    if isinstance(model, SizeCurves):
+        columns = [*_coefficients(list(model.whole.values())), *columns]
+    return tables.grid_of(f"Size curves: {name}", "class", list(curves), columns)
+
+
+def _coefficients(curves: Sequence[SizeCurve]) -> list[tables.Column]:
+    heads = ("intercept", "log height", "log width", "bearing")
+    return [tables.Column(head, [curve.coefficients[k] for curve in curves], "{:.3f}") for k, head in enumerate(heads)]
+
+
+app = single_app(command(FitSettings, _fit))

@@ -1,0 +1,72 @@
+"""`track-range models list | pull | import`: where detectors come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from track_range.cli.console import console
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.detection.darknet.importer import import_darknet
+from track_range.detection.models.lookup import model_rows, models_folder
+from track_range.foundation.options import Options, option
+from track_range.run.detector_options import class_names
+from track_range.run.ready_model import ready_model
+
+
+class ListOptions(Options):
+    """`track-range models list` has no options."""
+
+
+class PullOptions(Options):
+    """Options of `track-range models pull`."""
+
+    name: Annotated[str, option("Name of `models list`.", metavar="NAME", is_argument=True)]
+
+
+class ImportOptions(Options):
+    """Options of `track-range models import`."""
+
+    cfg: Annotated[Path, option("Darknet's description of the network.", metavar="FILE.cfg", is_argument=True)]
+    weights: Annotated[Path, option("Darknet's weights.", metavar="FILE.weights", is_argument=True)]
+    names: Annotated[str, option("Class names: a,b,c or a file with one per line, such as coco.names.")]
+    out: Annotated[Path, option("ONNX file to write.")]
+
+
+def _list(_options: ListOptions) -> None:
+    table = Table(box=box.SIMPLE_HEAD, title="Detectors", title_justify="left", padding=0)
+    for heading in ("name", "input", "size", "licence", "from", "state"):
+        table.add_column(heading, overflow="fold", no_wrap=heading in ("name", "size", "state"))
+    for row in model_rows():
+        cells = (row.name, row.input, row.size, row.licence, row.source, row.state)
+        table.add_row(*(Text(cell) for cell in cells))
+    console.print(table)
+    console.print(f"Fetched models are kept in {models_folder()}", highlight=False, soft_wrap=True)
+
+
+def _pull(options: PullOptions) -> None:
+    path = ready_model(options.name, console)
+    console.print(f"{path} is ready: --detector {options.name}", highlight=False, soft_wrap=True)
+
+
+def _import(options: ImportOptions) -> None:
+    imported = import_darknet(options.cfg, options.weights, options.out, names=class_names(options.names) or ())
+    height, width = imported.input_hw
+    console.print(
+        f"{options.out}: {imported.family}, {width}x{height}, {imported.n_layers} layers, "
+        f"{imported.n_parameters / 1e6:.1f} million parameters",
+        highlight=False,
+        soft_wrap=True,
+    )
+    for note in imported.notes:
+        console.print(f"- {note}", style="dim", highlight=False, markup=False)
+
+
+list_app = single_app(command(ListOptions, _list))
+pull_app = single_app(command(PullOptions, _pull))
+import_app = single_app(command(ImportOptions, _import))

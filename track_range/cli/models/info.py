@@ -1,0 +1,105 @@
+"""`track-range models info`: what a model file contains, what is assumed of it, and its classes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import Annotated, Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from track_range.cli.console import console
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.models.lookup import FoundModel, find_model
+from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.options import Options, option
+from track_range.run.detector_fields import anchors_option, letterbox_option, names_option
+from track_range.run.detector_options import DetectorOptions, open_detector
+
+_ABOUT = ("data", "date", "epochs", "licence", "license")
+"""What a model may say of where it comes from."""
+
+
+class InfoOptions(Options):
+    """Options of `track-range models info`."""
+
+    model: Annotated[str, option("ONNX file, or a name of `models list`.", metavar="FILE|NAME", is_argument=True)]
+    names: Annotated[str | None, names_option()] = None
+    anchors: Annotated[str | None, anchors_option()] = None
+    letterbox: Annotated[str | None, letterbox_option()] = None
+
+
+def _info(options: InfoOptions) -> None:
+    detector = DetectorOptions(names=options.names, anchors=options.anchors, letterbox=options.letterbox)
+    found = find_model(options.model)
+    is_here = found.origin != "catalogue" or found.entry is None
+    table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=options.model, title_justify="left")
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    table.add_column(style="dim", overflow="fold")
+    for row in chain(_rows(open_detector(found.path, detector)) if is_here else (), _entry_rows(found)):
+        table.add_row(*(Text(text) for text in row))
+    console.print(table)
+
+
+def _entry_rows(found: FoundModel) -> Iterator[tuple[str, str, str]]:
+    """What the catalogue says of a model."""
+    entry = found.entry
+    if entry is None:
+        return
+    if found.origin == "catalogue":
+        yield "state", "not here yet", f"`track-range models pull {entry.name}` fetches it"
+        yield "family", entry.family, "by the catalogue"
+        yield "input", entry.input, ""
+    yield "licence", f"{entry.licence.name}: {entry.licence.meaning}", ""
+    yield "from", f"{entry.project}, release {entry.release}", ""
+    for file in entry.files:
+        yield "file", file.url, file.checksum
+
+
+def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
+    """Property, value, source."""
+    session, model = detector.session, detector.model
+    family = model.facts["family"]
+    yield "family", model.family, family.source
+    yield "outputs", model.layout, ""
+    shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
+    yield "input", f"[{shape}] {session.input_dtype.__name__}", _rectangular(detector)
+    if None in session.input_shape[2:]:
+        yield "size", str(detector.size.value), detector.size.source
+    for key in ("letterbox", "colours", "divisor", "anchors", "scale_x_y"):
+        if key in model.facts:
+            yield key, _text(model.facts[key].value), model.facts[key].source
+    yield f"{len(model.names)} classes", ", ".join(model.names), model.facts["names"].source
+    yield "road classes", ", ".join(ROAD_CLASSES[i] for i in detector.known_class_id), ""
+    missing = [name for i, name in enumerate(ROAD_CLASSES) if i not in detector.known_class_id]
+    if missing:
+        yield "classes not covered", ", ".join(missing), ""
+    for key in _ABOUT:
+        if key in session.metadata:
+            yield key, session.metadata[key], "from the model's metadata"
+    yield "runs on", session.device, ""
+    yield "file", f"{session.path.stat().st_size / 1e6:.1f} MB", ""
+    yield "sha256", session.sha256(), ""
+
+
+def _rectangular(detector: YoloDetector) -> str:
+    if None in detector.session.input_shape[2:]:
+        return "open: as large as each video needs at --size"
+    return ""
+
+
+def _text(value: Any) -> str:
+    """A fact's value; anchors as `--anchors` takes them."""
+    if not isinstance(value, tuple):
+        return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value[0], tuple):
+        return " / ".join(" ".join(f"{w:g},{h:g}" for w, h in head) for head in value)
+    return ", ".join(f"{each:g}" for each in value)
+
+
+app = single_app(command(InfoOptions, _info))

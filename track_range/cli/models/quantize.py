@@ -1,0 +1,157 @@
+"""`track-range models quantize`: INT8 and FP16 copies of a detector, and what they cost in accuracy, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from track_range.cli.console import console
+from track_range.cli.evaluate.detections import print_figures, write_figures
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.detection.formats.image_truth import ImageTruth
+from track_range.detection.formats.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.models.quantize import convert_fp16, quantize_int8
+from track_range.detection.yolo.detector import YoloDetector
+from track_range.foundation.arrays import FloatArray32, Image
+from track_range.foundation.options import Options, option
+from track_range.results.output_files import make_folder
+from track_range.run.detector_fields import anchors_option, letterbox_option, names_option, size_option, threads_option
+from track_range.run.detector_options import DetectorOptions, class_names, open_detector
+from track_range.run.progress import frame_progress
+from track_range.run.ready_model import ready_model
+from track_range.sequences.detector_evaluation import WORKING_SCORE, evaluate, open_candidates
+from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
+from track_range.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
+
+N_CALIBRATION = 60
+"""Images that tell the range of every layer's numbers; more change nothing (see detection/models/quantize.py)."""
+
+N_COMPARED = 100
+"""Images on which a copy is compared with its original where there are no labels."""
+
+
+@dataclass(slots=True)
+class _OriginalsBoxes:
+    """Images without labels: the original's own boxes are the truth, so that AP measures agreement with it."""
+
+    original: YoloDetector
+    paths: Sequence[Path]
+    unreadable: list[str] = field(default_factory=list)
+
+    @property
+    def n_images(self) -> int:
+        """To expect."""
+        return len(self.paths)
+
+    def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
+        for path in self.paths:
+            try:
+                image = read_image(path)
+            except ImageFileError as error:
+                self.unreadable.append(str(error))
+                continue
+            boxes = self.original.detect(image)
+            yield image, ImageTruth.of(boxes.xyxy_px, boxes.class_id)
+
+
+class QuantizeOptions(Options):
+    """Options of `track-range models quantize`."""
+
+    model: Annotated[str, option("Float32 network.", metavar="FILE|NAME", is_argument=True)]
+    images: Annotated[Path, option("Folder of images like those that the network will see; 60 are used.")]
+    out: Annotated[Path, option("Folder of the copies (default: this one).")] = Path()
+    labels: Annotated[
+        Path | None,
+        option("Labels of the images; without them, the copies are compared with the original's own boxes."),
+    ] = None
+    label_format: LabelFormatField = None
+    label_names: LabelNamesField = None
+    manifest: ManifestField = None
+    split: SplitField = "val"
+    names: Annotated[str | None, names_option()] = None
+    anchors: Annotated[str | None, anchors_option()] = None
+    letterbox: Annotated[str | None, letterbox_option()] = None
+    size_px: Annotated[int | None, size_option()] = None
+    threads: Annotated[int, threads_option()] = 0
+    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
+        None
+    )
+
+
+def _quantize(options: QuantizeOptions) -> None:
+    """Write NAME-int8.onnx and NAME-fp16.onnx, and print size, speed and accuracy beside the original's.
+
+    Calibration uses 60 images of the folder (half of them, if they are fewer), drawn with a fixed seed; accuracy is
+    measured on others: against labels where there are some, else against the original's boxes of confidence 0.25 and
+    more.
+    """
+    images, out = options.images, options.out
+    detector = DetectorOptions(
+        names=options.names,
+        anchors=options.anchors,
+        letterbox=options.letterbox,
+        size_px=options.size_px,
+        threads=options.threads,
+        device="cpu",
+    )
+    source = None
+    if options.labels is not None:
+        source = LabelledSource(
+            images=images,
+            labels=options.labels,
+            label_format=options.label_format,
+            label_names=class_names(options.label_names),
+            manifest=options.manifest,
+            split=options.split,
+        )
+    make_folder(out)
+    path = ready_model(options.model, console)
+    original = open_detector(path, replace(detector, min_score=str(WORKING_SCORE)))
+    measured = frozenset(item.path for item in source.labelled_files()) if source else frozenset()
+    calibration, others = _calibration_images(images, measured)
+    int8, fp16 = (out / f"{path.stem}-{kind}.onnx" for kind in ("int8", "fp16"))
+    with console.status(f"calibrating on {len(calibration)} images") if console.is_terminal else nullcontext():
+        quantize_int8(path, int8, blobs=_blobs(original, calibration))
+        convert_fp16(path, fp16)
+    frames: LabelledFrames = _OriginalsBoxes(original, others[:N_COMPARED])
+    if source is not None:
+        frames = replace(source, leave_out=frozenset(calibration)).open()
+    candidates = open_candidates([str(each) for each in (path, int8, fp16)], detector, Path)
+    figures = evaluate(candidates, frames, min_score=None, progress=partial(frame_progress, console))
+    truth = "the labels" if source else f"the original's boxes of score {WORKING_SCORE} and more"
+    figures["notes"].append(f"Accuracy is against {truth}, on images that calibration did not see.")
+    print_figures(figures)
+    console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
+    write_figures(figures, options.json_file)
+    raise typer.Exit(0 if figures["is_complete"] else 1)
+
+
+def _calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
+    """Images to calibrate on, and the rest; those to be measured on are taken only if there are no others."""
+    paths = images_in(folder)
+    pool = [path for path in paths if path not in measured] or paths
+    n = min(N_CALIBRATION, len(paths) // 2)
+    if n == 0:
+        raise ModelError(
+            f"{folder}: expected at least 2 images, to calibrate on and to compare on; better {N_CALIBRATION}."
+        )
+    drawn = [pool[i] for i in np.random.default_rng(0).permutation(len(pool))]
+    return drawn[:n], drawn[n:] or [path for path in paths if path not in drawn[:n]]
+
+
+def _blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[FloatArray32]:
+    for path in paths:
+        with suppress(ImageFileError):  # one damaged image of many changes nothing; with none left, ModelError
+            yield detector.input_of(read_image(path))
+
+
+app = single_app(command(QuantizeOptions, _quantize))

@@ -1,0 +1,127 @@
+"""Parameters of commands, made from the fields of `Options`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from inspect import Parameter, Signature
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+
+import typer
+from annotated_types import Ge, Le
+from pydantic.fields import FieldInfo
+
+from track_range.foundation.options import Options, is_list, option_of, value_type
+
+_O = TypeVar("_O", bound=Options)
+
+
+def command(model: type[_O], function: Callable[[_O], object]) -> Callable[..., None]:
+    """A callback for Typer whose parameters are the fields of `model` and which calls `function` with the options."""
+
+    def callback(**values: Any) -> None:
+        function(model.of(given_values(model, values)))
+
+    return with_parameters(callback, parameters(model))
+
+
+def with_parameters(callback: Callable[..., None], listed: list[Parameter]) -> Callable[..., None]:
+    """The callback with a signature that Typer reads."""
+    callback.__signature__ = Signature(listed)  # type: ignore[attr-defined]
+    callback.__annotations__ = {parameter.name: parameter.annotation for parameter in listed}
+    return callback
+
+
+def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:
+    """A parameter per option of a model, and hidden ones for old names.
+
+    Args:
+        model: the options.
+        is_only_given: every default is None, so that options which are not given can come from elsewhere (a settings
+            file); the help names the model's defaults.
+    """
+    listed = []
+    for name, field in model.model_fields.items():
+        shown = option_of(field)
+        if shown["is_file_only"]:
+            continue
+        kind = _typer_type(field)
+        default = None if is_only_given else _default(field)
+        listed.append(_parameter(name, kind, _declaration(model, name, is_only_given=is_only_given), default))
+        for old_name in shown["old_names"]:
+            hidden = typer.Option(_old_flag(model.flag(name), shown["flag"], old_name), hidden=True)
+            listed.append(_parameter(old_name, kind, hidden, None))
+    return listed
+
+
+def given_values(model: type[Options], values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that belong to a model and are given, by field."""
+    given: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        for key in (name, *option_of(field)["old_names"]):
+            value = values.get(key)
+            if value is not None and not (isinstance(value, list) and not value):
+                given.setdefault(name, value)
+    return given
+
+
+def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Parameter:
+    value: Any = kind | None if default is None else kind
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[value, declaration])
+
+
+def _declaration(model: type[Options], name: str, *, is_only_given: bool) -> Any:
+    """typer.Option or typer.Argument of a field."""
+    field = model.model_fields[name]
+    shown = option_of(field)
+    common: dict[str, Any] = {
+        "help": _help(field, is_default_added=is_only_given),
+        "metavar": shown["metavar"],
+        "rich_help_panel": shown["panel"],
+    }
+    if value_type(field) in (int, float):
+        common["min"] = next((mark.ge for mark in field.metadata if isinstance(mark, Ge)), None)
+        common["max"] = next((mark.le for mark in field.metadata if isinstance(mark, Le)), None)
+    if shown["is_argument"]:
+        return typer.Argument(**common)
+    return typer.Option(shown["flag"] or model.flag(name), **common)
+
+
+def _typer_type(field: FieldInfo) -> Any:
+    """The type as which Typer reads a field; what it does not know is read as text and validated by the model."""
+    kind = value_type(field)
+    if get_origin(kind) is tuple:
+        first, *others = get_args(kind)
+        if others != [Ellipsis]:
+            return tuple[tuple(_plain(part) for part in (first, *others))]  # type: ignore[misc]
+        return list[_plain(first)] if option_of(field)["is_repeated"] else str  # type: ignore[misc]
+    return _plain(kind)
+
+
+def _plain(kind: Any) -> Any:
+    return kind if kind in (str, int, float, bool, Path) or get_origin(kind) is Literal else str
+
+
+def _default(field: FieldInfo) -> Any:
+    """A field's default as Typer takes it; `Parameter.empty` for what must be given."""
+    if field.is_required():
+        return Parameter.empty
+    if is_list(field):
+        return ",".join(map(str, field.default)) or None
+    return field.default
+
+
+def _help(field: FieldInfo, *, is_default_added: bool) -> str:
+    text = field.description or ""
+    value = field.default
+    is_plain = isinstance(value, str | int | float) and not isinstance(value, bool)
+    if not is_default_added or not is_plain or "(default:" in text:
+        return text
+    shown = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{text.removesuffix('.')} (default: {shown})."
+
+
+def _old_flag(flag: str, declared: str | None, old_name: str) -> str:
+    """The option of an old name, with its negative where the present option has one."""
+    old = "--" + old_name.replace("_", "-")
+    return f"{old}/--no-{old.removeprefix('--')}" if declared and "/" in declared else old

@@ -1,0 +1,42 @@
+"""`track-range report`: reports of runs written again from their folders, and a comparison of several runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.options import Options, option
+from track_range.report.run_folders import report
+
+
+class ReportOptions(Options):
+    """Options of `track-range report`."""
+
+    folders: Annotated[
+        tuple[Path, ...], option("Result folders of runs.", metavar="DIR...", is_argument=True, is_repeated=True)
+    ]
+    out: Annotated[
+        Path | None,
+        option(
+            "Page to write (default: report.html in the run's folder; for several runs comparison.html in this "
+            "folder).",
+            metavar="FILE",
+        ),
+    ] = None
+
+
+def _report(options: ReportOptions) -> None:
+    written = report(options.folders, options.out)
+    for sentence in written.missing:
+        print_line(console, sentence)
+    for grid in written.grids:
+        print_grid(console, grid)
+    print_notes(console, written.notes)
+    others = "; each run's own report.html was written again" if len(set(options.folders)) > 1 else ""
+    print_line(console, f"Open {written.page} in a browser{others}.")
+
+
+app = single_app(command(ReportOptions, _report))

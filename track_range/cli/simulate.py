@@ -1,0 +1,31 @@
+"""`track-range simulate`: a stereo drive with exact truth, or labelled images to train a detector with."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from track_range.cli.console import console, print_line
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.run.progress import step_progress
+from track_range.simulation.settings import SimulationSettings
+from track_range.simulation.simulate import DEFAULT_FPS, simulate
+
+
+def _simulate(settings: SimulationSettings) -> None:
+    simulated = simulate(settings, partial(step_progress, console))
+    for note in simulated.notes:
+        print_line(console, note)
+    drive = simulated.drive
+    if drive is None:
+        print_line(console, f"Written: {simulated.n_images} images, and {simulated.data_yaml}")
+        return
+    fps = settings.fps or DEFAULT_FPS
+    rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""
+    print_line(console, f"Written: {settings.out}. To run on it:")
+    print_line(
+        console, f"  track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.table}{rate}"
+    )
+
+
+app = single_app(command(SimulationSettings, _simulate))

@@ -1,0 +1,40 @@
+"""`track-range track`: identities for recorded detections, without a video, a rig or distances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from track_range.cli.console import console, print_grid, print_line
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.report.tables import Column, Grid, grid_of
+from track_range.run.progress import frame_progress
+from track_range.sequences.find import MOT_FOLDER, listed
+from track_range.sequences.settings import TrackSettings
+from track_range.sequences.track import TrackedFile, track
+
+
+def _track(settings: TrackSettings) -> None:
+    tracked = track(settings, partial(frame_progress, console), lambda note: print_line(console, f"- {note}"))
+    if tracked.done:
+        print_grid(console, _grid(tracked.done))
+        print_line(console, f"Written: {settings.out / MOT_FOLDER}")
+    if tracked.failed:
+        n_sequences = len(tracked.done) + len(tracked.failed)
+        failed = f"{len(tracked.failed)} of {n_sequences} sequences could not be tracked, see above"
+        raise LabelFileError(f"{settings.detections}: {failed}: {listed(list(tracked.failed))}.")
+
+
+def _grid(done: Sequence[TrackedFile]) -> Grid:
+    columns = [
+        Column("frames", [float(each.n_frames) for each in done], "{:.0f}"),
+        Column("boxes", [float(each.n_boxes) for each in done], "{:.0f}"),
+        Column("tracks", [float(each.n_tracks) for each in done], "{:.0f}"),
+        Column("us per frame", [each.us_per_frame for each in done], "{:.0f}"),
+    ]
+    return grid_of("Tracks", "sequence", [each.name for each in done], columns)
+
+
+app = single_app(command(TrackSettings, _track))

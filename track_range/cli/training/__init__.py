@@ -1,0 +1,1 @@
+"""`track-range train` and `track-range anchors`."""

@@ -1,0 +1,92 @@
+"""Images and anchors for `track-range train` and `track-range anchors`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from track_range.cli.console import console, print_line
+from track_range.cli.training.options import AnchorOptions
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.labelled_images import LabelledImage
+from track_range.detection.models.metadata import Anchors
+from track_range.detection.training.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
+from track_range.detection.training.data_set import CachedImages
+from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.networks import NETWORKS
+from track_range.foundation.arrays import FloatArray
+from track_range.run.progress import step_progress
+
+_N_LISTED = 20
+"""Unreadable images that are listed by name."""
+
+_N_PER_HEAD = 3
+"""Anchors of a head, of all networks here."""
+
+
+def print_anchors(options: AnchorOptions) -> None:
+    """Print k-means++ anchors of a data set's training boxes, and how well they and the networks' own ones fit.
+
+    Raises:
+        LabelFileError, ImageFileError: the data cannot be used, or there are too few boxes.
+    """
+    size_px, n_anchors = options.size_px, options.clusters
+    data = read_data_yaml(options.data)
+    for note in data.notes:
+        print_line(console, note)
+    sizes = read_images(data.train, data, max_side_px=size_px).box_sizes_px(size_px)
+    if not len(sizes):
+        raise LabelFileError(f"{options.data}: there is no labelled object in its training images.")
+    for kind in NETWORKS.values():
+        own = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
+        print_line(
+            console, f"{mean_best_iou(sizes, own):.3f} mean best IoU with {kind.family}'s own {len(own)} anchors"
+        )
+    found = _kmeans(sizes, n_anchors, options.seed)
+    print_line(
+        console, f"{mean_best_iou(sizes, found):.3f} mean best IoU with these {n_anchors}, of {len(sizes)} boxes:"
+    )
+    n_heads = n_anchors // _N_PER_HEAD if n_anchors % _N_PER_HEAD == 0 else 1
+    print_line(console, as_text(by_head(found, n_heads)))
+
+
+def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None) -> CachedImages:
+    """Every image once; those that cannot be read are left out, and counted.
+
+    Raises:
+        ImageFileError: none can be read.
+    """
+    with step_progress(console, "reading images") as progress:
+        images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
+    if images.unreadable:
+        print_line(console, f"{len(images.unreadable)} images left out:")
+        for sentence in images.unreadable[:_N_LISTED]:
+            print_line(console, f"- {sentence}")
+        if len(images.unreadable) > _N_LISTED:
+            print_line(console, f"- and {len(images.unreadable) - _N_LISTED} more")
+    return images
+
+
+def own_anchors(images: CachedImages, model: str, size_px: int, seed: int) -> Anchors:
+    """K-means++ anchors of the boxes to be learnt, as many as the network has.
+
+    Raises:
+        LabelFileError: there are too few boxes.
+    """
+    kind = NETWORKS[model]
+    sizes = images.box_sizes_px(size_px)
+    found = _kmeans(sizes, kind.n_anchors, seed)
+    before = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))
+    anchors = by_head(found, kind.n_heads)
+    print_line(
+        console, f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, found):.3f} (before: {before:.3f})."
+    )
+    return anchors
+
+
+def _kmeans(sizes: FloatArray, n_anchors: int, seed: int) -> FloatArray:
+    try:
+        return kmeans_anchors(sizes, n_anchors, np.random.default_rng(seed))
+    except ValueError as error:
+        raise LabelFileError(f"{error}") from error

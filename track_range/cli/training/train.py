@@ -1,0 +1,18 @@
+"""`track-range train`: a detector trained on labelled images, exported as an ONNX file."""
+
+from __future__ import annotations
+
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.cli.training.options import TrainOptions
+from track_range.detection.training.requirements import check_torch
+
+
+def _train(options: TrainOptions) -> None:
+    check_torch()
+    from track_range.cli.training.training_run import train  # imports PyTorch
+
+    train(options)
+
+
+app = single_app(command(TrainOptions, _train))

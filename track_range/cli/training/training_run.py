@@ -1,0 +1,225 @@
+"""Training of a detector, from labelled images to an ONNX file; imports PyTorch."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from track_range.cli.console import console, print_grid, print_line
+from track_range.cli.training.data import own_anchors, read_images
+from track_range.cli.training.options import TrainOptions
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.training.augmentation import AugmentationSettings
+from track_range.detection.training.data_set import TrainingSets
+from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.detection_loss import Losses
+from track_range.detection.training.errors import TrainingError
+from track_range.detection.training.export import export_onnx
+from track_range.detection.training.networks import NETWORKS, make_network
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, locked
+from track_range.detection.training.schedule import SGD, ScheduleSettings
+from track_range.detection.training.settings import TrainingSettings, best_precision, usable_device
+from track_range.detection.training.teacher import Teacher
+from track_range.detection.training.train import Training, prepare_torch
+from track_range.report.detection_tables import class_grid
+from track_range.report.figures import training_chart
+from track_range.results.output_files import OutputError, make_folder
+from track_range.run.interrupts import stop_on_interrupt
+from track_range.run.ready_model import ready_model
+
+CURVES = "curves.png"
+
+
+def train(options: TrainOptions) -> None:
+    """Train, export the best network into the run folder, and print its figures.
+
+    Raises:
+        LabelFileError, ImageFileError: the data cannot be used.
+        CheckpointError, TrainingError, ModelError, OutputError: see the modules of `detection.training`.
+    """
+    settings = _settings(options)
+    data = read_data_yaml(options.data)
+    for note in data.notes:
+        print_line(console, note)
+    if not any((~item.truth.is_ignored).any() for item in data.train):
+        raise LabelFileError(f"{options.data}: there is no labelled object in its training images.")
+    _check_checkpoints(options)
+    teacher = _teacher(options, data, settings)
+    make_folder(options.out)
+    curves = options.out / CURVES
+    with locked(options.out), stop_on_interrupt():
+        try:
+            training = _prepared(options, settings, data, teacher)
+            with _Display(settings.n_epochs, lambda: training_chart(training.history, curves)) as display:
+                training.run(display)
+            _finish(training, options, data)
+        except KeyboardInterrupt:
+            raise TrainingError(f"stopped by the user; --resume goes on with the run in {options.out}.") from None
+
+
+def _check_checkpoints(options: TrainOptions) -> None:
+    """Everything that can be said of the run folder and of `--weights` before images are read.
+
+    Raises:
+        OutputError: there is a run, and it is not to be resumed; or what would be written is there already.
+        CheckpointError: a checkpoint is missing or damaged.
+    """
+    if options.resume:
+        load_checkpoint(options.out / LAST)
+        if (options.out / BEST).exists():
+            load_checkpoint(options.out / BEST)
+        return
+    if (options.out / LAST).exists():
+        raise OutputError(f"{options.out}: a run is there already: continue it with --resume, or choose another --out.")
+    for name in (BEST, RESULTS, CURVES, f"{options.model}.onnx"):
+        if (options.out / name).exists():
+            raise OutputError(f"{options.out / name} would be overwritten: choose another --out.")
+    if options.weights is not None:
+        load_checkpoint(options.weights)
+
+
+def _prepared(
+    options: TrainOptions, settings: TrainingSettings, data: TrainingData, teacher: Teacher | None
+) -> Training:
+    """Images read, network made; resumed, or started from weights, where asked for."""
+    largest_px = int(settings.size_px * settings.augmentation.max_gain)
+    images = read_images(data.train, data, max_side_px=largest_px)
+    validation = read_images(data.val, data, max_side_px=None)
+    anchors = None
+    if options.anchors == "kmeans++":
+        anchors = own_anchors(images, options.model, options.size_px, options.seed)
+    prepare_torch(seed=settings.seed, n_threads=options.n_threads)
+    network = make_network(
+        options.model, len(data.road_class_id), anchors_px=anchors, has_cbam=options.attention == "cbam"
+    )
+    sets = TrainingSets(images, validation, data.road_class_id, data.fingerprint())
+    training = Training(network, settings, sets, options.out, teacher=teacher)
+    if options.resume:
+        training.resume()
+        print_line(console, f"Going on after epoch {len(training.history)} of {settings.n_epochs}.")
+    elif options.weights is not None:
+        training.start_from(options.weights)
+    n = sum(parameter.numel() for parameter in network.parameters())
+    print_line(
+        console,
+        f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million weights, {settings.device}, {settings.precision}; "
+        f"{len(images)} images to learn from ({images.n_kept} in memory), {len(validation)} to validate on.",
+    )
+    return training
+
+
+class _Display:
+    """A bar of the epoch in progress, and a line for each that is done."""
+
+    def __init__(self, n_epochs: int, draw: Callable[[], None]) -> None:
+        self._n_epochs, self._draw = n_epochs, draw
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[text]}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._task: TaskID = self._progress.add_task("", total=None, text="")
+        self._minutes: list[float] = []
+
+    def __enter__(self) -> _Display:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
+        """See `Listener`."""
+        box, objectness, class_score = losses.numbers()
+        text = f"box {box:.4f} objectness {objectness:.4f} class {class_score:.4f}"
+        self._move(f"epoch {epoch + 1} of {self._n_epochs}", i, n, text)
+
+    def validated(self, epoch: int, i: int, n: int) -> None:
+        """See `Listener`."""
+        self._move(f"validation {epoch + 1}", i, n, "")
+
+    def epoch(self, row: dict[str, float]) -> None:
+        """See `Listener`."""
+        self._minutes.append(row["minutes"])
+        left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
+        figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
+        losses = f"box {row['loss_box']:.4f}, objectness {row['loss_objectness']:.4f}, class {row['loss_class']:.4f}"
+        told = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
+        print_line(console, f"{told}, {_duration(left)} left")
+        self._draw()
+
+    def _move(self, description: str, i: int, n: int, text: str) -> None:
+        self._progress.update(self._task, description=description, completed=i, total=n, text=text)
+
+
+def _settings(options: TrainOptions) -> TrainingSettings:
+    device, note = usable_device(options.device)
+    if note:
+        print_line(console, note)
+    schedule = SGD if options.optimiser == "sgd" else ScheduleSettings()
+    if options.learning_rate is not None:
+        schedule = replace(schedule, learning_rate=options.learning_rate)
+    return TrainingSettings(
+        size_px=options.size_px,
+        n_epochs=options.n_epochs,
+        batch_size=options.batch_size,
+        seed=options.seed,
+        box_loss=options.box_loss,
+        device=device,
+        precision=best_precision(device) if options.precision == "auto" else options.precision,
+        validate_every=options.validate_every,
+        schedule=schedule,
+        augmentation=AugmentationSettings(mosaic=options.mosaic, min_gain=options.gain[0], max_gain=options.gain[1]),
+    )
+
+
+def _teacher(options: TrainOptions, data: TrainingData, settings: TrainingSettings) -> Teacher | None:
+    if options.teacher is None:
+        return None
+    path = ready_model(options.teacher, console)
+    return Teacher(path, data.road_class_id, device=settings.device, precision=settings.dtype)
+
+
+def _finish(training: Training, options: TrainOptions, data: TrainingData) -> None:
+    """Export the best network and tell what it can do."""
+    training.take_best()
+    model = options.out / f"{options.model}.onnx"
+    export_onnx(training.average.network, model, _metadata(options, data, training))
+    figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
+    print_grid(console, class_grid(figures))
+    names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
+    print_line(console, f"Written: {model}, and {', '.join(names)} beside it.")
+    print_line(console, f"Use it: track-range --mono VIDEO --focal-px F --detector {model}")
+
+
+def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> dict[str, object]:
+    """What the file says of itself; see `detection.model_facts`."""
+    network = training.average.network
+    about = {
+        "family": NETWORKS[options.model].family,
+        "names": [ROAD_CLASSES[i] for i in data.road_class_id],
+        "letterbox": "centred-114",
+        "colours": "rgb",
+        "divisor": 255,
+        "size": options.size_px,
+        "trained_anchors": network.anchors_px.tolist(),
+        "data": options.data.stem if options.data.stem != "data" else options.data.absolute().parent.name,
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "epochs": len(training.history),
+    }
+    return about | ({"licence": options.licence} if options.licence else {})
+
+
+def _duration(minutes: float) -> str:
+    if minutes < 1.5:
+        return f"{60 * minutes:.0f} s"
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"

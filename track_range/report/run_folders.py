@@ -1,0 +1,98 @@
+"""Reports of runs written again from their folders, and a comparison of several runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
+from track_range.report.page import write_comparison, write_report
+from track_range.report.tables import Grid
+from track_range.results.folder import RunFolder, read_run_folder
+from track_range.results.output_files import check_outputs
+from track_range.results.writers import result_names
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenReport:
+    """What `report` wrote.
+
+    Attributes:
+        page: the page to open.
+        grids: of a comparison, its tables.
+        missing: sentences about files that a folder lacks.
+        notes: of a comparison, what limits it.
+    """
+
+    page: Path
+    grids: tuple[Grid, ...]
+    missing: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
+    """Write report.html into the folder of each run and, for several runs, a page that compares them.
+
+    Args:
+        folders: results of runs; a folder that is given twice counts once.
+        out: page of a single run in place of the one in its folder, or page of the comparison (None =
+            comparison.html in the current folder).
+
+    Raises:
+        OutputError: a folder holds no run, or a page cannot be written or would overwrite what it is made from.
+    """
+    runs = [read_run_folder(folder) for folder in {folder.resolve(): folder for folder in folders}.values()]
+    pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
+    if out is not None:
+        inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
+        check_outputs([*pages, out], inputs)
+    missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in run.missing)
+    if len(runs) == 1:
+        page = out or runs[0].folder / "report.html"
+        _write(page, runs[0])
+        return WrittenReport(page, (), missing, ())
+    page = out or Path("comparison.html")
+    compared = _compare(runs, page)
+    grids = [*comparison_grids(compared), settings_grid(compared)]
+    return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)))
+
+
+def _write(path: Path, run: RunFolder) -> None:
+    files = run.summary["files"]
+    if path.parent.resolve() != run.folder.resolve():  # the overlay stays where it is: a page elsewhere points there
+        files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
+    write_report(path, {**run.summary, "files": files}, run.columns)
+
+
+def _relative(path: Path, start: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), start.resolve())).as_posix()
+
+
+def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
+    """Write the runs' own pages and the one that compares them."""
+    for run in runs:
+        _write(run.folder / "report.html", run)
+    compared = [
+        ComparedRun(
+            name=name,
+            summary=run.summary,
+            settings=run.settings,
+            link=_relative(run.folder / "report.html", page.parent),
+            notes=run.missing,
+        )
+        for name, run in zip(short_names([run.folder for run in runs]), runs, strict=True)
+    ]
+    write_comparison(page, compared)
+    return compared
+
+
+def short_names(folders: Sequence[Path]) -> list[str]:
+    """The last parts of each path, as many as make all of them different."""
+    parts = [folder.resolve().parts for folder in folders]
+    for n in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(each[-n:]) for each in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]

@@ -1,0 +1,132 @@
+"""HOTA, CLEAR and identity metrics of tracks against truth, per sequence and combined."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
+from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.foundation.arrays import IntArray
+from track_range.foundation.errors import UsageError
+from track_range.sequences.find import (
+    KITTI_FOLDER,
+    MOT_FOLDER,
+    SequenceFile,
+    find_sequences,
+    first_line,
+    paired,
+    passed_over,
+    without_truth,
+)
+from track_range.sequences.settings import TrackEvaluationSettings, TruthFormat
+from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.mot_format import read_mot
+from track_range.tracking.motmetrics_comparison import motmetrics_figures
+from track_range.tracking.similarity import Similarity
+from track_range.tracking.tracked_boxes import TrackedBoxes
+
+COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
+"""Metrics that are counts; the others are in per cent."""
+
+
+def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
+    """Metrics of all sequences, each and combined, as plain values for JSON; MOT metrics in per cent.
+
+    Raises:
+        LabelFileError, MotFormatError: files cannot be read, or results of a sequence are missing.
+        UsageError, ClassNameError: a class that cannot be evaluated.
+    """
+    truth, results = settings.truth, settings.results
+    labelled = find_sequences(truth, "gt")
+    form: TruthFormat = settings.truth_format or ("mot" if "," in first_line(labelled[0].path) else "kitti")
+    # in the output folder of `track`, KITTI rows name the classes that KITTI's truth distinguishes
+    folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
+    place = next((folder for folder in folders if folder.is_dir()), results)
+    tracked = find_sequences(place, "det")
+    pairs, name = paired(labelled, tracked), _class_of(form, settings.road_class)
+    similarity = {of.name: Similarity.of(*_cleaned(of, tracks, form, name)) for of, tracks in pairs}
+    counts = {key: TrackingCounts.of_similarity(each) for key, each in similarity.items()}
+    combined = TrackingCounts.sum_of(list(counts.values()))
+    figures = {
+        "truth": str(truth),
+        "results": str(results),
+        "format": form,
+        "class": name,
+        "combined": _without_nan(asdict(combined.scores())),
+        "sequences": {key: _without_nan(asdict(each.scores())) for key, each in counts.items()},
+        "notes": [*passed_over(truth, labelled), *passed_over(place, tracked), *without_truth(labelled, tracked)],
+    }
+    if settings.compare == "motmetrics":
+        theirs = motmetrics_figures(similarity)
+        figures["motmetrics"] = {
+            "combined": _without_nan(theirs.combined),
+            "sequences": {key: _without_nan(row) for key, row in theirs.sequences.items()},
+        }
+    return figures
+
+
+def _class_of(form: TruthFormat, road_class: str | None) -> str:
+    if road_class is None:
+        return "car" if form == "kitti" else "person"
+    name = ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+    if form == "mot" and name != "person":
+        raise UsageError(f"--class {road_class}: MOTChallenge's truth is of persons only.")
+    if form == "kitti" and name not in KITTI_TYPES:
+        raise UsageError(f"--class {road_class}: KITTI's tracking truth is of {', '.join(KITTI_TYPES)}.")
+    return name
+
+
+def _cleaned(
+    truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str
+) -> tuple[TrackedBoxes, TrackedBoxes]:
+    """Truth and results of one sequence that count by the benchmark's rules."""
+    if form == "mot":
+        wanted = read_mot(truth.path)
+        _check_once(truth.path, wanted.frame, wanted.track_id)
+        return mot_cleaned(wanted, _read_results(results.path, road_class))
+    labels = read_kitti(truth.path)
+    named = labels.track_id >= 0
+    _check_once(truth.path, labels.frame[named], labels.track_id[named])
+    return kitti_cleaned(labels, _read_results(results.path, road_class), road_class)
+
+
+def _read_results(path: Path, road_class: str) -> TrackedBoxes:
+    """Tracks of one class, frames from 0, from MOT rows (no class, frames from 1) or KITTI rows (frames from 0)."""
+    class_id = ROAD_CLASSES.index(road_class)
+    first = first_line(path)
+    if not first:
+        return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
+    if "," in first:
+        rows = read_mot(path)
+        return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
+    labels = read_kitti(path)
+    mine = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id
+    labels = labels.select(mine & (labels.track_id >= 0))
+    return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
+
+
+def _check_once(path: Path, frame: IntArray, track_id: IntArray) -> None:
+    if len(np.unique(np.stack([frame, track_id]), axis=1).T) < len(frame):
+        raise LabelFileError(f"{path}: an identity is there twice in one frame.")
+
+
+def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: Any, class_id: int) -> TrackedBoxes:
+    try:
+        return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
+    except ValueError as error:
+        raise LabelFileError(f"{path}: an identity is there twice in one frame.") from error
+
+
+def _without_nan(figures: Mapping[str, float]) -> dict[str, float | int | None]:
+    """For JSON: counts as whole numbers, None for NaN."""
+    return {
+        key: None if math.isnan(value) else int(value) if key in COUNTS else float(value)
+        for key, value in figures.items()
+    }

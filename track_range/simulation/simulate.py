@@ -1,0 +1,140 @@
+"""A drive of a stereo rig with exact truth, or labelled images to train a detector with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from track_range.foundation.errors import UsageError
+from track_range.foundation.progress import StepProgress, no_progress
+from track_range.simulation.camera.drive_files import with_even_size
+from track_range.simulation.camera.faults import Faults, WrongRig
+from track_range.simulation.drive import Drive, DriveOptions, write_drive
+from track_range.simulation.images import write_image_set
+from track_range.simulation.render.renderer import NOISE_GREY
+from track_range.simulation.settings import SimulationSettings
+from track_range.simulation.world.scenarios import SCENARIOS
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import load_calibration
+
+DEFAULT_SCENARIO, DEFAULT_SECONDS, DEFAULT_FPS, FIRST_IMAGE_SCENE = "city", 10.0, 10.0, 1000
+LONGEST_S = 600.0
+KITTI_SIZE_PX = (1242, 375)
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """What `simulate` wrote.
+
+    Attributes:
+        drive: None for a set of images.
+        data_yaml: of a set of images; None for a drive.
+        n_images: of a set of images.
+        notes: for the user.
+    """
+
+    drive: Drive | None = None
+    data_yaml: Path | None = None
+    n_images: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def simulate(settings: SimulationSettings, progress: StepProgress = no_progress) -> Simulated:
+    """Write a drive with exact truth, or labelled images, into `settings.out`.
+
+    Raises:
+        UsageError: settings that contradict each other or are out of range.
+        RigError: the rig cannot be used.
+        OutputError, VideoError: the folder cannot be written.
+    """
+    if settings.images is None:
+        return _drive(settings, progress)
+    if settings.has_drive_options:
+        raise UsageError("--images are of towns, without faults: leave the options of a drive away.")
+    return _images(settings, settings.images, progress)
+
+
+def _images(settings: SimulationSettings, n_images: int, progress: StepProgress) -> Simulated:
+    n_frames = min(settings.frames, n_images)
+    seed = FIRST_IMAGE_SCENE if settings.seed is None else settings.seed
+    n_scenes = -(-n_images // n_frames)
+    with progress("rendering") as advance:
+        path = write_image_set(settings.out, range(seed, seed + n_scenes), n_frames=n_frames, progress=advance)
+    return Simulated(data_yaml=path, n_images=n_scenes * n_frames)
+
+
+def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
+    scenario = settings.scenario or DEFAULT_SCENARIO
+    if scenario not in SCENARIOS:
+        raise UsageError(f"--scenario {scenario}: no such scenario; there are {', '.join(SCENARIOS)}.")
+    seconds = DEFAULT_SECONDS if settings.seconds is None else settings.seconds
+    fps = settings.fps or DEFAULT_FPS
+    if not 1 / fps <= seconds <= LONGEST_S:
+        raise UsageError(f"--seconds {seconds:g}: expected one frame, {1 / fps:g} s, to {LONGEST_S:g} s.")
+    options = DriveOptions(
+        scenario=scenario,
+        noise_grey=NOISE_GREY if settings.noise_grey is None else settings.noise_grey,
+        faults=_faults(settings.faults),
+        is_lossless=settings.lossless,
+        has_disparity=settings.disparity,
+    )
+    rig, notes = (None, ()) if settings.rig is None else _rig(settings.rig)
+    with progress("rendering") as advance:
+        drive = write_drive(
+            settings.out,
+            seed=settings.seed or 0,
+            seconds=seconds,
+            fps=fps,
+            rig=rig,
+            options=options,
+            progress=advance,
+        )
+    return Simulated(drive=drive, notes=notes)
+
+
+def _faults(named: Mapping[str, Any]) -> Faults:
+    wrong = named.get("wrong_rig")
+    if wrong is not None and wrong not in get_args(WrongRig):
+        raise UsageError(f"--wrong-rig {wrong}: expected one of {', '.join(get_args(WrongRig))}.")
+    return Faults(**named)
+
+
+def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
+    """The rig that a drive is drawn for, its images of an even size, and notes."""
+    notes = []
+    found, _ = load_calibration(path)
+    if not isinstance(found, StereoRig):
+        raise RigError(f"{path}: holds one camera only; a drive needs two cameras.")
+    if found.left.width_px == 0:
+        notes.append(f"Note: {path} gives no image size; KITTI's {KITTI_SIZE_PX[0]} x {KITTI_SIZE_PX[1]} is taken.")
+        found = _resized(found, KITTI_SIZE_PX)
+    if not _is_as_good_as_rectified(found):
+        raise RigError(
+            f"{path}: its cameras are not rectified, and the simulation draws rectified pairs only: give the rig of "
+            "rectified images (KITTI's calib.txt, or equal cameras without distortion, side by side)."
+        )
+    rig = StereoRig.rectified(found.left.without_distortion(), found.baseline_m)
+    even = with_even_size(rig)
+    if even.left != rig.left:
+        size, drawn = (f"{camera.width_px} x {camera.height_px}" for camera in (rig.left, even.left))
+        notes.append(f"Note: {drawn} is drawn, as videos need even sizes and {path.name} has {size}.")
+    return even, tuple(notes)
+
+
+def _resized(rig: StereoRig, size_px: tuple[int, int]) -> StereoRig:
+    width_px, height_px = size_px
+    left, right = (replace(camera, width_px=width_px, height_px=height_px) for camera in (rig.left, rig.right))
+    return StereoRig(left, right, rig.right_from_left)
+
+
+def _is_as_good_as_rectified(rig: StereoRig) -> bool:
+    """Whether a rectified pair differs from it by less than a tenth of a pixel, and a centimetre across (KITTI's)."""
+    if rig.left.is_distorted or rig.right.is_distorted or rig.baseline_m <= 0:
+        return False
+    same_cameras = np.allclose(rig.left.matrix, rig.right.matrix, atol=0.1)
+    is_parallel = np.allclose(rig.right_from_left[:3, :3], np.eye(3), atol=1e-5)
+    return bool(same_cameras and is_parallel and np.abs(rig.right_from_left[1:3, 3]).max() < 0.01)
