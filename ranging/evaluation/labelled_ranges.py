@@ -33,7 +33,7 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
         camera_height_m=settings.camera_height_m,
     )
-    columns = measured_by(settings.methods or method_names(), boxes, train, options)
+    columns = measured_by(_chosen(settings) or method_names(), boxes, train, options)
     methods: dict[str, Any] = {}
     for name, column in columns.items():
         smooth = filtered(boxes, column, settings.filter)
@@ -43,8 +43,13 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
     return _figures(settings, boxes, methods)
 
 
+def _chosen(settings: RangeEvaluationSettings) -> tuple[str, ...]:
+    """The methods that are named."""
+    return tuple(name for name in settings.methods if name)
+
+
 def _check(settings: RangeEvaluationSettings) -> None:
-    unknown = [name for name in settings.methods if name not in method_names()]
+    unknown = [name for name in _chosen(settings) if name not in method_names()]
     if unknown:
         raise UsageError(f"--method {','.join(unknown)}: of {', '.join(method_names())}.")
     if settings.boxes != "labels" and not (settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"):

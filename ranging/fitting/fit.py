@@ -54,7 +54,7 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
     if settings.out is not None:
         model = fit_model(usable.boxes, name, source=_source(settings, usable.boxes))
         model.save(settings.out)
-    refused = (f"Too few samples to fit a curve of its own for {words}." for words in usable.refused)
+    refused = (f"Too few samples to fit a curve for {words}." for words in usable.refused)
     return FittedSizes(usable.boxes, name, model, comparison, (*notes, *refused))
 
 
@@ -78,7 +78,7 @@ def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
         boxes, notes = box_set(settings.labels, settings.calib), ()
     else:
         raise UsageError("give --labels with --calib, or --csv.")
-    excluded = set(settings.leave_out)
+    excluded = set(settings.leave_out) - {""}
     unknown = excluded - set(boxes.sequence_names)
     if unknown:  # a slip here would fit on what is kept for testing
         raise LabelFileError(

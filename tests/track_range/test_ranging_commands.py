@@ -99,7 +99,7 @@ def test_packaged_curves_one_sequence_and_chosen_methods(cli, folders, tmp_path)
     ("options", "status", "message"),
     [
         (("--method", "mono,radar"), 2, "--method radar: of diagonal-3"),
-        (("--boxes", "mine"), 2, "--boxes mine: labels or rrc:DIR"),
+        (("--boxes", "mine"), 2, "--boxes mine: expected labels or rrc:DIR"),
         (("--boxes", "rrc:nowhere"), 1, "DIR/Car and DIR/Pedestrian"),
         (("--cross-validate", "--curves", "c.json"), 2, "leave --curves out"),
         (("--same-drive", "--cross-validate"), 2, "give one of them"),
@@ -194,7 +194,9 @@ def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_p
     rows += [row(k, 3, "Van", 20.0, x_m=6) for k in range(150)]
     status, out, _ = cli("fit", *folders(a=rows), "--out", tmp_path / "c.json")
     assert status == 0
-    assert "No curve of its own for van (boxes of one size: several distances needed)." in " ".join(out.split())
+    assert "Too few samples to fit a curve for van (boxes of one size: several distances needed)." in " ".join(
+        out.split()
+    )
     same = [row(k, 0, "Car", 20.0) for k in range(150)]
     status, _, err = cli("fit", *folders(a=same), "--out", tmp_path / "d.json")
     assert (status, "car (boxes of one size" in err) == (1, True), err
@@ -205,7 +207,7 @@ def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_p
     [
         (("--compare",), 2, "give --labels with --calib, or --csv"),
         (("--labels", "x", "--csv", "y", "--compare"), 2, "not both"),
-        (("--labels", "x", "--compare"), 2, "--labels wants --calib"),
+        (("--labels", "x", "--compare"), 2, "--labels needs --calib"),
         (("--csv", "x"), 2, "nothing to do"),
         (("--csv", "x", "--compare", "--curve", "spline"), 2, "--curve spline: of"),
         (("--csv", "x", "--out", "c.json", "--curve", "cuboids"), 2, "wants labels with 3-D boxes"),

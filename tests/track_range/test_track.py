@@ -117,7 +117,7 @@ def test_wrong_input_is_one_sentence(tmp_path, cli, moving):
         ((tmp_path / "none",), 1, "no such file or folder"),
         ((tmp_path / "empty",), 1, "no sequences"),
         ((boxes, "--classes", "zebra"), 1, "unknown class 'zebra'"),
-        ((boxes, "--classes", "car,bus"), 2, "rows that name no class want one"),
+        ((boxes, "--classes", "car,bus"), 2, "--classes car,bus: expected one class"),
     ):
         (tmp_path / "empty").mkdir(exist_ok=True)
         told, _, complaint = cli("track", *arguments, "--out", tmp_path / "out")

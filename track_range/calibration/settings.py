@@ -93,6 +93,7 @@ class StereoEvaluationSettings(Options):
             "each but patch also with -centre for the disparity at the box centre.",
             flag="--matcher",
             metavar="A,B,...",
+            min_length=1,
         ),
     ] = ("patch", "sgbm", "sgbm-centre", "sgbm-hh")
     align: Annotated[

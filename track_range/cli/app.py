@@ -104,7 +104,10 @@ def _is_run(arguments: list[str]) -> bool:
 def _print_error(message: str) -> None:
     from rich.console import Console
 
-    Console(stderr=True).print(f"{PROGRAM}: {message}", style="red", highlight=False, markup=False, soft_wrap=True)
+    # no emoji: ":X:" may be a part of the user's text
+    Console(stderr=True, emoji=False).print(
+        f"{PROGRAM}: {message}", style="red", highlight=False, markup=False, soft_wrap=True
+    )
 
 
 def _complete_as_run(environment: MutableMapping[str, str]) -> None:

@@ -94,7 +94,7 @@ class Options(BaseModel):
                 if old_name in values:
                     values.setdefault(name, values.pop(old_name))
             if isinstance(values.get(name), str) and is_list(field):
-                values[name] = tuple(part.strip() for part in values[name].split(",") if part.strip())
+                values[name] = tuple(part.strip() for part in values[name].split(",")) if values[name].strip() else ()
         return values
 
     @classmethod
