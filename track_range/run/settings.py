@@ -276,14 +276,13 @@ class RunSettings(Options):
         """YAML takes a bare `off` for false."""
         return "off" if given is False else given
 
-    @field_validator("write", mode="before")
+    @field_validator("write")
     @classmethod
-    def _known_writers(cls, given: Any) -> Any:
-        names = tuple(name.strip() for name in given.split(",")) if isinstance(given, str) else given
+    def _known_writers(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         from track_range.results.writers import writer_names
 
         known = writer_names()
-        if unknown := [str(name) for name in names if name not in known]:
+        if unknown := [name for name in names if name not in known]:
             raise ValueError(f"unknown format {', '.join(unknown)}: expected {', '.join(known)}")
         return tuple(dict.fromkeys(names))
 
