@@ -55,7 +55,8 @@ def test_a_file_that_ends_within_a_row_is_said_to(tmp_path: Path) -> None:
     missing: list[str] = []
     found = read_run_rows(write(tmp_path, row("0"), "1,0.1,1,ca", end=""), missing)
     assert found["frame"].tolist() == [0.0]
-    assert missing == ["tracks.csv ends in the middle of a row: what should come after it is not shown."]
+    assert len(missing) == 1
+    assert "ends in the middle of a row" in missing[0]
 
 
 def test_file_with_words_for_numbers(tmp_path: Path) -> None:

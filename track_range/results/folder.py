@@ -1,7 +1,7 @@
-"""A run's folder read again: what its files say, and what can still be told where some of them are missing.
+"""RunFolder: the results of a run, read from its folder; files may be missing or damaged.
 
-A killed run leaves tracks.csv up to its last whole frame and settings.yaml, but no summary.json: coverage, errors and
-metrics of tracking are then computed anew, as far as the labels that it was measured against are still where they were.
+A killed run leaves settings.yaml and tracks.csv up to its last complete frame, but no summary.json. Coverage, errors
+and tracking metrics are then computed from the rows, with the ground truth if its file still exists.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from track_range.stereo.rig_formats.reading import left_from_reference_m
 Sections = Mapping[str, Any]
 
 _NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
-"""Columns without which nothing can be told; an earlier version's file may lack others."""
+"""Columns that every row needs; a file of an earlier version may lack others."""
 
 _LARGEST = 2.0**53
-"""Up to here every whole number is a float of its own."""
+"""Whole numbers up to here are exact in float64."""
 
 _MOST_NAMED = 5
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
@@ -43,13 +43,13 @@ _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFolder:
-    """What a run left behind.
+    """The results of a run.
 
     Attributes:
-        folder: where it lies.
-        summary: as summary.json has it, or rebuilt; its notes say what is missing.
-        columns: tracks.csv by column, with `truth_m` where the truth could be read again.
-        settings: the section `run` of settings.yaml; empty without one.
+        folder: of the results.
+        summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
+        columns: tracks.csv by column, with `truth_m` and `scored_truth_m` where the ground truth could be read.
+        settings: the section `run` of settings.yaml; empty without that file.
         missing: sentences on what could not be read.
     """
 
@@ -64,55 +64,55 @@ def read_run_folder(folder: Path) -> RunFolder:
     """Read the files of a run.
 
     Raises:
-        OutputError: it is no run's folder, or tracks.csv is not one.
+        OutputError: it is not the folder of a run, or its tracks.csv is another file.
     """
     if not folder.is_dir():
-        raise OutputError(f"{folder}: there is no such folder; give the folder of a run's results.")
+        raise OutputError(f"{folder}: no such folder; expected the folder of a run's results.")
     missing: list[str] = []
     summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
     columns = _columns_of(folder, missing)
     if summary is None and columns is None:
-        raise OutputError(f"{folder}: neither tracks.csv nor summary.json is in it, so it is no run's folder.")
-    run, found = _section(settings, "run"), _section(settings, "found")
+        raise OutputError(f"{folder}: expected the folder of a run, found neither tracks.csv nor summary.json in it.")
+    run = _section(settings, "run")
     rows = no_rows() if columns is None else columns
-    truth = _truth_of(run, found, missing)
+    truth = _truth_of(run, _section(settings, "found"), missing)
     matched = None if truth is None else matched_truth(rows, truth)
     if matched is not None:
         rows = with_truth(rows, matched)
-    summary = _rebuilt(rows, matched, run) if summary is None else summary
-    kept = _with_what_is_there(folder, summary, settings, missing)
-    return RunFolder(folder=folder, summary=kept, columns=rows, settings=run, missing=tuple(missing))
+    summary = _summary_from_rows(rows, matched, run) if summary is None else summary
+    summary = _checked_summary(folder, summary, settings, missing)
+    return RunFolder(folder=folder, summary=summary, columns=rows, settings=run, missing=tuple(missing))
 
 
 def _section(document: Sections, name: str) -> dict[str, Any]:
-    found = document.get(name)
-    return dict(found) if isinstance(found, dict) else {}
+    section = document.get(name)
+    return dict(section) if isinstance(section, dict) else {}
 
 
 def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     try:
-        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         missing.append(
-            "summary.json is missing, so the run was killed or is still at work: how long its stages took, what was "
-            "found of the alignment and its notes are not known; the other figures are of the frames in tracks.csv."
+            "summary.json is missing: the run was killed or is still in progress. Stage times, alignment and notes are "
+            "unknown; the other figures are computed from tracks.csv."
         )
         return None
     except (OSError, ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        missing.append("summary.json cannot be read: figures are of the frames in tracks.csv.")
+        summary = None
+    if not isinstance(summary, dict):
+        missing.append("summary.json cannot be read: figures are computed from tracks.csv.")
         return None
-    return found
+    return summary
 
 
 def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
     try:
-        found = yaml.safe_load((folder / "settings.yaml").read_text(encoding="utf-8"))
+        settings = yaml.safe_load((folder / "settings.yaml").read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError):
-        missing.append("settings.yaml is missing or cannot be read: what the run was asked for is not known.")
+        missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
         return {}
-    return found if isinstance(found, dict) else {}
+    return settings if isinstance(settings, dict) else {}
 
 
 def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
@@ -124,7 +124,7 @@ def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
 
 
 def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | None:
-    """The labels that the run was measured against, None where there were none or they are gone."""
+    """The ground truth of the run; None where there was none or it can no longer be read."""
     if not run.get("truth"):
         return None
     try:
@@ -132,24 +132,24 @@ def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | Non
         shift_m = left_from_reference_m(Path(found["rig"]), is_grey=False) if found.get("rig") else np.zeros(3)
         return read_truth(Path(run["truth"]), camera, shift_m)
     except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
-        reason = f"settings.yaml does not say {error.args[0]}" if isinstance(error, KeyError) else error
-        missing.append(f"The truth could not be read again, so charts show none ({reason}).")
+        reason = f"settings.yaml has no {error.args[0]}" if isinstance(error, KeyError) else error
+        missing.append(f"The ground truth cannot be read, so charts do not show it ({reason}).")
         return None
 
 
 def _camera(found: Sections) -> PinholeCamera:
-    """The left camera as the run saw it.
+    """The left camera of the run.
 
     Raises:
-        KeyError: settings.yaml does not say.
+        KeyError: settings.yaml does not hold it.
     """
     (width_px, height_px), (cx_px, cy_px) = found["image_size_px"], found["principal_point_px"]
     focal_px = float(found["focal_px"])
     return PinholeCamera(focal_px, float(found.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
 
 
-def _rebuilt(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
-    """What of a summary the rows alone tell."""
+def _summary_from_rows(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
+    """The part of a summary that can be computed from the rows."""
     truth = None if matched is None else matched.truth
     frame = columns["frame"].astype(np.int64)
     first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
@@ -168,28 +168,31 @@ def _rebuilt(columns: Columns, matched: MatchedTruth | None, run: Sections) -> d
     }
 
 
-def _with_what_is_there(folder: Path, summary: Sections, settings: Sections, missing: list[str]) -> dict[str, Any]:
-    """The summary without files that are gone, with the camera that settings.yaml knows, and with notes on the rest."""
+def _checked_summary(folder: Path, summary: Sections, settings: Sections, missing: list[str]) -> dict[str, Any]:
+    """The summary with the camera and the settings from settings.yaml, without files that do not exist.
+
+    Values of a wrong type are left out; what is missing goes to the notes.
+    """
     files = _section(summary, "files")
-    gone = [name for name in files.values() if not (folder / str(name)).is_file()]
-    missing += [f"{name} is missing: it cannot be shown." for name in gone]
+    lost = [name for name in files.values() if not (folder / str(name)).is_file()]
+    missing += [f"{name} is missing: it cannot be shown." for name in lost]
     found = _section(settings, "found")
     camera = {key: found[key] for key in ("focal_px", "baseline_m", "versions") if found.get(key) is not None}
     run = {key: value for key, value in _section(settings, "run").items() if value not in ([], {})}
-    told = {**camera, "settings": run, "starts_s": run.get("start_s", 0.0), **summary}
-    told["files"] = {key: name for key, name in files.items() if name not in gone}
-    fitting, misfits = fitting_summary(told)
+    merged = {**camera, "settings": run, "starts_s": run.get("start_s", 0.0), **summary}
+    merged["files"] = {key: name for key, name in files.items() if name not in lost}
+    checked, misfits = fitting_summary(merged)
     if misfits:
         more = "" if len(misfits) <= _MOST_NAMED else f" and {len(misfits) - _MOST_NAMED} more"
         missing.append(
-            f"summary.json and settings.yaml say what no run writes, which is left out: "
+            f"summary.json and settings.yaml have values of unexpected types, which are left out: "
             f"{', '.join(misfits[:_MOST_NAMED])}{more}."
         )
-    return {**fitting, "notes": [*missing, *(fitting.get("notes") or [])]}
+    return {**checked, "notes": [*missing, *(checked.get("notes") or [])]}
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
-    """A tracks.csv by column; rows that no run writes are left out, and counted in a sentence added to `missing`.
+    """A tracks.csv by column, without damaged rows; a sentence with their number is added to `missing`.
 
     Raises:
         OutputError: the file cannot be read, or is not a tracks.csv.
@@ -202,11 +205,11 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     if n_broken:
         missing.append(f"{n_broken} of {len(whole)} rows of tracks.csv are damaged and left out.")
     if _ends_within_a_row(path):
-        missing.append("tracks.csv ends in the middle of a row: what should come after it is not shown.")
+        missing.append("tracks.csv ends in the middle of a row: later rows are lost.")
     n_rows = int(np.sum(whole))
-    # A column that an earlier version did not write is empty; but sigmas, without which a method cannot be judged.
-    unknown = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
-    return unknown | {name: values[whole] for name, values in columns.items()}
+    # Columns that an earlier version did not write are empty; not so sigmas, which mark the methods to be scored.
+    empty = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
+    return empty | {name: values[whole] for name, values in columns.items()}
 
 
 def _ends_within_a_row(path: Path) -> bool:
@@ -216,12 +219,12 @@ def _ends_within_a_row(path: Path) -> bool:
 
 
 def whole_rows(columns: Columns) -> BoolArray:
-    """(N,) rows with a frame, a time, an identity that the frame has but once, and a box."""
+    """(N,) mask of rows with a frame, a time, an identity that is unique in the frame, and a box."""
     frame, track_id = columns["frame"], columns["track_id"]
     edges = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
     whole: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
-    for number, least in ((frame, 0), (track_id, 1)):
-        whole &= (number >= least) & (number <= _LARGEST) & (number == np.floor(number))
+    for number, lowest in ((frame, 0), (track_id, 1)):
+        whole &= (number >= lowest) & (number <= _LARGEST) & (number == np.floor(number))
     rows = np.flatnonzero(whole)
     _, first = np.unique(np.stack([frame, track_id], axis=1)[rows], axis=0, return_index=True)
     is_first = np.zeros(len(frame), np.bool_)

@@ -33,67 +33,56 @@ from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
     """The `methods` and `common` sections for the methods that ran; `closing` where the truth knows speeds."""
-    by_name = {
-        name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"])
-        for name in methods_with_sigma()
-        if name in methods
-    }
+    known = [name for name in methods_with_sigma() if name in methods]
+    names = [*known, *sorted(set(methods) - set(known))]  # those of a package that is not installed here come last
+    by_name = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names}
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
     truth, row, true_m = matched.truth, matched.row, matched.distance_m
     labelled = row >= 0
     is_road_class = labelled & (truth.class_id[row] >= 0)
     kitti_type = np.where(labelled, truth.kitti_type[row], "")
-    mine, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
+    own, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
     in_span = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
     closing = score_closing(
         columns["closing_mps"], columns["closing_sigma_mps"], np.where(in_span, truth.closing_mps[row], np.nan)
     )
-    return {"methods": mine, "common": common, **({} if closing is None else {"closing": closing})}
+    return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
-    """The `tracks` section: how many, and with truth the MOT metrics over the classes that the truth labels.
+    """The `tracks` section: the number of tracks and, with ground truth, the MOT metrics over its classes.
 
-    As on KITTI, what is under 25 px high counts neither way: labels, and tracks that match none.
+    As in KITTI's benchmark, labels under 25 px high are ignored, and so are tracks under 25 px that match none.
     """
     track_id = columns["track_id"].astype(np.int64)
     counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
     if truth is None:
         return counts
     truth = truth.select(np.isin(truth.frame, frames))
-    named = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
+    counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
     class_id = road_class_of_each([str(name) for name in columns["class"]])
-    wanted, got = truth.select(named), _tracked(columns, class_id)
-    low = got.xyxy_px[:, 3] - got.xyxy_px[:, 1] < MIN_HEIGHT_PX
-    void_frame = np.concatenate([truth.frame[~named], got.frame[low]])
-    void_px = np.concatenate([truth.xyxy_px[~named], got.xyxy_px[low]])
+    tracks = TrackedBoxes(columns["frame"].astype(np.int64), track_id, boxes_px(columns), class_id)
+    low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < MIN_HEIGHT_PX
+    ignored_frame = np.concatenate([truth.frame[~counted], tracks.frame[low]])
+    ignored_px = np.concatenate([truth.xyxy_px[~counted], tracks.xyxy_px[low]])
+    labels = truth.select(counted)
     scores = evaluate_tracks(
-        TrackedBoxes(wanted.frame, wanted.track_id, wanted.xyxy_px, wanted.class_id),
-        got.select(np.isin(class_id, wanted.class_id)),
-        ignore=IgnoreRegions(void_frame, void_px),
+        TrackedBoxes(labels.frame, labels.track_id, labels.xyxy_px, labels.class_id),
+        tracks.select(np.isin(class_id, labels.class_id)),
+        ignore=IgnoreRegions(ignored_frame, ignored_px),
     )
     figures = {name: _json_number(value) for name, value in asdict(scores).items() if name != "n"}
     return {
         **counts,
         **figures,
         "n_truth_boxes": scores.n,
-        "classes": [ROAD_CLASSES[c] for c in _unique(wanted.class_id)],
+        "classes": [ROAD_CLASSES[class_id] for class_id in np.unique(labels.class_id)],
     }
 
 
-def _tracked(columns: Columns, class_id: IntArray) -> TrackedBoxes:
-    return TrackedBoxes(
-        columns["frame"].astype(np.int64), columns["track_id"].astype(np.int64), boxes_px(columns), class_id
-    )
-
-
-def _unique(values: IntArray) -> list[int]:
-    return [int(value) for value in np.unique(values)]
-
-
 def _json_number(value: float) -> float | None:
-    """JSON has no NaN: null is "nothing to divide by"."""
+    """The value for JSON: null for NaN, which is a ratio without a denominator."""
     return None if np.isnan(value) else round(value, 4)
 
 
