@@ -1,1 +1,114 @@
-"""The application: flags, files, reports and clocks."""
+"""track-range: distance, uncertainty and closing speed of every road user in a video, from one camera or two.
+
+    import track_range as tr
+
+    run = tr.Run.stereo("left.mp4", "right.mp4", rig="rig.yaml")  # or tr.Run.mono("dashcam.mp4", focal_px=1150)
+    for frame in run:
+        print(frame.index, frame.tracks.track_id, frame.ranges["fused"].distance_m)
+    table = run.to_arrow()
+
+Every name below is imported when it is first used, so that `import track_range` takes no time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from track_range.detection.detections import Detections as Detections
+    from track_range.detection.models.onnx_session import ModelError as ModelError
+    from track_range.foundation.errors import UserError as UserError
+    from track_range.overlay.annotator import Overlay as Overlay
+    from track_range.parts import Detector as Detector
+    from track_range.parts import Tracker as Tracker
+    from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
+    from track_range.ranging.fusion.fusion import Fusion as Fusion
+    from track_range.ranging.method import ErrorSource as ErrorSource
+    from track_range.ranging.method import RangingMethod as RangingMethod
+    from track_range.ranging.methods.ground_plane import GroundPlaneRanger as GroundRanger
+    from track_range.ranging.methods.patch_stereo import PatchRanger as StereoRanger
+    from track_range.ranging.methods.size_regression import SizeRegressionRanger as SizeRanger
+    from track_range.ranging.ranger import Ranger as Ranger
+    from track_range.ranging.ranges import Ranges as Ranges
+    from track_range.ranging.registry import methods as ranging_methods
+    from track_range.ranging.registry import register as register_method
+    from track_range.results.writers import register_writer as register_writer
+    from track_range.run.frame_result import FrameResult as FrameResult
+    from track_range.run.run import Run as Run
+    from track_range.run.settings import ConfigError as ConfigError
+    from track_range.run.settings import RunSettings as RunSettings
+    from track_range.stereo.geometry.camera import PinholeCamera as PinholeCamera
+    from track_range.stereo.geometry.frames import Frame as Frame
+    from track_range.stereo.geometry.rectification import Rectifier as Rectifier
+    from track_range.stereo.geometry.rig import RigError as RigError
+    from track_range.stereo.geometry.rig import StereoRig as StereoRig
+    from track_range.stereo.matching.patch_matcher import PatchMatcher as PatchMatcher
+    from track_range.stereo.rig_formats.reading import load_rig as load_rig
+    from track_range.tracking.registry import register_tracker as register_tracker
+    from track_range.tracking.tracks import Tracks as Tracks
+    from track_range.video.reader import VideoError as VideoError
+    from track_range.video.recording import open_recording as open_recording
+
+    __version__: str
+
+_MODULE_OF = {
+    # a run
+    "Run": "run.run",
+    "RunSettings": "run.settings",
+    "FrameResult": "run.frame_result",
+    "open_recording": "video.recording",
+    # types
+    "Frame": "stereo.geometry.frames",
+    "Detections": "detection.detections",
+    "Tracks": "tracking.tracks",
+    "Ranges": "ranging.ranges",
+    "PinholeCamera": "stereo.geometry.camera",
+    "StereoRig": "stereo.geometry.rig",
+    # parts
+    "Detector": "parts",
+    "Tracker": "parts",
+    "SizeRanger": "ranging.methods.size_regression:SizeRegressionRanger",
+    "GroundRanger": "ranging.methods.ground_plane:GroundPlaneRanger",
+    "StereoRanger": "ranging.methods.patch_stereo:PatchRanger",
+    "PatchMatcher": "stereo.matching.patch_matcher",
+    "Fusion": "ranging.fusion.fusion",
+    "DistanceFilters": "ranging.filtering.distance_filter",
+    "Rectifier": "stereo.geometry.rectification",
+    "load_rig": "stereo.rig_formats.reading",
+    "Overlay": "overlay.annotator",
+    # extension
+    "Ranger": "ranging.ranger",
+    "RangingMethod": "ranging.method",
+    "ErrorSource": "ranging.method",
+    "ranging_methods": "ranging.registry:methods",
+    "register_method": "ranging.registry:register",
+    "register_tracker": "tracking.registry",
+    "register_writer": "results.writers",
+    # errors
+    "UserError": "foundation.errors",
+    "ConfigError": "run.settings",
+    "ModelError": "detection.models.onnx_session",
+    "RigError": "stereo.geometry.rig",
+    "VideoError": "video.reader",
+}
+"""Module of each public name, under track_range; with the name there where it is another one."""
+
+__all__ = ["__version__", *_MODULE_OF]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("track-range")
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'track_range' has no attribute {name!r}")
+    module, _, attribute = _MODULE_OF[name].partition(":")
+    value = getattr(import_module(f"track_range.{module}"), attribute or name)
+    globals()[name] = value  # found directly from now on
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

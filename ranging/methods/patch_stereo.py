@@ -21,10 +21,18 @@ from track_range.tracking.tracks import Tracks
 class PatchRanger(Ranger):
     """Ranges each observed box by matching it alone."""
 
-    def __init__(self, rig: StereoRig, matcher: BoxMatcher, *, alignment: Alignment | None = None) -> None:
-        """Range for a rectified rig; `alignment` corrects its disparities."""
+    def __init__(
+        self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: Alignment | None = None
+    ) -> None:
+        """Range for a rectified rig.
+
+        Args:
+            rig: the rectified pair, as `Rectifier.rig` has it.
+            matcher: matches boxes; None = the patch matcher with the settings for this rig.
+            alignment: correction of the disparities; None = none.
+        """
         self._triangulate = Triangulation(rig, alignment or Alignment())
-        self._matcher = TrackMatcher(matcher)
+        self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))
 
     @property
     def outcomes(self) -> Counter[Outcome]:
@@ -45,10 +53,10 @@ def _create(context: MethodContext) -> Ranger | None:
     rig = context.rig or context.assumed_rig
     if rig is None:
         return None
-    matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
     if context.rig is None:
+        matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
         return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
-    return PatchRanger(rig, matcher, alignment=context.alignment)
+    return PatchRanger(rig, alignment=context.alignment)
 
 
 STEREO = RangingMethod(

@@ -40,6 +40,7 @@ class RunSession:
         last_s: time of the last one.
         wall_s: seconds from opening the videos to the last byte of the last frame; neither loading the network nor the
             estimation of the alignment (`alignment.look_s`) is in it.
+        opened_s: seconds for opening the videos.
         stopped_by: what ended the run early.
     """
 
@@ -55,6 +56,7 @@ class RunSession:
     starts_s: float = 0.0
     last_s: float = 0.0
     wall_s: float = 0.0
+    opened_s: float = 0.0
     stopped_by: BaseException | None = None
 
     def add(self, result: FrameResult) -> None:

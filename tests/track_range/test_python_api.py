@@ -1,0 +1,206 @@
+"""The front door: `import track_range as tr`."""
+
+import csv
+import doctest
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import track_range as tr
+import track_range.parts
+from track_range.simulation.drive import write_drive
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return write_drive(tmp_path_factory.mktemp("drive"), seed=5, seconds=0.7)
+
+
+def recorded(drive, **options):
+    return tr.Run.stereo(drive.left, drive.right, detections=drive.detections, overlay=False, **options)
+
+
+@pytest.fixture(scope="module")
+def finished(drive, tmp_path_factory):
+    """A run that was iterated to its end and wrote its files; with the frames that it gave."""
+    out = tmp_path_factory.mktemp("results")
+    run = recorded(drive, out=out, truth=drive.truth)
+    return run, list(run), out
+
+
+def test_every_public_name_is_importable():
+    assert len(tr.__all__) == len(set(tr.__all__))
+    for name in tr.__all__:
+        assert getattr(tr, name) is not None
+    assert set(tr.__all__) <= set(dir(tr))
+    with pytest.raises(AttributeError, match="Detecter"):
+        _ = tr.Detecter
+
+
+def test_import_loads_no_library():
+    code = "import sys, track_range; print({'numpy', 'cv2', 'pydantic', 'rich', 'onnxruntime'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_frames_carry_tracks_and_ranges(finished):
+    _, frames, _ = finished
+    assert [frame.index for frame in frames] == list(range(len(frames)))
+    last = frames[-1]
+    assert len(last.tracks) > 0
+    assert {"mono", "stereo", "fused", "fused_kf"} <= set(last.ranges)
+    assert last.ranges["fused"].track_id.tolist() == last.tracks.track_id.tolist()
+    assert np.isfinite(last.ranges["fused"].distance_m).any()
+
+
+def test_table_equals_tracks_csv(finished):
+    run, frames, out = finished
+    table = run.to_arrow()
+    with (out / "tracks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert table.column_names == list(rows[0])
+    assert table.num_rows == len(rows) == sum(len(frame.tracks) for frame in frames)
+    for name in ("frame", "track_id", "fused_m", "fused_sigma_m", "closing_mps"):
+        written = [float(row[name]) if row[name] else None for row in rows]
+        assert table[name].to_pylist() == written
+
+
+def test_summary_equals_summary_json(finished):
+    run, frames, out = finished
+    assert run.summary == json.loads((out / "summary.json").read_text())
+    assert run.summary["frames"] == len(frames)
+    assert "fused" in run._repr_html_()
+
+
+def test_pandas_frame(finished):
+    pytest.importorskip("pandas")
+    run, _, _ = finished
+    assert run.to_pandas()["fused_m"].notna().any()
+
+
+def test_run_writes_nothing_unasked(drive, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = recorded(drive, duration=0.3)
+    assert sum(1 for _ in run) > 0
+    assert list(tmp_path.iterdir()) == []
+    assert run.to_arrow().num_rows > 0
+
+
+def test_run_is_iterated_once(drive):
+    run = recorded(drive, duration=0.3)
+    with pytest.raises(RuntimeError, match="finished"):
+        _ = run.summary
+    n_frames = sum(1 for _ in run)
+    with pytest.raises(RuntimeError, match="iterated"):
+        iter(run)
+    assert run.summary["frames"] == n_frames
+
+
+def test_stopping_early_keeps_what_was_seen(drive, tmp_path):
+    run = recorded(drive, out=tmp_path / "out")
+    for frame in run:
+        if frame.index == 2:
+            break
+    run.close()
+    assert run.summary["frames"] == 3
+    assert set(run.to_arrow()["frame"].to_pylist()) <= {0, 1, 2}
+    assert (tmp_path / "out" / "summary.json").exists()
+    assert any("early" in note for note in run.notes)
+
+
+def test_write_does_the_whole_job(drive, tmp_path):
+    folder = recorded(drive, duration=0.3).write(tmp_path / "out")
+    assert {"tracks.csv", "mot.txt", "summary.json", "report.html", "settings.yaml"} <= {
+        p.name for p in folder.iterdir()
+    }
+
+
+def test_write_after_iteration_gives_the_same_rows(drive, tmp_path):
+    first = recorded(drive, duration=0.5)
+    first.write(tmp_path / "while")
+    second = recorded(drive, duration=0.5)
+    for _ in second:
+        pass
+    second.write(tmp_path / "after")
+    assert (tmp_path / "after" / "tracks.csv").read_bytes() == (tmp_path / "while" / "tracks.csv").read_bytes()
+    after, during = (np.loadtxt(tmp_path / name / "mot.txt", delimiter=",", ndmin=2) for name in ("after", "while"))
+    assert after == pytest.approx(during, abs=0.0101)  # rounded twice
+    assert second.summary["files"] == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"allign": "off"}, "allign"),
+        ({"duration": -1}, "duration"),
+        ({"rig": "rig.yaml", "focal_px": 700}, "focal"),
+        ({"tracker": "nosuch"}, "tracker"),
+    ],
+)
+def test_wrong_options(drive, options, word):
+    with pytest.raises(tr.ConfigError, match=word):
+        recorded(drive, **options)
+
+
+def test_missing_video(tmp_path):
+    run = tr.Run.mono(tmp_path / "none.mp4", focal_px=700)
+    with pytest.raises(tr.VideoError, match=r"none\.mp4"):
+        run.open()
+
+
+def test_own_detector_and_tracker_objects(drive):
+    seen = []
+
+    class MiddleBox:
+        def detect(self, image):
+            height, width = image.shape[:2]
+            return tr.Detections.of([[width / 2 - 40, height / 2 - 10, width / 2 + 40, height / 2 + 40]], [0.9], [2])
+
+    class OneIdentity:
+        def update(self, detections, time_s, image):
+            seen.append(time_s)
+            n = len(detections)
+            observed = np.ones(n, np.bool_)
+            return tr.Tracks(
+                np.arange(n, dtype=np.int64) + 41, detections.xyxy_px, detections.class_id, detections.score, observed
+            )
+
+    run = tr.Run.mono(drive.left, focal_px=700, detector=MiddleBox(), tracker=OneIdentity(), duration=0.3)
+    frames = list(run)
+    assert len(seen) == len(frames) > 0
+    assert all(frame.tracks.track_id.tolist() == [41] for frame in frames)
+
+
+def test_parts_range_a_pair(drive):
+    run = recorded(drive, duration=0.2)
+    frame = next(iter(run))
+    run.close()
+    assert run.rig is not None
+    by_stereo = tr.StereoRanger(run.rig).measure(frame.tracks, frame.frame)
+    by_size = tr.SizeRanger(run.camera).measure(frame.tracks, frame.frame)
+    assert by_stereo.distance_m == pytest.approx(frame.ranges["stereo"].distance_m, rel=0.05, nan_ok=True)
+    assert by_size.distance_m == pytest.approx(frame.ranges["mono"].distance_m, nan_ok=True)
+
+
+def test_supervision_like_boxes_reach_the_tracker():
+    tracker = tr.Tracker("sort")
+    boxes = SimpleNamespace(
+        xyxy=np.array([[100, 50, 180, 110]]),
+        confidence=np.array([0.9]),
+        class_id=np.array([2]),
+        tracker_id=None,
+        data={},
+    )
+    for index in range(5):
+        tracks = tracker.update(tr.Detections.from_supervision(boxes), time_s=0.1 * index)
+    assert tracks.to_supervision().tracker_id.tolist() == [1]
+
+
+def test_docstring_examples():
+    failed, tried = doctest.testmod(track_range.parts, optionflags=doctest.ELLIPSIS)
+    assert failed == 0
+    assert tried >= 2

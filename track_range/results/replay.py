@@ -1,0 +1,47 @@
+"""Frame results made again from the rows of a run, without images, for writers that come after it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from track_range.detection.classes import road_class_of_each
+from track_range.ranging.ranges import Ranges
+from track_range.results.columns import Columns, methods_with_sigma
+from track_range.results.truth import boxes_px
+from track_range.run.frame_result import FrameResult
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.tracks import Tracks
+
+_NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
+
+
+def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterable[str]) -> Iterator[FrameResult]:
+    """One result per frame, also for frames without tracks (their time is NaN); numbers have the rows' decimals.
+
+    Args:
+        columns: rows in the order of their frames, `RunTable.to_columns()`.
+        frame_index: numbers of all frames of the run, in order.
+        methods: names of the distances that were measured.
+    """
+    measured = [name for name in methods_with_sigma() if name in set(methods)]
+    class_id = road_class_of_each([str(name) for name in columns["class"]])
+    track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
+    observed = columns["observed"] > 0
+    for index in frame_index:
+        first, last = np.searchsorted(columns["frame"], [index, index + 1]).tolist()
+        rows = slice(first, last)
+        ids = track_id[rows]
+        yield FrameResult(
+            frame=Frame(index, float(columns["time_s"][first]) if last > first else float("nan"), _NO_IMAGE, None),
+            tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
+            ranges={
+                name: Ranges(ids, columns[f"{name}_m"][rows], columns[f"{name}_sigma_m"][rows]) for name in measured
+            },
+            closing_mps=columns["closing_mps"][rows],
+            closing_sigma_mps=columns["closing_sigma_mps"][rows],
+            ttc_s=columns["ttc_s"][rows],
+            ttc_sigma_s=columns["ttc_sigma_s"][rows],
+            xyz_m=np.stack([columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1),
+        )

@@ -1,0 +1,126 @@
+"""The folder of a run: rows and videos while it goes on, figures and the report at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from track_range.overlay.outputs import pictures, video_format
+from track_range.overlay.result_video import ResultVideo
+from track_range.report.page import write_report
+from track_range.report.tables import markdown
+from track_range.results.columns import Columns
+from track_range.results.output_files import check_outputs, clear_results, make_folder, write_text
+from track_range.results.summary import write_summary
+from track_range.results.writers import OpenWriters, result_names
+from track_range.run.frame_result import FrameResult
+from track_range.run.session import RunSession
+from track_range.run.settings import RunSettings, absolute_settings, save_settings
+
+
+def check_folder(settings: RunSettings, folder: Path) -> None:
+    """Refuse files that could not be written at the end, or that are among the inputs, before any work is done.
+
+    Raises:
+        OutputError: there is such a file.
+    """
+    tables = [settings.table] if settings.table is not None else []
+    check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
+
+
+def input_files(settings: RunSettings) -> list[Path]:
+    """Every file that a run reads."""
+    files = (
+        *(video for video in (*(settings.stereo or ()), settings.mono) if isinstance(video, Path)),
+        *(settings.rig, settings.detections, settings.truth, settings.curves, settings.reid),
+    )
+    names = (settings.detector, settings.names, settings.align, settings.lanes, settings.ego_speed)
+    return [*(path for path in files if path is not None), *(Path(name) for name in names if name is not None)]
+
+
+class RunFolder:
+    """The files of a run in progress; a context manager that closes what `finish` did not.
+
+    Attributes:
+        folder: where they are.
+        videos: file by name of the picture ("overlay", "disparity").
+        files: names of all files that the run writes.
+    """
+
+    def __init__(self, session: RunSession, folder: Path, *, has_videos: bool = True) -> None:
+        """Make the folder, remove an earlier run's files, and begin those of this run.
+
+        Args:
+            session: the run, opened.
+            folder: where to write.
+            has_videos: False where there are no images any more.
+
+        Raises:
+            OutputError, VideoError, WriterError: something cannot be written.
+        """
+        self.folder, self._session = folder, session
+        settings, recording, clock = session.settings, session.source, session.pipeline.clock
+        make_folder(folder)
+        clear_results(folder, result_names(), keep=input_files(settings))
+        save_settings(settings, folder / "settings.yaml", found=session.found())
+        drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
+        self.videos = {name: f"{name}.mp4" for name in drawn}
+        with ExitStack() as opening:
+            self._writers = opening.enter_context(OpenWriters(settings.write, session.info, folder))
+            self._videos_open = opening.enter_context(ExitStack())
+            self._videos = [
+                self._videos_open.enter_context(
+                    ResultVideo(folder / f"{name}.mp4", draw, form=video_format(name, settings, recording), clock=clock)
+                )
+                for name, draw in drawn.items()
+            ]
+            self._open = opening.pop_all()
+        self.files = (*self.videos.values(), "report.html", *self._writers.files, "summary.json", "settings.yaml")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._open.__exit__(kind, error, at)
+
+    def write(self, result: FrameResult) -> None:
+        """Write the rows of a frame, and hand it to the threads of the videos.
+
+        Raises:
+            OutputError, VideoError: writing failed, now or at an earlier frame.
+        """
+        with self._session.pipeline.clock.stage("write"):
+            self._writers.write(result)
+        for video in self._videos:
+            video.write(result)
+
+    def finish_videos(self) -> None:
+        """Draw and encode what is waiting, and close the videos.
+
+        Raises:
+            VideoError: writing failed, now or at an earlier frame.
+        """
+        self._videos_open.close()
+
+    def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
+        """Write summary.json, report.html and the Markdown tables, and close the rows' files.
+
+        Args:
+            summary: the figures of the run.
+            columns: its rows, with the truth where there is one.
+
+        Raises:
+            OutputError: one cannot be written.
+        """
+        settings = self._session.settings
+        try:
+            write_summary(self.folder / "summary.json", summary)
+            if settings.table is not None:
+                write_text(settings.table, markdown(summary))
+            shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
+            write_report(self.folder / "report.html", {**summary, "settings": shown}, columns)
+        finally:
+            self._writers.close(summary)

@@ -1,0 +1,358 @@
+"""Run: one recording, read, detected, tracked and ranged frame by frame; `track-range run` is a thin user of it.
+
+    open      recording, calibration, detector, tracker, methods, ground truth
+    iterate   one FrameResult per frame; rows are kept as columns, and written where a folder is given
+    finish    the figures of the whole run (`summary`), summary.json and report.html
+
+Nothing is written unless `out=` or `write()` names a folder.
+"""
+
+from __future__ import annotations
+
+import html
+import time
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import ExitStack, closing
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, cast
+
+from rich.console import Console
+
+from track_range.commands.ready_model import ready_model
+from track_range.ranging.evaluation.truth import read_truth
+from track_range.ranging.size_models.curve import load_curves
+from track_range.results.replay import frames_of_rows
+from track_range.results.truth import matched_truth, with_truth
+from track_range.run.box_source import BoxSource, boxes_of, open_box_source
+from track_range.run.build import open_input, open_pipeline
+from track_range.run.frame_result import FrameResult
+from track_range.run.interrupts import defer_interrupts, ignore_interrupts
+from track_range.run.outputs import RunFolder, check_folder
+from track_range.run.prefetch import short_switch_interval
+from track_range.run.progress import frame_progress, step_progress
+from track_range.run.session import RunSession
+from track_range.run.settings import RunSettings, settings_from
+from track_range.run.throughput import FrameMeter
+from track_range.video.recording import Recording
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+    from track_range.detection.detector import Detector
+    from track_range.stereo.geometry.camera import PinholeCamera
+    from track_range.stereo.geometry.rig import StereoRig
+    from track_range.tracking.tracker import Tracker
+
+
+class Run:
+    """One pass over one recording. Iterate it once; afterwards it holds the rows and the figures.
+
+    Example:
+        run = tr.Run.mono("dashcam.mp4", focal_px=1150)
+        for frame in run:
+            print(frame.index, frame.tracks.track_id, frame.ranges["fused"].distance_m)
+        table = run.to_arrow()
+
+    Attributes:
+        settings: everything that decides what the run computes.
+        files: what a finished run has written.
+    """
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        *,
+        detector: Detector | None = None,
+        tracker: Tracker | None = None,
+        progress: bool | Console = False,
+    ) -> None:
+        """Prepare a run; nothing is opened yet.
+
+        Args:
+            settings: as `RunSettings` or `track-range run --settings` take them; files are written where `out` is set.
+            detector: an object with `detect(image) -> Detections`, in place of the settings' model.
+            tracker: an object with `update(detections, time_s, image) -> Tracks`, in place of the settings' tracker.
+            progress: whether to show progress bars (in a notebook too), or the Rich console to show them on.
+        """
+        self.settings = settings
+        self._detector, self._tracker = detector, tracker
+        self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
+        self._folder: Path | None = settings.out
+        self._session: RunSession | None = None
+        self._frames: Generator[FrameResult, None, None] | None = None
+        self._summary: dict[str, Any] | None = None
+        self.files: tuple[Path, ...] = ()
+
+    @classmethod
+    def stereo(cls, left: str | Path, right: str | Path, **options: Any) -> Self:
+        """A run on the videos, image folders or streams of two cameras.
+
+        Args:
+            left: recording of the left camera.
+            right: recording of the right camera.
+            options: as those of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
+                `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
+                `detect` and `update`, `progress` shows progress bars.
+
+        Raises:
+            ConfigError: an option that is unknown, wrong, or contradicts another one.
+        """
+        return cls._of({"stereo": (str(left), str(right))}, options)
+
+    @classmethod
+    def mono(cls, video: str | Path, **options: Any) -> Self:
+        """A run on the video, image folder or stream of one camera; see `stereo` for the options.
+
+        Raises:
+            ConfigError: an option that is unknown, wrong, or contradicts another one.
+        """
+        return cls._of({"mono": str(video)}, options)
+
+    @classmethod
+    def _of(cls, source: dict[str, Any], options: dict[str, Any]) -> Self:
+        objects: dict[str, Any] = {}
+        for name, method in (("detector", "detect"), ("tracker", "update")):
+            if hasattr(options.get(name), method):
+                objects[name] = options.pop(name)
+        progress = options.pop("progress", False)
+        given = {_field_of(name): _plain(value) for name, value in options.items()}
+        return cls(settings_from({**source, **given}), **objects, progress=progress)
+
+    # -- open -----------------------------------------------------------------------------------------------------
+
+    def open(self) -> Self:
+        """Open everything that the run reads, so that wrong inputs are found before the first frame.
+
+        Raises:
+            VideoError, RigError, ModelError, LabelFileError, ...: an input cannot be used.
+        """
+        if self._session is None:
+            if self._folder is not None:
+                check_folder(self.settings, self._folder)
+            self._session = self._opened()
+        return self
+
+    def _opened(self) -> RunSession:
+        settings = self.settings
+        curves = load_curves(settings.curves)
+        began_s = time.perf_counter()
+        recording = open_input(settings, partial(step_progress, self._console))
+        opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
+        calibration = recording.calibration
+        opened_s -= calibration.alignment.look_s if calibration.alignment else 0.0
+        with ExitStack() as on_error:
+            on_error.callback(recording.close)
+            boxes = self._boxes(recording)
+            truth = None
+            if settings.truth is not None:
+                truth = read_truth(settings.truth, calibration.camera, calibration.left_from_reference_m)
+            pipeline = open_pipeline(settings, recording, boxes, curves)
+            if self._tracker is not None:
+                pipeline.tracker = self._tracker
+            on_error.pop_all()
+        meter = FrameMeter(recording.inputs.live)
+        return RunSession(
+            settings=settings,
+            boxes=boxes,
+            source=recording,
+            truth=truth,
+            pipeline=pipeline,
+            meter=meter,
+            opened_s=opened_s,
+        )
+
+    def _boxes(self, recording: Recording) -> BoxSource:
+        if self._detector is not None:
+            return boxes_of(self._detector)
+        return open_box_source(
+            self.settings, recording.calibration.rectified_boxes, lambda name: ready_model(name, self._console)
+        )
+
+    def close(self) -> None:
+        """End the run: what it has written so far is finished, and the recording closed."""
+        if self._frames is not None:
+            self._frames.close()
+        if self._session is not None:
+            self._session.source.close()
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    # -- iterate --------------------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        """The frames in order, once.
+
+        Raises:
+            RuntimeError: the run was iterated before.
+        """
+        if self._frames is not None:
+            raise RuntimeError("expected a run that was not iterated yet; make a new one, or use its rows (to_arrow)")
+        self._frames = self._processed()
+        return self._frames
+
+    def _processed(self) -> Generator[FrameResult, None, None]:
+        """Every frame through the pipeline; what fails or is stopped after the first frame is finished before."""
+        session = self.session
+        with ExitStack() as stack:
+            stack.enter_context(closing(session.source))
+            files = None if self._folder is None else stack.enter_context(RunFolder(session, self._folder))
+            began_s = time.perf_counter()
+            try:
+                yield from self._each_frame(session, files)
+                if files is not None:
+                    files.finish_videos()
+            except (GeneratorExit, KeyboardInterrupt, Exception) as error:
+                if not session.frame_index:
+                    raise
+                session.stopped_by = error
+            session.wall_s = time.perf_counter() - began_s + session.opened_s
+            session.pipeline.clock.busy_s["read"] = session.source.inputs.busy_s
+            with ignore_interrupts():
+                self._finish(files)
+        if session.stopped_by is not None:
+            raise session.stopped_by
+
+    def _each_frame(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
+        with (
+            short_switch_interval(),
+            closing(session.pipeline.run(session.source.frames)) as results,
+            frame_progress(self._console, session.source.n_frames) as advance,
+        ):
+            for result in results:
+                session.meter.add(result)
+                with defer_interrupts():
+                    if files is not None:
+                        files.write(result)
+                    session.add(result)
+                advance()
+                yield result
+
+    def _finish(self, files: RunFolder | None) -> None:
+        """The figures of the run, and the files that hold them."""
+        session, rows = self.session, self.session.table.to_columns()
+        matched = None if session.truth is None else matched_truth(rows, session.truth)
+        self._summary = {**session.summary(rows, matched), "files": {} if files is None else files.videos}
+        if files is not None:
+            self.files = tuple(files.folder / name for name in files.files)
+            files.finish(self._summary, rows if matched is None else with_truth(rows, matched))
+
+    def write(self, folder: str | Path) -> Path:
+        """Process all frames and write their files into `folder`: tracks.csv, mot.txt, overlay.mp4, summary.json, ...
+
+        After an iteration everything but the videos is written, from the rows.
+
+        Raises:
+            OutputError: the folder cannot be written to.
+            RuntimeError: the iteration is still going on.
+        """
+        folder = Path(folder)
+        if self._frames is None:
+            self._folder = folder
+            for _ in self:
+                pass
+            return folder
+        if self._summary is None:
+            raise RuntimeError("expected a run that is finished or not begun; give out= to write while iterating")
+        session = self.session
+        check_folder(self.settings, folder)
+        with RunFolder(session, folder, has_videos=False) as files:
+            for result in frames_of_rows(session.table.to_columns(), session.frame_index, session.methods):
+                files.write(result)
+            self._finish(files)
+        return folder
+
+    # -- what came of it ------------------------------------------------------------------------------------------
+
+    @property
+    def session(self) -> RunSession:
+        """Everything that the run has opened."""
+        if self._session is None:
+            self.open()
+        return cast(RunSession, self._session)
+
+    @property
+    def camera(self) -> PinholeCamera:
+        """The left camera that the rectified frames seem to come from."""
+        return self.session.source.camera
+
+    @property
+    def rig(self) -> StereoRig | None:
+        """The rectified pair; None for one camera, or without calibration."""
+        return self.session.source.rig
+
+    @property
+    def n_frames(self) -> int | None:
+        """Number of frames to expect; None = unknown."""
+        return self.session.source.n_frames
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences for the user so far: assumptions made, problems seen."""
+        return self.session.notes
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What summary.json holds: errors and coverage of each method, tracks, speed, notes.
+
+        Raises:
+            RuntimeError: the run is not finished.
+        """
+        if self._summary is None:
+            raise RuntimeError("expected a finished run: iterate it to its end, or call write(), before its summary")
+        return self._summary
+
+    def to_arrow(self) -> pa.Table:
+        """The rows seen so far, one per track and frame, with the columns of tracks.csv; null = not measured."""
+        return self.session.table.to_arrow()
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The same as a pandas data frame.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        return self.session.table.to_pandas()
+
+    def _repr_html_(self) -> str:
+        """A notebook's view: what the run is of, and its figures once there are some."""
+        source = self.settings.stereo or (self.settings.mono,)
+        title = " and ".join(html.escape(str(name)) for name in source)
+        if self._summary is None:
+            n_seen = 0 if self._session is None else len(self._session.frame_index)
+            return f"<p><b>track-range run</b> of {title}: {n_seen} frames so far</p>"
+        rows = "".join(
+            f"<tr><th>{html.escape(str(name))}</th><td>{html.escape(str(value))}</td></tr>"
+            for name, value in headline_figures(self._summary)
+        )
+        return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>"
+
+
+def _field_of(option: str) -> str:
+    """The field of the settings that an option sets: `duration` is `duration_s`, `size` is `size_px`."""
+    names = (option, f"{option}_s", f"{option}_px")
+    return next((name for name in names if name in RunSettings.model_fields), option)
+
+
+def _plain(value: Any) -> Any:
+    """Paths and numbers as the command line would give them; the settings check them."""
+    return str(value) if isinstance(value, Path) else value
+
+
+def headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Name and text of what a reader wants to know first."""
+    yield "frames", str(summary["frames"])
+    yield "tracks", str(summary["tracks"]["n"])
+    if (rate := summary.get("frames_per_s")) is not None:
+        yield "frames per second", f"{rate:.1f}"
+    yield "calibration", str(summary["calibration"])
+    for name, figures in summary["methods"].items():
+        error = figures.get("median_relative_error_pct")
+        measured = f"{100 * figures['coverage']:.0f} % of the boxes" if figures.get("coverage") is not None else ""
+        yield name, measured if error is None else f"{measured}, median error {error:.1f} %"
