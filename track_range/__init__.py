@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.models.onnx_session import ModelError as ModelError
+    from track_range.foundation.errors import ConfigError as ConfigError
     from track_range.foundation.errors import UserError as UserError
     from track_range.overlay.annotator import Overlay as Overlay
     from track_range.parts import Detector as Detector
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from track_range.results.writers import register_writer as register_writer
     from track_range.run.frame_result import FrameResult as FrameResult
     from track_range.run.run import Run as Run
-    from track_range.run.settings import ConfigError as ConfigError
     from track_range.run.settings import RunSettings as RunSettings
     from track_range.stereo.geometry.camera import PinholeCamera as PinholeCamera
     from track_range.stereo.geometry.frames import Frame as Frame
@@ -87,7 +87,7 @@ _MODULE_OF = {
     "register_writer": "results.writers",
     # errors
     "UserError": "foundation.errors",
-    "ConfigError": "run.settings",
+    "ConfigError": "foundation.errors",
     "ModelError": "detection.models.onnx_session",
     "RigError": "stereo.geometry.rig",
     "VideoError": "video.reader",
