@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import ErrorSource as ErrorSource
     from track_range.ranging.method import RangingMethod as RangingMethod
-    from track_range.ranging.methods.ground_plane import GroundPlaneRanger as GroundRanger
-    from track_range.ranging.methods.patch_stereo import PatchRanger as StereoRanger
-    from track_range.ranging.methods.size_regression import SizeRegressionRanger as SizeRanger
+    from track_range.ranging.methods.ground_plane import GroundRanger as GroundRanger
+    from track_range.ranging.methods.patch_stereo import StereoRanger as StereoRanger
+    from track_range.ranging.methods.size_regression import SizeRanger as SizeRanger
     from track_range.ranging.ranger import Ranger as Ranger
     from track_range.ranging.ranges import Ranges as Ranges
     from track_range.ranging.registry import methods as ranging_methods
@@ -68,9 +68,9 @@ _MODULE_OF = {
     # parts
     "Detector": "parts",
     "Tracker": "parts",
-    "SizeRanger": "ranging.methods.size_regression:SizeRegressionRanger",
-    "GroundRanger": "ranging.methods.ground_plane:GroundPlaneRanger",
-    "StereoRanger": "ranging.methods.patch_stereo:PatchRanger",
+    "SizeRanger": "ranging.methods.size_regression",
+    "GroundRanger": "ranging.methods.ground_plane",
+    "StereoRanger": "ranging.methods.patch_stereo",
     "PatchMatcher": "stereo.matching.patch_matcher",
     "Fusion": "ranging.fusion.fusion",
     "DistanceFilters": "ranging.filtering.distance_filter",

@@ -1,4 +1,4 @@
-r"""GroundPlaneRanger: distance from an object's contact point: bottom edge of the box, height of the camera, horizon.
+r"""GroundRanger: distance from an object's contact point: bottom edge of the box, height of the camera, horizon.
 
     d = fy H / (y_bottom - y_horizon)
 
@@ -271,7 +271,7 @@ class GroundPlane:
         return np.asarray(self._pitch_px2 + self._settings.box_sigma_px**2 + (self._settings.kerb_m * slope_px) ** 2)
 
 
-class GroundPlaneRanger(Ranger):
+class GroundRanger(Ranger):
     """The ground plane as a ranging method: the horizon comes from mono's distances and from lane lines.
 
     Attributes:
@@ -316,7 +316,7 @@ def _create(context: MethodContext) -> Ranger:
     settings = GroundSettings() if height_m is None else GroundSettings.of_known_height(height_m)
     if box_sigma_px is not None:
         settings = replace(settings, box_sigma_px=box_sigma_px)
-    return GroundPlaneRanger(context.camera, settings)
+    return GroundRanger(context.camera, settings)
 
 
 GROUND = RangingMethod(

@@ -1,4 +1,4 @@
-"""PatchRanger: stereo distance of each box, matched alone in the right image."""
+"""StereoRanger: stereo distance of each box, matched alone in the right image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from track_range.stereo.matching.patch_matches import REASONS, BoxMatcher, Outco
 from track_range.tracking.tracks import Tracks
 
 
-class PatchRanger(Ranger):
+class StereoRanger(Ranger):
     """Ranges each observed box by matching it alone."""
 
     def __init__(
@@ -56,7 +56,7 @@ def _create(context: MethodContext) -> Ranger | None:
     if context.rig is None:
         matcher = PatchMatcher(PatchMatcherSettings.for_rig(rig))
         return SizeScaledRanger(matcher, focal_px=context.camera.fx_px, focal_sigma=context.focal_sigma)
-    return PatchRanger(rig, alignment=context.alignment)
+    return StereoRanger(rig, alignment=context.alignment)
 
 
 STEREO = RangingMethod(

@@ -1,4 +1,4 @@
-"""SizeRegressionRanger: monocular distance from the size of a track's box, by class, and from where it stands."""
+"""SizeRanger: monocular distance from the size of a track's box, by class, and from where it stands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from track_range.tracking.tracks import Tracks
 _MIN_HEIGHT_PX = 4.0
 
 
-class SizeRegressionRanger(Ranger):
+class SizeRanger(Ranger):
     """Ranges observed boxes that the image does not cut at top or bottom; where a side is cut off, by height alone."""
 
     def __init__(
@@ -63,7 +63,7 @@ class SizeRegressionRanger(Ranger):
 
 
 def _create(context: MethodContext) -> Ranger:
-    return SizeRegressionRanger(context.camera, context.size_model, box_sigma_px=context.box_sigma_px)
+    return SizeRanger(context.camera, context.size_model, box_sigma_px=context.box_sigma_px)
 
 
 MONO = RangingMethod(

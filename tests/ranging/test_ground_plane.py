@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.methods.ground_plane import GroundPlane, GroundPlaneRanger, GroundSettings
+from track_range.ranging.methods.ground_plane import GroundPlane, GroundRanger, GroundSettings
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -191,7 +191,7 @@ def test_offset_from_the_ground_to_the_surface():
 
 
 def test_the_ranger_finds_the_horizon_by_monos_distances():
-    ranger = GroundPlaneRanger(CAMERA, GroundSettings.of_known_height(HEIGHT_M))
+    ranger = GroundRanger(CAMERA, GroundSettings.of_known_height(HEIGHT_M))
     tracks, by_size = cars_at([20.0, 40.0, 60.0], horizon_px=CY_PX + 20.0)
     alone = ranger.measure(tracks, at(0.0))
     assert ranger.plane.horizon.y_px == pytest.approx(CY_PX, abs=1e-6)

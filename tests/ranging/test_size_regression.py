@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.ranging.methods.size_regression import SizeRegressionRanger
+from track_range.ranging.methods.size_regression import SizeRanger
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxNoise, measured_boxes
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -34,14 +34,14 @@ def tracks_of(*boxes, class_id=CAR, observed=True):
 
 
 def test_an_object_of_known_height_by_hand():
-    ranger = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=0.0)
+    ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=0.0)
     ranges = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)  # 1.5 m over 50 px at f = 1000 px: 30 m
     assert ranges.distance_m == pytest.approx([30.0])
     assert ranges.sigma_m == pytest.approx([3.0])
 
 
 def test_box_noise_widens_sigma_by_the_rule_of_errors_and_is_not_kept():
-    ranger = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
+    ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
     sized = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert sized.sigma_m == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
     assert sized.sigma_kept_m == pytest.approx([3.0])
@@ -60,11 +60,11 @@ def test_a_detectors_noise_grows_with_the_box_and_with_limbs():
 
 @pytest.mark.parametrize("curves", [None, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)})])
 def test_what_cannot_be_measured_is_nan(curves):
-    ranger = SizeRegressionRanger(CAMERA, curves)
+    ranger = SizeRanger(CAMERA, curves)
     cut = tracks_of([300, -0.5, 360, 250], [300, 200, 360, 479.5], [300, 200, 360, 203])
     assert np.isnan(ranger.measure(cut, FRAME).distance_m).all()
     assert np.isnan(ranger.measure(tracks_of([300, 200, 360, 250], observed=False), FRAME).distance_m).all()
-    only_cars = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
+    only_cars = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
     assert np.isnan(only_cars.measure(tracks_of([300, 200, 360, 250], class_id=0), FRAME).distance_m).all()
     assert len(ranger.measure(Tracks.empty(), FRAME)) == 0
 
@@ -72,9 +72,7 @@ def test_what_cannot_be_measured_is_nan(curves):
 def test_a_cut_side_leaves_the_width_out():
     curves = SizeCurves({"car": flat(1.5, per_log_width=-0.5)}, {"car": flat(1.5)})
     whole, cut = (
-        SizeRegressionRanger(CAMERA, curves)
-        .measure(tracks_of([300, 200, 360, 250], [-0.5, 200, 59.5, 250]), FRAME)
-        .distance_m
+        SizeRanger(CAMERA, curves).measure(tracks_of([300, 200, 360, 250], [-0.5, 200, 59.5, 250]), FRAME).distance_m
     )
     assert whole != pytest.approx(30.0)
     assert cut == pytest.approx(30.0)
@@ -82,19 +80,19 @@ def test_a_cut_side_leaves_the_width_out():
 
 def test_the_packaged_priors_mind_a_cut_side_too():
     """A car cut to a sliver is as far as its height says: its width would be that of nothing on wheels."""
-    ranger = SizeRegressionRanger(CAMERA)
+    ranger = SizeRanger(CAMERA)
     (sliver,) = ranger.measure(tracks_of([-0.5, 200, 9.5, 250]), FRAME).distance_m
     assert sliver == pytest.approx(1.53 / 50 * 1000, rel=0.08)
 
 
 def test_a_van_is_a_car_where_only_cars_have_a_curve():
-    ranger = SizeRegressionRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
+    ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
     van = tracks_of([300, 200, 360, 250], class_id=SIZE_CLASSES.index("van"))
     assert ranger.measure(van, FRAME).distance_m == pytest.approx([30.0])
 
 
 def test_packaged_priors_serve_every_class_and_fall_with_size():
-    ranger = SizeRegressionRanger(CAMERA)
+    ranger = SizeRanger(CAMERA)
     for class_id in range(len(SIZE_CLASSES)):
         boxes = [[320 - s / 2, 240 - s / 2, 320 + s / 2, 240 + s / 2] for s in (5, 10, 20, 50, 100, 300)]
         found = [ranger.measure(tracks_of(box, class_id=class_id), FRAME) for box in boxes]

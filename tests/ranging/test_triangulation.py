@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.methods.dense_stereo import DenseRanger
-from track_range.ranging.methods.patch_stereo import PatchRanger
+from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.ranging.methods.triangulation import Triangulation
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -38,7 +38,7 @@ def test_disparities_are_put_right_before_they_become_metres():
 
 
 def test_an_alignment_that_nobody_measured_is_in_sigma():
-    ranges = PatchRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0))
+    ranges = StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0))
     assert ranges.sigma_m == pytest.approx([50.0**2 / 500 * np.hypot(0.1, UNCORRECTED_SIGMA_PX)])
 
 
@@ -61,7 +61,7 @@ def frame_at(time_s, right=True):
 
 def test_a_track_is_searched_about_its_last_disparity_until_it_is_stale():
     matcher = Recorder()
-    ranger = PatchRanger(RIG, matcher)
+    ranger = StereoRanger(RIG, matcher)
     ranger.measure(tracks_of(1), frame_at(0.0))
     ranger.measure(tracks_of(2, 1), frame_at(0.1))
     ranger.measure(tracks_of(2), frame_at(0.2))
@@ -71,7 +71,7 @@ def test_a_track_is_searched_about_its_last_disparity_until_it_is_stale():
 
 def test_the_full_range_is_searched_again_every_second():
     matcher = Recorder()
-    ranger = PatchRanger(RIG, matcher)
+    ranger = StereoRanger(RIG, matcher)
     for step in range(25):
         ranger.measure(tracks_of(1), frame_at(step * 0.1))
     assert [i for i, prior in enumerate(matcher.priors) if np.isnan(prior[0])] == [0, 11, 22]
@@ -81,13 +81,13 @@ def test_predicted_boxes_are_not_measured():
     tracks = tracks_of(1, 2)
     hidden = Tracks(tracks.track_id, tracks.xyxy_px, tracks.class_id, tracks.score, np.array([True, False]))
     matcher = Recorder()
-    ranges = PatchRanger(RIG, matcher).measure(hidden, frame_at(0.0))
+    ranges = StereoRanger(RIG, matcher).measure(hidden, frame_at(0.0))
     np.testing.assert_allclose(ranges.distance_m, [50.0, np.nan])
     assert len(matcher.priors[0]) == 1
 
 
 def test_without_a_right_eye_nothing_is_measured():
-    assert np.isnan(PatchRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
+    assert np.isnan(StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
     dense = DenseRanger(RIG)
     assert np.isnan(dense.measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
     dense.close()
@@ -119,7 +119,7 @@ def test_dense_sigma_carries_what_the_alignment_leaves():
 
 
 def test_why_boxes_are_not_matched_is_counted():
-    ranger = PatchRanger(RIG, PatchMatcher())
+    ranger = StereoRanger(RIG, PatchMatcher())
     for step in range(2):
         assert np.isnan(ranger.measure(tracks_of(1, 2), frame_at(0.1 * step)).distance_m).all()  # black images
     assert ranger.outcomes == {Outcome.NO_TEXTURE: 4}

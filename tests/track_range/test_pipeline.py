@@ -6,7 +6,7 @@ import pytest
 from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.method import MethodError
-from track_range.ranging.methods.ground_plane import GroundPlaneRanger
+from track_range.ranging.methods.ground_plane import GroundRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.run.pipeline import Pipeline
@@ -132,7 +132,7 @@ def test_lanes_are_searched_ten_times_a_second_and_passed_on_once():
 
 @pytest.mark.parametrize("y_px", [35.0, 44.0])
 def test_the_grounds_horizon_is_where_lane_lines_meet(y_px):
-    loop, ranger = pipeline(), GroundPlaneRanger(CAMERA)
+    loop, ranger = pipeline(), GroundRanger(CAMERA)
     loop.lane_finder, loop.rangers = LinesTo(y_px), {"ground": ranger}
     assert len(list(loop.run(frames(3)))) == 3
     assert ranger.plane.horizon.y_px == pytest.approx(y_px, abs=1.0)

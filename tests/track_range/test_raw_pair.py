@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.ranging.methods.patch_stereo import PatchRanger
+from track_range.ranging.methods.patch_stereo import StereoRanger
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import label_scene
@@ -70,7 +70,7 @@ def opened(folder):
 def measured_m(folder: Path, boxes_of_frame):
     """Distances of the boxes by the recording and the ranger of a run."""
     recording = opened(folder)
-    ranger = PatchRanger(recording.rig, PatchMatcher(PatchMatcherSettings.for_rig(recording.rig)))
+    ranger = StereoRanger(recording.rig, PatchMatcher(PatchMatcherSettings.for_rig(recording.rig)))
     found = []
     for frame in recording.frames:
         boxes = boxes_of_frame[frame.index]
