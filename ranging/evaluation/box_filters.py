@@ -1,7 +1,7 @@
-"""Filters over time put on the distances of labelled boxes, track by track, as a run puts them on its own.
+"""Filters over time applied to the distances of labelled boxes, track by track, as in a run.
 
-The ego speed is not known here: the paper's filter (`ranging.paper_filter`) takes it for 0, and the default one
-(`ranging.filtering.distance_filter`) goes by the relative speed.
+The ego speed is unknown here: the paper's filter (`paper_filter`) takes it as 0, and the default one
+(`ranging.filtering.distance_filter`) estimates the relative speed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _default_filter() -> _Filter:
 _FILTERS: Mapping[str, Callable[[], _Filter]] = {"paper": lambda: PaperFilter().update, "default": _default_filter}
 
 _UNKNOWN_SIGMA = 0.1
-"""Relative sigma of a method that tells none."""
+"""Relative sigma of a method that gives none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +53,8 @@ def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> Fi
     """The column through a filter; "none" leaves it as it is, without closing speeds."""
     if filter_name == "none":
         return FilteredColumn(column, np.full(len(boxes), np.nan))
-    is_told = np.isfinite(column.sigma_m)
-    sigma_m = np.where(is_told, column.sigma_m, _UNKNOWN_SIGMA * column.distance_m)
+    is_given = np.isfinite(column.sigma_m)
+    sigma_m = np.where(is_given, column.sigma_m, _UNKNOWN_SIGMA * column.distance_m)
     distance_m, out_sigma_m, closing_mps = np.full((3, len(boxes)), np.nan)
     sequence, smooth = -1, _FILTERS[filter_name]()
     for rows in frame_rows(boxes):
@@ -62,7 +62,7 @@ def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> Fi
             sequence, smooth = boxes.sequence[rows[0]], _FILTERS[filter_name]()
         kept_m = None if column.sigma_kept_m is None else column.sigma_kept_m[rows]
         measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], kept_m)
-        found = smooth(measured, float(boxes.time_s[rows[0]]))
-        distance_m[rows], out_sigma_m[rows] = found.ranges.distance_m, found.ranges.sigma_m
-        closing_mps[rows] = -found.rate_mps
-    return FilteredColumn(MethodColumn(distance_m, np.where(is_told.any(), out_sigma_m, np.nan)), closing_mps)
+        result = smooth(measured, float(boxes.time_s[rows[0]]))
+        distance_m[rows], out_sigma_m[rows] = result.ranges.distance_m, result.ranges.sigma_m
+        closing_mps[rows] = -result.rate_mps
+    return FilteredColumn(MethodColumn(distance_m, np.where(is_given.any(), out_sigma_m, np.nan)), closing_mps)

@@ -1,22 +1,38 @@
-"""The paper's filter: distance alone, as uncertain as 0.1 in everything, moved on by the ego speed.
+"""The paper's filter: distance alone, all noise 0.1, predicted by the ego speed; one filterpy KalmanFilter per track.
 
-    d' = d - V t,  P' = P + Q        K = P / (P + R),  d = d' + K (z - d'),  P = (1 - K) P'        Q = R = 0.1
+    d' = d - V t,  P' = P + Q        K = P' / (P' + R),  d = d' + K (z - d'),  P = (1 - K) P'        Q = R = 0.1
 
-(Zhang et al., eq. 10-16.) Their eq. 15 reads d + V t, which is a target that the car drives away from; what stands
-still before a moving car comes nearer by V t. R is 10 % of the distance in their words, 0.1 in their formula, and so
-here. Q is per frame, whatever its length. Targets that move themselves are followed late: with V unknown all are.
+(Zhang et al., eq. 10-16.) Their eq. 15 reads d + V t, which is a target that the car drives away from; a static object
+in front of a moving car comes nearer by V t. R is 10 % of the distance in their words, 0.1 in their formula, and so
+here. Q is per frame, whatever its length. The filter lags behind targets that move themselves, with V unknown behind
+all that are not static.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
-from track_range.foundation.track_state import TrackState
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
 
-_NOISE = 0.1
+_NOISE_M2 = 0.1
+"""Q and R."""
+
 _MAX_GAP_S = 1.0
+"""A track not measured for longer starts anew."""
+
+
+@dataclass(slots=True)
+class _Track:
+    """The filter of one track, the time of its state, and of its last measurement."""
+
+    kalman: Any
+    time_s: float
+    measured_s: float
 
 
 class PaperFilter:
@@ -24,30 +40,47 @@ class PaperFilter:
 
     def __init__(self) -> None:
         """Start without tracks."""
-        self._tracks = TrackState(np.full(4, np.nan))
+        self._tracks: dict[int, _Track] = {}
 
-    def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = np.nan) -> FilteredRanges:
-        """Every track's filtered range at `time_s`; the rate is the difference to the frame before."""
-        columns = self._tracks.get(measured.track_id)
-        distance_m, variance, before_s, measured_s = columns  # views: what is written here is remembered
-        distance_m[time_s - measured_s > _MAX_GAP_S] = np.nan
-        before_m, dt = distance_m.copy(), time_s - before_s
-        there = np.isfinite(measured.distance_m)
-        fresh = there & np.isnan(distance_m)
-        distance_m -= np.nan_to_num(ego_speed_mps) * np.nan_to_num(dt)
-        variance += _NOISE
-        gain = np.where(there, variance / (variance + _NOISE), 0.0)
-        innovation = np.where(there, measured.distance_m - distance_m, 0.0)
-        distance_m[:] = np.where(fresh, measured.distance_m, distance_m + gain * innovation)
-        variance[:] = np.where(fresh, _NOISE, (1 - gain) * variance)
-        before_s[:] = time_s
-        measured_s[there] = time_s
-        is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
-        self._tracks.put(measured.track_id, columns, keep=is_recent)
-        with np.errstate(divide="ignore", invalid="ignore"):  # no step, no rate
-            rate_mps = np.where(dt > 0, (distance_m - before_m) / dt, np.nan)
-            rate_variance = np.where(np.isfinite(rate_mps), 2 * variance / dt**2, np.nan)
+    def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = math.nan) -> FilteredRanges:
+        """Every track's filtered range at `time_s`; the rate is the difference to the frame before.
+
+        Args:
+            measured: distances of this frame; NaN = not measured.
+            time_s: of the frame.
+            ego_speed_mps: V; NaN = unknown, taken as 0.
+        """
+        self._tracks = {i: track for i, track in self._tracks.items() if time_s - track.measured_s <= _MAX_GAP_S}
+        distance_m, variance, rate_mps, rate_variance = np.full((4, len(measured)), np.nan)
+        for row, (track_id, z) in enumerate(zip(measured.track_id.tolist(), measured.distance_m, strict=True)):
+            track = self._tracks.get(track_id)
+            if track is not None:
+                before_m, dt_s = track.kalman.x[0, 0], time_s - track.time_s
+                track.kalman.predict(u=np.array([[np.nan_to_num(ego_speed_mps) * dt_s]]))
+                if np.isfinite(z):
+                    track.kalman.update(z)
+                    track.measured_s = time_s
+                track.time_s = time_s
+                if dt_s > 0:
+                    rate_mps[row] = (track.kalman.x[0, 0] - before_m) / dt_s
+                    rate_variance[row] = 2 * track.kalman.P[0, 0] / dt_s**2
+            elif np.isfinite(z):
+                track = self._tracks[track_id] = _Track(_kalman_filter(z), time_s, time_s)
+            if track is not None:
+                distance_m[row], variance[row] = track.kalman.x[0, 0], track.kalman.P[0, 0]
         variances = (variance, 0 * rate_variance, rate_variance)
         ttc_s, ttc_sigma_s = time_to_collision(distance_m, rate_mps, variances=variances)
-        ranges = Ranges(measured.track_id, distance_m, np.sqrt(variance + 0 * distance_m))
+        ranges = Ranges(measured.track_id, distance_m, np.sqrt(variance))
         return FilteredRanges(ranges, rate_mps, np.sqrt(rate_variance), ttc_s, ttc_sigma_s)
+
+
+def _kalman_filter(first_m: float) -> Any:
+    """A filter whose state is the first distance."""
+    from filterpy.kalman import KalmanFilter  # imported only where it is used, since it takes seconds
+
+    kalman = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)
+    kalman.x = np.array([[first_m]])
+    kalman.P = kalman.Q = kalman.R = np.array([[_NOISE_M2]])
+    kalman.F = kalman.H = np.eye(1)
+    kalman.B = -np.eye(1)
+    return kalman

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 
 from track_range.ranging.evaluation.paper_filter import PaperFilter
 from track_range.ranging.ranges import Ranges
@@ -23,24 +22,33 @@ def test_by_hand():
     assert second.ttc_s[0] == pytest.approx((19 + 2 / 3) / (10 / 3))
 
 
-def test_equals_filterpy_and_does_not_know_the_ego_speed_unless_told():
+def test_equations_of_the_paper():
+    """Against the scalar recursion; an unknown ego speed is 0."""
     rng, paper = np.random.default_rng(7), PaperFilter()
-    oracle = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)
-    oracle.F = oracle.H = np.eye(1)
-    oracle.Q, oracle.R, oracle.B = 0.1 * np.eye(1), 0.1 * np.eye(1), -0.2 * np.eye(1)
+    d = P = np.nan
     for step in range(20):
         z, speed_mps = 50 - step + rng.normal(), np.nan if step % 5 == 4 else 5.0
         result = paper.update(measured([3], [z]), 0.2 * step, ego_speed_mps=speed_mps)
         if step == 0:
-            oracle.x, oracle.P = np.array([[z]]), 0.1 * np.eye(1)
+            d, P = z, 0.1
         else:
-            oracle.predict(u=np.array([[np.nan_to_num(speed_mps)]]))
-            oracle.update(z)
-        assert result.ranges.distance_m[0] == pytest.approx(oracle.x[0, 0])
-        assert result.ranges.sigma_m[0] == pytest.approx(np.sqrt(oracle.P[0, 0]))
+            d, P = d - np.nan_to_num(speed_mps) * 0.2, P + 0.1
+            K = P / (P + 0.1)
+            d, P = d + K * (z - d), (1 - K) * P
+        assert result.ranges.distance_m[0] == pytest.approx(d)
+        assert result.ranges.sigma_m[0] == pytest.approx(np.sqrt(P))
 
 
-def test_tracks_come_go_and_are_forgotten_after_a_second():
+def test_each_track_has_its_own_filter():
+    both, alone = PaperFilter(), PaperFilter()
+    for step in range(5):
+        first = both.update(measured([1, 2], [30.0 - step, 80.0 + step]), 0.1 * step)
+        second = alone.update(measured([2], [80.0 + step]), 0.1 * step)
+    assert first.ranges.distance_m[1] == second.ranges.distance_m[0]
+    assert first.ranges.distance_m[0] < 30.0
+
+
+def test_tracks_end_after_a_second():
     paper = PaperFilter()
     paper.update(measured([1, 2], [30.0, 40.0]), 0.0)
     assert paper.update(measured([2], [np.nan]), 0.5, ego_speed_mps=4.0).ranges.distance_m == pytest.approx([38.0])
