@@ -19,7 +19,7 @@ from rich.console import Console
 
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import FPS
-from track_range.detection.lanes.lookup import CLASSICAL
+from track_range.detection.lanes.nets import CLASSICAL
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
 from track_range.ranging.evaluation.truth import read_truth

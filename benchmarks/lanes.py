@@ -26,7 +26,7 @@ from benchmarks.drives import REAL_DATA
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import SimulatedDrive
 from track_range.detection.lanes.lines import LaneLines
-from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
+from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.scenarios import SCENARIOS as KNOWN

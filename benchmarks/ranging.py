@@ -27,7 +27,7 @@ from rich.table import Table
 from benchmarks.drives import REAL_DATA
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
-from track_range.detection.lanes.lookup import CLASSICAL, open_lane_finder
+from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import Image
 from track_range.ranging.filtering.distance_filter import DistanceFilters

@@ -51,7 +51,7 @@ def share_inside(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
     return np.divide(shared, area, out=np.zeros_like(shared), where=area > 0)
 
 
-def are_sound(xyxy_px: FloatArray) -> BoolArray:
+def are_valid_boxes(xyxy_px: FloatArray) -> BoolArray:
     """(N,) which boxes are finite and have a positive width and height."""
     finite = np.isfinite(xyxy_px).all(axis=1)
     return np.asarray(finite & (xyxy_px[:, 2] > xyxy_px[:, 0]) & (xyxy_px[:, 3] > xyxy_px[:, 1]))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from track_range.detection.boxes import are_sound, share_inside
+from track_range.detection.boxes import are_valid_boxes, share_inside
 from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.tracking.gallery import unit_rows
@@ -45,7 +45,7 @@ _STEP_PX = 16
 def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
     """(N,) which boxes are large enough, and lie far enough inside the image, to have looks."""
     height, width = image.shape[:2]
-    boxes = np.clip(np.where(are_sound(xyxy_px)[:, None], xyxy_px, 0.0), -_FAR_PX, _FAR_PX)
+    boxes = np.clip(np.where(are_valid_boxes(xyxy_px)[:, None], xyxy_px, 0.0), -_FAR_PX, _FAR_PX)
     inside = share_inside(boxes, np.array([[-0.5, -0.5, width - 0.5, height - 0.5]]))[:, 0]
     large = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf) >= MIN_SIDE_PX
     return np.asarray(large & (inside >= MIN_SHARE_INSIDE))

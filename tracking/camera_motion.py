@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.boxes import are_sound
+from track_range.detection.boxes import are_valid_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
 
@@ -146,7 +146,7 @@ def _halved(image: Image) -> Image:
 def _hidden_cells(xyxy_px: FloatArray, grey_hw: tuple[int, ...], cell_px: int) -> BoolArray:
     """(rows, columns) cells of the small image, `cell_px` full pixels wide, that a box touches; no loop over boxes."""
     n_rows, n_columns = (-(-side // _CELL_PX) for side in grey_hw)
-    cells = (xyxy_px[are_sound(xyxy_px)] + 0.5) / cell_px
+    cells = (xyxy_px[are_valid_boxes(xyxy_px)] + 0.5) / cell_px
     cells = np.clip(cells, 0, [n_columns, n_rows, n_columns, n_rows])
     left, top = np.floor(cells[:, :2]).astype(np.int64).T
     right, bottom = np.ceil(cells[:, 2:]).astype(np.int64).T

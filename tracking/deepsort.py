@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from track_range.detection.boxes import are_sound
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.tracking import history, motion
@@ -179,7 +179,7 @@ class DeepSortTracker:
         return self._activation_threshold.of(class_id)
 
     def _valid_detections(self, detections: Detections) -> Detections:
-        is_valid = are_sound(detections.xyxy_px) & (detections.score >= self._settings.min_score)
+        is_valid = are_valid_boxes(detections.xyxy_px) & (detections.score >= self._settings.min_score)
         return detections if is_valid.all() else detections.select(is_valid)
 
     def _with_embeddings(

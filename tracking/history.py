@@ -23,7 +23,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from track_range.detection.boxes import are_sound
+from track_range.detection.boxes import are_valid_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Form = Literal["median-of-steps", "step-of-medians"]
@@ -173,7 +173,7 @@ def predict_missing(
     if len(rows) == 0:
         return rows, np.zeros((0, 4))
     boxes, deviation = median_prediction(history.select(rows), time_s, form=gates.form)
-    good = (deviation <= gates.max_deviation) & are_sound(boxes)
+    good = (deviation <= gates.max_deviation) & are_valid_boxes(boxes)
     if border_xyxy_px is not None:
         margin_px = gates.min_margin * (boxes[:, 3:] - boxes[:, 1:2])
         good &= (boxes[:, :2] - margin_px > border_xyxy_px[:2]).all(axis=1)

@@ -74,12 +74,12 @@ class _Trunk:
     def shape(self, index: int) -> Shape:
         return self.image if index == IMAGE else self.layers[index].shape
 
-    def told(self, section: Section, key: str) -> tuple[int, ...]:
+    def layer_indices(self, section: Section, key: str) -> tuple[int, ...]:
         """Layers that a section names: below zero counted back from itself, else from the first layer."""
-        here = len(self.layers)
-        indices = tuple(told + here if told < 0 else told for told in section.wholes(key))
-        if not all(0 <= index < here for index in indices):
-            raise section.error(f"'{key}={section.options[key]}' from layer {here} is no layer before it")
+        own = len(self.layers)
+        indices = tuple(index + own if index < 0 else index for index in section.wholes(key))
+        if not all(0 <= index < own for index in indices):
+            raise section.error(f"'{key}={section.options[key]}' from layer {own} is no layer before it")
         return tuple(self.source(section, index) for index in indices)
 
 
@@ -142,7 +142,7 @@ def _upsample(section: Section, trunk: _Trunk) -> Layer:
 
 
 def _route(section: Section, trunk: _Trunk) -> Layer:
-    sources = trunk.told(section, "layers")
+    sources = trunk.layer_indices(section, "layers")
     shapes = [trunk.shape(source) for source in sources]
     groups, group_id = section.whole("groups", 1, least=1), section.whole("group_id", 0)
     if group_id >= groups or any(shape[0] % groups for shape in shapes):
@@ -156,7 +156,7 @@ def _route(section: Section, trunk: _Trunk) -> Layer:
 
 def _shortcut(section: Section, trunk: _Trunk) -> Layer:
     section.word("weights_type", "none", ("none",))
-    sources = (trunk.before(section), *trunk.told(section, "from"))
+    sources = (trunk.before(section), *trunk.layer_indices(section, "from"))
     shapes = [trunk.shape(source) for source in sources]
     if len(set(shapes)) != 1:
         raise section.error(f"its layers differ in shape: {_sizes(shapes)}")

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.boxes import are_sound
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, road_class_of_each
 from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
@@ -117,7 +117,7 @@ def read_csv_labels(path: Path) -> CsvLabels:
     is_region = words == DONT_CARE
     numbers = {name: _numbers(table, name, is_region) for name in (*NEEDED, *OPTIONAL) if name != "class"}
     boxes = np.stack([numbers[name] for name in _BOX], axis=1)
-    for row in np.flatnonzero(~are_sound(boxes)).tolist():
+    for row in np.flatnonzero(~are_valid_boxes(boxes)).tolist():
         raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
     labels = CsvLabels(
         frame=numbers["frame"].astype(np.int64),

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from track_range.detection.boxes import are_sound
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
@@ -83,7 +83,7 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionFor
         raise LabelFileError(f"{path}: read as {kind}, that is the format {found}, not {form}.")
     score, score_note = _as_probability(boxes.score)
     near = (np.abs(np.nan_to_num(boxes.xyxy_px, nan=np.inf)) < _FAR_PX).all(axis=1)
-    sound = are_sound(boxes.xyxy_px) & near & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
+    sound = are_valid_boxes(boxes.xyxy_px) & near & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
     if np.any(frame > MAX_FRAME):
         raise LabelFileError(f"{path}: frame {frame.max()}: numbers up to {MAX_FRAME} wanted.")
     order = np.flatnonzero(sound)[np.argsort(frame[sound], kind="stable")]

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.arrays import FloatArray, Image, check_shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,6 @@ class LaneLine:
         powers = np.stack([np.ones_like(y_px), y_px, y_px**2], axis=-1)
         variance = np.einsum("...i,ij,...j->...", powers, self.covariance, powers)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-    def is_seen(self, y_px: FloatArray) -> BoolArray:
-        """Whether the line was seen in the given rows."""
-        return np.asarray((y_px >= self.y_top_px) & (y_px <= self.y_bottom_px))
 
 
 @dataclass(frozen=True, slots=True)

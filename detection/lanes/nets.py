@@ -22,7 +22,8 @@ from track_range.detection.lanes.decoders import (
     mask_points,
     row_anchor_points,
 )
-from track_range.detection.lanes.lines import LaneLines
+from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.detection.lanes.markings import Markings
 from track_range.detection.lanes.own_lane import OwnLane
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
@@ -62,6 +63,10 @@ class _Family:
 _SEGMENTATION = _Family(is_rgb=True, scale=_UNSCALED, sigma_px=1.0, horizon=0.47, aim=0.08)
 _CURVES = _Family(is_rgb=False, scale=_LSTR, sigma_px=2.0, horizon=0.35)
 _ROW_ANCHORS = _Family(is_rgb=True, scale=_IMAGENET, sigma_px=2.0, input_hw=(288, 800))
+
+
+CLASSICAL = "classical"
+"""Name of the lane finder that needs no network, `edges.EdgeLaneFinder`."""
 
 
 class NetLaneFinder:
@@ -218,3 +223,12 @@ def _scaled(points: Points, mask_hw: tuple[int, ...], input_hw: tuple[int, int])
     """Points of a mask in the input's pixels."""
     scale: FloatArray = np.array([input_hw[1] / mask_hw[1], input_hw[0] / mask_hw[0]])
     return (points[0] + 0.5) * scale - 0.5, points[1]
+
+
+def open_lane_finder(name_or_path: str, runtime: Runtime | None = None) -> LaneFinder:
+    """The classical finder, or the network in a file.
+
+    Raises:
+        ModelError: no such file, or no lane network.
+    """
+    return EdgeLaneFinder() if name_or_path == CLASSICAL else NetLaneFinder(Path(name_or_path), runtime)

@@ -44,25 +44,25 @@ class ModelOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Fact:
+class Attribute:
     """One thing known of a model, and in words who says so."""
 
     value: Any
     source: str
 
 
-class Facts:
+class ModelMetadata:
     """Everything said of one model, by key."""
 
-    def __init__(self, said: Mapping[str, Fact]) -> None:
+    def __init__(self, said: Mapping[str, Attribute]) -> None:
         self._said = said
 
-    def of(self, key: str, default: Any, source: str) -> Fact:
+    def of(self, key: str, default: Any, source: str) -> Attribute:
         """What is said under `key`, else the default."""
-        return self._said.get(key) or Fact(default, source)
+        return self._said.get(key) or Attribute(default, source)
 
 
-def read_facts(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> Facts:
+def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
     """All that options, metadata and `MODEL.yaml` say of the model at `path`, the first to speak wins.
 
     Raises:
@@ -71,16 +71,16 @@ def read_facts(path: Path, metadata: Mapping[str, str], options: ModelOptions) -
     told = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
     sidecar = path.with_suffix(".yaml")
     beside = _read_yaml(sidecar) if sidecar.is_file() else {}
-    said: dict[str, Fact] = {}
+    said: dict[str, Attribute] = {}
     for key, parse in _PARSERS.items():
         if told.get(key) is not None:
-            said[key] = Fact(_parsed(parse, told[key], f"--{key}"), "as given")
+            said[key] = Attribute(_parsed(parse, told[key], f"--{key}"), "as given")
         elif key in metadata:
             where = f"{path}: its metadata '{key}'"
-            said[key] = Fact(_parsed(parse, _literal(metadata[key]), where), "from the model's metadata")
+            said[key] = Attribute(_parsed(parse, _literal(metadata[key]), where), "from the model's metadata")
         elif key in beside:
-            said[key] = Fact(_parsed(parse, beside[key], f"{sidecar}: '{key}'"), f"from {sidecar.name} beside it")
-    return Facts(said)
+            said[key] = Attribute(_parsed(parse, beside[key], f"{sidecar}: '{key}'"), f"from {sidecar.name} beside it")
+    return ModelMetadata(said)
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, where: str) -> Any:

@@ -46,11 +46,6 @@ class AugmentationSettings:
     value: float = 0.4
 
 
-PLAIN = AugmentationSettings(
-    mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0
-)
-"""Nothing but the letterbox."""
-
 MIN_SIDE_PX = 2.0
 MIN_SHARE = 0.1
 """Of a box's area that must still be visible for it to be learnt (YOLOv5's)."""

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from track_range.detection.boxes import are_sound, iou
+from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.kitti import LabelFileError
@@ -229,7 +229,7 @@ def _with_who_sits(item: LabelledImage) -> LabelledImage:
         LabelFileError: a box is turned inside out, or not a number.
     """
     truth = item.truth
-    if not are_sound(truth.xyxy_px).all():
+    if not are_valid_boxes(truth.xyxy_px).all():
         raise LabelFileError(f"labels of {item.path}: a box without width or height, or whose edges are no numbers.")
     is_sitting = (truth.class_id == ROAD_CLASSES.index("person")) & truth.is_ignored & ~truth.is_region
     return replace(item, truth=replace(truth, is_ignored=truth.is_ignored & ~is_sitting))

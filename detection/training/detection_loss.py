@@ -132,8 +132,8 @@ class DetectionLoss:
         labels = batch.objects.select(~batch.objects.is_ignored)
         answers: Sequence[HeadAnswers | None] = batch.answers or [None] * len(raw)
         parts = [
-            self._of_head(head, told.float(), labels, batch, said)
-            for head, (told, said) in enumerate(zip(raw, answers, strict=True))
+            self._of_head(head, predictions.float(), labels, batch, said)
+            for head, (predictions, said) in enumerate(zip(raw, answers, strict=True))
         ]
         box, objectness, class_score = (torch.stack(column).sum() for column in zip(*parts, strict=True))
         height, width = batch.images.shape[2:]
@@ -157,13 +157,13 @@ class DetectionLoss:
             wanted = answers.objectness
             found = found.and_(_of_teacher(answers))
         where = (found.cells.image, found.cells.anchor, found.cells.row, found.cells.column)
-        told = raw[where]
+        predictions = raw[where]
         cells = torch.stack([found.cells.column, found.cells.row], 1).float()
-        boxes = network.boxes(told[:, :4], cells, network.anchors_px[head][found.cells.anchor], stride_px)
+        boxes = network.boxes(predictions[:, :4], cells, network.anchors_px[head][found.cells.anchor], stride_px)
         overlap = self._overlap(boxes, found.cxcywh)
         total = found.weight.sum().clamp(min=1e-6)
         box = ((1 - overlap) * found.weight).sum() / total
-        by_class = cross_entropy(told[:, 5:], found.class_score, reduction="none").mean(1)
+        by_class = cross_entropy(predictions[:, 5:], found.class_score, reduction="none").mean(1)
         class_score = (by_class * found.weight).sum() / total
         own = tuple(index[found.is_label] for index in where)
         quality = overlap.detach()[found.is_label].clamp(min=0)

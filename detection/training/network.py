@@ -63,14 +63,14 @@ class AnchorNetwork(nn.Module):
             batch, n_anchors, n_rows, n_columns, _ = head.shape
             cells = cells_xy(n_rows, n_columns, device=head.device)
             boxes = self.boxes(head[..., :4], cells, anchors_px.view(1, n_anchors, 1, 1, 2), stride_px)
-            told = torch.cat([boxes, head[..., 4:].sigmoid()], -1)
-            rows.append(told.reshape(batch, n_anchors * n_rows * n_columns, 5 + self.n_classes))
+            predictions = torch.cat([boxes, head[..., 4:].sigmoid()], -1)
+            rows.append(predictions.reshape(batch, n_anchors * n_rows * n_columns, 5 + self.n_classes))
         return torch.cat(rows, 1)
 
-    def as_heads(self, told: Sequence[Tensor]) -> list[Tensor]:
+    def as_heads(self, predictions: Sequence[Tensor]) -> list[Tensor]:
         """Convolutions' outputs (B, A (5 + classes), rows, columns) -> (B, A, rows, columns, 5 + classes)."""
         heads = []
-        for each in told:
+        for each in predictions:
             batch, _, n_rows, n_columns = each.shape
             heads.append(each.view(batch, self.n_anchors, 5 + self.n_classes, n_rows, n_columns).permute(0, 1, 3, 4, 2))
         return heads

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from track_range.detection.classes import COCO_CLASSES, road_class_of_each
-from track_range.detection.models.metadata import ModelOptions, read_facts
+from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.assignment import Cells
 from track_range.detection.training.errors import TrainingError
@@ -66,7 +66,7 @@ class Teacher:
         """
         network = yolov5_of_export(path)
         metadata = OnnxSession(path).metadata
-        names = read_facts(path, metadata, ModelOptions()).of("names", COCO_CLASSES, "default").value
+        names = read_metadata(path, metadata, ModelOptions()).of("names", COCO_CLASSES, "default").value
         if "trained_anchors" in metadata:
             network.anchors_px.copy_(torch.tensor(json.loads(metadata["trained_anchors"])))
         mine = road_class_of_each(names)
@@ -99,11 +99,11 @@ class Teacher:
         objectness = head[..., 4].float().sigmoid()
         where = (objectness > CONFIDENT).nonzero(as_tuple=True)
         image, anchor, row, column = where
-        told = head[where].float()
+        logits = head[where].float()
         cells_xy = torch.stack([column, row], 1).float()
         network = self.network
-        boxes = network.boxes(told[:, :4], cells_xy, network.anchors_px[index][anchor], network.strides_px[index])
-        scores = told.sigmoid()
+        boxes = network.boxes(logits[:, :4], cells_xy, network.anchors_px[index][anchor], network.strides_px[index])
+        scores = logits.sigmoid()
         best = scores[:, 5:].amax(1)
         mine = torch.stack([_best(scores, columns) for columns in self._columns], 1)
         share = mine.amax(1) / best.clamp(min=1e-6)  # near 1 where its best class is one of the student's

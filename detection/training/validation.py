@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import torch
 
-from track_range.detection.boxes import are_sound, nms
+from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
@@ -44,7 +44,7 @@ class NetworkDetector:
         hw = (image.shape[0], image.shape[1])
         letterbox = Letterbox.centred(hw, rectangular_input_hw(hw, size_px=self._size_px))
         form, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)
-        form.blank(blob)
+        form.fill_padding(blob)
         form.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
         with torch.no_grad(), torch.autocast(self._device.type, self._precision, self._precision != torch.float32):
             raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
@@ -53,7 +53,7 @@ class NetworkDetector:
         class_id = self._road_class_id[found.class_index]
         best = nms(found.xyxy_net, found.score, SAME_OBJECT_GROUP[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
         boxes = Detections.of(letterbox.to_image_clipped(found.xyxy_net[best]), found.score[best], class_id[best])
-        return boxes.select(are_sound(boxes.xyxy_px))
+        return boxes.select(are_valid_boxes(boxes.xyxy_px))
 
 
 def validate(

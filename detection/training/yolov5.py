@@ -87,9 +87,9 @@ class YoloV5(AnchorNetwork):
 
     def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
         """See `AnchorNetwork`."""
-        told = raw.sigmoid()
-        centre = (2 * told[..., :2] - 0.5 + cells_xy) * stride_px
-        return torch.cat([centre, (2 * told[..., 2:]) ** 2 * anchors_px], -1)
+        predictions = raw.sigmoid()
+        centre = (2 * predictions[..., :2] - 0.5 + cells_xy) * stride_px
+        return torch.cat([centre, (2 * predictions[..., 2:]) ** 2 * anchors_px], -1)
 
 
 def quiet_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int) -> nn.Conv2d:

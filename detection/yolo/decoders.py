@@ -26,13 +26,13 @@ class Candidates:
         xyxy_net: (N, 4) in the network's corner coordinates, finite.
         score: (N,) in [0, 1].
         class_index: (N,) index into the network's own classes.
-        n_unsound: boxes dropped because a number in them was NaN or infinite.
+        n_invalid: boxes dropped because a number in them was NaN or infinite.
     """
 
     xyxy_net: FloatArray
     score: FloatArray
     class_index: IntArray
-    n_unsound: int
+    n_invalid: int
 
     @classmethod
     def of(cls, xyxy_net: FloatArray, class_score: FloatArray32, min_score: FloatArray) -> Candidates:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.boxes import are_sound, nms
+from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_class_of_each
 from track_range.detection.detections import Detections
-from track_range.detection.models.metadata import Fact, Facts, ModelOptions, read_facts
+from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.detection.yolo.layouts import YoloModel, identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
@@ -70,7 +70,7 @@ class YoloDetector:
     Attributes:
         model: the family, its input and its class names, as told or assumed.
         size: the longer side of the input where the model leaves it open, and who says so.
-        n_unsound: boxes dropped so far because the network gave NaN or infinite numbers for them.
+        n_invalid: boxes dropped so far because the network gave NaN or infinite numbers for them.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class YoloDetector:
         self._settings = settings or YoloSettings()
         self._session = OnnxSession(path, runtime)
         _check_is_detector(self._session)
-        self._facts: Facts = read_facts(path, self._session.metadata, options or ModelOptions())
+        self._facts: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
-        self.n_unsound = 0
-        self.size: Fact = self._facts.of("size", DEFAULT_SIZE_PX, "default")
+        self.n_invalid = 0
+        self.size: Attribute = self._facts.of("size", DEFAULT_SIZE_PX, "default")
         if self._settings.size_px is not None:
-            self.size = Fact(self._settings.size_px, "as given")
+            self.size = Attribute(self._settings.size_px, "as given")
         self._prepare(image_hw=(self.size.value, self.size.value))
         names = self.model.names
         self._road_class: IntArray = road_class_of_each(names)
@@ -122,9 +122,9 @@ class YoloDetector:
     def notes(self) -> tuple[str, ...]:
         """Sentences for the user on the model, and on what it did so far."""
         names = f"Class names of {self._session.path.name}: {self.model.facts['names'].source}."
-        if not self.n_unsound:
+        if not self.n_invalid:
             return (*self._session.notes, names)
-        boxes = "1 box" if self.n_unsound == 1 else f"{self.n_unsound} boxes"
+        boxes = "1 box" if self.n_invalid == 1 else f"{self.n_invalid} boxes"
         return (*self._session.notes, names, f"The network gave NaN or infinite numbers: {boxes} dropped.")
 
     def detect(self, image: Image) -> Detections:
@@ -157,7 +157,7 @@ class YoloDetector:
         """The road users that the outputs for the latest image mean."""
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped, and counted
             found = self.model.decoder.decode(outputs, self._min_score)
-        self.n_unsound += found.n_unsound
+        self.n_invalid += found.n_invalid
         class_id = self._road_class[found.class_index]
         best = nms(
             found.xyxy_net,
@@ -167,7 +167,7 @@ class YoloDetector:
             max_boxes=self._settings.max_boxes,
         )
         boxes = Detections.of(self._letterbox.to_image_clipped(found.xyxy_net[best]), found.score[best], class_id[best])
-        return boxes.select(are_sound(boxes.xyxy_px))
+        return boxes.select(are_valid_boxes(boxes.xyxy_px))
 
     def _prepare(self, *, image_hw: tuple[int, int]) -> None:
         """Buffers, decoder and letterbox for images of one size; an input size seen before has its network still."""
@@ -182,7 +182,7 @@ class YoloDetector:
         form = self.model.input_format
         self._letterbox = Letterbox.placed(form.placement, image_hw, input_hw)
         self._scaled: Any = np.empty((*self._letterbox.resized_hw, 3), np.uint8)
-        form.blank(self._network.blob)
+        form.fill_padding(self._network.blob)
 
     def _input_hw(self, image_hw: tuple[int, int]) -> tuple[int, int]:
         _, _, height, width = self._session.input_shape

@@ -45,7 +45,7 @@ class InputFormat:
         """Placement and padding as `--letterbox` takes them."""
         return self.placement if self.placement == "stretch" else f"{self.placement}-{self.pad_grey}"
 
-    def blank(self, buffer: npt.NDArray[Any]) -> None:
+    def fill_padding(self, buffer: npt.NDArray[Any]) -> None:
         """Fill a network's input with the padding's grey."""
         buffer[:] = self.pad_grey / self.divisor
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import COCO_CLASSES, VOC_CLASSES
-from track_range.detection.models.metadata import Anchors, Fact, Facts
+from track_range.detection.models.metadata import Anchors, Attribute, ModelMetadata
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.decoders import (
     ColumnDecoder,
@@ -75,7 +75,7 @@ class YoloModel:
     decoder: Decoder
     input_format: InputFormat
     names: tuple[str, ...]
-    facts: Mapping[str, Fact]
+    facts: Mapping[str, Attribute]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +96,7 @@ class MatchedLayout:
     n_classes: int
     input_format: InputFormat
     decoder: Decoder
-    attributes: Mapping[str, Fact] = field(default_factory=dict)
+    attributes: Mapping[str, Attribute] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class NetworkOutputs:
     path: Path
     input_hw: tuple[int, int]
     shapes: tuple[tuple[int, ...], ...]
-    facts: Facts
+    facts: ModelMetadata
 
     def n_cells(self, strides_px: Sequence[int]) -> int:
         """Number of grid cells of the input at these strides, together."""
@@ -140,7 +140,7 @@ class DetectorLayout:
 
 
 def identify_layout(
-    path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], facts: Facts
+    path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], facts: ModelMetadata
 ) -> YoloModel:
     """The model that outputs of these shapes mean.
 
@@ -274,7 +274,7 @@ def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
     )
 
 
-def _check_anchors(path: Path, anchors: Fact, n_heads: int) -> None:
+def _check_anchors(path: Path, anchors: Attribute, n_heads: int) -> None:
     if len(anchors.value) != n_heads or len({len(head) for head in anchors.value}) != 1:
         raise ModelError(
             f"{path}: expected a group of anchors for each of {n_heads} output heads, all of one size; got groups of "
@@ -283,7 +283,7 @@ def _check_anchors(path: Path, anchors: Fact, n_heads: int) -> None:
         )
 
 
-def _names(path: Path, n_classes: int, facts: Facts) -> Fact:
+def _names(path: Path, n_classes: int, facts: ModelMetadata) -> Attribute:
     said = facts.of("names", None, "")
     if said.value is None:
         if n_classes not in _DEFAULT_NAMES:
@@ -291,7 +291,7 @@ def _names(path: Path, n_classes: int, facts: Facts) -> Fact:
                 f"{path}: it has {n_classes} classes without names; give them with --names a,b,c or --names FILE."
             )
         list_name, names = _DEFAULT_NAMES[n_classes]
-        return Fact(names, f"it has none; {n_classes} classes, so {list_name}'s {n_classes}")
+        return Attribute(names, f"it has none; {n_classes} classes, so {list_name}'s {n_classes}")
     if len(said.value) != n_classes:
         raise ModelError(
             f"{path}: it has {n_classes} classes, but {len(said.value)} names ({said.source}); give all, in order."
@@ -299,7 +299,7 @@ def _names(path: Path, n_classes: int, facts: Facts) -> Fact:
     return said
 
 
-def _input_format(default: InputFormat, family: str, facts: Facts, used: dict[str, Fact]) -> InputFormat:
+def _input_format(default: InputFormat, family: str, facts: ModelMetadata, used: dict[str, Attribute]) -> InputFormat:
     source = f"default of {family}"
     used["letterbox"] = facts.of("letterbox", default.letterbox, source)
     used["colours"] = facts.of("colours", default.colours, source)

@@ -86,10 +86,6 @@ class Letterbox:
         (y, x), (height, width) = self.pad_yx, self.resized_hw
         return slice(y, y + height), slice(x, x + width)
 
-    def to_input(self, xyxy_px: FloatArray) -> FloatArray:
-        """(N, 4) boxes in the image's pixels -> in the network's corner coordinates."""
-        return (xyxy_px + 0.5) * self._scale_xyxy + self._pad_xyxy
-
     def to_image(self, xyxy_net: FloatArray) -> FloatArray:
         """(N, 4) boxes in the network's corner coordinates -> in the image's pixels, not clipped."""
         return (xyxy_net - self._pad_xyxy) / self._scale_xyxy - 0.5

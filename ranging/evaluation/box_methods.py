@@ -18,9 +18,9 @@ from track_range.ranging.method import MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
-from track_range.ranging.size_models.curve import CurveError, SizeModel, load_curves
+from track_range.ranging.size_models.curve import CurveError, load_curves
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, PlainCurve
-from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.boxes import are_sound
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import FloatArray
@@ -43,7 +43,7 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
         raise LabelFileError(f"{path}: the file has no rows below its header.")
     numbers = {name: _numbers(table, name) for name in _NUMBERS if name in table}
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
-    for row in np.flatnonzero(~are_sound(xyxy_px)).tolist():
+    for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():
         raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
     return _box_set(table, numbers, xyxy_px, focal_px)
 

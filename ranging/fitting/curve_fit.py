@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.ranging.size_models.curve_file import CurveError
+from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 
 NEAREST_M, FARTHEST_M = 5.0, 100.0

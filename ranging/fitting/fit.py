@@ -12,8 +12,10 @@ from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.curve_comparison import CurveFit, compare_curves
 from track_range.ranging.fitting.box_csv import read_box_csv
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
-from track_range.ranging.fitting.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, SavedModel, fit_model, usable_boxes
+from track_range.ranging.fitting.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, fit_model, usable_boxes
 from track_range.ranging.fitting.settings import FitSettings
+from track_range.ranging.size_models.curve import save_curves
+from track_range.ranging.size_models.size_model import StoredSizeModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class FittedSizes:
 
     boxes: BoxSet
     name: str
-    model: SavedModel | None
+    model: StoredSizeModel | None
     comparison: Mapping[str, Sequence[CurveFit]]
     notes: tuple[str, ...]
 
@@ -53,7 +55,7 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
     model = None
     if settings.out is not None:
         model = fit_model(usable.boxes, name, source=_source(settings, usable.boxes))
-        model.save(settings.out)
+        save_curves(model, settings.out)
     refused = (f"Too few samples to fit a curve for {words}." for words in usable.refused)
     return FittedSizes(usable.boxes, name, model, comparison, (*notes, *refused))
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.boxes import are_sound, iou
+from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti, read_kitti_image
@@ -174,7 +174,7 @@ def _sequence(file: Path, calib: Path, boxes: str) -> tuple[BoxSet, bool]:
     every = every if boxes == "labels" else _detected(every, labels, file.name, boxes)
     span = (every.distance_m >= BANDS_M[0]) & (every.distance_m <= BANDS_M[-1])
     seen = (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED) & labels.has_3d_box
-    keep = np.flatnonzero(span & seen & are_sound(every.xyxy_px) & (every.class_name != ""))
+    keep = np.flatnonzero(span & seen & are_valid_boxes(every.xyxy_px) & (every.class_name != ""))
     return every.select(keep[np.argsort(labels.frame[keep], kind="stable")]), bool(labels.has_3d_box.any())
 
 

@@ -9,8 +9,6 @@ the others    plain curves of one size, made safe (`plain_curves.SAFE_CURVES`); 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -20,10 +18,10 @@ from track_range.ranging.evaluation.box_methods import labelled_sizes, plain_fit
 from track_range.ranging.fitting.curve_fit import MIN_SAMPLES, SizeSamples, fit_curves
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.fitting.prior_fit import fit_size_priors
-from track_range.ranging.size_models.curve_file import CurveError
+from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurves
 from track_range.ranging.size_models.plain_curves import SAFE_CURVES, FittedTable
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, SizeModel
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, StoredSizeModel
 from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
@@ -34,18 +32,6 @@ MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)
 _MIN_SIGMA_RELATIVE = 0.03
 _MIN_SPREAD = 1.3
 """Smallest ratio of a class's 95th and 5th percentile of height that tells a curve from a point."""
-
-
-class SavedModel(SizeModel, Protocol):
-    """A model that can be written."""
-
-    def save(self, path: Path) -> None:
-        """Write it as a curve file.
-
-        Raises:
-            CurveError: the file cannot be written.
-        """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +63,7 @@ def usable_boxes(boxes: BoxSet) -> UsableBoxes:
     return UsableBoxes(boxes.select(good), tuple(refused))
 
 
-def fit_model(boxes: BoxSet, name: str, *, source: str) -> SavedModel:
+def fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
     """The model `name` (of `MODEL_NAMES`) fitted on boxes.
 
     Raises:

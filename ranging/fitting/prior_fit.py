@@ -16,7 +16,7 @@ import numpy.typing as npt
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.curve_file import CurveError
+from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, TURN_DEG, SizePrior
 
 MIN_OBJECTS, MIN_BOXES = 3, 100

@@ -35,6 +35,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.method import ErrorSource, MethodContext, RangingMethod
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.size_models.shared_ground import solve_ground
 from track_range.ranging.size_models.size_model import BORDER_PX, SIZE_CLASSES
 from track_range.ranging.size_models.surface_offset import surface_offset_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -306,9 +307,7 @@ def _information(settings: GroundSettings, camera: PinholeCamera) -> FloatArray:
 
 def _solved(terms: FloatArray) -> _Plane:
     """The planes of (5, ...) information: the least-squares solutions and their covariances."""
-    a, b, c, u, v = terms
-    scale = 1.0 / (a * c - b * b)
-    return _Plane((c * u - b * v) * scale, (a * v - b * u) * scale, c * scale, -b * scale, a * scale)
+    return _Plane(*solve_ground(*terms))
 
 
 def _create(context: MethodContext) -> Ranger:

@@ -1,32 +1,30 @@
-"""CuboidSizes: distances of a frame's boxes by what is known of sizes, and by the ground that they share.
+"""CuboidSizes: distances of a frame's boxes from size priors and the common ground plane.
 
-A detector that says car may mean a van: such a class is a mixture of priors (`SOLD_AS`), and where the box stands on
-the road tells which of the two it is likely to be. Only boxes of classes that stand on the road say anything of it.
+A detector's car may be a van: such a class is a mixture of priors (`CLASS_CONFUSION`), and the position of the box's
+bottom edge on the road decides between the two. Only boxes of classes that stand on the road inform the ground plane.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.size_models.curve_file import write_curve_file
 from track_range.ranging.size_models.posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior
 from track_range.ranging.size_models.shared_ground import GroundPrior, Stand
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
 
 KIND = "cuboids"
 
-SOLD_AS: Mapping[str, Mapping[str, float]] = {
+CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
     "car": {"car": 0.96, "van": 0.04},
     "van": {"van": 0.95, "truck": 0.05},
 }
-"""What a class's name may mean, with shares: detectors call vans cars, and KITTI calls lorries of 3 m height vans."""
+"""True classes of a detected class, with probabilities: detectors take vans for cars, KITTI 3 m lorries for vans."""
 
 _MIDDLE_68 = np.array([[0.158655], [0.5], [0.841345]])
 _BEST_RELATIVE = np.array([[False], [True], [False]])  # the middle: of the smallest expected relative error
@@ -43,19 +41,19 @@ class CuboidSizes:
         self._tables = ShapeTables(priors)
         self._stands = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
         self._known = np.array([name in priors for name in SIZE_CLASSES])
-        self._kinds, self._log_shares = _what_is_sold_as(priors)
+        self._kinds, self._log_shares = _class_mixture(priors)
 
-    def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
+    def measure(self, boxes: BoxExtents) -> SizeRanges:
         """Distances of the boxes of one frame, together."""
         known = self._known[boxes.size_class]
         if known.all() and len(boxes):
-            return SizedDistances(*self._measured(boxes))
+            return SizeRanges(*self._measured(boxes))
         columns = np.full((3, len(boxes)), np.nan)
         if known.any():
             columns[:, known] = self._measured(boxes.select(known))
-        return SizedDistances(*columns)
+        return SizeRanges(*columns)
 
-    def _measured(self, boxes: MeasuredBoxes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _measured(self, boxes: BoxExtents) -> tuple[FloatArray, FloatArray, FloatArray]:
         sold_as = boxes.size_class
         kinds, log_shares = self._kinds.take(sold_as, axis=1), self._log_shares.take(sold_as, axis=1)
         by_size = mixture_by_size(self._tables, boxes, kinds, log_shares)
@@ -73,14 +71,10 @@ class CuboidSizes:
         distance_m = np.exp(best)
         return distance_m, distance_m * sigma, distance_m * kept
 
-    def save(self, path: Path) -> None:
-        """Write the priors as JSON, whole or not at all.
-
-        Raises:
-            CurveError: the file cannot be written.
-        """
+    def document(self) -> dict[str, Any]:
+        """Content of a curve file of this kind."""
         classes = {name: asdict(prior) for name, prior in self.priors.items()}
-        write_curve_file(path, KIND, {"ground": asdict(self.ground), "classes": classes})
+        return {"kind": KIND, "ground": asdict(self.ground), "classes": classes}
 
 
 def cuboids_in(document: Mapping[str, Any]) -> CuboidSizes:
@@ -106,10 +100,11 @@ def _tuples(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _what_is_sold_as(priors: Mapping[str, SizePrior]) -> tuple[IntArray, FloatArray]:
-    """(M, classes) kinds that each class's name may mean, and the logarithms of their shares."""
+def _class_mixture(priors: Mapping[str, SizePrior]) -> tuple[IntArray, FloatArray]:
+    """(M, classes) true size classes of each detected class, and the logarithms of their probabilities."""
     meant = [
-        {one: share for one, share in SOLD_AS.get(name, {name: 1.0}).items() if one in priors} for name in SIZE_CLASSES
+        {one: share for one, share in CLASS_CONFUSION.get(name, {name: 1.0}).items() if one in priors}
+        for name in SIZE_CLASSES
     ]
     most = max(len(kinds) for kinds in meant)
     kinds = np.tile(np.arange(len(SIZE_CLASSES)), (most, 1))

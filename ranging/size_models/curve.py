@@ -1,38 +1,44 @@
-"""What a curve file knows of sizes: loads it, whatever kind of model it holds.
+"""Curve files: size models as JSON with a version and the kind of model.
 
-`cuboids` (packaged): priors over sizes, aspect and the ground (`cuboid_sizes.py`). `log-linear`: a curve per class
-(`log_linear_sizes.py`). `table`: a plain curve, such as the paper's polynomial, made safe (`table_sizes.py`).
+`cuboids` (packaged): priors over sizes, aspect and the ground (`cuboid_sizes`). `log-linear`: a curve per class
+(`log_linear`). `table`: a plain curve, such as the paper's polynomial, made monotonic (`tables`).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from track_range.ranging.size_models import cuboid_sizes
-from track_range.ranging.size_models import log_linear as log_linear_sizes
-from track_range.ranging.size_models import tables as table_sizes
-from track_range.ranging.size_models.curve_file import CURVE_VERSION, CurveError, read_curve_file
-from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
-from track_range.ranging.size_models.size_model import SizeModel
+from track_range.foundation.atomic_files import describe, write_text
+from track_range.foundation.errors import UserError
+from track_range.ranging.size_models import cuboid_sizes, log_linear, tables
+from track_range.ranging.size_models.size_model import StoredSizeModel
 
-__all__ = ["CURVE_VERSION", "CurveError", "SizeCurve", "SizeCurves", "SizeModel", "load_curves"]
+CURVE_VERSION = 2
+_VERSION_KEY = "track_range_size_curves"
 
-_READERS: Mapping[str, Callable[[Mapping[str, Any]], SizeModel]] = {
+
+class CurveError(UserError):
+    """A curve file that cannot be used, or labels that no curve can be fitted on; the message says why."""
+
+
+_READERS: Mapping[str, Callable[[Mapping[str, Any]], StoredSizeModel]] = {
     cuboid_sizes.KIND: cuboid_sizes.cuboids_in,
-    log_linear_sizes.KIND: log_linear_sizes.log_linear_in,
-    table_sizes.KIND: table_sizes.tables_in,
+    log_linear.KIND: log_linear.log_linear_in,
+    tables.KIND: tables.tables_in,
 }
 
 
-def load_curves(path: Path | None = None) -> SizeModel:
+def load_curves(path: Path | None = None) -> StoredSizeModel:
     """The model in a curve file; None = the packaged one.
 
     Raises:
         CurveError: no such file, not our format or version, an unknown kind or class, numbers that make no sense.
     """
-    name, document = read_curve_file(path)
+    name, document = _read_document(path)
     kind = str(document.get("kind"))
     if kind not in _READERS:
         raise CurveError(f"{name}: curves of kind {kind}; of {', '.join(_READERS)}.")
@@ -40,3 +46,39 @@ def load_curves(path: Path | None = None) -> SizeModel:
         return _READERS[kind](document)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise CurveError(f"{name}: not a curve file of track-range ({error!r}).") from error
+
+
+def save_curves(model: StoredSizeModel, path: Path) -> None:
+    """Write a model as a curve file, atomically.
+
+    Raises:
+        CurveError: the file cannot be written.
+    """
+    document = {_VERSION_KEY: CURVE_VERSION, **model.document()}
+    try:
+        write_text(path, json.dumps(document, indent=2) + "\n")
+    except OSError as error:
+        raise CurveError(f"{path}: cannot be written ({describe(error)}).") from error
+
+
+def _read_document(path: Path | None) -> tuple[str, Mapping[str, Any]]:
+    """Name and content of a curve file; None = the packaged one.
+
+    Raises:
+        CurveError: no such file, not our format, or of another version.
+    """
+    packaged = resources.files("track_range.ranging").joinpath("curves/cuboids.json")
+    name = str(path or packaged)
+    try:
+        document = json.loads((path or packaged).read_text(encoding="utf-8"))
+        version = document[_VERSION_KEY]
+    except OSError as error:
+        raise CurveError(f"{name}: cannot be read ({error.strerror or error}).") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise CurveError(f"{name}: not a curve file of track-range ({error!r}).") from error
+    if version != CURVE_VERSION:
+        raise CurveError(
+            f"{name}: version {version} of a curve file; this track-range reads version {CURVE_VERSION}: "
+            "fit it anew with `track-range fit`."
+        )
+    return name, document

@@ -12,14 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.size_models.curve_file import write_curve_file
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
 
 KIND = "log-linear"
 
@@ -61,7 +59,7 @@ class SizeCurves:
         self.height_only = dict(height_only)
         self._tables = np.stack([_table(self.height_only), _table(self.whole)])
 
-    def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
+    def measure(self, boxes: BoxExtents) -> SizeRanges:
         """Distances of boxes, each by itself."""
         table = self._tables[boxes.uses_width.astype(np.int64), boxes.size_class]
         log_size = np.log(boxes.wh_over_f)
@@ -70,20 +68,16 @@ class SizeCurves:
         distance_m = np.exp(table[:, 0] + (slopes * terms).sum(axis=1))
         noise = (slopes[:, 1::-1] ** 2 * boxes.log_variance).sum(axis=1)
         kept_m = distance_m * table[:, 4]
-        return SizedDistances(distance_m, np.hypot(kept_m, distance_m * np.sqrt(noise)), kept_m)
+        return SizeRanges(distance_m, np.hypot(kept_m, distance_m * np.sqrt(noise)), kept_m)
 
-    def save(self, path: Path) -> None:
-        """Write the curves as JSON, whole or not at all.
-
-        Raises:
-            CurveError: the file cannot be written.
-        """
+    def document(self) -> dict[str, Any]:
+        """Content of a curve file of this kind."""
         equation = "log d_m = intercept + per_log_height log(h/fy) + per_log_width log(w/fx) + per_bearing |x/z|"
         sections = {
             "whole": {name: asdict(curve) for name, curve in self.whole.items()},
             "height_only": {name: asdict(curve) for name, curve in self.height_only.items()},
         }
-        write_curve_file(path, KIND, {"equation": equation, **sections})
+        return {"kind": KIND, "equation": equation, **sections}
 
 
 def log_linear_in(document: Mapping[str, Any]) -> SizeCurves:

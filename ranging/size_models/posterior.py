@@ -19,7 +19,7 @@ import numpy.typing as npt
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.size_models.prior import NODE_RANGE, ShapeTables
 from track_range.ranging.size_models.shared_ground import GroundPrior, Stand, seen_by_others
-from track_range.ranging.size_models.size_model import MeasuredBoxes
+from track_range.ranging.size_models.size_model import BoxExtents
 
 NO_CHANCE = -1e9  # log weight of the turns of a kind that a box cannot be of
 _UNSEEN = 1e4  # variance of the log width of a box that is cut off at a side
@@ -64,7 +64,7 @@ class SizeMixture:
         return mean, np.sqrt(variance)
 
 
-def mixture_by_size(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray, log_shares: FloatArray) -> SizeMixture:
+def mixture_by_size(tables: ShapeTables, boxes: BoxExtents, kinds: IntArray, log_shares: FloatArray) -> SizeMixture:
     """What the sizes of boxes say.
 
     Args:
@@ -103,7 +103,7 @@ class _AtNodes:
     noise: _Single
 
 
-def _at_nodes(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray) -> _AtNodes:
+def _at_nodes(tables: ShapeTables, boxes: BoxExtents, kinds: IntArray) -> _AtNodes:
     log_hw = np.log(boxes.wh_over_f.T[::-1])
     log_height, mean_log_m, trust = tables.typical.take(kinds, axis=1)
     guess = log_height - log_hw[0]
@@ -123,7 +123,7 @@ def _at_nodes(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray) -> _At
     )
 
 
-def _terms(tables: ShapeTables, boxes: MeasuredBoxes, kinds: IntArray, log_shares: FloatArray) -> _Single:
+def _terms(tables: ShapeTables, boxes: BoxExtents, kinds: IntArray, log_shares: FloatArray) -> _Single:
     """(5, all turns of all kinds, N): log weight, mean, variance, variance by the box's noise, nearer.
 
     With x = log d - node, the node's values and slopes s: log size = value + s x + error, error ~ N(0, S + noise), and

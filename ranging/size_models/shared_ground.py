@@ -100,10 +100,10 @@ def seen_by_others(stand: Stand, prior: GroundPrior) -> SeenGround:
         away = y - horizon - height * x
         weight = sure / (1.0 + away * away / (_TAIL**2 * (variance + shared)))
         known = [a + b for a, b in zip(_prior_information(prior, horizon), (basis @ weight).tolist(), strict=True)]
-        horizon, height, a, b, c = _solved(*known)
+        horizon, height, a, b, c = solve_ground(*known)
         shared = a + x * (2 * b + x * c)
     by_others: FloatArray = np.array(known)[:, None] - basis * weight
-    horizons, heights, *covariance = _solved(*by_others)
+    horizons, heights, *covariance = solve_ground(*by_others)
     variances = covariance[0] + x * (2 * covariance[1] + x * covariance[2])
     is_alone = stand.tells == np.count_nonzero(stand.tells)  # of one that tells itself, of none all
     return SeenGround(horizons, heights, variances, is_alone)
@@ -116,7 +116,11 @@ def _prior_information(prior: GroundPrior, horizon: float) -> tuple[float, ...]:
     return about, 0.0, of_height, about * prior.horizon, of_height * prior.camera_height_m
 
 
-def _solved(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:
-    """Horizon, height, and the three numbers of their covariance, from information."""
+def solve_ground(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:
+    """Horizon and camera height from normal equations, and their covariance: horizon, mixed, height.
+
+    [a b] [horizon]   [u]
+    [b c] [height ] = [v]
+    """
     scale = 1.0 / (a * c - b * b)
     return (c * u - b * v) * scale, (a * v - b * u) * scale, c * scale, -b * scale, a * scale

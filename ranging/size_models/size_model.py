@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class BoxNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredBoxes:
+class BoxExtents:
     """Boxes of one frame, (N,) each unless said otherwise; all lengths over the focal length.
 
     Attributes:
@@ -69,9 +69,9 @@ class MeasuredBoxes:
     def __len__(self) -> int:
         return len(self.bearing)
 
-    def select(self, keep: BoolArray | IntArray) -> MeasuredBoxes:
+    def select(self, keep: BoolArray | IntArray) -> BoxExtents:
         """The rows that a mask or an index array names."""
-        return MeasuredBoxes(*(getattr(self, field.name)[keep] for field in fields(self)))
+        return BoxExtents(*(getattr(self, field.name)[keep] for field in fields(self)))
 
     @property
     def log_variance(self) -> FloatArray:
@@ -86,12 +86,12 @@ def measured_boxes(
     camera: PinholeCamera,
     noise: BoxNoise,
     uses_width_bottom: tuple[BoolArray, BoolArray] | None = None,
-) -> MeasuredBoxes:
+) -> BoxExtents:
     """Boxes (N, 4) of positive size as `camera` (undistorted) sees them; None = all their edges are seen."""
     focal_px = np.array([camera.fx_px, camera.fy_px])
     size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
     uses_width, uses_bottom = uses_width_bottom or (np.ones(len(xyxy_px), np.bool_), np.ones(len(xyxy_px), np.bool_))
-    return MeasuredBoxes(
+    return BoxExtents(
         wh_over_f=size_px / focal_px,
         bearing=((xyxy_px[:, 0] + xyxy_px[:, 2]) / 2 - camera.cx_px) / camera.fx_px,
         bottom=(xyxy_px[:, 3] - camera.cy_px) / camera.fy_px,
@@ -103,7 +103,7 @@ def measured_boxes(
 
 
 @dataclass(frozen=True, slots=True)
-class SizedDistances:
+class SizeRanges:
     """Distances by size, (N,) each, NaN = nothing is known of the class.
 
     Attributes:
@@ -121,6 +121,14 @@ class SizedDistances:
 class SizeModel(Protocol):
     """What is known of sizes: curves, or priors over cuboids."""
 
-    def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
+    def measure(self, boxes: BoxExtents) -> SizeRanges:
         """How far the boxes of one frame are."""
+        ...
+
+
+class StoredSizeModel(SizeModel, Protocol):
+    """A size model that can be written to a curve file, see `curve.save_curves`."""
+
+    def document(self) -> dict[str, Any]:
+        """Content of the file: "kind", and the model's numbers as JSON."""
         ...

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.size_models.curve_file import write_curve_file
 from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes, SizedDistances
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
 
 KIND = "table"
 _STEP = 0.02  # of the slope by log size, to either side
@@ -36,7 +34,7 @@ class TableSizes:
         self.measured = measure
         self.curves = dict(curves)
 
-    def measure(self, boxes: MeasuredBoxes) -> SizedDistances:
+    def measure(self, boxes: BoxExtents) -> SizeRanges:
         """Distances of boxes, each by itself; NaN where a side is cut off and the curve is of the diagonal."""
         distance_m, sigma_m, kept_m = np.full((3, len(boxes)), np.nan)
         seen = boxes.uses_width | (self.measured == "height")
@@ -47,9 +45,9 @@ class TableSizes:
             kept_m[rows] = distance_m[rows] * curve.sigma_relative
             noise = (self._slopes(curve.table, mine) ** 2 * mine.log_variance).sum(axis=1)
             sigma_m[rows] = np.hypot(kept_m[rows], distance_m[rows] * np.sqrt(noise))
-        return SizedDistances(distance_m, sigma_m, kept_m)
+        return SizeRanges(distance_m, sigma_m, kept_m)
 
-    def _slopes(self, table: FittedTable, boxes: MeasuredBoxes) -> FloatArray:
+    def _slopes(self, table: FittedTable, boxes: BoxExtents) -> FloatArray:
         """(N, 2) of log distance by log width and log height."""
         found = [
             np.log(table.predict(boxes.wh_over_f * np.exp(step), boxes.bearing))
@@ -58,12 +56,8 @@ class TableSizes:
         ]
         return np.stack(found, axis=1) / (2 * _STEP)
 
-    def save(self, path: Path) -> None:
-        """Write the curves as JSON, whole or not at all.
-
-        Raises:
-            CurveError: the file cannot be written.
-        """
+    def document(self) -> dict[str, Any]:
+        """Content of a curve file of this kind."""
         classes = {
             name: {
                 "log_size": curve.table.log_size.round(5).tolist(),
@@ -74,7 +68,7 @@ class TableSizes:
             }
             for name, curve in self.curves.items()
         }
-        write_curve_file(path, KIND, {"measure": self.measured, "classes": classes})
+        return {"kind": KIND, "measure": self.measured, "classes": classes}
 
 
 def tables_in(document: Mapping[str, Any]) -> TableSizes:

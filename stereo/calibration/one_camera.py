@@ -85,7 +85,7 @@ class Fit(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class IntrinsicSds:
+class IntrinsicStd:
     """Standard deviations of a camera's numbers, px."""
 
     fx_px: float
@@ -100,7 +100,7 @@ class CameraCalibration:
 
     Attributes:
         camera: the camera.
-        sds: of its numbers: from leaving out views, or from the corners' scatter where that is more.
+        std: of its numbers: from leaving out views, or from the corners' scatter where that is more.
         rms_px: root mean square residual of all corners.
         fits: the views used.
         rejected: the views left out.
@@ -108,7 +108,7 @@ class CameraCalibration:
     """
 
     camera: PinholeCamera
-    sds: IntrinsicSds
+    std: IntrinsicStd
     rms_px: float
     fits: tuple[ViewFit, ...]
     rejected: tuple[RejectedView, ...]
@@ -116,13 +116,13 @@ class CameraCalibration:
 
 
 def calibrate_camera(
-    views: Sequence[BoardView], *, n_lens_terms: int = 5, advance: Advance | None = None
+    views: Sequence[BoardView], *, n_distortion_coefficients: int = 5, advance: Advance | None = None
 ) -> CameraCalibration:
     """Calibrate the camera that took all these views; the first one's size is taken for all.
 
     Args:
         views: of one board, from one camera.
-        n_lens_terms: 0, 4, 5 or 8.
+        n_distortion_coefficients: 0, 4, 5 or 8.
         advance: told steps done, and of how many.
 
     Raises:
@@ -130,16 +130,18 @@ def calibrate_camera(
     """
     check_views(len(views))
     check_motion(views)
-    kept, rejected = without_outliers(list(views), lambda those: fit_camera(those, n_lens_terms)[1])
-    camera, fits = fit_camera(kept, n_lens_terms)
+    kept, rejected = without_outliers(list(views), lambda those: fit_camera(those, n_distortion_coefficients)[1])
+    camera, fits = fit_camera(kept, n_distortion_coefficients)
     coverage = coverage_of(kept, np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
-    sampled = leave_out_groups(kept, lambda those: _intrinsics(fit_camera(those, n_lens_terms)[0]), advance)
+    sampled = leave_out_groups(
+        kept, lambda those: _intrinsics(fit_camera(those, n_distortion_coefficients)[0]), advance
+    )
     # Few views make the jackknife itself uncertain; the corners' scatter is what is left at least.
-    sds = IntrinsicSds(*np.maximum(jackknife_sigma(sampled), _corner_sds(kept, n_lens_terms)).tolist())
-    check_determined(sds, camera)
-    return CameraCalibration(camera, sds, total_rms_px(fits), fits, rejected, coverage)
+    std = IntrinsicStd(*np.maximum(jackknife_sigma(sampled), _corner_std(kept, n_distortion_coefficients)).tolist())
+    check_determined(std, camera)
+    return CameraCalibration(camera, std, total_rms_px(fits), fits, rejected, coverage)
 
 
 PARALLEL = (
@@ -148,17 +150,21 @@ PARALLEL = (
 )
 
 
-def fit_camera(views: Sequence[BoardView], n_lens_terms: int) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
+def fit_camera(views: Sequence[BoardView], n_distortion_coefficients: int) -> tuple[PinholeCamera, tuple[ViewFit, ...]]:
     """The camera with the least squared residuals, and how each view fits; nothing is left out."""
     size_px = views[0].size_px
     with_points = ([view.xyz_m.astype(np.float32) for view in views], [view.xy_px.astype(np.float32) for view in views])
     try:
         _, matrix, lens, turns, shifts = cv2.calibrateCamera(
-            *with_points, size_px, np.eye(3), np.zeros(max(n_lens_terms, 5)), flags=LENS_TERMS[n_lens_terms]
+            *with_points,
+            size_px,
+            np.eye(3),
+            np.zeros(max(n_distortion_coefficients, 5)),
+            flags=LENS_TERMS[n_distortion_coefficients],
         )
     except cv2.error as error:
         raise CalibrationError("these views determine no camera; show the board tilted and in other places.") from error
-    camera = camera_of(matrix, lens, size_px, n_lens_terms)
+    camera = camera_of(matrix, lens, size_px, n_distortion_coefficients)
     poses = [pose_of(turn, shift) for turn, shift in zip(turns, shifts, strict=True)]
     return camera, tuple(
         ViewFit(view, residuals_px(view, pose, camera), pose) for view, pose in zip(views, poses, strict=True)
@@ -173,10 +179,12 @@ def residuals_px(view: BoardView, board_to_camera: FloatArray, camera: PinholeCa
     return view.xy_px - np.asarray(projected, np.float64).reshape(-1, 2)
 
 
-def camera_of(matrix: npt.ArrayLike, lens: npt.ArrayLike, size_px: tuple[int, int], n_lens_terms: int) -> PinholeCamera:
+def camera_of(
+    matrix: npt.ArrayLike, lens: npt.ArrayLike, size_px: tuple[int, int], n_distortion_coefficients: int
+) -> PinholeCamera:
     """OpenCV's (3, 3) matrix and lens terms as a camera."""
     (fx, _, cx), (_, fy, cy) = np.asarray(matrix, np.float64)[:2].tolist()
-    terms = np.asarray(lens, np.float64).ravel()[:n_lens_terms]
+    terms = np.asarray(lens, np.float64).ravel()[:n_distortion_coefficients]
     return PinholeCamera(fx, fy, cx, cy, *size_px, tuple(terms.tolist()))
 
 
@@ -210,13 +218,13 @@ def check_motion(views: Sequence[BoardView]) -> None:
         )
 
 
-def check_determined(sds: IntrinsicSds, camera: PinholeCamera) -> None:
+def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
     """Refuse a camera whose focal length is open.
 
     Raises:
         CalibrationError: its standard deviation is large, or no number.
     """
-    share = max(sds.fx_px / camera.fx_px, sds.fy_px / camera.fy_px)
+    share = max(std.fx_px / camera.fx_px, std.fy_px / camera.fy_px)
     if not share <= _MAX_FOCAL_SD:
         raise CalibrationError(
             f"these views leave the focal length open (standard deviation {100 * share:.0f} %); "
@@ -260,12 +268,12 @@ def leave_out_groups(
     return np.stack(samples)
 
 
-def _corner_sds(views: Sequence[BoardView], n_lens_terms: int) -> FloatArray:
+def _corner_std(views: Sequence[BoardView], n_distortion_coefficients: int) -> FloatArray:
     """(4,) standard deviations of fx, fy, cx, cy if all corners erred on their own (OpenCV's)."""
     corners = ([view.xyz_m.astype(np.float32) for view in views], [view.xy_px.astype(np.float32) for view in views])
-    terms, flags = np.zeros(max(n_lens_terms, 5)), LENS_TERMS[n_lens_terms]
-    sds = cv2.calibrateCameraExtended(*corners, views[0].size_px, np.eye(3), terms, flags=flags)[5]
-    return np.asarray(sds, np.float64).ravel()[:4]
+    terms, flags = np.zeros(max(n_distortion_coefficients, 5)), LENS_TERMS[n_distortion_coefficients]
+    std = cv2.calibrateCameraExtended(*corners, views[0].size_px, np.eye(3), terms, flags=flags)[5]
+    return np.asarray(std, np.float64).ravel()[:4]
 
 
 def _intrinsics(camera: PinholeCamera) -> FloatArray:

@@ -25,7 +25,7 @@ from track_range.stereo.calibration.one_camera import (
     PARALLEL,
     Advance,
     CameraCalibration,
-    IntrinsicSds,
+    IntrinsicStd,
     ViewFit,
     camera_of,
     check_determined,
@@ -39,7 +39,7 @@ from track_range.stereo.calibration.one_camera import (
     without_outliers,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rectification import Rectifier, lens_terms, turns_of
+from track_range.stereo.geometry.rectification import Rectifier, lens_terms, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
@@ -100,13 +100,13 @@ class PairCalibration:
 
 
 def calibrate_pair(
-    pairs: Sequence[ViewPair], *, n_lens_terms: int = 5, advance: Advance | None = None
+    pairs: Sequence[ViewPair], *, n_distortion_coefficients: int = 5, advance: Advance | None = None
 ) -> PairCalibration:
     """Calibrate the rig that took all these pairs.
 
     Args:
         pairs: the same corners of one board, seen by the left and the right eye at one instant.
-        n_lens_terms: 0, 4, 5 or 8.
+        n_distortion_coefficients: 0, 4, 5 or 8.
         advance: told steps done, and of how many.
 
     Raises:
@@ -115,14 +115,14 @@ def calibrate_pair(
     check_views(len(pairs))
     for eye in (0, 1):
         check_motion([pair[eye] for pair in pairs])
-    kept, rejected = without_outliers(list(pairs), lambda those: _fit(those, n_lens_terms)[1])
-    rig, fits = _fit(kept, n_lens_terms)
-    _check_together(kept, fits, n_lens_terms)
-    _check_standing(rig)
+    kept, rejected = without_outliers(list(pairs), lambda those: _fit(those, n_distortion_coefficients)[1])
+    rig, fits = _fit(kept, n_distortion_coefficients)
+    _check_together(kept, fits, n_distortion_coefficients)
+    _check_relative_pose(rig)
     held_out_px: list[float] = []
 
     def without_some(those: list[ViewPair]) -> FloatArray:
-        partial, _ = _fit(those, n_lens_terms)
+        partial, _ = _fit(those, n_distortion_coefficients)
         held_out_px.extend(rows_px(partial, pair) for pair in kept if not any(pair is one for one in those))
         return _numbers(partial)
 
@@ -139,7 +139,7 @@ def calibrate_pair(
 def rows_px(rig: StereoRig, pair: ViewPair) -> float:
     """Mean |dy| of a pair's corners in the rectified images."""
     cameras = (rig.left, rig.right)
-    turns = turns_of(rig)
+    turns = stereo_rectification(rig)
     rows = [
         cv2.undistortPoints(view.xy_px.reshape(-1, 1, 2), camera.matrix, lens_terms(camera), R=turn, P=new)[:, 0, 1]
         for view, camera, turn, new in zip(pair, cameras, turns[:2], turns[2:4], strict=True)
@@ -147,9 +147,9 @@ def rows_px(rig: StereoRig, pair: ViewPair) -> float:
     return float(np.abs(rows[0] - rows[1]).mean())
 
 
-def _fit(pairs: Sequence[ViewPair], n_lens_terms: int) -> tuple[StereoRig, tuple[PairFit, ...]]:
+def _fit(pairs: Sequence[ViewPair], n_distortion_coefficients: int) -> tuple[StereoRig, tuple[PairFit, ...]]:
     """The rig with the least squared residuals, each eye's own calibration being the start."""
-    eyes = [fit_camera([pair[eye] for pair in pairs], n_lens_terms)[0] for eye in (0, 1)]
+    eyes = [fit_camera([pair[eye] for pair in pairs], n_distortion_coefficients)[0] for eye in (0, 1)]
     lens = [np.array(camera.distortion or (0.0,) * 5) for camera in eyes]
     _, left_matrix, left_lens, right_matrix, right_lens, turn, shift, _, _, turns, shifts, _ = (
         cv2.stereoCalibrateExtended(
@@ -157,13 +157,13 @@ def _fit(pairs: Sequence[ViewPair], n_lens_terms: int) -> tuple[StereoRig, tuple
             [pair[0].xy_px.astype(np.float32) for pair in pairs],
             [pair[1].xy_px.astype(np.float32) for pair in pairs],
             eyes[0].matrix, lens[0], eyes[1].matrix, lens[1], pairs[0][0].size_px, np.eye(3), np.zeros((3, 1)),
-            flags=cv2.CALIB_USE_INTRINSIC_GUESS | LENS_TERMS[n_lens_terms], criteria=_CRITERIA,
+            flags=cv2.CALIB_USE_INTRINSIC_GUESS | LENS_TERMS[n_distortion_coefficients], criteria=_CRITERIA,
         )
     )  # fmt: skip
     right_from_left = np.eye(4)
     right_from_left[:3, :3], right_from_left[:3, 3] = turn, np.asarray(shift).ravel()
-    left = camera_of(left_matrix, left_lens, pairs[0][0].size_px, n_lens_terms)
-    right = camera_of(right_matrix, right_lens, pairs[0][1].size_px, n_lens_terms)
+    left = camera_of(left_matrix, left_lens, pairs[0][0].size_px, n_distortion_coefficients)
+    right = camera_of(right_matrix, right_lens, pairs[0][1].size_px, n_distortion_coefficients)
     rig = StereoRig(left, right, right_from_left)
     poses = [pose_of(each_turn, each_shift) for each_turn, each_shift in zip(turns, shifts, strict=True)]
     return rig, tuple(_pair_fit(rig, pair, pose) for pair, pose in zip(pairs, poses, strict=True))
@@ -180,14 +180,14 @@ def _eye(camera: PinholeCamera, fits: Sequence[ViewFit], sd: FloatArray) -> Came
     coverage = coverage_of([fit.view for fit in fits], np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
-    sds = IntrinsicSds(*sd.tolist())
-    check_determined(sds, camera)
-    return CameraCalibration(camera, sds, total_rms_px(fits), tuple(fits), (), coverage)
+    std = IntrinsicStd(*sd.tolist())
+    check_determined(std, camera)
+    return CameraCalibration(camera, std, total_rms_px(fits), tuple(fits), (), coverage)
 
 
-def _check_together(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_lens_terms: int) -> None:
+def _check_together(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_distortion_coefficients: int) -> None:
     """Refuse pairs whose images were not taken together: each eye fits alone, but not both."""
-    alone_px = [total_rms_px(fit_camera([pair[eye] for pair in pairs], n_lens_terms)[1]) for eye in (0, 1)]
+    alone_px = [total_rms_px(fit_camera([pair[eye] for pair in pairs], n_distortion_coefficients)[1]) for eye in (0, 1)]
     together_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
     if together_px > max(_MAX_PAIR_RMS * max(alone_px), 1.0):
         raise CalibrationError(
@@ -197,7 +197,7 @@ def _check_together(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_lens_t
         )
 
 
-def _check_standing(rig: StereoRig) -> None:
+def _check_relative_pose(rig: StereoRig) -> None:
     """Refuse eyes that are swapped, upside down or one above the other."""
     rotation = rig.right_from_left[:3, :3]
     angle_deg = math.degrees(math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))

@@ -59,7 +59,7 @@ class Rectifier:
         self.rig, self._left_view = views.rig, views.left
         self._left_maps = None if views.left is None else _maps(views.left, self._size_px)
         is_moved = not rig.is_rectified or row_offset_px != 0.0
-        self._right_maps = _maps(views.right.raised(row_offset_px), self._size_px) if is_moved else None
+        self._right_maps = _maps(views.right.shifted_vertically(row_offset_px), self._size_px) if is_moved else None
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, ImageView]:
         """Both images, (H, W) or (H, W, 3), rectified; the same arrays where there is nothing to do.
@@ -140,7 +140,7 @@ class _View:
     turn: cv2.typing.MatLike
     matrix: cv2.typing.MatLike
 
-    def raised(self, by_px: float) -> _View:
+    def shifted_vertically(self, by_px: float) -> _View:
         """This view with everything `by_px` rows further up."""
         matrix = np.array(self.matrix, np.float64)
         matrix[1] -= by_px * matrix[2]
@@ -166,18 +166,18 @@ class _Views(NamedTuple):
     right: _View
 
 
-class Turns(NamedTuple):
-    """What turns a pair until its rows agree, in OpenCV's words: R1, R2 (3, 3), P1, P2 (3, 4), Q (4, 4)."""
+class StereoRectification(NamedTuple):
+    """Rotations R1, R2 (3, 3) and projections P1, P2 (3, 4) of the rectified cameras, Q (4, 4), as of OpenCV."""
 
-    left_turn: cv2.typing.MatLike
-    right_turn: cv2.typing.MatLike
-    left_projection: cv2.typing.MatLike
-    right_projection: cv2.typing.MatLike
-    depth_of_disparity: cv2.typing.MatLike
+    r1: cv2.typing.MatLike
+    r2: cv2.typing.MatLike
+    p1: cv2.typing.MatLike
+    p2: cv2.typing.MatLike
+    q: cv2.typing.MatLike
 
 
-def turns_of(rig: StereoRig) -> Turns:
-    """Bouguet's turns of a rig, without any check of them."""
+def stereo_rectification(rig: StereoRig) -> StereoRectification:
+    """Bouguet's rectification of a rig (`cv2.stereoRectify`), unchecked."""
     found = cv2.stereoRectify(
         rig.left.matrix,
         lens_terms(rig.left),
@@ -189,14 +189,14 @@ def turns_of(rig: StereoRig) -> Turns:
         flags=cv2.STEREO_ZERO_DISPARITY,
         alpha=0,  # no black borders where the lenses allow it
     )
-    return Turns(*found[:5])
+    return StereoRectification(*found[:5])
 
 
 def _rectified(rig: StereoRig) -> _Views:
     """The rig once its cameras are turned until their rows agree."""
     _check_rotation(rig.right_from_left[:3, :3])
     size_px = (rig.left.width_px, rig.left.height_px)
-    left_turn, right_turn, left_projection, right_projection, _ = turns_of(rig)
+    left_turn, right_turn, left_projection, right_projection, _ = stereo_rectification(rig)
     focal_px = float(left_projection[0, 0])
     _check_turn(left_turn, right_turn, right_projection)
     _check_zoom(focal_px, rig.left)

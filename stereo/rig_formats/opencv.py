@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rectification import lens_terms, turns_of
+from track_range.stereo.geometry.rectification import lens_terms, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
@@ -151,7 +151,7 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
 def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
     rotation, shift_m = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
     left, right = _lens_row(rig.left), _lens_row(rig.right)
-    r1, r2, p1, p2, q = turns_of(rig)
+    r1, r2, p1, p2, q = stereo_rectification(rig)
     return {
         "M1": rig.left.matrix, "D1": left, "M2": rig.right.matrix, "D2": right, "R": rotation, "T": shift_m,
         "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.boxes import are_sound, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
+from track_range.detection.boxes import are_valid_boxes, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
 
 MAX_IOU = 0.4987  # no ratio that hypothesis draws hits it, so float32 against float64 cannot matter
 EDGE = st.floats(-50, 50, allow_nan=False)
@@ -56,5 +56,5 @@ def greedy(boxes, score, class_id):
 def test_layout_and_soundness():
     np.testing.assert_allclose(xyxy_from_cxcywh(np.array([[5.0, 6.0, 4.0, 2.0]])), [[3, 5, 7, 7]])
     boxes = np.array([[0, 0, 1, 1], [0, 0, 0, 1], [3, 3, 1, 5], [0, np.nan, 1, 1], [0, 0, np.inf, 1]])
-    assert are_sound(boxes).tolist() == [True, False, False, False, False]
+    assert are_valid_boxes(boxes).tolist() == [True, False, False, False, False]
     assert area_px2(boxes[:3]).tolist() == [1.0, 0.0, 0.0]

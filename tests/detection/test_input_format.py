@@ -31,7 +31,7 @@ def test_an_image_is_written_by_hand():
         form = InputFormat(pad_grey=51, colours=colours)
         letterbox = Letterbox.placed("centred", (2, 4), (4, 4))
         blob = np.empty((1, 3, 4, 4), np.float32)
-        form.blank(blob)
+        form.fill_padding(blob)
         form.write(image, letterbox, blob, scaled=np.empty((2, 4, 3), np.uint8))
         np.testing.assert_allclose(blob[0, :, 1, 0], wanted)
         np.testing.assert_allclose(blob[0, :, 0], 0.2)

@@ -12,7 +12,6 @@ def test_a_line_by_hand():
     bent = line(100.0, 2.0, 0.01)
     assert bent.x_px(np.array([0.0, 10.0])) == pytest.approx([100.0, 121.0])
     assert bent.slope(np.array([10.0])) == pytest.approx([2.2])
-    assert bent.is_seen(np.array([199.0, 200.0, 350.0, 351.0])).tolist() == [False, True, True, False]
 
 
 def test_sigma_follows_from_the_covariance():

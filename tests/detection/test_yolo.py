@@ -53,7 +53,7 @@ def test_weak_foreign_duplicate_and_nan_boxes_are_dropped(tmp_path):
         "The network gave NaN or infinite numbers: 2 boxes dropped."
     ]
     detector.detect(np.zeros((64, 64, 3), np.uint8))
-    assert detector.n_unsound == 4
+    assert detector.n_invalid == 4
 
 
 def test_classes_wanted(tmp_path):

@@ -194,6 +194,6 @@ def test_inputs_equal_the_references(size_hw):
     for blob_of, form in forms.items():
         letterbox = Letterbox.placed(form.placement, size_hw, (416, 416))
         blob = np.empty((1, 3, 416, 416), np.float32)
-        form.blank(blob)
+        form.fill_padding(blob)
         form.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
         np.testing.assert_allclose(blob, blob_of(image, (416, 416))[0], rtol=1e-6)

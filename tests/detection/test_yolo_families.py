@@ -76,7 +76,7 @@ def test_yolov8_columns_by_hand(tmp_path):
     found = detector.detect(BLACK)
     np.testing.assert_allclose(found.xyxy_px, [[23.5, 27.5, 39.5, 35.5]], atol=1e-5)
     np.testing.assert_allclose(found.score, [0.7], atol=1e-6)
-    assert detector.n_unsound == 1
+    assert detector.n_invalid == 1
 
 
 def test_yolox_cells_by_hand(tmp_path):
@@ -91,7 +91,7 @@ def test_yolox_cells_by_hand(tmp_path):
     # centre (1.25, 0.5) * 32 = (40, 16), size 16 x 8
     np.testing.assert_allclose(found.xyxy_px, [[31.5, 11.5, 47.5, 19.5]], atol=1e-5)
     np.testing.assert_allclose(found.score, [0.4], atol=1e-6)
-    assert detector.n_unsound == 1
+    assert detector.n_invalid == 1
 
 
 @pytest.mark.parametrize("is_fine_first", [False, True])

@@ -10,7 +10,7 @@ from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
 from track_range.ranging.size_models.prior import TURN_DEG
 from track_range.ranging.size_models.shared_ground import GroundPrior, Stand, seen_by_others
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents
 
 PACKAGED = load_curves()
 NOISE = 1.5 / 720
@@ -29,7 +29,7 @@ def world(name, n, *, seed, noise=NOISE, stands=True):
         size * np.exp(rng.normal(0, np.array(prior.scatter)[::-1], (n, 2))) + rng.normal(0, np.sqrt(2) * noise, (n, 2)),
         1e-3,
     )
-    boxes = MeasuredBoxes(
+    boxes = BoxExtents(
         wh_over_f=size,
         bearing=bearing,
         bottom=0.01 + 1.65 * np.exp(box.log_nearness) + rng.normal(0, 0.1, n) / distance_m,
@@ -67,7 +67,7 @@ def test_aspect_tells_what_the_height_alone_does_not():
     """A box that is low for its width belongs to a low car, which is nearer than a usual one of that height."""
     one = np.ones(2)
     sizes = np.stack([np.array([1.60, 1.80]) / 30, 1.5 / 30 * one], axis=1)
-    boxes = MeasuredBoxes(sizes, 0 * one, 0 * one, np.full(2, 2), one > 0, one < 0, np.full((2, 2), 1e-4))
+    boxes = BoxExtents(sizes, 0 * one, 0 * one, np.full(2, 2), one > 0, one < 0, np.full((2, 2), 1e-4))
     narrow, wide = CuboidSizes({"car": PACKAGED.priors["car"]}).measure(boxes).distance_m
     assert wide < narrow - 0.5 or wide > narrow + 0.5
     assert 27 < min(narrow, wide) < max(narrow, wide) < 34
@@ -79,7 +79,7 @@ def test_a_car_where_the_ground_says_van():
     van_m = 30.0
     size, bottom = boxes.wh_over_f.copy(), boxes.bottom.copy()
     size[0], bottom[0] = np.array([2.5, 2.3]) / van_m, 0.01 + 1.65 / van_m
-    odd = MeasuredBoxes(
+    odd = BoxExtents(
         size, boxes.bearing, bottom, boxes.size_class, boxes.uses_width, boxes.uses_bottom, boxes.edge_sigma
     )
     on_ground = PACKAGED.measure(odd).distance_m[0]
@@ -114,7 +114,7 @@ def test_distance_is_positive_and_falls_as_a_box_grows(name, height, side, ratio
     sizes = np.array([[aspect * height, height], [aspect * height * ratio, height * ratio]])
     one = np.ones(2)
     edge_sigma = np.full((2, 2), noise * min(1.0, aspect) * height)
-    boxes = MeasuredBoxes(
+    boxes = BoxExtents(
         sizes, bearing * one, 0 * one, np.full(2, SIZE_CLASSES.index(name)), one > 0, one < 0, edge_sigma
     )
     found = PACKAGED.measure(boxes)
@@ -133,7 +133,7 @@ def test_distance_is_positive_and_falls_as_a_box_grows(name, height, side, ratio
 @settings(deadline=None)
 def test_whatever_the_box_there_is_a_positive_distance_with_a_sigma(name, height, aspect, bearing, bottom, noise):
     one = np.ones(1)
-    boxes = MeasuredBoxes(
+    boxes = BoxExtents(
         np.array([[aspect * height, height]]),
         bearing * one,
         bottom * one,

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
-from track_range.ranging.size_models.curve import CurveError, load_curves
-from track_range.ranging.size_models.curve_file import CURVE_VERSION
+from track_range.ranging.size_models.curve import CURVE_VERSION, CurveError, load_curves, save_curves
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 from track_range.ranging.size_models.plain_curves import SAFE_CURVES
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, MeasuredBoxes
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents
 from track_range.ranging.size_models.tables import TableCurve, TableSizes
 
 
@@ -29,16 +28,16 @@ def table():
 
 def test_every_kind_survives_the_file(tmp_path):
     file = tmp_path / "c.json"
-    log_linear().save(file)
+    save_curves(log_linear(), file)
     assert load_curves(file).whole == log_linear().whole
-    table().save(file)
+    save_curves(table(), file)
     again = load_curves(file)
     assert isinstance(again, TableSizes)
     np.testing.assert_allclose(
         again.curves["car"].table.log_distance, table().curves["car"].table.log_distance, atol=1e-5
     )
     packaged = load_curves()
-    packaged.save(file)
+    save_curves(packaged, file)
     assert load_curves(file).priors == packaged.priors
     assert load_curves(file).ground == packaged.ground
 
@@ -83,7 +82,7 @@ def changed(file, path, value):
 )
 def test_priors_that_cannot_be_used(tmp_path, path, value, message):
     file = tmp_path / "c.json"
-    load_curves().save(file)
+    save_curves(load_curves(), file)
     changed(file, path, value)
     with pytest.raises(CurveError, match=message):
         load_curves(file)
@@ -100,7 +99,7 @@ def test_priors_that_cannot_be_used(tmp_path, path, value, message):
 )
 def test_tables_that_cannot_be_used(tmp_path, path, value, message):
     file = tmp_path / "c.json"
-    table().save(file)
+    save_curves(table(), file)
     changed(file, path, value)
     with pytest.raises(CurveError, match=message):
         load_curves(file)
@@ -108,10 +107,10 @@ def test_tables_that_cannot_be_used(tmp_path, path, value, message):
 
 def test_other_files_are_refused(tmp_path):
     file = tmp_path / "c.json"
-    log_linear(per_log_height=0.5).save(file)
+    save_curves(log_linear(per_log_height=0.5), file)
     with pytest.raises(CurveError, match="distance must fall with size"):
         load_curves(file)
-    log_linear().save(file)
+    save_curves(log_linear(), file)
     changed(file, ["whole"], {"ufo": {}})
     with pytest.raises(CurveError, match="not a curve file"):
         load_curves(file)
@@ -121,13 +120,13 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(CurveError, match="cannot be read"):
         load_curves(tmp_path / "none.json")
     with pytest.raises(CurveError, match="cannot be written"):
-        log_linear().save(tmp_path / "none" / "c.json")
+        save_curves(log_linear(), tmp_path / "none" / "c.json")
 
 
 def test_a_table_is_of_one_size_and_its_noise_counts():
 
     one = np.ones(1)
-    boxes = MeasuredBoxes(
+    boxes = BoxExtents(
         np.array([[1.7, 1.5]]) / 30, 0 * one, 0.05 * one, np.array([2]), one > 0, one > 0, np.full((1, 2), 0.001)
     )
     found = table().measure(boxes)

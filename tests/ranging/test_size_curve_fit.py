@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from track_range.ranging.fitting.curve_fit import SizeSamples, fit_curves, leave_one_out_error
-from track_range.ranging.size_models.curve import CurveError, load_curves
+from track_range.ranging.size_models.curve import CurveError, load_curves, save_curves
 
 
 def world(n=400, n_sequences=4, seed=0):
@@ -32,7 +32,7 @@ def test_what_is_fitted_can_be_loaded_even_where_the_labels_say_little(tmp_path)
     distance_m = np.linspace(20, 21, 150)
     sizes = np.stack([2.5 / distance_m, 3.0 / 20 * np.ones(150)], axis=1)
     samples = SizeSamples(np.full(150, "truck"), np.zeros(150, np.int64), sizes, np.zeros(150), distance_m)
-    fit_curves(samples, source="").save(tmp_path / "c.json")
+    save_curves(fit_curves(samples, source=""), tmp_path / "c.json")
     assert load_curves(tmp_path / "c.json").whole["truck"].per_log_height <= -0.1
 
 

@@ -16,16 +16,16 @@ from track_range.stereo.calibration.one_camera import calibrate_camera, leave_ou
 from track_range.stereo.geometry.camera import PinholeCamera
 
 
-def within(found, true: PinholeCamera, n_sds: float) -> bool:
+def within(found, true: PinholeCamera, n_sigmas: float) -> bool:
     names = ("fx_px", "fy_px", "cx_px", "cy_px")
-    return all(abs(getattr(found.camera, n) - getattr(true, n)) < n_sds * getattr(found.sds, n) for n in names)
+    return all(abs(getattr(found.camera, n) - getattr(true, n)) < n_sigmas * getattr(found.std, n) for n in names)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_known_camera_is_found_within_its_own_error(seed):
     found = calibrate_camera(exact_views(14, seed=seed))
     assert within(found, CAMERA, 3)
-    assert found.sds.fx_px < 0.005 * CAMERA.fx_px
+    assert found.std.fx_px < 0.005 * CAMERA.fx_px
     assert 0.055 < found.rms_px < 0.0708  # noise of 0.05 px in x and y, less what the fit takes up
     assert len(found.fits) == 14
     assert found.rejected == ()
@@ -53,7 +53,7 @@ def test_lens_terms_are_as_many_as_asked_for(n_terms):
     straight = dataclasses.replace(CAMERA, distortion=())
     rng = np.random.default_rng(0)
     views = [exact_view(straight, at, "v", noise_px=0.03, rng=rng) for at in varied_poses(12, seed=1)]
-    found = calibrate_camera(views, n_lens_terms=n_terms)
+    found = calibrate_camera(views, n_distortion_coefficients=n_terms)
     assert len(found.camera.distortion) == n_terms
     assert found.camera.fx_px == pytest.approx(520, rel=0.01)
 

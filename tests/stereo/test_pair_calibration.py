@@ -25,8 +25,8 @@ def test_a_known_rig_is_found_within_its_own_error(seed):
     assert found.baseline_sd_m < 0.002 * TRUE.baseline_m
     turn = found.rig.right_from_left[:3, :3].T @ TRUE.right_from_left[:3, :3]
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(turn)[0])) < 0.1
-    assert abs(found.rig.left.fx_px - 520) < 3 * found.left.sds.fx_px
-    assert abs(found.rig.right.fx_px - 517) < 3 * found.right.sds.fx_px
+    assert abs(found.rig.left.fx_px - 520) < 3 * found.left.std.fx_px
+    assert abs(found.rig.right.fx_px - 517) < 3 * found.right.std.fx_px
     # |dy| of two rows with noise of 0.05 px each: 0.05 sqrt(2) sqrt(2 / pi) = 0.056
     assert found.rows_px == pytest.approx(0.056, rel=0.15)
     assert found.rows_px < found.held_out_rows_px < 0.08

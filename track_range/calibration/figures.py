@@ -61,7 +61,7 @@ def pair_figures(found: PairCalibration, search: FoundViews) -> dict[str, Any]:
 def _camera_figures(found: CameraCalibration) -> dict[str, Any]:
     coverage = asdict(found.coverage)
     del coverage["warnings"]
-    return {**asdict(found.camera), "sd": asdict(found.sds), "rms_px": found.rms_px, "coverage": coverage}
+    return {**asdict(found.camera), "sd": asdict(found.std), "rms_px": found.rms_px, "coverage": coverage}
 
 
 def _view_figures(fit: ViewFit) -> dict[str, Any]:

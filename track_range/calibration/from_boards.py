@@ -107,11 +107,11 @@ def calibrate_views(
     with progress("calibrating") as advance:
         if settings.stereo is None:
             views = [shot[0] for shot in found.shots]
-            result = calibrate_camera(views, n_lens_terms=settings.lens_terms, advance=advance)
+            result = calibrate_camera(views, n_distortion_coefficients=settings.lens_terms, advance=advance)
             measured = mono_figures(result, found)
         else:
             pairs = [(shot[0], shot[1]) for shot in found.shots]
-            result = calibrate_pair(pairs, n_lens_terms=settings.lens_terms, advance=advance)
+            result = calibrate_pair(pairs, n_distortion_coefficients=settings.lens_terms, advance=advance)
             measured = pair_figures(result, found)
     board = _board(settings)
     figures = {

@@ -77,11 +77,11 @@ def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
 
 def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
     for name, found in cameras.items():
-        camera, sds, seen = found.camera, found.sds, found.coverage
+        camera, std, seen = found.camera, found.std, found.coverage
         print_line(
             console,
-            f"{name}: fx {camera.fx_px:.2f} ± {sds.fx_px:.2f}, fy {camera.fy_px:.2f} ± {sds.fy_px:.2f}, "
-            f"cx {camera.cx_px:.2f} ± {sds.cx_px:.2f}, cy {camera.cy_px:.2f} ± {sds.cy_px:.2f} px; "
+            f"{name}: fx {camera.fx_px:.2f} ± {std.fx_px:.2f}, fy {camera.fy_px:.2f} ± {std.fy_px:.2f}, "
+            f"cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± {std.cy_px:.2f} px; "
             f"residual {found.rms_px:.3f} px RMS over {len(found.fits)} views.",
         )
         lens = ", ".join(f"{term:.4g}" for term in camera.distortion) or "none"

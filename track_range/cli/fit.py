@@ -12,10 +12,10 @@ from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.ranging.evaluation.curve_comparison import TABLE_DISTANCES_M, CurveFit
 from track_range.ranging.fitting.fit import FittedSizes, fit_sizes
-from track_range.ranging.fitting.model_fit import SavedModel
 from track_range.ranging.fitting.settings import FitSettings
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
+from track_range.ranging.size_models.size_model import StoredSizeModel
 from track_range.ranging.size_models.tables import TableSizes
 from track_range.report import tables
 
@@ -60,7 +60,7 @@ def _known(values: Sequence[float]) -> list[float | None]:
     return [None if np.isnan(value) else value for value in values]
 
 
-def _model_grid(name: str, model: SavedModel) -> tables.Grid:
+def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
     """A row per class: what was fitted."""
     if isinstance(model, CuboidSizes):
         priors = list(model.priors.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from track_range.detection.lanes.lookup import open_lane_finder
+from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.method import MethodContext

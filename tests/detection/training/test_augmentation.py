@@ -4,7 +4,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.training.augmentation import PLAIN, AugmentationSettings, LabelledPixels, mosaic, single
+from track_range.detection.training.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
+
+PLAIN = AugmentationSettings(
+    mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0
+)
+
 
 RED = (0, 0, 255)
 COLOURLESS = {"hue": 0.0, "saturation": 0.0, "value": 0.0}

@@ -9,7 +9,7 @@ import torch
 
 from tests.detection.training.road_scenes import write_data_set
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.training.augmentation import PLAIN, AugmentationSettings
+from track_range.detection.training.augmentation import AugmentationSettings
 from track_range.detection.training.batches import BatchMaker
 from track_range.detection.training.data_set import CachedImages, TrainingSets
 from track_range.detection.training.data_yaml import read_data_yaml
@@ -21,6 +21,11 @@ from track_range.detection.training.schedule import SGD, Schedule, ScheduleSetti
 from track_range.detection.training.settings import TrainingSettings
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, prepare_torch
+
+PLAIN = AugmentationSettings(
+    mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0
+)
+
 
 SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2, augmentation=AugmentationSettings())
 
