@@ -18,6 +18,7 @@ from benchmarks import (
     pipeline,
     ranging,
     recall,
+    startup,
     stereo,
     tracking,
 )
@@ -35,6 +36,7 @@ WORKLOADS = {
     "tracking": tracking,
     "ranging": ranging,
     "recall": recall,
+    "startup": startup,
     "stereo": stereo,
 }
 """Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""

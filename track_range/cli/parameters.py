@@ -46,8 +46,9 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
         if shown["is_file_only"]:
             continue
         kind = _typer_type(field)
-        default = None if is_only_given else _default(field)
-        listed.append(_parameter(name, kind, _declaration(model, name, is_only_given=is_only_given), default))
+        is_optional = is_only_given or (bool(shown["old_names"]) and not field.is_required())
+        default = None if is_optional else _default(field)
+        listed.append(_parameter(name, kind, _declaration(model, name, is_default_added=is_optional), default))
         for old_name in shown["old_names"]:
             hidden = typer.Option(_old_flag(model.flag(name), shown["flag"], old_name), hidden=True)
             listed.append(_parameter(old_name, kind, hidden, None))
@@ -70,12 +71,12 @@ def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Paramete
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[value, declaration])
 
 
-def _declaration(model: type[Options], name: str, *, is_only_given: bool) -> Any:
+def _declaration(model: type[Options], name: str, *, is_default_added: bool) -> Any:
     """typer.Option or typer.Argument of a field."""
     field = model.model_fields[name]
     shown = option_of(field)
     common: dict[str, Any] = {
-        "help": _help(field, is_default_added=is_only_given),
+        "help": _help(field, is_default_added=is_default_added),
         "metavar": shown["metavar"],
         "rich_help_panel": shown["panel"],
     }

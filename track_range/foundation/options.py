@@ -80,7 +80,7 @@ def is_list(field: FieldInfo) -> bool:
 class Options(BaseModel):
     """Base of options: immutable, and without unknown names."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)  # built when first used: --help is faster
 
     @model_validator(mode="before")
     @classmethod

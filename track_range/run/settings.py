@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import yaml
 from pydantic import Field, ValidationError, field_serializer, field_validator, model_validator
 
 from track_range.foundation.errors import ConfigError, UsageError
@@ -352,6 +351,8 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
 
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
     """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
+    import yaml
+
     run = absolute_settings(settings)
     write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
 
@@ -377,6 +378,8 @@ def _absolute(video: VideoName) -> str:
 
 
 def _read(file: Path) -> dict[str, Any]:
+    import yaml
+
     try:
         document = yaml.safe_load(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -1,0 +1,95 @@
+"""The command line as a whole: lazy imports, bare options, completion."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import typer
+
+from track_range.cli.app import COMMANDS, app, main
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.csv_labels import NEEDED, OPTIONAL
+from track_range.detection.yolo.input_format import LETTERBOXES
+from track_range.results.writers import DEFAULT_WRITERS
+from track_range.run.settings import RunSettings
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES
+
+HEAVY = ("numpy", "cv2", "onnxruntime", "av", "scipy", "matplotlib", "pyarrow", "torch")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["evaluate", "--help"], ["--version"]])
+def test_help_imports_no_heavy_library(arguments):
+    code = (
+        "import sys\n"
+        "from track_range.cli.app import main\n"
+        f"sys.argv = ['track-range', *{arguments!r}]\n"
+        "try:\n    main()\nfinally:\n"
+        f"    print('HEAVY', [name for name in {HEAVY!r} if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+def test_every_command_can_be_imported():
+    group = typer.main.get_command(app)
+    assert list(group.commands) == list(COMMANDS)
+    for name in COMMANDS:
+        command = group.load(name)
+        assert (command.name, command.help) == (name, COMMANDS[name].summary)
+        for below in getattr(command, "modules", {}):
+            assert command.load(below).name == below
+
+
+def test_unknown_command_is_wrong_usage(cli):
+    status, _, complaint = cli("evalute")
+    assert (status, "evaluate" in complaint) == (2, True)
+
+
+def test_bare_options_mean_run(cli):
+    status, _, complaint = cli("--mono", "none.mp4", "--rig", "r.yaml", "--focal-px", 700)
+    assert (status, "--rig or --focal-px" in complaint) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        (["ev"], ["evaluate"]),
+        (["--overlay-d"], ["--overlay-disparity"]),
+        (["--stereo", "a", "b", "--tru"], ["--truth"]),
+        (["run", "--device", ""], ["auto", "cpu", "cuda", "tensorrt"]),
+        (["evaluate", "ra"], ["ranges"]),
+        (["evaluate", "ranges", "--fil"], ["--filter"]),
+    ],
+)
+def test_completion_of_commands_and_options(monkeypatch, capsys, words, completed):
+    monkeypatch.setattr(os, "environ", dict(os.environ))
+    os.environ |= {
+        "COMP_WORDS": "\n".join(["track-range", *words]),
+        "COMP_CWORD": str(len(words)),
+        "_TRACK_RANGE_COMPLETE": "complete_bash",
+    }
+    monkeypatch.setattr(sys, "argv", ["track-range"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert capsys.readouterr().out.split() == completed
+
+
+def test_completion_script_can_be_shown(cli):
+    status, script, _ = cli("--show-completion", "bash")
+    assert (status, "_TRACK_RANGE_COMPLETE=complete_bash" in script) == (0, True)
+
+
+def test_names_in_help_texts_are_those_of_the_code():
+    """They are written out, because importing them takes longer than showing the help."""
+    shown = {name: field.description for name, field in RunSettings.model_fields.items()}
+    assert all(name in shown["classes"] for name in ROAD_CLASSES)
+    assert LETTERBOXES in shown["letterbox"]
+    assert ", ".join(NEEDED) in shown["truth"]
+    assert ", ".join(OPTIONAL) in shown["truth"]
+    assert RunSettings.model_fields["write"].default == DEFAULT_WRITERS
+    from track_range.calibration.settings import StereoEvaluationSettings
+
+    matchers = StereoEvaluationSettings.model_fields["matchers"].description
+    assert all(name.removesuffix("-centre") in matchers for name in MATCHER_NAMES)
