@@ -38,7 +38,8 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
     Args:
         model: the options.
         is_only_given: every default is None, so that options which are not given can come from elsewhere (a settings
-            file); the help names the model's defaults.
+            file); the help names the model's defaults. Values are checked by the model alone, whose errors are one
+            sentence, wherever a value comes from.
     """
     listed = []
     for name, field in model.model_fields.items():
@@ -46,9 +47,12 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
         if shown["is_file_only"]:
             continue
         kind = _typer_type(field)
+        if is_only_given and get_origin(kind) is Literal:
+            kind = str
         is_optional = is_only_given or (bool(shown["old_names"]) and not field.is_required())
         default = None if is_optional else _default(field)
-        listed.append(_parameter(name, kind, _declaration(model, name, is_default_added=is_optional), default))
+        declaration = _declaration(model, name, is_default_added=is_optional, is_checked=not is_only_given)
+        listed.append(_parameter(name, kind, declaration, default))
         for old_name in shown["old_names"]:
             hidden = typer.Option(_old_flag(model.flag(name), shown["flag"], old_name), hidden=True)
             listed.append(_parameter(old_name, kind, hidden, None))
@@ -71,16 +75,20 @@ def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Paramete
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[value, declaration])
 
 
-def _declaration(model: type[Options], name: str, *, is_default_added: bool) -> Any:
-    """typer.Option or typer.Argument of a field."""
+def _declaration(model: type[Options], name: str, *, is_default_added: bool, is_checked: bool) -> Any:
+    """typer.Option or typer.Argument of a field; `is_checked`: with its bounds or choices."""
     field = model.model_fields[name]
-    shown = option_of(field)
+    shown, kind = option_of(field), value_type(field)
     common: dict[str, Any] = {
         "help": _help(field, is_default_added=is_default_added),
         "metavar": shown["metavar"],
         "rich_help_panel": shown["panel"],
     }
-    if value_type(field) in (int, float):
+    if get_origin(kind) is Literal and not is_checked:
+        choices = get_args(kind)
+        common["metavar"] = "|".join(choices)
+        common["autocompletion"] = lambda incomplete: [word for word in choices if word.startswith(incomplete)]
+    if kind in (int, float) and is_checked:
         common["min"] = next((mark.ge for mark in field.metadata if isinstance(mark, Ge)), None)
         common["max"] = next((mark.le for mark in field.metadata if isinstance(mark, Le)), None)
     if shown["is_argument"]:
