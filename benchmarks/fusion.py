@@ -19,6 +19,7 @@ from rich.console import Console
 
 from benchmarks.plain_tables import figure_text, plain_table
 from benchmarks.simulated_drives import FPS
+from track_range.cli.run import run_and_print
 from track_range.detection.lanes.nets import CLASSICAL
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows
@@ -26,7 +27,6 @@ from track_range.ranging.evaluation.truth import read_truth
 from track_range.results.columns import Columns
 from track_range.results.csv_file import read_tracks_csv
 from track_range.results.truth import matched_truth, with_truth
-from track_range.run.job import run
 from track_range.run.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.drive import DriveOptions, write_drive
@@ -82,7 +82,7 @@ def _driven(scenario: str, seed: int, lanes: str) -> Columns:
             lanes=lanes,
             folder_fps=FPS,
         )
-        out = run(settings, Console(quiet=True))
+        out = run_and_print(settings, Console(quiet=True))
         truth = read_truth(drive.table, kitti_like_rig().left, np.zeros(3))
         columns = read_tracks_csv(out / "tracks.csv")
         return with_truth(columns, matched_truth(columns, truth))

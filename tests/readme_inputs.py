@@ -23,11 +23,11 @@ from tests.detection.training.road_scenes import write_data_set
 from tests.stereo.board_scenes import drawn, rig, varied_poses
 from tests.stereo.kitti_folder import write_set
 from tests.track_range.labelled_drives import F_PX, drive
+from track_range.cli.run import run_and_print
 from track_range.detection.classes import COCO_CLASSES
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.darknet.network import read_network
 from track_range.detection.formats.kitti import read_kitti
-from track_range.run.job import run
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
@@ -192,6 +192,6 @@ def _runs(folder: Path) -> None:
     videos = Path("left.mp4"), Path("right.mp4")
     settings = RunSettings(stereo=videos, detections=Path("det.txt"), sgbm=False, out=Path("DIR"))
     with contextlib.chdir(folder):
-        run(settings, Console(quiet=True))
+        run_and_print(settings, Console(quiet=True))
     for name in ("A", "B"):
         shutil.copytree(folder / "DIR", folder / name)

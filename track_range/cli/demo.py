@@ -8,9 +8,9 @@ from typing import Annotated
 from track_range.cli.console import console, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
+from track_range.cli.run import run_and_print
 from track_range.foundation.options import Options, option
 from track_range.results.output_files import make_folder
-from track_range.run.job import run
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import write_drive
@@ -45,7 +45,7 @@ def _demo(options: DemoOptions) -> None:
         truth=drive.table,
         out=options.out,
     )
-    run(settings, console)
+    run_and_print(settings, console)
     print_line(console, f"Open {options.out / 'report.html'} in a browser; {options.out / 'overlay.mp4'} is the video.")
 
 

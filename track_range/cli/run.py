@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import given_values, parameters, with_parameters
 from track_range.foundation.options import Options, option
 from track_range.run.settings import RunSettings, settings_from
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from track_range.live_view.view import LiveView
+    from track_range.run.run import Run
 
 
 class RunView(Options):
@@ -33,12 +40,71 @@ class RunView(Options):
 def _run(**values: Any) -> None:
     from track_range.cli.console import console
     from track_range.live_view.view import open_view
-    from track_range.run.job import run
 
     chosen = RunView.of(given_values(RunView, values))
     settings = settings_from(given_values(RunSettings, values), chosen.settings)
     with open_view(show=chosen.show, serve=chosen.serve) or nullcontext() as view:
-        run(settings, console, view)
+        run_and_print(settings, console, view)
+
+
+def run_and_print(settings: RunSettings, console: Console, view: LiveView | None = None) -> Path:
+    """Do a whole run, print its notes and tables, and return the folder of its files.
+
+    A run that is interrupted, or in the middle of which an input fails, finishes its files first.
+
+    Args:
+        settings: of the run; without `out`, the folder is named after the left video.
+        console: where to print.
+        view: shows the frames while the run goes on.
+
+    Raises:
+        RunStoppedError: the user stopped it.
+        UserError: an input cannot be used, or a file not be written.
+    """
+    from track_range.foundation.errors import RunStoppedError
+    from track_range.run.interrupts import stop_on_interrupt
+    from track_range.run.run import Run
+
+    run = Run(settings.model_copy(update={"out": settings.out_dir}), progress=console)
+    with stop_on_interrupt():
+        try:
+            with run:
+                _process(run, console, view)
+        except KeyboardInterrupt:
+            when = "; what was finished is kept." if run.is_finished else " before any frame was finished."
+            raise RunStoppedError(f"stopped by the user{when}") from None
+    return settings.out_dir
+
+
+def _process(run: Run, console: Console, view: LiveView | None) -> None:
+    from track_range.cli.console import print_line, print_notes, print_summary
+
+    opening_notes = run.notes
+    with _ignore_broken_pipe():
+        print_notes(console, opening_notes)
+    if view is not None:
+        print_notes(console, [view.begin(run.draw)])
+    try:
+        with closing(iter(run)) as frames:
+            for frame in frames:
+                if view is not None:
+                    view.offer(frame)
+    finally:
+        if run.is_finished:
+            with _ignore_broken_pipe():
+                print_notes(console, [note for note in run.notes if note not in opening_notes])
+                print_summary(console, run.summary)
+            if run.files:
+                with _ignore_broken_pipe():
+                    names = ", ".join(file.name for file in run.files)
+                    print_line(console, f"Results in {run.files[0].parent}: {names}")
+
+
+@contextmanager
+def _ignore_broken_pipe() -> Iterator[None]:
+    """A closed pipe, a full disk or a terminal without the character sigma ends the printing, not the run."""
+    with suppress(OSError, UnicodeError, SystemExit):  # SystemExit is what Rich makes of a closed pipe
+        yield
 
 
 app = single_app(with_parameters(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)]))

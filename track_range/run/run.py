@@ -20,7 +20,9 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from rich.console import Console
 
-from track_range.commands.ready_model import ready_model
+from track_range.foundation.arrays import Image
+from track_range.overlay.outputs import overlay_picture
+from track_range.overlay.result_video import Draw
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
 from track_range.results.replay import frames_of_rows
@@ -32,6 +34,7 @@ from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.outputs import RunFolder, check_folder
 from track_range.run.prefetch import short_switch_interval
 from track_range.run.progress import frame_progress, step_progress
+from track_range.run.ready_model import ready_model
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, settings_from
 from track_range.run.throughput import FrameMeter
@@ -84,6 +87,7 @@ class Run:
         self._session: RunSession | None = None
         self._frames: Generator[FrameResult, None, None] | None = None
         self._summary: dict[str, Any] | None = None
+        self._overlay: Draw | None = None
         self.files: tuple[Path, ...] = ()
 
     @classmethod
@@ -240,8 +244,8 @@ class Run:
         matched = None if session.truth is None else matched_truth(rows, session.truth)
         self._summary = {**session.summary(rows, matched), "files": {} if files is None else files.videos}
         if files is not None:
-            self.files = tuple(files.folder / name for name in files.files)
             files.finish(self._summary, rows if matched is None else with_truth(rows, matched))
+            self.files = tuple(files.folder / name for name in files.files)
 
     def write(self, folder: str | Path) -> Path:
         """Process all frames and write their files into `folder`: tracks.csv, mot.txt, overlay.mp4, summary.json, ...
@@ -296,6 +300,18 @@ class Run:
     def notes(self) -> list[str]:
         """Sentences for the user so far: assumptions made, problems seen."""
         return self.session.notes
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the last frame was processed, or the run was stopped after some."""
+        return self._summary is not None
+
+    def draw(self, result: FrameResult) -> Image:
+        """The overlay of a frame, (H, W, 3) uint8 BGR; call it from one thread, in the order of the frames."""
+        if self._overlay is None:
+            session = self.session
+            self._overlay = overlay_picture(session.settings, session.source, session.meter.captions)
+        return self._overlay(result)
 
     @property
     def summary(self) -> dict[str, Any]:
