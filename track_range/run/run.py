@@ -190,7 +190,7 @@ class Run:
 
     # -- iterate --------------------------------------------------------------------------------------------------
 
-    def __iter__(self) -> Iterator[FrameResult]:
+    def __iter__(self) -> Generator[FrameResult, None, None]:
         """The frames in order, once.
 
         Raises:
