@@ -16,13 +16,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from track_range.api.evaluation import evaluate_ranges as evaluate_ranges
+    from track_range.api.evaluation import evaluate_stereo as evaluate_stereo
+    from track_range.api.evaluation import evaluate_tracks as evaluate_tracks
+    from track_range.api.parts import Detector as Detector
+    from track_range.api.parts import Tracker as Tracker
     from track_range.detection.detections import Detections as Detections
+    from track_range.detection.evaluation import evaluate_detections as evaluate_detections
     from track_range.detection.models.onnx_session import ModelError as ModelError
     from track_range.foundation.errors import ConfigError as ConfigError
     from track_range.foundation.errors import UserError as UserError
     from track_range.overlay.annotator import Overlay as Overlay
-    from track_range.parts import Detector as Detector
-    from track_range.parts import Tracker as Tracker
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import ErrorSource as ErrorSource
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from track_range.ranging.ranges import Ranges as Ranges
     from track_range.ranging.registry import methods as ranging_methods
     from track_range.ranging.registry import register as register_method
+    from track_range.report.page import write_report as write_report
     from track_range.results.writers import register_writer as register_writer
     from track_range.run.frame_result import FrameResult as FrameResult
     from track_range.run.run import Run as Run
@@ -66,8 +71,8 @@ _MODULE_OF = {
     "PinholeCamera": "stereo.geometry.camera",
     "StereoRig": "stereo.geometry.rig",
     # parts
-    "Detector": "parts",
-    "Tracker": "parts",
+    "Detector": "api.parts",
+    "Tracker": "api.parts",
     "SizeRanger": "ranging.methods.size_regression",
     "GroundRanger": "ranging.methods.ground_plane",
     "StereoRanger": "ranging.methods.patch_stereo",
@@ -77,6 +82,12 @@ _MODULE_OF = {
     "Rectifier": "stereo.geometry.rectification",
     "load_rig": "stereo.rig_formats.reading",
     "Overlay": "overlay.annotator",
+    # evaluation
+    "evaluate_ranges": "api.evaluation",
+    "evaluate_stereo": "api.evaluation",
+    "evaluate_tracks": "api.evaluation",
+    "evaluate_detections": "detection.evaluation",
+    "write_report": "report.page",
     # extension
     "Ranger": "ranging.ranger",
     "RangingMethod": "ranging.method",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import track_range as tr
-import track_range.parts
+from track_range.api import parts
 from track_range.simulation.drive import write_drive
 
 
@@ -200,7 +200,23 @@ def test_supervision_like_boxes_reach_the_tracker():
     assert tracks.to_supervision().tracker_id.tolist() == [1]
 
 
+def test_evaluations_take_options_by_name(drive, tmp_path):
+    figures = tr.evaluate_stereo(drive.left.parent, matchers=("sgbm",))
+    assert figures["matchers"]["sgbm"]["median_relative_error_pct"] < 15
+    with pytest.raises(tr.UserError, match="matcher"):
+        tr.evaluate_stereo(drive.left.parent, matcher="patch")
+
+
+def test_tracks_measured_against_themselves(tmp_path):
+    rows = [f"{frame},{track},{10 * track + frame},20,30,60,1,-1,-1,-1" for frame in range(1, 9) for track in (1, 2)]
+    for name in ("truth", "results"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.txt").write_text("\n".join(rows) + "\n")
+    figures = tr.evaluate_tracks(tmp_path / "truth", tmp_path / "results", truth_format="mot")
+    assert figures["combined"]["hota"] == pytest.approx(100)
+
+
 def test_docstring_examples():
-    failed, tried = doctest.testmod(track_range.parts, optionflags=doctest.ELLIPSIS)
+    failed, tried = doctest.testmod(parts, optionflags=doctest.ELLIPSIS)
     assert failed == 0
     assert tried >= 2

@@ -350,10 +350,10 @@ class Run:
         return f"<p><b>track-range run</b> of {title}</p><table>{rows}</table>"
 
 
-def _field_of(option: str) -> str:
-    """The field of the settings that an option sets: `duration` is `duration_s`, `size` is `size_px`."""
-    names = (option, f"{option}_s", f"{option}_px")
-    return next((name for name in names if name in RunSettings.model_fields), option)
+def _field_of(name: str) -> str:
+    """The field of the settings that an option sets: `duration` is `duration_s`, as its flag is --duration."""
+    flags = {RunSettings.flag(field): field for field in RunSettings.model_fields}
+    return flags.get("--" + name.replace("_", "-"), name)
 
 
 def _plain(value: Any) -> Any:

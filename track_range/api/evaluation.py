@@ -1,0 +1,57 @@
+"""Evaluations as functions: the options of `track-range evaluate ...` as keyword arguments, figures as a dictionary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from track_range.calibration.settings import StereoEvaluationSettings
+from track_range.calibration.stereo_evaluation import evaluate_stereo as _evaluate_stereo
+from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
+from track_range.ranging.evaluation.settings import RangeEvaluationSettings
+from track_range.sequences.evaluation import evaluate_tracks as _evaluate_tracks
+from track_range.sequences.settings import TrackEvaluationSettings
+
+
+def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:
+    """Distance errors of the methods that need boxes alone, on KITTI labels; as `evaluate ranges --json`.
+
+    Args:
+        labels: folder of KITTI tracking labels, NAME.txt per sequence.
+        calib: folder of calib files with the same names.
+        options: as those of the command, with underscores: `noise_px=2`, `cross_validate=True`, `filter="default"`.
+
+    Raises:
+        UsageError: an option that is unknown or wrong.
+        LabelFileError, RigError, CurveError: files that cannot be used.
+    """
+    return _evaluate_ranges(RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options}))
+
+
+def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
+    """Distance errors of stereo matchers on pairs of known disparity; as `evaluate stereo --json`.
+
+    Args:
+        pairs: folder in the layout of KITTI 2015, or of a drive with labels.
+        options: as those of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`, `seed=0`.
+
+    Raises:
+        UsageError: an option that is unknown or wrong.
+        PairFileError, RigError, VideoError, LabelFileError: files that cannot be used.
+    """
+    return _evaluate_stereo(StereoEvaluationSettings.of({"pairs": pairs, **options}))
+
+
+def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> dict[str, Any]:
+    """HOTA, CLEAR and identity metrics of tracks against ground truth; as `evaluate tracks --json`.
+
+    Args:
+        truth: ground truth in MOT or KITTI format: a file, or a folder of sequences.
+        results: tracks in either format.
+        options: as those of the command: `truth_format="kitti"`, `road_class="car"`, `compare="motmetrics"`.
+
+    Raises:
+        UsageError: an option that is unknown or wrong.
+        MotFormatError, LabelFileError: files that cannot be used.
+    """
+    return _evaluate_tracks(TrackEvaluationSettings.of({"truth": truth, "results": results, **options}))
