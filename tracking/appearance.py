@@ -1,11 +1,11 @@
-"""Appearance: what a box looks like, as a vector of length 1; zeros stand for looks that nobody could tell.
+"""Appearance embeddings of boxes: vectors of length 1; zeros where there is none.
 
 `ColourLayout` needs no network: histograms of colour in horizontal bands, as square roots, so that
 
     cos(a, b) = sum sqrt(a_i b_i)
 
-is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic and Zisserman, 2012). What tracks have
-looked like is `tracking.gallery`'s.
+is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic and Zisserman, 2012). The
+embeddings of tracks are kept in `track_range.tracking.gallery`.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_sh
 from track_range.tracking.gallery import unit_rows
 
 MIN_SIDE_PX = 4.0
-"""Boxes narrower or lower than this have no looks."""
+"""Least width and height of a box with an embedding."""
 
 MIN_SHARE_INSIDE = 0.3
-"""Nor have boxes of which less lies inside the image."""
+"""Least share of a box inside the image, for an embedding."""
 
 _FAR_PX = 1e6
-"""Edges further out are pulled in, so that areas of absurd boxes stay finite."""
+"""Box edges are clipped here, so that areas stay finite."""
 
 _BOX_BLOCK = 64
-"""Boxes described at once: what they need then stays in the processor's cache."""
+"""Boxes embedded at once: their data stays in the processor's cache."""
 
 _N_LEVELS = 64
-"""Values 0..255 are counted in so many classes before they are spread over soft bins."""
+"""Levels in which values 0..255 are counted before they are distributed over soft bins."""
 
 _NEUTRAL = 8
-"""Channels of a grey video differ by no more than this."""
+"""Largest difference between the channels of a grey video."""
 
 _STEP_PX = 16
-"""Pixels that are looked at to tell a grey picture are so far apart."""
+"""Distance between the pixels that are checked for a grey image."""
 
 
 def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
-    """(N,) which boxes are large enough, and lie far enough inside the image, to have looks."""
+    """(N,) which boxes are large enough, and lie far enough inside the image, for an embedding."""
     height, width = image.shape[:2]
     boxes = np.clip(np.where(are_valid_boxes(xyxy_px)[:, None], xyxy_px, 0.0), -_FAR_PX, _FAR_PX)
     inside = share_inside(boxes, np.array([[-0.5, -0.5, width - 0.5, height - 0.5]]))[:, 0]
@@ -53,13 +53,13 @@ def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColourLayoutSettings:
-    """The form of the built-in descriptor.
+    """The layout of the built-in embedding.
 
     Attributes:
         n_columns, n_rows: points at which a box's colour is taken, whatever its size.
         n_bands: horizontal bands of the box, each with histograms of its own; divides `n_rows`.
         n_bins: soft bins per histogram.
-        chroma_span: a* and b* are told apart up to this far from grey, CIELAB units.
+        chroma_span: largest distinguished distance of a* and b* from grey, CIELAB units.
         spread_x, spread_y: a point's weight falls off from the box's middle like a normal distribution with this
             standard deviation, in widths and heights: corners are background.
         max_distance: see `AppearanceModel`.
@@ -76,16 +76,16 @@ class ColourLayoutSettings:
 
     def __post_init__(self) -> None:
         if self.n_rows % self.n_bands:
-            raise ValueError(f"n_rows: a multiple of n_bands = {self.n_bands} wanted, {self.n_rows} got")
+            raise ValueError(f"n_rows: expected a multiple of n_bands = {self.n_bands}, got {self.n_rows}")
 
 
 class ColourLayout:
-    """The built-in descriptor: lightness, a* and b* of CIELAB in bands from top to bottom.
+    """The built-in appearance model: lightness, a* and b* of CIELAB in bands from top to bottom.
 
-    Pictures without colour are described by lightness alone, so that grey, which all share, does not make all alike.
+    Images without colour are described by lightness alone, so that grey, which all share, does not make all similar.
 
     Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, three cars only, took no
-    part in that, but `max_distance` was chosen on all of them. One descriptor against one, within a class, at least
+    part in that, but `max_distance` was chosen on all of them. One embedding against one, within a class, at least
     half visible, boxes jittered by 4 %. (OSNet x0.25, which takes a hundred times as long, was tuned on none of them.)
 
         frames apart (0.1, 0.125 s)       1      5     10     OSNet:    1      5     10
@@ -113,7 +113,7 @@ class ColourLayout:
 
     @property
     def n_values(self) -> int:
-        """Length D of a descriptor."""
+        """Length D of an embedding."""
         return 3 * self._settings.n_bands * self._settings.n_bins
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
@@ -123,15 +123,15 @@ class ColourLayout:
             ValueError: the image is not (H, W, 3).
         """
         check_shape("image", image, (None, None, 3))
-        descriptor = np.zeros((len(xyxy_px), self.n_values), np.float32)
+        embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
         good = np.flatnonzero(has_appearance(image, xyxy_px))
         coloured = not _is_neutral(image)
         for start in range(0, len(good), _BOX_BLOCK):
             rows = good[start : start + _BOX_BLOCK]
-            descriptor[rows] = self._described(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), coloured)
-        return descriptor
+            embedding[rows] = self._embedded(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), coloured)
+        return embedding
 
-    def _described(self, image: Image, xyxy_px: FloatArray, coloured: bool) -> Descriptors:
+    def _embedded(self, image: Image, xyxy_px: FloatArray, coloured: bool) -> Descriptors:
         n, form = len(xyxy_px), self._settings
         bgr, weight = self._sampled(image, xyxy_px)
         lab = cv2.cvtColor(bgr.reshape(n * form.n_rows, form.n_columns, 3), cv2.COLOR_BGR2LAB)
@@ -165,6 +165,6 @@ def _soft_bins(share: FloatArray, n_bins: int) -> FloatArray:
 
 
 def _is_neutral(image: Image) -> bool:
-    """Whether a picture is grey all over, as far as a coarse grid of its pixels tells."""
+    """Whether a picture is grey all over, judged by a coarse grid of its pixels."""
     blue, green, red = image[::_STEP_PX, ::_STEP_PX].astype(np.int16).reshape(-1, 3).T
     return bool(max(np.abs(blue - green).max(initial=0), np.abs(green - red).max(initial=0)) <= _NEUTRAL)

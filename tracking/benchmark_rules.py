@@ -38,7 +38,7 @@ KITTI_TYPES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 _MAX_OCCLUDED, _MAX_TRUNCATED = 2, 0.0
 
 MIN_HEIGHT_PX = 25.0
-"""KITTI: what is lower in the image counts neither as found nor as missed."""
+"""KITTI: lower boxes count neither as detected nor as missed."""
 
 _MOT_PEDESTRIAN = 1
 _MOT_DISTRACTORS = (2, 7, 8, 12)
@@ -54,14 +54,14 @@ def kitti_cleaned(labels: KittiLabels, results: TrackedBoxes, road_class: str) -
     for frame, rows in _by_frame(results):
         here = labels.frame == frame
         near = np.flatnonzero(here & (is_class | is_neighbour))
-        wanted, got = _matched(labels.xyxy_px[near], results.xyxy_px[rows])
-        unmatched = np.setdiff1d(np.arange(len(rows)), got)
-        void = is_neighbour[near[wanted]] | ~is_clear[near[wanted]]
+        truth_rows, result_rows = _matched(labels.xyxy_px[near], results.xyxy_px[rows])
+        unmatched = np.setdiff1d(np.arange(len(rows)), result_rows)
+        void = is_neighbour[near[truth_rows]] | ~is_clear[near[truth_rows]]
         boxes = results.xyxy_px[rows[unmatched]]
         regions = labels.xyxy_px[here & (labels.kitti_type == "DontCare")]
         low = boxes[:, 3] - boxes[:, 1] <= MIN_HEIGHT_PX + _EPSILON
         inside = share_inside(boxes, regions).max(axis=1, initial=0.0) > _MIN_SHARE_IGNORED + _EPSILON
-        keep[rows[got[void]]] = False
+        keep[rows[result_rows[void]]] = False
         keep[rows[unmatched[low | inside]]] = False
     return _truth(labels.frame, labels.track_id, labels.xyxy_px, is_class & is_clear, results), results.select(keep)
 
@@ -76,8 +76,8 @@ def mot_cleaned(truth: MotRows, results: TrackedBoxes) -> tuple[TrackedBoxes, Tr
     keep: BoolArray = np.ones(len(results), np.bool_)
     for frame, rows in _by_frame(results) if has_classes else ():
         here = np.flatnonzero(truth.frame == frame)
-        wanted, got = _matched(truth.xyxy_px[here], results.xyxy_px[rows])
-        keep[rows[got[is_distractor[here[wanted]]]]] = False
+        truth_rows, result_rows = _matched(truth.xyxy_px[here], results.xyxy_px[rows])
+        keep[rows[result_rows[is_distractor[here[truth_rows]]]]] = False
     return _truth(truth.frame, truth.track_id, truth.xyxy_px, counts, results), results.select(keep)
 
 
@@ -101,6 +101,6 @@ def _matched(truth_xyxy_px: FloatArray, xyxy_px: FloatArray) -> tuple[IntArray, 
     """Rows of truth and of results that belong together."""
     overlap = iou(truth_xyxy_px, xyxy_px)
     overlap[overlap < _MIN_IOU - _EPSILON] = 0.0
-    wanted, got = linear_sum_assignment(overlap, maximize=True)
-    real = overlap[wanted, got] > _EPSILON
-    return wanted[real], got[real]
+    truth_rows, result_rows = linear_sum_assignment(overlap, maximize=True)
+    real = overlap[truth_rows, result_rows] > _EPSILON
+    return truth_rows[real], result_rows[real]

@@ -62,7 +62,7 @@ class TrackingScores:
 
 @dataclass(frozen=True, slots=True)
 class TrackingCounts:
-    """What the scores are made of; those of several sequences add up."""
+    """The counts behind the scores; those of several sequences add up."""
 
     hota: HotaCounts
     clear: ClearCounts
@@ -107,15 +107,15 @@ def evaluate_tracks(
 
 def _ignored(truth: TrackedBoxes, results: TrackedBoxes, ignore: IgnoreRegions) -> BoolArray:
     """(M,) which result boxes lie in a region and match no truth, in the assignment of most IoU."""
-    found = np.zeros(len(results), np.bool_)
+    is_ignored: BoolArray = np.zeros(len(results), np.bool_)
     for frame in np.unique(ignore.frame):
         rows = np.flatnonzero(results.frame == frame)
-        wanted, got = truth.select(truth.frame == frame), results.select(rows)
-        overlap = iou(wanted.xyxy_px, got.xyxy_px)
-        may = (wanted.class_id[:, None] == got.class_id[None, :]) & (overlap >= MIN_IOU)
+        of_truth, of_results = truth.select(truth.frame == frame), results.select(rows)
+        overlap = iou(of_truth.xyxy_px, of_results.xyxy_px)
+        may = (of_truth.class_id[:, None] == of_results.class_id[None, :]) & (overlap >= MIN_IOU)
         _, matched = assigned(np.where(may, 1.0 - overlap, np.inf), max_cost=1.0)
-        share = share_inside(got.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(axis=1, initial=0.0)
+        share = share_inside(of_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(axis=1, initial=0.0)
         inside = share >= _MIN_SHARE_IGNORED
         inside[matched] = False
-        found[rows] = inside
-    return found
+        is_ignored[rows] = inside
+    return is_ignored

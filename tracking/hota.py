@@ -76,10 +76,10 @@ def count_hota(similarity: Similarity) -> HotaCounts:
     """The counts of one sequence."""
     alignment = _alignment(similarity)
     pairs = [np.zeros((0, 3))]
-    for wanted, got, iou in similarity.frames():
-        if len(wanted) and len(got):
-            rows, columns = linear_sum_assignment(alignment[np.ix_(wanted, got)] * iou, maximize=True)
-            pairs.append(np.column_stack([wanted[rows], got[columns], iou[rows, columns]]))
+    for truth_ids, result_ids, iou in similarity.frames():
+        if len(truth_ids) and len(result_ids):
+            rows, columns = linear_sum_assignment(alignment[np.ix_(truth_ids, result_ids)] * iou, maximize=True)
+            pairs.append(np.column_stack([truth_ids[rows], result_ids[columns], iou[rows, columns]]))
     matches = np.concatenate(pairs)
     parts = [_at(similarity, matches[matches[:, 2] >= alpha - _EPSILON]) for alpha in ALPHAS]
     tp, iou_sum, association_sum = np.array(parts).T
@@ -89,9 +89,9 @@ def count_hota(similarity: Similarity) -> HotaCounts:
 def _alignment(similarity: Similarity) -> FloatArray:
     """(T, R) how well identities fit over the whole sequence, before anything is matched: a soft Jaccard index."""
     shared = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
-    for wanted, got, iou in similarity.frames():
+    for truth_ids, result_ids, iou in similarity.frames():
         union = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
-        shared[np.ix_(wanted, got)] += np.divide(iou, union, out=np.zeros_like(iou), where=union > _EPSILON)
+        shared[np.ix_(truth_ids, result_ids)] += np.divide(iou, union, out=np.zeros_like(iou), where=union > _EPSILON)
     together = similarity.truth_count[:, None] + similarity.result_count[None, :] - shared
     return np.asarray(shared / together)
 

@@ -101,19 +101,19 @@ def _row(line: str, where: str) -> list[float]:
     """frame, id, x, y, w, h, score, class, visibility of one line."""
     cells = [cell.strip() for cell in line.strip().rstrip(",").split(",")]
     if not 7 <= len(cells) <= 10:
-        raise MotFormatError(f"{where}: 7 to 10 numbers between commas wanted, {len(cells)} got.")
+        raise MotFormatError(f"{where}: expected 7 to 10 numbers between commas, found {len(cells)}.")
     try:
         row = [float(cell) for cell in cells]
     except ValueError as error:
-        raise MotFormatError(f"{where}: a number wanted ({error}).") from error
+        raise MotFormatError(f"{where}: expected a number ({error}).") from error
     if not np.isfinite(row).all():
-        raise MotFormatError(f"{where}: finite numbers wanted, '{line.strip()}' got.")
+        raise MotFormatError(f"{where}: expected finite numbers, found '{line.strip()}'.")
     if not _FIRST_FRAME <= row[0] <= MAX_FRAME + _FIRST_FRAME or row[0] % 1 or row[1] % 1:
         raise MotFormatError(
             f"{where}: expected a whole frame number from {_FIRST_FRAME} on and a whole id, found {cells[0]} and "
             f"{cells[1]}; MOTChallenge's files count frames from 1."
         )
     if min(row[4:6]) < 0:
-        raise MotFormatError(f"{where}: width and height >= 0 wanted, {cells[4]} and {cells[5]} got.")
+        raise MotFormatError(f"{where}: expected width and height >= 0, found {cells[4]} and {cells[5]}.")
     known = len(row) == _COLUMNS_OF_TRUTH
     return [*row[:7], *(row[7:9] if known else (0.0, np.nan))]

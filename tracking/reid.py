@@ -1,4 +1,4 @@
-"""ReidModel: descriptors of boxes from a re-identification network (ONNX), such as OSNet (Zhou et al., ICCV 2019).
+"""ReidModel: appearance embeddings from a re-identification network (ONNX), such as OSNet (Zhou et al., ICCV 2019).
 
     crop -> resized to the network's input, aspect lost -> RGB, (value / 255 - mean) / deviation -> features of length 1
 
@@ -29,7 +29,7 @@ _LARGEST_BATCH = 8
 
 
 class ReidModel:
-    """Describes boxes by a network.
+    """Computes embeddings with a network.
 
     Attributes:
         max_distance: see `AppearanceModel`; 0.27 suits OSNet x0.25 on KITTI 0003 and 0005 and simulated
@@ -50,22 +50,22 @@ class ReidModel:
         batch, channels, height, width = self._session.input_shape
         if channels != 3:
             raise ModelError(
-                f"{model}: one input [batch, 3, height, width] wanted, {_written(self._session.input_shape)} found."
+                f"{model}: expected one input [batch, 3, height, width], found {_written(self._session.input_shape)}."
             )
         self.input_hw = (height or OPEN_INPUT_HW[0], width or OPEN_INPUT_HW[1])
         self._fixed_batch = batch
-        # Two images: a network that calls its batch open and then mixes it up is found out here.
+        # Two images: this reveals a network that declares an open batch size but mixes up its rows.
         self.n_values = self._run(np.zeros((batch or 2, 3, *self.input_hw), np.float32)).shape[1]
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """(N, D) descriptors of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown.
+        """(N, D) embeddings of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown.
 
         Raises:
             ModelError: the network fails.
             ValueError: the image is not (H, W, 3).
         """
         check_shape("image", image, (None, None, 3))
-        descriptor = np.zeros((len(xyxy_px), self.n_values), np.float32)
+        embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
         good = np.flatnonzero(has_appearance(image, xyxy_px))
         step = self._fixed_batch or _LARGEST_BATCH
         for start in range(0, len(good), step):
@@ -73,8 +73,8 @@ class ReidModel:
             blob = np.zeros((self._fixed_batch or len(rows), 3, *self.input_hw), np.float32)
             for place, box in zip(blob, xyxy_px[rows], strict=False):  # a fixed batch is filled up with zeros
                 _write_crop(image, box, place)
-            descriptor[rows] = unit_rows(self._run(blob)[: len(rows)])
-        return descriptor
+            embedding[rows] = unit_rows(self._run(blob)[: len(rows)])
+        return embedding
 
     def _run(self, blob: FloatArray32) -> FloatArray32:
         """(batch, D) the features."""
@@ -82,8 +82,8 @@ class ReidModel:
         if len(outputs) != 1 or outputs[0].ndim != 2 or len(outputs[0]) != len(blob) or not outputs[0].size:
             found = ", ".join(_written(output.shape) for output in outputs)
             raise ModelError(
-                f"{self._session.path}: no re-identification network: one output [batch, values] wanted for "
-                f"{len(blob)} crops, {found} found (a detector's?)."
+                f"{self._session.path}: not a re-identification network: expected one output [batch, values] for "
+                f"{len(blob)} crops, found {found} (a detector's?)."
             )
         return outputs[0]
 

@@ -69,14 +69,14 @@ def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("1,1,2,3,4,5", r"line 2: 7 to 10 numbers between commas wanted, 6 got"),
-        ("1 1 2 3 4 5 1", r"line 2: 7 to 10 numbers between commas wanted, 1 got"),
-        ("1,1,x,3,4,5,1", r"line 2: a number wanted \(could not convert string to float: 'x'\)"),
-        ("1,1,nan,3,4,5,1", r"line 2: finite numbers wanted, '1,1,nan,3,4,5,1' got"),
+        ("1,1,2,3,4,5", "line 2: .*7 to 10 numbers"),
+        ("1 1 2 3 4 5 1", "line 2: .*7 to 10 numbers"),
+        ("1,1,x,3,4,5,1", "line 2: .*a number .*'x'"),
+        ("1,1,nan,3,4,5,1", "line 2: .*finite"),
         ("0,1,2,3,4,5,1", r"line 2: .* frame number from 1"),
         ("1.5,1,2,3,4,5,1", r"line 2: .* frame number from 1"),
         ("1,1.5,2,3,4,5,1", r"line 2: .* whole id"),
-        ("1,1,2,3,-4,5,1", r"line 2: width and height >= 0 wanted, -4 and 5 got"),
+        ("1,1,2,3,-4,5,1", "line 2: .*width and height"),
     ],
 )
 def test_bad_lines_are_named(line: str, says: str, tmp_path: Path) -> None:

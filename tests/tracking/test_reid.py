@@ -104,15 +104,15 @@ def test_networks_that_are_none_for_re_identification(tmp_path):
     detector = write_model(tmp_path / "detector.onnx", np.zeros((1, 20, 6)))
     refused(
         detector,
-        r"detector\.onnx: no re-identification network: one output \[batch, values\] wanted for 1 crops, "
-        r"\[1, 20, 6\] found \(a detector's\?\)\.$",
+        r"detector\.onnx: not a re-identification network: expected one output \[batch, values\] for 1 crops, found "
+        r"\[1, 20, 6\] \(a detector's\?\)\.$",
     )
     two = write_model(tmp_path / "two.onnx", np.zeros((1, 5)), np.zeros((1, 3)))
-    refused(two, r"wanted for 1 crops, \[1, 5\], \[1, 3\] found")
+    refused(two, r"for 1 crops, found \[1, 5\], \[1, 3\]")
     mixed = write_model(tmp_path / "mixed.onnx", np.zeros((1, 5)), input_shape=("batch", 3, 64, 32))
-    refused(mixed, r"wanted for 2 crops, \[1, 5\] found")
+    refused(mixed, r"for 2 crops, found \[1, 5\]")
     grey = write_model(tmp_path / "grey.onnx", np.zeros((1, 5)), input_shape=("batch", 1, 64, 32))
-    refused(grey, r"grey\.onnx: one input \[batch, 3, height, width\] wanted, \[any, 1, 64, 32\] found")
+    refused(grey, r"grey\.onnx: expected one input .*, found \[any, 1, 64, 32\]")
     flat = write_model(tmp_path / "flat.onnx", np.zeros((1, 5)), input_shape=(1, 3))
     refused(flat, r"flat\.onnx: one input \[batch, 3, height, width\] wanted, found: images \[1, 3\]")
     refused(tmp_path / "missing.onnx", r"missing\.onnx: no such model file")
@@ -150,5 +150,5 @@ def test_osnet_finds_real_cars_again(shared_data):
 
 
 def test_a_real_detector_is_refused(shared_data):
-    with pytest.raises(ModelError, match=r"yolox_nano_416\.onnx: no re-identification network: .*a detector's"):
+    with pytest.raises(ModelError, match=r"yolox_nano_416\.onnx: not a re-identification network: .*a detector's"):
         ReidModel(shared_data / "models" / "yolox_nano_416.onnx", ONE_THREAD)

@@ -1,4 +1,4 @@
-"""Tracking recorded boxes, frame by frame, with the images they were found in where those are at hand."""
+"""Tracking recorded detections, frame by frame, with their images where there are any."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from track_range.video.reader import VideoError, VideoReader
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
 
 _MAX_OUTSIDE = 0.05
-"""A larger share of boxes with their centres outside the images is told; boxes of what the border cuts reach out."""
+"""Share of boxes with their centres outside the images above which the user is told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +88,20 @@ def track_sequence(
         n_frames: frames to go through; those without boxes too.
         fps: of frames whose time no video tells; a video's own rate wins.
         images: video or folder whose frame k is that of the boxes' frame k.
-        is_online: say of each frame what was known then; else refined by later frames (`tracking.offline_refinement`).
-        advance: told after each frame.
+        is_online: output of each frame as a live run would give it; else refined by later frames (`tracking.offline_refinement`).
+        advance: called after each frame.
 
     Raises:
         VideoError: the images cannot be read.
     """
     video = None if images is None else VideoReader(images, folder_fps=fps)
     refinable = tracker if isinstance(tracker, RefinableTracker) else None
-    refinement, online, spent_s, seen = OfflineRefinement(), [], 0.0, _Seen()
+    refinement, online, spent_s, image_counts = OfflineRefinement(), [], 0.0, _ImageCounts()
     for frame, time_s, image in _frames(video, n_frames, fps):
-        found = recorded.at(frame)
-        seen.add(found.xyxy_px, image)
+        detections = recorded.at(frame)
+        image_counts.add(detections.xyxy_px, image)
         began_s = time.perf_counter()
-        tracks = tracker.update(found, time_s, image)
+        tracks = tracker.update(detections, time_s, image)
         if is_online:
             online.append(tracks)
         else:
@@ -111,11 +111,11 @@ def track_sequence(
     began_s = time.perf_counter()
     frames = online if is_online else refinement.refine(refinable.track_activation_threshold if refinable else None)
     spent_s += time.perf_counter() - began_s
-    notes = () if video is None else (*video.notes, *seen.notes(images, n_frames))
+    notes = () if video is None else (*video.notes, *image_counts.notes(images, n_frames))
     return TrackedSequence(frames, 1e6 * spent_s / max(n_frames, 1), notes)
 
 
-class _Seen:
+class _ImageCounts:
     """Counts the frames that had images, and the boxes that are not in them."""
 
     def __init__(self) -> None:
