@@ -88,7 +88,7 @@ def track_sequence(
         n_frames: frames to go through; those without boxes too.
         fps: of frames whose time no video tells; a video's own rate wins.
         images: video or folder whose frame k is that of the boxes' frame k.
-        is_online: output of each frame as a live run would give it; else refined by later frames (`tracking.offline_refinement`).
+        is_online: output as of a live run; else refined by later frames (`tracking.offline_refinement`).
         advance: called after each frame.
 
     Raises:
