@@ -35,7 +35,7 @@ class ErrorModel:
         systematic_correlation: (M, M) correlation C0 of the parts that a track keeps.
         systematic_covariance: (M, M, 1) products of the shares that a track keeps.
         independent_covariance: (M, M, 1) covariance of the parts that are new in every frame, for sigmas of 1.
-        similar: pairs of methods that share more than half of their variance.
+        similar: pairs of methods that share more than half of their variance and may count together.
         reference: indices of scale references: those declared, and those whose systematic errors are all shared with
             a declared one.
         is_learnt: (M, 1) whether the bias of a method is estimated: of all but references.
@@ -70,7 +70,7 @@ class ErrorModel:
         independent, independent_correlation = _correlation(methods, "independent", min_own=_MIN_OWN_NOISE)
         independent_covariance = independent * independent.T * independent_correlation
         correlation = systematic * systematic.T * systematic_correlation + independent_covariance
-        is_reference = _references(methods)
+        is_reference, superseded_by = _references(methods), _superseded_by(methods)
         has_size, has_baseline, has_contact, has_lane = (
             np.array([any(source.name == name for source in method.error_sources) for method in methods], bool)
             for name in ("size", "baseline", "contact_point", "lane_width")
@@ -82,10 +82,15 @@ class ErrorModel:
             systematic_correlation=systematic_correlation,
             systematic_covariance=(systematic * systematic.T)[:, :, None],
             independent_covariance=independent_covariance[:, :, None],
-            similar=tuple((i, j) for j in range(len(methods)) for i in range(j) if correlation[i, j] > _SIMILAR),
+            similar=tuple(
+                (i, j)
+                for j in range(len(methods))
+                for i in range(j)
+                if correlation[i, j] > _SIMILAR and not (superseded_by[i, j] or superseded_by[j, i])
+            ),
             reference=np.flatnonzero(is_reference),
             is_learnt=~is_reference[:, None],
-            superseded_by=_superseded_by(methods),
+            superseded_by=superseded_by,
             size=np.flatnonzero(has_size),
             matching=np.flatnonzero(has_baseline),
             contact=np.flatnonzero(has_contact & ~has_size),

@@ -34,10 +34,10 @@ class Measurements:
     @classmethod
     def of(cls, by_method: Mapping[str, Ranges], model: ErrorModel, track_id: IntArray) -> Measurements:
         """Those of the model's methods; a method that is missing has measured nothing."""
-        n_tracks, missing = len(track_id), Ranges.unmeasured(track_id)
-        ranges = [by_method.get(name, missing) for name in model.names]
-        distance_m = np.array([one.distance_m for one in ranges]).reshape(len(model.names), n_tracks)
-        sigma_m = np.array([one.sigma_m for one in ranges]).reshape(len(model.names), n_tracks)
+        distance_m, sigma_m = np.full((2, len(model.names), len(track_id)), np.nan)
+        for i, name in enumerate(model.names):
+            if name in by_method:
+                distance_m[i], sigma_m[i] = by_method[name].distance_m, by_method[name].sigma_m
         valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
         distance_m = np.where(valid, distance_m, 1.0)
         return cls(np.log(distance_m), np.where(valid, sigma_m, 0.0) / distance_m, valid)
@@ -158,8 +158,8 @@ def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> 
     log_m = (w * y).sum(axis=0)
 
     distance = (y - log_m) * used.valid  # P 1 = 0: the same P y, from smaller numbers
-    residual = np.einsum("ijn,jn->in", P, distance)
-    t2 = (residual * residual / np.maximum(np.einsum("iin->in", P), _TINY)).max(axis=0, initial=0.0)
+    residual = (P * distance).sum(axis=1)
+    t2 = (residual * residual / np.maximum(np.einsum("iin->in", P), _TINY)).max(axis=0)
     chi2_per_dof = (distance * residual).sum(axis=0) / np.maximum(n_valid - 1, 1)
     return Estimate(log_m, variance, k, y, A, P, residual, t2, chi2_per_dof, n_valid)
 

@@ -149,7 +149,7 @@ class Fusion:
             log_m=np.where(has_any, estimate.log_m, track.log_m),
             variance=np.where(has_any, estimate.variance, track.variance),
             time_s=np.where(has_any, time_s, track.time_s),
-            n_agreements=(track.n_agreements + change).clip(0, _MAX_AGREEMENTS),
+            n_agreements=np.minimum(np.maximum(track.n_agreements + change, 0.0), _MAX_AGREEMENTS),
             n_conflicts=track.n_conflicts + is_undecided,
             reference_s=np.where(used.valid[model.reference].any(axis=0), time_s, track.reference_s),
         )
@@ -161,7 +161,7 @@ class Fusion:
         is_reference = (time_s - track.reference_s <= _REFERENCE_S) | (
             track.u_variance[model.size] < _KNOWN_BIAS_VARIANCE
         ).any(axis=0)
-        scale_source = np.where(is_reference, ScaleSource.REFERENCE, ScaleSource.ASSUMED)
+        scale_source = np.where(is_reference, int(ScaleSource.REFERENCE), int(ScaleSource.ASSUMED))
         return Fused(Ranges(track_id, distance_m, sigma_m), scale_source, track.n_conflicts.astype(np.int64))
 
 
