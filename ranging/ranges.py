@@ -18,21 +18,21 @@ class Ranges:
         distance_m: (N,) z of the object's visible surface on the ray through the box's centre, in the left camera's
             frame; NaN = not measured.
         sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
-        sigma_kept_m: (N,) the part of it that a track keeps from frame to frame; None = the method does not tell.
+        sigma_systematic_m: (N,) systematic part of sigma_m, which a track keeps; None = unknown.
     """
 
     track_id: IntArray
     distance_m: FloatArray
     sigma_m: FloatArray
-    sigma_kept_m: FloatArray | None = None
+    sigma_systematic_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.track_id)
         check_shape("track_id", self.track_id, (n,))
         check_shape("distance_m", self.distance_m, (n,))
         check_shape("sigma_m", self.sigma_m, (n,))
-        if self.sigma_kept_m is not None:
-            check_shape("sigma_kept_m", self.sigma_kept_m, (n,))
+        if self.sigma_systematic_m is not None:
+            check_shape("sigma_systematic_m", self.sigma_systematic_m, (n,))
 
     def __len__(self) -> int:
         return len(self.track_id)

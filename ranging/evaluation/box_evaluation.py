@@ -93,11 +93,11 @@ def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 
 def _put_together(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> MethodColumn:
     """(n,) from columns of the rows that masks name; what a part does not tell of its sigma is NaN."""
-    distance_m, sigma_m, kept_m = np.full((3, n), np.nan)
+    distance_m, sigma_m, systematic_m = np.full((3, n), np.nan)
     for rows, found in parts:
         distance_m[rows], sigma_m[rows] = found.distance_m, found.sigma_m
-        kept_m[rows] = np.nan if found.sigma_kept_m is None else found.sigma_kept_m
-    return MethodColumn(distance_m, sigma_m, kept_m if np.isfinite(kept_m).any() else None)
+        systematic_m[rows] = np.nan if found.sigma_systematic_m is None else found.sigma_systematic_m
+    return MethodColumn(distance_m, sigma_m, systematic_m if np.isfinite(systematic_m).any() else None)
 
 
 def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:

@@ -60,8 +60,8 @@ def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> Fi
     for rows in frame_rows(boxes):
         if boxes.sequence[rows[0]] != sequence:
             sequence, smooth = boxes.sequence[rows[0]], _FILTERS[filter_name]()
-        kept_m = None if column.sigma_kept_m is None else column.sigma_kept_m[rows]
-        measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], kept_m)
+        systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
+        measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], systematic_m)
         result = smooth(measured, float(boxes.time_s[rows[0]]))
         distance_m[rows], out_sigma_m[rows] = result.ranges.distance_m, result.ranges.sigma_m
         closing_mps[rows] = -result.rate_mps

@@ -124,7 +124,7 @@ def ranger_columns(
             others = {other: ranges[other] for other in reads[name] if other in ranges}
             ranges[name] = found = ranger.measure_with(tracks, frame, others)
             columns[name][:2, rows] = found.distance_m, found.sigma_m
-            columns[name][2, rows] = np.nan if found.sigma_kept_m is None else found.sigma_kept_m
+            columns[name][2, rows] = np.nan if found.sigma_systematic_m is None else found.sigma_systematic_m
     return {
         name: MethodColumn(column[0], column[1], column[2] if np.isfinite(column[2]).any() else None)
         for name, column in columns.items()
@@ -145,8 +145,8 @@ def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodC
 
 
 def _ranges(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
-    kept_m = None if column.sigma_kept_m is None else column.sigma_kept_m[rows]
-    return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], kept_m)
+    systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
+    return Ranges(tracks.track_id, column.distance_m[rows], column.sigma_m[rows], systematic_m)
 
 
 def plain_fitter(curve: PlainCurve) -> Fitter:

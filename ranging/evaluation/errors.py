@@ -35,12 +35,12 @@ _MIN_COMMON_COVERAGE = 0.5
 class MethodColumn:
     """One method's distances over a run's track-frames: (N,) metres and (N,) sigma, NaN = not measured.
 
-    `sigma_kept_m` as in `Ranges`.
+    `sigma_systematic_m` as in `Ranges`.
     """
 
     distance_m: FloatArray
     sigma_m: FloatArray
-    sigma_kept_m: FloatArray | None = None
+    sigma_systematic_m: FloatArray | None = None
 
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:

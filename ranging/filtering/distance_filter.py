@@ -203,8 +203,8 @@ class DistanceFilters:
             if name in by_method:
                 ranges = by_method[name]
                 distance_m[i], sigma_m[i] = ranges.distance_m, ranges.sigma_m
-                if ranges.sigma_kept_m is not None:
-                    independent = 1.0 - (ranges.sigma_kept_m / ranges.sigma_m) ** 2
+                if ranges.sigma_systematic_m is not None:
+                    independent = 1.0 - (ranges.sigma_systematic_m / ranges.sigma_m) ** 2
                     share[i] = np.maximum(independent, _MIN_INDEPENDENT_SHARE**2)
         valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
         distance_m = np.where(valid, distance_m, np.nan)

@@ -58,7 +58,7 @@ class SizeRanger(Ranger):
         )
         found = self._curves.measure(boxes)
         columns = np.full((3, len(tracks)), np.nan)
-        columns[:, rows] = found.distance_m, found.sigma_m, found.sigma_kept_m
+        columns[:, rows] = found.distance_m, found.sigma_m, found.sigma_systematic_m
         return Ranges(tracks.track_id, *columns)
 
 

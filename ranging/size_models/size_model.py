@@ -109,13 +109,13 @@ class SizeRanges:
     Attributes:
         distance_m: z of the visible surface.
         sigma_m: its standard deviation.
-        sigma_kept_m: the part of it that the object keeps from frame to frame: it is taller than others. The rest,
-            the box's own noise, is new in every frame.
+        sigma_systematic_m: systematic part of sigma_m, which the object keeps from frame to frame: it is taller than
+            others. The rest, the noise of the box, is new in every frame.
     """
 
     distance_m: FloatArray
     sigma_m: FloatArray
-    sigma_kept_m: FloatArray
+    sigma_systematic_m: FloatArray
 
 
 class SizeModel(Protocol):

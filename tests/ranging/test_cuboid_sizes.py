@@ -48,7 +48,7 @@ def test_sigma_is_true_where_the_world_is_as_the_prior_says(name):
     off = np.abs(found.distance_m - distance_m) / found.sigma_m
     assert 0.60 < (off < 1).mean() < 0.78
     assert (off < 2).mean() > 0.92
-    assert (found.sigma_kept_m <= found.sigma_m).all()
+    assert (found.sigma_systematic_m <= found.sigma_m).all()
 
 
 def test_the_ground_and_the_others_help():
@@ -144,7 +144,7 @@ def test_whatever_the_box_there_is_a_positive_distance_with_a_sigma(name, height
     )
     found = PACKAGED.measure(boxes)
     assert 0 < found.distance_m[0] < np.inf
-    assert 0 < found.sigma_kept_m[0] <= found.sigma_m[0] < np.inf
+    assert 0 < found.sigma_systematic_m[0] <= found.sigma_m[0] < np.inf
 
 
 def test_a_class_without_a_prior_is_not_measured():

@@ -131,5 +131,5 @@ def test_a_table_is_of_one_size_and_its_noise_counts():
     )
     found = table().measure(boxes)
     assert found.distance_m == pytest.approx([30.0], rel=0.1)
-    assert found.sigma_m > found.sigma_kept_m
-    assert found.sigma_kept_m == pytest.approx(0.05 * found.distance_m)
+    assert found.sigma_m > found.sigma_systematic_m
+    assert found.sigma_systematic_m == pytest.approx(0.05 * found.distance_m)

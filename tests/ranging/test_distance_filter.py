@@ -202,7 +202,7 @@ def test_what_a_method_tells_of_the_kept_part_is_taken_box_by_box():
     half, whole = (OneFilter(noise_share=share, learns_noise=False) for share in (0.5, 1.0))
     for step in range(20):
         now = measured(ids, 30.0 + rng.normal(0, 1.0, 2), 2.0)
-        found = told.update(replace(now, sigma_kept_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
+        found = told.update(replace(now, sigma_systematic_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
         expected = [each.update(now, step * 0.1).ranges for each in (half, whole)]
         for k in (0, 1):
             assert found.distance_m[k] == pytest.approx(expected[k].distance_m[k])
@@ -213,7 +213,7 @@ def test_what_a_method_tells_of_the_kept_part_is_taken_box_by_box():
 def test_a_measurement_that_claims_to_be_free_of_noise_is_still_filtered():
     tracker = OneFilter()
     for step in range(3):  # twice at the same time
-        now = replace(measured([1], [30.0], 2.0), sigma_kept_m=np.array([2.0]))
+        now = replace(measured([1], [30.0], 2.0), sigma_systematic_m=np.array([2.0]))
         found = tracker.update(now, max(step - 1, 0) * 0.1).ranges
     assert found.distance_m == pytest.approx([30.0])
     assert found.sigma_m == pytest.approx([2.0], rel=0.02)
@@ -246,7 +246,7 @@ def test_filters_of_several_methods_are_those_of_each_alone():
             name: measured(here, np.where(rng.random(len(here)) < 0.2, np.nan, (30 + here) * rng.normal(1.0, 0.05)))
             for name in shares
         }
-        by_method["b"] = replace(by_method["b"], sigma_kept_m=0.8 * by_method["b"].sigma_m)
+        by_method["b"] = replace(by_method["b"], sigma_systematic_m=0.8 * by_method["b"].sigma_m)
         condition = rng.integers(0, 2, len(here))
         found = together.update(
             {**by_method, "other": by_method["a"]}, step * 0.1, conditions={"c": condition}, ego_speed_mps=3.0

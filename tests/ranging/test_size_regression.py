@@ -44,7 +44,7 @@ def test_box_noise_widens_sigma_by_the_rule_of_errors_and_is_not_kept():
     ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
     sized = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert sized.sigma_m == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
-    assert sized.sigma_kept_m == pytest.approx([3.0])
+    assert sized.sigma_systematic_m == pytest.approx([3.0])
 
 
 def test_a_detectors_noise_grows_with_the_box_and_with_limbs():
