@@ -96,7 +96,7 @@ def test_tables_are_printed(simulated_run):
         "stereo",
         "MOTA",
         "ms/frame",
-        "beside the left video is used",
+        "found next to the left video",
         "that all methods measured",
     ):
         assert words in told

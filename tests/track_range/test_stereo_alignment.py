@@ -56,7 +56,7 @@ def test_what_is_measured_but_not_clear_stays_as_doubt():
 def test_rows_are_moved_from_a_third_of_a_pixel_on(row_px, moved_px):
     found = FoundAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False)
     assert found.measured.rows_to_move_px == moved_px
-    assert any("px apart: corrected" in note for note in found.notes) == (moved_px != 0)
+    assert any("corrected, but the rig" in note for note in found.notes) == (moved_px != 0)
 
 
 @pytest.fixture(scope="module")

@@ -116,7 +116,7 @@ def test_frames_stand_upright(tmp_path: Path, film: Film, degrees: int, flip: tu
         assert frame.image.shape == wanted.shape
         assert np.abs(frame.image.astype(int) - wanted).mean() < 5
     assert (reader.width_px, reader.height_px) == (wanted.shape[1], wanted.shape[0])
-    assert any("turned upright" in note for note in reader.notes) == (degrees != 0 or flip[0])
+    assert any("rotated upright" in note for note in reader.notes) == (degrees != 0 or flip[0])
 
 
 def test_an_odd_angle_of_rotation_is_left_alone(tmp_path: Path, film: Film) -> None:

@@ -101,8 +101,8 @@ def _row_notes(measured: Alignment) -> tuple[str, ...]:
     if not measured.rows_to_move_px:
         return ()
     return (
-        f"Rows of left and right are {measured.row_offset_px:+.2f} px apart: a run corrects it, but the rig does not "
-        "fit these images well; calibrate anew.",
+        f"Vertical offset of {measured.row_offset_px:+.2f} px between left and right: a run corrects it, but the "
+        "rig does not fit these images well; calibrate again.",
     )
 
 

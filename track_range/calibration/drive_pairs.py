@@ -1,10 +1,10 @@
-"""A drive with labels as stereo pairs with a truth: what `simulate` and the demo write, or real videos laid out alike.
+"""A drive with labels as stereo pairs with a truth: a folder that `simulate` or the demo writes, or one like it.
 
     left.mp4  right.mp4  rig.yaml (or calib.txt)  truth.csv (or truth.txt, label.txt: KITTI tracking labels)
 
 Objects are the labels that `ranging.truth` scores (not truncated, at most partly hidden, of a road class), their true
-disparity f B / distance, the distance that of the visible surface on the ray through the box's middle: what truth.csv
-says; else that of the label's 3-D box.
+disparity f B / distance. The distance is that of the visible surface on the ray through the box centre, from truth.csv;
+else from the label's 3-D box.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
 _PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
 _LARGEST_NUMBER = 2**53
-"""Of frames and objects: larger ones are not told apart."""
+"""Largest number of a frame or object; larger ones are not distinguished as float64."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: P
             raise UsageError("--reference DIR brings its own images: leave --stereo out, or give a file.")
         return _folder_pairs(reference, rig)
     if stereo is None:
-        raise UsageError("--reference FILE tells of two videos: give them with --stereo LEFT RIGHT.")
+        raise UsageError("--reference FILE has objects of two videos: give them with --stereo LEFT RIGHT.")
     return _video_pairs(reference, *open_pair(*stereo, rig))
 
 

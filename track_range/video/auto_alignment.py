@@ -1,4 +1,4 @@
-"""`--align auto|off|FILE`: which correction of the disparities a run uses, and what is told of it."""
+"""The alignment of a calibrated pair: estimated from its first frames, read from a file, given, or none."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Opens a progress bar with a text; what it yields is told steps done, and of how many."""
+"""Opens a progress bar with a text; it yields a function of the steps done and their total."""
 
 MAX_LOOK_S = 8.0
 """Duration of the part of a drive that the alignment is estimated from."""
@@ -25,12 +25,12 @@ MAX_LOOK_S = 8.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundAlignment:
-    """What was found about a pair's alignment, and what is done about it.
+    """An alignment and whether it is applied.
 
     Attributes:
         measured: as estimated or read.
         is_applied: whether disparities are corrected by it.
-        look_s: how long the look through the first frames took.
+        look_s: time that the estimate took, with the reading of the first frames.
     """
 
     measured: Alignment
@@ -44,11 +44,11 @@ class FoundAlignment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know, in plain words."""
+        """Sentences for the user."""
         rows_px = self.measured.rows_to_move_px
         rows = (
-            f"Rows of left and right are {rows_px:+.1f} px apart: corrected, but the rig does not fit these videos "
-            "well; calibrate anew.",
+            f"Vertical offset of {rows_px:+.1f} px between left and right: corrected, but the rig does not fit these "
+            "videos well; calibrate again.",
         )
         return (self.applied.sentence(), *(rows if rows_px else ()))
 
@@ -91,7 +91,7 @@ def find_alignment(
         return FoundAlignment(measured=load_alignment(Path(align)), is_applied=True)
     began_s = time.perf_counter()
     drive, first_s = DriveAlignment(rig), math.nan
-    with (progress or _no_progress)("looking at the pair's alignment") as advance:
+    with (progress or _no_progress)("estimating the alignment") as advance:
         for frame in frames:
             first_s = frame.time_s if math.isnan(first_s) else first_s
             advance(round(10 * (frame.time_s - first_s)), round(10 * MAX_LOOK_S))

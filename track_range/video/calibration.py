@@ -76,14 +76,14 @@ class Calibration:
         return self.rectifier.rectify(left, right)
 
     def with_alignment(self, alignment: FoundAlignment) -> Calibration:
-        """This one of a calibrated pair, with its alignment; rows are moved where the alignment says so."""
+        """The calibration of a pair with its alignment; rows are moved if it has a row offset."""
         rectifier, rows_px = self.rectifier, alignment.measured.rows_to_move_px
         if rows_px and self.raw_rig is not None:
             rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px)
         return replace(self, rectifier=rectifier, alignment=alignment)
 
     def with_rows(self, row_offsets_px: list[float]) -> Calibration:
-        """This one of a pair without calibration, with the row offsets that its first pairs show; none = unknown."""
+        """The calibration of an uncalibrated pair with the row offsets of its first frames; none = unknown."""
         if self.uncalibrated is None:
             return self
         pair = self.uncalibrated.with_rows(row_offsets_px)
@@ -101,7 +101,7 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
     """
     is_sought = rig is None and focal_px is None and isinstance(left, Path)
     path = find_rig(left) if is_sought and isinstance(left, Path) else rig
-    search_notes = (f"No --rig given: {path} beside the left video is used.",) if is_sought and path else ()
+    search_notes = (f"Using calibration {path} found next to the left video.",) if is_sought and path else ()
     if path is not None:
         loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
         return replace(loaded, search_notes=search_notes)

@@ -69,7 +69,7 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def note_shortfall(self, declared_end_s: float, *, tolerance_s: float) -> None:
-        """Reading is over: say so if the file's header promised more."""
+        """Reading is over: note it if the file's header promised more."""
         if not self.stopped_by and self.end_s < declared_end_s - tolerance_s:
             self.stopped_by = f"{declared_end_s - self.end_s:.1f} s less than its header promises"
 

@@ -60,7 +60,9 @@ class VideoFile:
 
         self._first = next(self._reading, None)
         if self._first is None:
-            raise VideoError(f"{path}: no frame of this video can be decoded: it is damaged or cut short, record anew.")
+            raise VideoError(
+                f"{path}: no frame of this video can be decoded: it is damaged or cut short, record again."
+            )
         self.first_time_s = self._first.time_s
 
         declared_s, is_end = _declared_duration_s(container, stream)
@@ -71,7 +73,7 @@ class VideoFile:
 
         self._axes = _display_axes(self._first.frame)
         if self._axes != _UPRIGHT:
-            self._file_notes.append(f"{path}: turned upright, as its metadata says.")
+            self._file_notes.append(f"{path}: rotated upright, as its metadata requires.")
         image = _YuvImage(self._first.frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
@@ -90,7 +92,7 @@ class VideoFile:
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
         """The frames of the times from `from_s` up to, not including, `until_s`.
 
-        Damaged frames are left out, and reading ends where the file cannot be read on; `notes` says so.
+        Damaged frames are left out, and reading ends where the file cannot be read on; see `notes`.
 
         Raises:
             VideoError: a frame has another size than the first, or the file cannot be opened again.
@@ -287,9 +289,9 @@ def _why_unreadable(path: Path) -> str:
     except OSError as error:
         return f"cannot be read ({error.strerror}): check it and its permissions."
     if not start:
-        return "the file is empty: copy or record it anew."
+        return "the file is empty: copy or record it again."
     if start[4:8] == b"ftyp":
-        return "an MP4 without its index, so cut short while recording or copying: copy it anew, or repair it."
+        return "an MP4 without its index, so cut short while recording or copying: copy it again, or repair it."
     return "not a video, or damaged from its start: name a video file, or a folder of numbered images."
 
 
@@ -300,7 +302,7 @@ def _video_stream(container: InputContainer) -> VideoStream | None:
 
 
 def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tuple[float, bool]:
-    """How long the header says that the video is, 0 = it does not say; and whether that counts from time 0."""
+    """Duration stated by the header, 0 = none; and whether it counts from time 0."""
     if container.format.name == "avi" and stream.frames and stream.average_rate:
         return float(stream.frames / stream.average_rate), False  # its duration is what FFmpeg found, not the promise
     is_matroska = container.format.name.startswith("matroska")

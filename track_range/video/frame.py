@@ -19,7 +19,7 @@ _NEUTRAL_SHARE = 0.999
 
 
 class VideoError(UserError):
-    """A video that cannot be read, paired or written; the message names the path and says what to do."""
+    """A video that cannot be read, paired or written; the message names the path and what to do."""
 
 
 class DecodedImage(Protocol):

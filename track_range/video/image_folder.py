@@ -32,7 +32,7 @@ class ImageFolder:
         fps: nominal rate: the one given, or the median one of timestamps.txt.
         first_time_s: time of the first image; seconds since 1970 with timestamps.txt.
         n_frames: images in the folder.
-        notes: what the user should know.
+        notes: sentences for the user.
 
     Raises:
         VideoError: no numbered images, two of one number, or the first cannot be decoded.
@@ -59,7 +59,7 @@ class ImageFolder:
 
     @property
     def notes(self) -> list[str]:
-        """What the user should know, with what the latest reading has met."""
+        """Sentences for the user, with what the latest reading has met."""
         if not self._n_backward:
             return list(self._folder_notes)
         dropped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp left out."
@@ -111,7 +111,7 @@ def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
         if number == next_number:
             raise VideoError(
                 f"{folder}: {path.name} and {next_path.name} both have the number {number}: keep one camera's images "
-                "in a folder of their own."
+                "in a separate folder."
             )
     return images
 
@@ -140,7 +140,7 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str]]:
-    """(n_images,) seconds since 1970 from timestamps.txt, None without a usable one; and what to say about it."""
+    """(n_images,) seconds since 1970 from timestamps.txt, None without a usable one; and sentences for the user."""
     candidates = (place / _TIMESTAMPS_NAME for place in (folder, folder.absolute().parent))
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:

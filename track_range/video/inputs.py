@@ -80,10 +80,10 @@ class Inputs:
         look_ahead = LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES)
         return cls(first, look_ahead, _common_size_px(first, second))
 
-    def look(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
-        """The first pairs, before the iteration; see `LookAhead.look`. Nothing of one video."""
+    def read_ahead(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
+        """The first pairs, before the iteration; see `LookAhead.read_ahead`. Nothing of one video."""
         if self.pairs is not None:
-            yield from self.pairs.look()
+            yield from self.pairs.read_ahead()
 
     def __iter__(self) -> Generator[Images, None, None]:
         if self.pairs is not None:
@@ -143,7 +143,7 @@ def _paired(left: Reader, right: Reader) -> StereoVideo | LivePair:
         return StereoVideo(left, right)
     left.close()
     right.close()
-    raise VideoError(f"{left.path} and {right.path}: one is live and the other a file; give two of a kind.")
+    raise VideoError(f"{left.path} and {right.path}: expected two files or two live streams, got one of each.")
 
 
 def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:
@@ -152,5 +152,7 @@ def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:
         (lw, lh), (rw, rh) = sizes
         left.close()
         right.close()
-        raise VideoError(f"{left.path} is {lw}x{lh} but {right.path} {rw}x{rh}: left and right must have one size.")
+        raise VideoError(
+            f"{right.path}: expected {lw}x{lh} px like {left.path}, got {rw}x{rh}; both videos must have one size."
+        )
     return min(w for w, _ in sizes), min(h for _, h in sizes)

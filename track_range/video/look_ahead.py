@@ -1,7 +1,7 @@
 r"""LookAhead: the first pairs of two videos are seen before the pass that uses them, and decoded once.
 
-pairs -> look() -> alignment, checks                     live: nothing is kept, and the pass starts with the newest
-            \-> kept, packed, at most `max_bytes` -> iteration: kept ones first (freed as they go), then the rest
+pairs -> read_ahead() -> alignment, checks          live: nothing is kept, and the pass starts with the newest
+               \-> kept, packed, at most `max_bytes` -> iteration: kept ones first (freed as they go), then the rest
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ Pair = tuple[VideoFrame, VideoFrame]
 
 
 class LookAhead:
-    """Pairs of two videos, of which the first may be looked at once before they are iterated.
+    """Pairs of two videos, of which the first may be read ahead once before they are iterated.
 
     Args:
         pairs: the two videos.
-        max_bytes: memory for the pairs looked at. If they are more than one and need more, none is kept, and the
+        max_bytes: memory for the pairs read ahead. If they are more than one and need more, none is kept, and the
             iteration starts anew: recorded videos from their start, live ones with what comes then.
     """
 
@@ -36,11 +36,11 @@ class LookAhead:
 
     @property
     def n_kept(self) -> int:
-        """Pairs that have been looked at and wait for the iteration."""
+        """Pairs that have been read ahead and wait for the iteration."""
         return len(self._kept)
 
-    def look(self) -> Generator[Pair, None, None]:
-        """The first pairs, as many as the caller takes; at most one look, before the iteration."""
+    def read_ahead(self) -> Generator[Pair, None, None]:
+        """The first pairs, as many as the caller takes; to be called at most once, before the iteration."""
         self._unread = iter(self.pairs)
         for left, right in self._unread:
             self._n_bytes += left.n_packed_bytes + right.n_packed_bytes

@@ -18,7 +18,7 @@ _MAX_ROW_OFFSET_PX = 1.5
 """A larger offset is noted; features lie on whole pixels, so a single pair cannot show a smaller one."""
 
 _UNMATCHED = (
-    f"In the first {MAX_CHECKED_PAIRS} pairs left and right share too few points in equal rows to check the rig by: "
+    f"In the first {MAX_CHECKED_PAIRS} pairs left and right share too few points in equal rows to check the rig: "
     "do the two videos and the rig belong together?"
 )
 
@@ -46,7 +46,7 @@ class PairMonitor:
     """Checks the first pairs for swapped cameras and measures their row offset.
 
     Args:
-        n_conclusive: conclusive pairs that are wanted.
+        n_conclusive: number of conclusive pairs after which checking ends.
 
     Attributes:
         row_offsets_px: mean of y_right - y_left of matching points, one per conclusive pair.
@@ -96,8 +96,8 @@ class PairMonitor:
         if abs(row_px) <= _MAX_ROW_OFFSET_PX:
             return ()
         return (
-            f"Rows of left and right are {row_px:+.1f} px apart: the rig does not fit these videos "
-            "well, and stereo distances will suffer; calibrate anew.",
+            f"Vertical offset of {row_px:+.1f} px between left and right: the rig does not fit these videos well, so "
+            "stereo distances are less accurate; calibrate again.",
         )
 
 
@@ -135,6 +135,6 @@ class SyncMonitor:
             return ()
         late = "right" if sync == "right lags" else "left"
         return (
-            f"Left and right are out of step: the {late} video is a frame late, by the rows of matched points while "
-            f"the vehicle moves, so stereo distances are wrong; cut the first frame off the {late} video.",
+            f"Left and right are not synchronised: the {late} video lags by one frame (from the rows of matched points "
+            f"while the vehicle moves), so stereo distances are wrong; cut the first frame off the {late} video.",
         )

@@ -67,7 +67,7 @@ class VideoReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know; complete only after the last frame."""
+        """Sentences for the user; complete only after the last frame."""
         return tuple(self._source.notes)
 
     def close(self) -> None:

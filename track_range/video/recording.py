@@ -1,6 +1,6 @@
 """open_recording: one video or a pair -> rectified frames; each video is opened and decoded once.
 
-open the videos -> find and check the calibration -> look at the first frames: swapped? alignment -> rectified frames
+open the videos -> find and check the calibration -> check and align by the first frames -> rectified frames
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def _aligned(
 def _with_equal_rows(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:
     """A pair without calibration, with the row offset of its first pairs taken out."""
     monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
-    with closing(inputs.look()) as pairs:
+    with closing(inputs.read_ahead()) as pairs:
         for pair in islice(pairs, MAX_CHECKED_PAIRS):
             monitor.add(_frame(pair, calibration, inputs))
             if monitor.is_done:
@@ -164,7 +164,7 @@ def _first_frames(
 ) -> Generator[Frame, None, None]:
     """Frames of the first seconds, as far apart as the alignment needs them; `checks` get each that they need."""
     first_s, last_s = math.nan, -math.inf
-    with closing(inputs.look()) as pairs:
+    with closing(inputs.read_ahead()) as pairs:
         for pair in pairs:
             time_s = pair[0].time_s - inputs.left.first_time_s
             first_s = time_s if math.isnan(first_s) else first_s

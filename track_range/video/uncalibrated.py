@@ -1,7 +1,7 @@
-"""A pair without a rig: a focal length given or assumed, rows made to agree, and what the user is told of it.
+"""A pair without a rig: a focal length given or assumed, and the vertical offset of its first frames.
 
-Without the focal length f no picture tells metres: everything twice as far and twice as large looks the same. So f is
-taken from how wide dash cameras usually see, and all distances are as uncertain as that.
+Without the focal length f an image determines no distances: an object twice as far and twice as large gives the same
+image. So f is taken from the usual field of view of dash cameras, and its uncertainty is that of all distances.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ASSUMED_FOCAL_SIGMA = 0.25
 _GIVEN_FOCAL_SIGMA = 0.02
 
 ASSUMED_BASELINE_M = 0.5
-"""For the range of disparities that is searched, and for nothing else."""
+"""Sets the range of disparities that is searched, and nothing else."""
 
 HOW_TO_CALIBRATE = (
     "for true metres photograph a chessboard with both cameras, run `track-range calibrate --stereo LEFT RIGHT "
@@ -33,14 +33,14 @@ HOW_TO_CALIBRATE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UncalibratedPair:
-    """What is taken for granted of a pair that nobody has calibrated.
+    """Assumptions on a pair without calibration.
 
     Attributes:
-        camera: either camera, roughly.
+        camera: either camera, approximately.
         focal_sigma: relative standard deviation of its focal length.
-        is_assumed: whether that is no more than a guess.
+        is_assumed: whether the focal length is assumed, not given.
         row_offset_px: y_right - y_left of matching points.
-        has_equal_rows: whether there is such an offset at all; without one the pair cannot be matched.
+        has_equal_rows: whether rows of left and right agree once it is taken out; else the pair cannot be matched.
     """
 
     camera: PinholeCamera
@@ -51,7 +51,7 @@ class UncalibratedPair:
 
     @classmethod
     def of(cls, size_px: tuple[int, int], focal_px: float | None) -> UncalibratedPair:
-        """Before its images have been looked at: for images of (width, height) and a focal length, None = unknown."""
+        """The pair before its images are read: size_px (width, height); focal_px None = unknown."""
         assumed_px = size_px[0] / 2 / math.tan(math.radians(_ASSUMED_FIELD_DEG / 2))
         return cls(
             camera=camera_of_focal_length(focal_px or assumed_px, size_px),
@@ -68,7 +68,7 @@ class UncalibratedPair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know."""
+        """Sentences for the user."""
         focal = (
             f"a horizontal field of view of {_ASSUMED_FIELD_DEG:.0f} degrees is assumed (focal length "
             f"{self.camera.fx_px:.0f} px; give --focal-px if you know it)"
@@ -76,7 +76,8 @@ class UncalibratedPair:
             else f"the focal length is {self.camera.fx_px:.0f} px as given"
         )
         first = (
-            f"No rig, so distances are uncalibrated: {focal}, and the baseline is learnt from the sizes of road users"
+            f"No rig, so distances are uncalibrated: {focal}, and the baseline is estimated from the sizes of road "
+            "users"
         )
         if not self.has_equal_rows:
             return (
@@ -85,12 +86,14 @@ class UncalibratedPair:
                 "left video alone.",
             )
         rows = (
-            f" Rows of left and right are {self.row_offset_px:+.1f} px apart; corrected." if self.row_offset_px else ""
+            f" Vertical offset of {self.row_offset_px:+.1f} px between left and right; corrected."
+            if self.row_offset_px
+            else ""
         )
         return (f"{first}; {HOW_TO_CALIBRATE}.{rows}",)
 
 
 def camera_of_focal_length(focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
-    """A camera that looks at the middle of its image of (width, height)."""
+    """A camera whose principal point is the centre of its image; size_px (width, height)."""
     width_px, height_px = size_px
     return PinholeCamera(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)

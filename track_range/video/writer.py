@@ -32,7 +32,7 @@ _MUXER_OPTIONS = {
     "frag_duration": str(_FRAGMENT_US),
     "flush_packets": "1",
 }
-_BT601 = 5  # AVCOL_SPC_BT470BG; what cv2's I420 conversion computes, so players must be told
+_BT601 = 5  # AVCOL_SPC_BT470BG; what cv2's I420 conversion computes, so players need it in the header
 _LIMITED_RANGE = 1  # AVCOL_RANGE_MPEG: 16..235
 
 
@@ -46,7 +46,7 @@ class VideoWriter:
         width_px, height_px: size of the images.
         fps: nominal rate, for the length of the last frame.
         crf: x264's constant quality, 0 (lossless) to 51; 23 is its own default.
-        quantizer: the same for every frame, 0 to 51, in place of `crf`: x264 need not look at each image beforehand.
+        quantizer: the same for every frame, 0 to 51, in place of `crf`: x264 need not analyse each image beforehand.
         preset: x264's speed; at crf 23 on a core, 1242x374 frames of KITTI 0003 take: ultrafast 4.2 ms and 73 kB at
             32.4 dB, superfast 9 ms and 49 kB at 31.0 dB, veryfast 12 ms and 37 kB at 30.1 dB.
         n_threads: the encoder's threads.
@@ -137,7 +137,7 @@ class VideoWriter:
         if self._last_tick < 0:
             self._first_s = time_s
         elif time_s <= self._last_s:
-            raise ValueError(f"time_s: later than {self._last_s} wanted, {time_s} got")
+            raise ValueError(f"time_s: expected later than {self._last_s}, got {time_s}")
         self._last_s = time_s
         # Times less than a tick apart still get ticks of their own.
         self._last_tick = max(self._last_tick + 1, round((time_s - self._first_s) * _TICKS_HZ))

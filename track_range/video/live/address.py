@@ -12,7 +12,7 @@ _PASSWORD = re.compile(r"(?<=[?&])((?:user|username|usr|password|pass|passwd|pwd
 _NUMBER = re.compile(r"\d{1,3}")
 
 _SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
-"""FFmpeg: hand images on as they come, and look for two seconds at most at what a stream holds."""
+"""FFmpeg: hand images on as they come, and probe a stream for two seconds at most."""
 
 
 @dataclass(frozen=True, slots=True)

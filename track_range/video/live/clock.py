@@ -1,7 +1,7 @@
 """StreamClock: one clock for the images of several live streams: this machine's, `time.monotonic`.
 
 A camera's stamps are that clock already (Linux), and are taken as they are. A network stream counts from a time of its
-own, and its images arrive early or late by turns; the one that was least late tells where its clock stands:
+own, and its images arrive with varying delay; the one with the least delay gives the offset of its clock:
 
     time_s = stamp_s + min(arrived_s - stamp_s)         over the last images, so that a drifting clock is followed
 """

@@ -1,6 +1,6 @@
-"""LivePair: two live streams in step: always the newest two images of one instant.
+"""LivePair: two live streams paired by time: always the newest two images of one instant.
 
-left   |  a    b    c    d   |    of the images that wait, each left one's nearest right one is looked for; the newest
+left   |  a    b    c    d   |    each left image that waits is paired with the nearest right one; the newest
 right  |    A    B    C      |    pair that is near enough is taken, here (c, C), and all before it is dropped
 """
 
@@ -16,8 +16,8 @@ from track_range.video.live.reader import LiveReader
 from track_range.video.live.stream import SILENCE_S
 
 _SHARED_CLOCK_INTERVALS, _ARRIVAL_INTERVALS = 0.25, 0.5
-"""The largest difference of time within a pair, in frame intervals: where stamps can be compared, and where arrivals
-tell the time, which lets every image find a partner."""
+"""The largest difference of time within a pair, in frame intervals: where stamps can be compared, and where only
+arrival times are known, which lets every image find a partner."""
 
 
 class LivePair:
@@ -33,7 +33,7 @@ class LivePair:
 
     def __init__(self, left: LiveReader, right: LiveReader) -> None:
         self.left, self.right = left, right
-        self._is_shared = all(eye.stream.clock.is_shared for eye in (left, right))
+        self._is_shared = all(reader.stream.clock.is_shared for reader in (left, right))
         intervals = _SHARED_CLOCK_INTERVALS if self._is_shared else _ARRIVAL_INTERVALS
         self.tolerance_s = intervals / max(left.fps, right.fps)
         self._apart_s: list[float] = []
@@ -41,7 +41,7 @@ class LivePair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know, once it is over."""
+        """Sentences for the user, once it is over."""
         if not self.left.is_closed or not self._apart_s or self._is_shared:
             return ()
         return (
@@ -51,18 +51,18 @@ class LivePair:
 
     def close(self) -> None:
         """End both connections."""
-        for eye in (self.left, self.right):
-            eye.close()
+        for reader in (self.left, self.right):
+            reader.close()
 
     def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         self.left.begin()
         news = threading.Event()
-        eyes = (self.left, self.right)
-        for eye in eyes:
-            eye.stream.listen(news)
+        readers = (self.left, self.right)
+        for reader in readers:
+            reader.stream.listen(news)
         while True:
-            news.clear()  # before anything is looked at: what comes meanwhile sets it again
-            is_over = any(eye.stream.is_over for eye in eyes)
+            news.clear()  # cleared first: a frame that arrives meanwhile sets it again
+            is_over = any(reader.stream.is_over for reader in readers)
             found = self._newest()
             if found is not None and self.left.is_past(found[1]):
                 return
@@ -97,8 +97,8 @@ class LivePair:
         yield left, right
 
     def _check(self) -> None:
-        for eye in (self.left, self.right):
-            eye.stream.check()
+        for reader in (self.left, self.right):
+            reader.stream.check()
         if not self._n_pairs:
             raise VideoError(
                 f"{self.left.path} and {self.right.path}: no images of one instant, "

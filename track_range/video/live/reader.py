@@ -23,7 +23,7 @@ class LiveReader:
         path: the address.
         width_px, height_px, is_grey, fps: as of `VideoReader`.
         first_time_s: time at which the present reading began, of `time.monotonic`.
-        n_frames: None: nobody knows.
+        n_frames: None: unknown.
         busy_s: processor time spent on handing images on.
         is_closed: whether the connection has been ended.
 
@@ -45,18 +45,18 @@ class LiveReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know, once it is over."""
+        """Sentences for the user, once it is over."""
         stream = self.stream
         if not self.is_closed:
             return ()
-        came = counted(stream.n_received, "frame")
-        ended = (f"{self.path}: the stream ended by itself after {came}.",) if stream.has_ended else ()
-        if stream.n_received == stream.n_taken:
+        n_dropped = stream.n_received - stream.n_taken
+        received = counted(stream.n_received, "frame")
+        ended = (f"{self.path}: the stream ended by itself after {received}.",) if stream.has_ended else ()
+        if not n_dropped:
             return ended
         return (
             *ended,
-            f"{self.path}: {came} came, {stream.n_taken} were used; the others came "
-            "while older ones were worked on, or had no partner.",
+            f"{self.path}: {received} received, {stream.n_taken} processed, {n_dropped} dropped (busy or unpaired).",
         )
 
     def begin(self) -> None:
@@ -94,7 +94,7 @@ class LiveReader:
     def _newest(self) -> Generator[VideoFrame, None, None]:
         news = self.stream.news()
         while True:
-            news.clear()  # before anything is looked at: what comes meanwhile sets it again
+            news.clear()  # cleared first: a frame that arrives meanwhile sets it again
             is_over, newest = self.stream.is_over, self.stream.waiting_s()[-1:]
             if not newest and is_over:
                 self.stream.check()

@@ -48,8 +48,8 @@ class LiveStream:
         is_grey: the first one has no colour.
         n_received: images decoded so far.
         n_taken: images handed on.
-        ended_by: why the stream is over, as FFmpeg says; empty = it ended as a file does, or runs still.
-        has_ended: whether it ended as a file does, and not because nobody wanted more.
+        ended_by: why the stream is over, in FFmpeg's words; empty = it ended as a file does, or runs still.
+        has_ended: whether it ended as a file does, and was not closed.
 
     Raises:
         VideoError: it cannot be opened, holds no video, or no image comes.
@@ -73,7 +73,7 @@ class LiveStream:
         self._thread.start()
         if not (first.wait(_OPEN_S) and self._held):
             self.close()
-            raise VideoError(f"{address}: no image came ({self.ended_by or 'it is silent'}): check the camera.")
+            raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}): check the camera.")
         image = self._held[-1].frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
