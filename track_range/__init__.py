@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from track_range.api.evaluation import evaluate_tracks as evaluate_tracks
     from track_range.api.parts import Detector as Detector
     from track_range.api.parts import Tracker as Tracker
+    from track_range.api.parts import load_rig as load_rig
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
     from track_range.detection.models.onnx_session import ModelError as ModelError
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.rig import RigError as RigError
     from track_range.stereo.geometry.rig import StereoRig as StereoRig
     from track_range.stereo.matching.patch_matcher import PatchMatcher as PatchMatcher
-    from track_range.stereo.rig_formats.reading import load_rig as load_rig
     from track_range.tracking.registry import register_tracker as register_tracker
     from track_range.tracking.tracks import Tracks as Tracks
     from track_range.video.reader import VideoError as VideoError
@@ -80,7 +80,7 @@ _MODULE_OF = {
     "Fusion": "ranging.fusion.fusion",
     "DistanceFilters": "ranging.filtering.distance_filter",
     "Rectifier": "stereo.geometry.rectification",
-    "load_rig": "stereo.rig_formats.reading",
+    "load_rig": "api.parts",
     "Overlay": "overlay.annotator",
     # evaluation
     "evaluate_ranges": "api.evaluation",

@@ -30,7 +30,12 @@ class StereoRanger(Ranger):
             rig: the rectified pair, as `Rectifier.rig` has it.
             matcher: matches boxes; None = the patch matcher with the settings for this rig.
             alignment: correction of the disparities; None = none.
+
+        Raises:
+            ValueError: the rig is not rectified.
         """
+        if not rig.is_rectified:
+            raise ValueError("rig: expected a rectified pair; use Rectifier(rig).rig, and its images")
         self._triangulate = Triangulation(rig, alignment or Alignment())
         self._matcher = TrackMatcher(matcher or PatchMatcher(PatchMatcherSettings.for_rig(rig)))
 

@@ -186,6 +186,16 @@ def test_parts_range_a_pair(drive):
     assert by_size.distance_m == pytest.approx(frame.ranges["mono"].distance_m, nan_ok=True)
 
 
+def test_rig_files(drive, tmp_path):
+    rig = tr.load_rig(drive.rig)
+    assert rig.baseline_m == pytest.approx(0.54, abs=0.2)
+    assert rig.left.width_px > 0
+    (tmp_path / "calib.txt").write_text("P2: 700 0 320 0 0 700 180 0 0 0 1 0\nP3: 700 0 320 -378 0 700 180 0 0 0 1 0\n")
+    with pytest.raises(tr.RigError, match="size_px"):
+        tr.load_rig(tmp_path / "calib.txt")
+    assert tr.load_rig(tmp_path / "calib.txt", size_px=(640, 360)).baseline_m == pytest.approx(0.54)
+
+
 def test_supervision_like_boxes_reach_the_tracker():
     tracker = tr.Tracker("sort")
     boxes = SimpleNamespace(

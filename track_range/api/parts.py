@@ -18,8 +18,29 @@ from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.foundation.arrays import Image
 from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.tracker_options import open_tracker_options
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.stereo.rig_formats.reading import load_calibration
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracks import Tracks
+
+
+def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
+    """The pair of cameras of a calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's.
+
+    Args:
+        path: the file.
+        size_px: (width, height) of the images; None = the file's own. KITTI's files give none.
+        is_grey: whether to take the grey pair of a KITTI file that also has the colour one.
+
+    Raises:
+        RigError: the file cannot be read, holds one camera, or gives no image size where none is given here.
+    """
+    rig, _ = load_calibration(Path(path), size_px=size_px, is_grey=is_grey)
+    if not isinstance(rig, StereoRig):
+        raise RigError(f"{path}: expected two cameras, found one.")
+    if not rig.left.width_px:
+        raise RigError(f"{path}: it gives no image size; give size_px=(width, height) of the images.")
+    return rig
 
 
 class Detector:
