@@ -314,7 +314,7 @@ def test_files_beside_motchallenge_folders_are_named(tmp_path, cli, moving):
     (tmp_path / "in/A/det/det.txt").write_text("1,-1,1,1,10,10,1\n")
     (tmp_path / "in/b.txt").write_text(plain(*moving))
     status, told, _ = cli("track", tmp_path / "in", "--out", tmp_path / "out")
-    assert (status, "taken as MOTChallenge's folders; left out: b.txt." in told) == (0, True)
+    assert (status, "ignored: b.txt" in told) == (0, True)
 
 
 def test_boxes_that_are_not_in_the_images_are_told(tmp_path, cli, moving):

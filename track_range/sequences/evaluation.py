@@ -21,8 +21,8 @@ from track_range.sequences.find import (
     find_sequences,
     first_line,
     paired,
-    passed_over,
-    without_truth,
+    ignored_files_note,
+    no_truth_note,
 )
 from track_range.sequences.settings import TrackEvaluationSettings, TruthFormat
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
@@ -61,7 +61,11 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         "class": name,
         "combined": _without_nan(asdict(combined.scores())),
         "sequences": {key: _without_nan(asdict(each.scores())) for key, each in counts.items()},
-        "notes": [*passed_over(truth, labelled), *passed_over(place, tracked), *without_truth(labelled, tracked)],
+        "notes": [
+            *ignored_files_note(truth, labelled),
+            *ignored_files_note(place, tracked),
+            *no_truth_note(labelled, tracked),
+        ],
     }
     if settings.compare == "motmetrics":
         theirs = motmetrics_figures(similarity)

@@ -24,7 +24,7 @@ MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """What MOTChallenge's seqinfo.ini says; None = it does not, or there is none.
+    """Contents of MOTChallenge's seqinfo.ini; None = not given, or there is no such file.
 
     Attributes:
         fps: frames per second.
@@ -42,9 +42,9 @@ class SequenceFile:
     """One sequence.
 
     Attributes:
-        name: what its results are named after.
-        path: boxes or truth.
-        info: what is known besides.
+        name: of its results.
+        path: file of boxes or ground truth.
+        info: of seqinfo.ini.
     """
 
     name: str
@@ -73,15 +73,16 @@ def find_sequences(place: Path, kind: Kind) -> list[SequenceFile]:
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise LabelFileError(f"{place}: two sequences are called {twice}: their results would be one file.")
     if not found:
-        raise LabelFileError(f"{place}: no sequences: NAME.txt files, or folders NAME with {inner.as_posix()}, wanted.")
+        expected = f"NAME.txt files, or folders NAME with {inner.as_posix()}"
+        raise LabelFileError(f"{place}: no sequences: expected {expected}.")
     return found
 
 
 def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> list[tuple[SequenceFile, SequenceFile]]:
-    """Truth and results of the same names; a single file of each belongs together whatever its name.
+    """Truth and results of equal names; a single file of each is a pair whatever its name.
 
     Raises:
-        LabelFileError: truth without results, which would flatter whoever left them out.
+        LabelFileError: truth without results, since leaving out sequences would raise the score.
     """
     if len(truth) == len(results) == 1:
         return [(truth[0], results[0])]
@@ -92,15 +93,15 @@ def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> li
     return [(each, by_name[each.name]) for each in truth]
 
 
-def passed_over(place: Path, found: Sequence[SequenceFile]) -> tuple[str, ...]:
+def ignored_files_note(place: Path, found: Sequence[SequenceFile]) -> tuple[str, ...]:
     """A note on a folder's NAME.txt files that are none of its sequences, since MOTChallenge's folders go first."""
     taken = {each.path for each in found}
     left = [file.name for file in _text_files(place) if file not in taken] if place.is_dir() else []
-    return (f"{place}: taken as MOTChallenge's folders; left out: {listed(left)}.",) if left else ()
+    return (f"{place}: read as MOTChallenge's folders; ignored: {listed(left)}.",) if left else ()
 
 
-def without_truth(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:
-    """A note on results that `paired` has nothing to hold against."""
+def no_truth_note(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:
+    """A note on results that have no truth."""
     names = {each.name for each in truth}
     extra = [each.name for each in results if each.name not in names]
     if not extra or len(truth) == len(results) == 1:
@@ -138,10 +139,10 @@ def _sequence(path: Path) -> SequenceFile:
 
 
 def _read_info(file: Path) -> SequenceInfo:
-    """What seqinfo.ini says.
+    """Contents of seqinfo.ini.
 
     Raises:
-        LabelFileError: it is there, but is no such file.
+        LabelFileError: it cannot be parsed.
     """
     if not file.is_file():
         return SequenceInfo()

@@ -76,23 +76,23 @@ class LabelledSource:
 
     @property
     def format(self) -> LabelFormat:
-        """The labels' format, told or guessed."""
+        """The labels' format, given or guessed."""
         if self.label_format is not None:
             return self.label_format
         if self.is_video:
             return "kitti"
         return "coco" if self.labels.suffix.lower() == ".json" else "yolo"
 
-    def asked(self, truth: ImageTruth) -> ImageTruth:
-        """The labels with only the classes that are asked for to be counted.
+    def of_classes(self, truth: ImageTruth) -> ImageTruth:
+        """The labels with only the chosen classes to be counted.
 
         Raises:
             ClassNameError: a class is unknown.
         """
         if not self.classes:
             return truth
-        wanted = np.isin(np.arange(len(ROAD_CLASSES)), road_class_ids(self.classes))
-        return replace(truth, is_complete=truth.is_complete & wanted)
+        is_chosen = np.isin(np.arange(len(ROAD_CLASSES)), road_class_ids(self.classes))
+        return replace(truth, is_complete=truth.is_complete & is_chosen)
 
     def labelled_files(self) -> list[LabelledImage]:
         """The images of the folder with their labels, all of the split where there is a manifest.
@@ -113,7 +113,7 @@ class LabelledSource:
         """Read all labels.
 
         Raises:
-            ClassNameError: a class that is asked for is unknown.
+            ClassNameError: a chosen class is unknown.
             UsageError: a video with labels other than KITTI's of a sequence.
             LabelFileError, ImageFileError, VideoError: labels, images or video cannot be read.
         """
@@ -121,13 +121,15 @@ class LabelledSource:
         if not self.is_video:
             return _FolderFrames(self)
         if self.format != "kitti" or not self.labels.is_file() or self.manifest is not None:
-            raise UsageError("a video's frames want one file of KITTI tracking labels: --format kitti --labels FILE.")
+            raise UsageError(
+                "the frames of a video need one file of KITTI tracking labels: --format kitti --labels FILE."
+            )
         return _VideoFrames(self)
 
 
 class _FolderFrames:
     def __init__(self, source: LabelledSource) -> None:
-        self._asked = source.asked
+        self._of_classes = source.of_classes
         self._found = [item for item in source.labelled_files() if item.path not in source.leave_out]
         if not self._found:
             raise LabelFileError(f"{source.images}: no labelled images are left to measure on.")
@@ -141,17 +143,17 @@ class _FolderFrames:
             except ImageFileError as error:
                 self.unreadable.append(str(error))
                 continue
-            yield image, self._asked(item.truth_in(image))
+            yield image, self._of_classes(item.truth_in(image))
 
 
 class _VideoFrames:
     unreadable: Sequence[str] = ()
 
     def __init__(self, source: LabelledSource) -> None:
-        self._asked, self._truth = source.asked, read_sequence(source.labels)
+        self._of_classes, self._truth = source.of_classes, read_sequence(source.labels)
         self._video = VideoReader(source.images)
         self.n_images = self._video.n_frames
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
         for frame in self._video:
-            yield frame.image, self._asked(self._truth(frame.index))
+            yield frame.image, self._of_classes(self._truth(frame.index))

@@ -24,7 +24,7 @@ from track_range.sequences.find import (
     SequenceFile,
     find_sequences,
     first_line,
-    passed_over,
+    ignored_files_note,
 )
 from track_range.sequences.settings import TrackSettings
 from track_range.sequences.tracking import images_of, track_sequence
@@ -99,7 +99,7 @@ def track(
     _check_inputs_stay(sequences, settings)
     tracker_options = open_tracker_options(settings.reid)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
-    for sentence in (*passed_over(settings.detections, sequences), *reid_notes):
+    for sentence in (*ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)
     _make_folders(settings)
     done, failed = [], {}
