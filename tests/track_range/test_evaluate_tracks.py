@@ -93,7 +93,7 @@ def test_motchallenge_folders(tmp_path, cli):
     ("name", "text", "said"),
     [
         ("0003.txt", "", "no results for 0001, 0002"),
-        ("0001.txt", "junk,junk\n", "0001.txt, line 1: 7 to 10 numbers"),
+        ("0001.txt", "junk,junk\n", "0001.txt, line 1: expected 7 to 10 numbers"),
         ("0001.txt", "1,1,1,1,1,1,1\n1,1,1,1,1,1,1\n", "an identity is there twice in one frame"),
         ("0001.txt", "0,1,1,1,1,1,1\n", "count frames from 1"),
         ("0001.txt", b"\xff\xfe\x00", "cannot be read as text"),

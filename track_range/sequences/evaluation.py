@@ -20,9 +20,9 @@ from track_range.sequences.find import (
     SequenceFile,
     find_sequences,
     first_line,
-    paired,
     ignored_files_note,
     no_truth_note,
+    paired,
 )
 from track_range.sequences.settings import TrackEvaluationSettings, TruthFormat
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
