@@ -134,7 +134,7 @@ def test_times_must_increase(tmp_path: Path, level: Callable[..., np.ndarray]) -
     with VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0) as writer:
         writer.write(level(0), 5.0)
         for time_s in (5.0, 4.9):
-            with pytest.raises(ValueError, match=rf"time_s: later than 5.0 wanted, {time_s} got"):
+            with pytest.raises(ValueError, match=rf"time_s.* got {time_s}"):
                 writer.write(level(1), time_s)
         writer.write(level(1), 5.1)
     assert len(list(VideoReader(tmp_path / "out.mp4"))) == 2
