@@ -253,7 +253,10 @@ def test_wrong_usage(boards, tmp_path, cli):
         ((*out, *mono, "--board", "nine"), "'nine' is no board"),
         ((*out, *mono, "--board", "9x6"), "--square-mm 20"),
         ((*out, *mono, "--board", "9x6", "--square-mm", 0.03), "squares of 0.03 mm are not plausible"),
-        ((*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens-terms", 6), "--lens-terms 6: one of 0, 4, 5, 8"),
+        (
+            (*out, *mono, "--board", "9x6", "--square-mm", 30, "--lens-terms", 6),
+            "--lens-terms 6: expected one of 0, 4, 5, 8",
+        ),
     ):
         assert said in one_sentence(cli("calibrate", *options), status=2)
 

@@ -88,7 +88,7 @@ def test_an_odd_rig_is_drawn_one_row_and_column_larger(cli, tmp_path):
     rig = rig_file(tmp_path / "odd.yaml", width_px=311, height_px=93)
     status, printed, _ = cli("simulate", "--out", tmp_path / "d", "--seconds", 0.1, "--rig", rig)
     assert status == 0
-    assert "Note: 312 x 94 is drawn, as videos want even sizes and odd.yaml has 311 x 93." in printed
+    assert "Note: 312 x 94 is drawn, as videos need even sizes and odd.yaml has 311 x 93." in printed
     assert yaml.safe_load((tmp_path / "d" / "rig.yaml").read_text())["left"]["width_px"] == 312
 
 
@@ -155,7 +155,10 @@ def test_eyes_that_are_swapped(cli, rig, tmp_path):
 def test_a_rig_file_of_one_camera_or_none(cli, rig, tmp_path):
     mono = tmp_path / "mono.yaml"
     mono.write_text(yaml.safe_dump({k: v for k, v in yaml.safe_load(rig.read_text()).items() if "right" not in k}))
-    for file, said in ((mono, "holds one camera only; a drive is for two eyes"), (tmp_path / "none.yaml", "none.yaml")):
+    for file, said in (
+        (mono, "holds one camera only; a drive needs two cameras"),
+        (tmp_path / "none.yaml", "none.yaml"),
+    ):
         status, _, complaint = cli("simulate", "--out", tmp_path / "d", "--seconds", 0.1, "--rig", file)
         assert status == 1
         assert said in complaint
