@@ -1,8 +1,8 @@
 """Darknet networks (cfg and weights) as ONNX files: the YOLOv3 and YOLOv4 families, with their tiny ones.
 
 The outputs are what [yolo] reads, [1, A (5 + classes), rows, columns], named by their strides (`head_s32`, ...), in the
-cfg's order; `detection.yolo_decoders.HeadDecoder` turns them into boxes. What that takes, names, anchors, scale_x_y,
-goes into the file's metadata (`detection.model_facts`).
+cfg's order; `detection.yolo.decoders.HeadDecoder` turns them into boxes. What that takes, names, anchors, scale_x_y,
+goes into the file's metadata (`detection.models.metadata`).
 
     [net]  images [1, 3, H, W], RGB / 255  -->  Conv, MaxPool, Resize, Concat, Slice, Add  -->  head_s32, head_s16, ...
 """

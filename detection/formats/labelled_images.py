@@ -5,7 +5,7 @@
     coco   one JSON: images, annotations (bbox x y w h in pixels, iscrowd), categories
 
 Labels use the corner convention (the image's left edge is 0), ours has pixel centres at whole numbers: minus half a
-pixel. KITTI's are taken as they are (`detection.kitti_format`).
+pixel. KITTI's are taken as they are (`detection.formats.kitti`).
 """
 
 from __future__ import annotations

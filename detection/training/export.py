@@ -1,7 +1,7 @@
 """Export: a trained network as one .onnx file that the ordinary detector loads without being told anything.
 
 The boxes are decoded in the graph (rows of centre, size, objectness, class scores in input pixels, YOLOv5's layout),
-the input size is open, and the metadata has all that `detection.model_facts` reads.
+the input size is open, and the metadata has all that `detection.models.metadata` reads.
 """
 
 from __future__ import annotations

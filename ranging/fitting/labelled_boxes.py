@@ -1,8 +1,8 @@
 """BoxSet: labelled boxes of many drives with their true distances, as parallel arrays, without any video.
 
 Truth is the z at which the ray through the label's box centre first meets its 3-D box, from the left colour camera
-(`ranging.box_surface`); labels are shifted into its frame. Kept are boxes with a 3-D box at 5-100 m, not truncated,
-occluded <= 1, of the five labelled kinds: Van is a kind of its own here, although its road class may be car or truck.
+(`ranging.evaluation.box_surface`); labels are shifted into its frame. Kept are boxes with a 3-D box at 5-100 m, not
+truncated, occluded <= 1, of the five labelled kinds: Van is a kind of its own here, although its road class may be car or truck.
 The box itself may then be blurred by pixel noise or be a detector's; the truth stays the label's.
 """
 

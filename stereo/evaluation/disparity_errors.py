@@ -83,7 +83,7 @@ def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
 
 
 Fit = Callable[..., Alignment]
-"""`stereo.alignment_reference.fit_reference`, or anything that is called as it is."""
+"""`stereo.alignment.from_reference.fit_reference`, or anything that is called as it is."""
 
 
 def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:

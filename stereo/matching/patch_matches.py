@@ -57,7 +57,7 @@ class PatchMatches:
 
 
 class BoxMatcher(Protocol):
-    """Finds the disparities of single boxes, as `stereo.patch_matcher.PatchMatcher` does."""
+    """Finds the disparities of single boxes, as `stereo.matching.patch_matcher.PatchMatcher` does."""
 
     def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
         """Disparities of boxes (N, 4), and why some have none; prior_px (N,) NaN = search the full range."""

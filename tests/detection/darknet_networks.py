@@ -109,7 +109,7 @@ def assorted(*, size_px=(104, 72), n_classes=3):
 
 
 def write_weights(path, network, *, seed, version=(0, 2, 5), gain=2.0, more_variance=0.0):
-    """Random weights of a network (`detection.darknet_layers.Network`): He's scale, batch norm near its usual values.
+    """Random weights of a network (`detection.darknet.layers.Network`): He's scale, batch norm near its usual values.
 
     Written convolution by convolution as Darknet's program saves them, without the importer's own reader.
 

@@ -2,9 +2,9 @@
 
     left.mp4  right.mp4  rig.yaml (or calib.txt)  truth.csv (or truth.txt, label.txt: KITTI tracking labels)
 
-Objects are the labels that `ranging.truth` scores (not truncated, at most partly hidden, of a road class), their true
-disparity f B / distance. The distance is that of the visible surface on the ray through the box centre, from truth.csv;
-else from the label's 3-D box.
+Objects are the labels that `ranging.evaluation.truth` scores (not truncated, at most partly hidden, of a
+road class), their true disparity f B / distance. The distance is that of the visible surface on the ray through the box
+centre, from truth.csv; else from the label's 3-D box.
 """
 
 from __future__ import annotations

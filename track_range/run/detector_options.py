@@ -20,7 +20,7 @@ class DetectorOptions:
 
     Attributes:
         names: class names of the network, `a,b,c` or a file with one per line.
-        anchors, letterbox: see `detection.model_facts`.
+        anchors, letterbox: see `detection.models.metadata`.
         min_score: `0.25`, or `0.1,car=0.3,person=0.2` where classes have thresholds of their own.
         size_px: longer side of the network's input where the model leaves it open; None = the model's own.
         threads: of the network; 0 = one per core.

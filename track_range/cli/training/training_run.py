@@ -202,7 +202,7 @@ def _finish(training: Training, options: TrainOptions, data: TrainingData) -> No
 
 
 def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> dict[str, object]:
-    """What the file says of itself; see `detection.model_facts`."""
+    """What the file says of itself; see `detection.models.metadata`."""
     network = training.average.network
     about = {
         "family": NETWORKS[options.model].family,
