@@ -2,8 +2,8 @@
 
 Truth is the z at which the ray through the label's box centre first meets its 3-D box, from the left colour camera
 (`ranging.evaluation.box_surface`); labels are shifted into its frame. Kept are boxes with a 3-D box at 5-100 m, not
-truncated, occluded <= 1, of the five labelled kinds: Van is a kind of its own here, although its road class may be car or truck.
-The box itself may then be blurred by pixel noise or be a detector's; the truth stays the label's.
+truncated, occluded <= 1, of the five labelled kinds: Van is a kind of its own here, although its road class may be car
+or truck. The box itself may then be blurred by pixel noise or be a detector's; the truth stays the label's.
 """
 
 from __future__ import annotations

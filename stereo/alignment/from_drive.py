@@ -1,8 +1,9 @@
 """DriveAlignment: the disparity error of a rig from a drive with it, without anything known about the scene.
 
-Frames about 0.1 s apart are cut into segments of 1.6 s; each is a bundle of its own (`stereo.alignment.bundle_adjustment`),
-and what they say of offset and bow is added up. Measured: on KITTI's drives 0003 and 0005, 16 frames each, 0.47 and 0.44 px
-(bow 1.60 and 1.47), where lidar and labels say 0.4 to 0.5 px; three segments of one other drive within 0.03 px.
+Frames about 0.1 s apart are cut into segments of 1.6 s; each is a bundle of its own
+(`stereo.alignment.bundle_adjustment`), and their estimates of offset and curvature are combined. Measured: on KITTI's
+drives 0003 and 0005, 16 frames each, 0.47 and 0.44 px (curvature 1.60 and 1.47), where lidar and labels give 0.4 to
+0.5 px; three segments of one other drive within 0.03 px.
 """
 
 from __future__ import annotations
