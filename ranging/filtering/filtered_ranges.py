@@ -1,4 +1,4 @@
-"""FilteredRanges: what a filter over time makes of one method's distances, and the time to collision that follows."""
+"""FilteredRanges: one method's distances after a filter over time, their rate and the time to collision."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3
-"""Slower than this is not closing: the time to collision would be minutes of noise."""
+"""Least closing speed that has a time to collision; below, it would be minutes of noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilteredRanges:
-    """Filtered ranges, their rate, and what follows from both.
+    """Filtered ranges, their rate, and the time to collision from both.
 
     Attributes:
         ranges: distance and sigma, NaN = no recent measurement.
