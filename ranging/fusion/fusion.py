@@ -178,6 +178,7 @@ def _with_biases_learnt(
     t = model.is_learnt * (caution * ~is_implausible)
     V = track.C * estimate.k  # C K
     B = np.einsum("ajn,bjn->abn", np.einsum("ain,ijn->ajn", V, estimate.P), V)
+    B = (B + B.transpose(1, 0, 2)) / 2  # rounding errors that are not symmetric would grow from frame to frame
     u = track.u + t * (V * estimate.residual).sum(axis=1)
     C = track.C - B * (1.0 - (1.0 - t[:, None]) * (1.0 - t))
     if contradicts.any():

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.ranging.fusion.error_model import ErrorModel
+from track_range.ranging.fusion.estimation import TrackBiases
 from track_range.ranging.fusion.fusion import Fusion, ScaleSource
 from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
@@ -213,6 +214,25 @@ def test_copies_of_one_method_are_worth_one(n_copies):
     listed = [like(f"copy_{i}", "stereo") for i in range(n_copies)]
     found = alone(listed, **{one.name: (30.0 + 0.1 * i, 0.05) for i, one in enumerate(listed)})
     assert 0.95 * 0.05 <= relative_sigma(found) <= 0.0501
+
+
+@pytest.mark.parametrize("listed", [None, SIX])
+def test_covariance_of_biases_stays_valid_over_thousand_frames_of_contradictions(listed):
+    rng, ids, fusion = np.random.default_rng(0), np.arange(8), Fusion(listed)
+    names = [one.name for one in (methods() if listed is None else listed)]
+    true_m = rng.uniform(10, 60, 8)
+    for step in range(1000):
+        by_method = {}
+        for name, sigma in zip(names, (0.08, 0.1, 0.06, 0.02, 0.02, 0.05), strict=False):
+            distance_m = true_m * np.exp(sigma * rng.normal(size=8))
+            distance_m[rng.random(8) > 0.7] = np.nan
+            by_method[name] = Ranges(ids, distance_m, sigma * distance_m)
+        found = fusion.fuse(by_method, ids, step * 0.1).ranges
+        has_any = np.isfinite(found.distance_m)
+        assert found.distance_m[has_any] == pytest.approx(true_m[has_any], rel=0.6)
+    C = TrackBiases.from_columns(fusion._tracks.known, len(names)).C.transpose(2, 0, 1)
+    assert np.array_equal(C, C.transpose(0, 2, 1))
+    assert np.linalg.eigvalsh(C).min() > -1e-9
 
 
 def test_correlations_of_the_built_in_methods():
