@@ -50,7 +50,7 @@ def test_a_run_is_not_overwritten_and_can_be_resumed(drawn, tmp_path, cli):
     _, data = drawn
     assert train(cli, data, tmp_path, "--epochs", 1, "--attention", "cbam", "--anchors", "kmeans++")[0] == 0
     status, _, complaint = train(cli, data, tmp_path, "--epochs", 1)
-    assert (status, "a run is there already: go on with --resume" in complaint) == (1, True)
+    assert (status, "a run is there already: continue it with --resume" in complaint) == (1, True)
     status, _, complaint = train(cli, data, tmp_path, "--epochs", 1, "--resume")
     assert (status, "attention is True there and False here" in complaint) == (1, True)
     status, told, _ = train(
