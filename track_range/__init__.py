@@ -24,13 +24,16 @@ if TYPE_CHECKING:
     from track_range.api.parts import load_rig as load_rig
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
+    from track_range.detection.formats.kitti import LabelFileError as LabelFileError
     from track_range.detection.models.onnx_session import ModelError as ModelError
     from track_range.foundation.errors import ConfigError as ConfigError
+    from track_range.foundation.errors import UsageError as UsageError
     from track_range.foundation.errors import UserError as UserError
     from track_range.overlay.annotator import Overlay as Overlay
     from track_range.ranging.filtering.distance_filter import DistanceFilters as DistanceFilters
     from track_range.ranging.fusion.fusion import Fusion as Fusion
     from track_range.ranging.method import ErrorSource as ErrorSource
+    from track_range.ranging.method import MethodError as MethodError
     from track_range.ranging.method import RangingMethod as RangingMethod
     from track_range.ranging.methods.ground_plane import GroundRanger as GroundRanger
     from track_range.ranging.methods.patch_stereo import StereoRanger as StereoRanger
@@ -40,6 +43,8 @@ if TYPE_CHECKING:
     from track_range.ranging.registry import methods as ranging_methods
     from track_range.ranging.registry import register as register_method
     from track_range.report.page import write_report as write_report
+    from track_range.results.output_files import OutputError as OutputError
+    from track_range.results.writers import WriterError as WriterError
     from track_range.results.writers import register_writer as register_writer
     from track_range.run.frame_result import FrameResult as FrameResult
     from track_range.run.run import Run as Run
@@ -50,9 +55,10 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.rig import RigError as RigError
     from track_range.stereo.geometry.rig import StereoRig as StereoRig
     from track_range.stereo.matching.patch_matcher import PatchMatcher as PatchMatcher
+    from track_range.tracking.registry import TrackerError as TrackerError
     from track_range.tracking.registry import register_tracker as register_tracker
     from track_range.tracking.tracks import Tracks as Tracks
-    from track_range.video.reader import VideoError as VideoError
+    from track_range.video.frame import VideoError as VideoError
     from track_range.video.recording import open_recording as open_recording
 
     __version__: str
@@ -99,9 +105,15 @@ _MODULE_OF = {
     # errors
     "UserError": "foundation.errors",
     "ConfigError": "foundation.errors",
-    "ModelError": "detection.models.onnx_session",
+    "UsageError": "foundation.errors",
+    "VideoError": "video.frame",
     "RigError": "stereo.geometry.rig",
-    "VideoError": "video.reader",
+    "ModelError": "detection.models.onnx_session",
+    "LabelFileError": "detection.formats.kitti",
+    "MethodError": "ranging.method",
+    "TrackerError": "tracking.registry",
+    "WriterError": "results.writers",
+    "OutputError": "results.output_files",
 }
 """Module of each public name, under track_range; with the name there where it is another one."""
 

@@ -100,12 +100,11 @@ def test_run_is_iterated_once(drive):
     assert run.summary["frames"] == n_frames
 
 
-def test_stopping_early_keeps_what_was_seen(drive, tmp_path):
+def test_leaving_the_loop_keeps_what_was_seen(drive, tmp_path):
     run = recorded(drive, out=tmp_path / "out")
     for frame in run:
         if frame.index == 2:
             break
-    run.close()
     assert run.summary["frames"] == 3
     assert set(run.to_arrow()["frame"].to_pylist()) <= {0, 1, 2}
     assert (tmp_path / "out" / "summary.json").exists()
@@ -132,10 +131,28 @@ def test_write_after_iteration_gives_the_same_rows(drive, tmp_path):
     assert second.summary["files"] == {}
 
 
+def test_closed_run_is_not_iterated(drive):
+    run = recorded(drive)
+    run.open()
+    run.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        iter(run)
+
+
+def test_runs_side_by_side_restore_the_switch_interval(drive):
+    before_s = sys.getswitchinterval()
+    first, second = iter(recorded(drive, duration=0.3)), iter(recorded(drive, duration=0.3))
+    next(first), next(second)
+    first.close()
+    assert sys.getswitchinterval() < before_s
+    second.close()
+    assert sys.getswitchinterval() == before_s
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"allign": "off"}, "allign"),
+        ({"allign": "off"}, "did you mean align"),
         ({"duration": -1}, "duration"),
         ({"rig": "rig.yaml", "focal_px": 700}, "focal"),
         ({"tracker": "nosuch"}, "tracker"),
@@ -173,6 +190,9 @@ def test_own_detector_and_tracker_objects(drive):
     frames = list(run)
     assert len(seen) == len(frames) > 0
     assert all(frame.tracks.track_id.tolist() == [41] for frame in frames)
+    assert run.summary["inputs"]["detector"].endswith("MiddleBox")
+    with pytest.raises(tr.ConfigError, match="both"):
+        recorded(drive, detector=MiddleBox())
 
 
 def test_parts_range_a_pair(drive):

@@ -6,6 +6,7 @@ fields, and Python code passes the same names.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from types import UnionType
 from typing import Any, Self, Union, get_args, get_origin
@@ -112,6 +113,10 @@ class Options(BaseModel):
     def problem(cls, error: ValidationError) -> str:
         """The first fault of options as one sentence that begins with the option."""
         first = error.errors()[0]
+        if first["type"] == "extra_forbidden":
+            name = str(first["loc"][0])
+            near = difflib.get_close_matches(name, cls.model_fields, n=1)
+            return f"{name}: unknown option{f'; did you mean {near[0]}?' if near else '.'}"
         place = f"{cls.flag(str(first['loc'][0]))}: " if first["loc"] else ""
         return f"{place}{first['msg'].removeprefix('Value error, ')}."
 

@@ -15,6 +15,7 @@ from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.registry import create_tracker
+from track_range.tracking.tracker import Tracker
 from track_range.video.auto_alignment import Progress
 from track_range.video.recording import Recording, open_recording
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M
@@ -36,8 +37,22 @@ def open_input(settings: RunSettings, progress: Progress | None = None) -> Recor
     )
 
 
-def open_pipeline(settings: RunSettings, source: Recording, boxes: BoxSource, size_model: SizeModel) -> Pipeline:
+def open_pipeline(
+    settings: RunSettings,
+    source: Recording,
+    boxes: BoxSource,
+    size_model: SizeModel,
+    *,
+    tracker: Tracker | None = None,
+) -> Pipeline:
     """The pipeline that the settings ask for and the source allows.
+
+    Args:
+        settings: of the run.
+        source: the opened recording.
+        boxes: where detections come from.
+        size_model: sizes of road users, for monocular distances.
+        tracker: in place of the settings' tracker.
 
     Raises:
         ModelError: the network for appearance or for lanes cannot be used.
@@ -66,7 +81,7 @@ def open_pipeline(settings: RunSettings, source: Recording, boxes: BoxSource, si
     return Pipeline(
         camera=source.camera,
         detect=boxes.detect,
-        tracker=create_tracker(settings.tracker, tracker_options),
+        tracker=tracker or create_tracker(settings.tracker, tracker_options),
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),

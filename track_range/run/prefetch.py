@@ -31,18 +31,41 @@ def lower_thread_priority() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
 
+class _SwitchInterval:
+    """The interpreter's switch interval, short while at least one run needs it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._n_users, self._default_s = 0, 0.0
+
+    def acquire(self) -> None:
+        with self._lock:
+            if not self._n_users:
+                self._default_s = sys.getswitchinterval()
+                sys.setswitchinterval(_SWITCH_INTERVAL_S)
+            self._n_users += 1
+
+    def release(self) -> None:
+        with self._lock:
+            self._n_users -= 1
+            if not self._n_users:
+                sys.setswitchinterval(self._default_s)
+
+
+_switch_interval = _SwitchInterval()
+
+
 @contextmanager
 def short_switch_interval() -> Iterator[None]:
     """Within this context a thread that comes back from inference waits at most 0.5 ms for Python's lock.
 
-    The default, 5 ms, is a tenth of a frame.
+    The default, 5 ms, is a tenth of a frame. It is restored when the last of several runs has ended.
     """
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    _switch_interval.acquire()
     try:
         yield
     finally:
-        sys.setswitchinterval(before_s)
+        _switch_interval.release()
 
 
 def prefetch(items: Iterable[T], *, depth: int, low_priority: bool = False) -> Generator[T, None, None]:

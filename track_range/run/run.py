@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import html
 import time
+import weakref
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from functools import partial
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 from rich.console import Console
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.errors import ConfigError
 from track_range.overlay.outputs import overlay_picture
 from track_range.overlay.result_video import Draw
 from track_range.ranging.evaluation.truth import read_truth
@@ -79,13 +81,22 @@ class Run:
             detector: an object with `detect(image) -> Detections`, in place of the settings' model.
             tracker: an object with `update(detections, time_s, image) -> Tracks`, in place of the settings' tracker.
             progress: whether to show progress bars (in a notebook too), or the Rich console to show them on.
+
+        Raises:
+            ConfigError: there are a detector and recorded detections.
         """
-        self.settings = settings
+        if detector is not None and settings.detections is not None:
+            raise ConfigError("expected a detector or detections, got both.")
+        # what settings.yaml cannot repeat is named in it as module:Class
+        objects = {"detector": detector, "tracker": tracker}
+        named = {key: _class_name(value) for key, value in objects.items() if value is not None}
+        self.settings = settings.model_copy(update=named)
         self._detector, self._tracker = detector, tracker
         self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
         self._folder: Path | None = settings.out
         self._session: RunSession | None = None
-        self._frames: Generator[FrameResult, None, None] | None = None
+        self._frames: weakref.ref[Generator[FrameResult, None, None]] | None = None
+        self._is_closed = False
         self._summary: dict[str, Any] | None = None
         self._overlay: Draw | None = None
         self.files: tuple[Path, ...] = ()
@@ -122,7 +133,7 @@ class Run:
             if hasattr(options.get(name), method):
                 objects[name] = options.pop(name)
         progress = options.pop("progress", False)
-        given = {_field_of(name): _plain(value) for name, value in options.items()}
+        given = {_field_of(name): _plain(name, value) for name, value in options.items()}
         return cls(settings_from({**source, **given}), **objects, progress=progress)
 
     # -- open -----------------------------------------------------------------------------------------------------
@@ -153,9 +164,7 @@ class Run:
             truth = None
             if settings.truth is not None:
                 truth = read_truth(settings.truth, calibration.camera, calibration.left_from_reference_m)
-            pipeline = open_pipeline(settings, recording, boxes, curves)
-            if self._tracker is not None:
-                pipeline.tracker = self._tracker
+            pipeline = open_pipeline(settings, recording, boxes, curves, tracker=self._tracker)
             on_error.pop_all()
         meter = FrameMeter(recording.inputs.live)
         return RunSession(
@@ -177,8 +186,10 @@ class Run:
 
     def close(self) -> None:
         """End the run: what it has written so far is finished, and the recording closed."""
-        if self._frames is not None:
-            self._frames.close()
+        self._is_closed = True
+        frames = self._frames() if self._frames is not None else None
+        if frames is not None:
+            frames.close()
         if self._session is not None:
             self._session.source.close()
 
@@ -191,15 +202,18 @@ class Run:
     # -- iterate --------------------------------------------------------------------------------------------------
 
     def __iter__(self) -> Generator[FrameResult, None, None]:
-        """The frames in order, once.
+        """The frames in order, once; leaving the loop early ends the run, which keeps what it has seen.
 
         Raises:
-            RuntimeError: the run was iterated before.
+            RuntimeError: the run was iterated before, or is closed.
         """
         if self._frames is not None:
             raise RuntimeError("expected a run that was not iterated yet; make a new one, or use its rows (to_arrow)")
-        self._frames = self._processed()
-        return self._frames
+        if self._is_closed:
+            raise RuntimeError("expected an open run, but it was closed; make a new one")
+        frames = self._processed()
+        self._frames = weakref.ref(frames)  # the loop alone holds it, so that leaving the loop ends the run
+        return frames
 
     def _processed(self) -> Generator[FrameResult, None, None]:
         """Every frame through the pipeline; what fails or is stopped after the first frame is finished before."""
@@ -263,7 +277,10 @@ class Run:
                 pass
             return folder
         if self._summary is None:
-            raise RuntimeError("expected a run that is finished or not begun; give out= to write while iterating")
+            raise RuntimeError(
+                "expected a run that is finished or not begun: leave its loop or close() it first, or give out= to "
+                "write while iterating"
+            )
         session = self.session
         check_folder(self.settings, folder)
         with RunFolder(session, folder, has_videos=False) as files:
@@ -321,7 +338,7 @@ class Run:
             RuntimeError: the run is not finished.
         """
         if self._summary is None:
-            raise RuntimeError("expected a finished run: iterate it to its end, or call write(), before its summary")
+            raise RuntimeError("expected a finished run: iterate it, close() it, or call write(), before its summary")
         return self._summary
 
     def to_arrow(self) -> pa.Table:
@@ -356,9 +373,19 @@ def _field_of(name: str) -> str:
     return flags.get("--" + name.replace("_", "-"), name)
 
 
-def _plain(value: Any) -> Any:
-    """Paths and numbers as the command line would give them; the settings check them."""
-    return str(value) if isinstance(value, Path) else value
+def _plain(name: str, value: Any) -> Any:
+    """Paths, numbers and lists as the command line would give them; the settings check them."""
+    if isinstance(value, Path):
+        return str(value)
+    if name in ("min_score", "ego_speed") and isinstance(value, int | float):
+        return str(value)
+    if name == "names" and isinstance(value, list | tuple):
+        return ",".join(value)
+    return value
+
+
+def _class_name(value: Any) -> str:
+    return f"{type(value).__module__}:{type(value).__qualname__}"
 
 
 def headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

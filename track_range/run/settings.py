@@ -345,8 +345,9 @@ def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSetting
         return RunSettings(**{**base, **chosen})
     except ValidationError as error:
         place = error.errors()[0]["loc"]
-        is_in_file = bool(place) and str(place[0]) not in chosen
-        raise (ConfigError if is_in_file else UsageError)(RunSettings.problem(error)) from error
+        if place and str(place[0]) not in chosen and file is not None:
+            raise ConfigError(f"{file}: {RunSettings.problem(error)}") from error
+        raise UsageError(RunSettings.problem(error)) from error
 
 
 def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
