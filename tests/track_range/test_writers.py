@@ -16,6 +16,7 @@ from track_range.results.writers import (
     RunInfo,
     WriterError,
     create_writer,
+    create_writers,
     register_writer,
     registered_writer,
     result_names,
@@ -133,3 +134,67 @@ def test_writers_left_open_are_closed(tmp_path):
         with OpenWriters(["jsonl"], INFO, tmp_path) as opened:
             opened.write(result())
         assert json.loads((tmp_path / "frames.jsonl").read_text().splitlines()[-1])["frames"] is None
+
+
+def writer_of(*files):
+    return type("Mine", (JsonLinesWriter,), {"files": files})
+
+
+def test_unusable_writers_stop_only_the_runs_that_choose_them(tmp_path, mono_run, monkeypatch):
+    (tmp_path / "broken_writer.py").write_text("1 / 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    point = EntryPoint("broken", "broken_writer:Writer", writers.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(writers, "entry_points", lambda group: [point])
+    without_files = type("WithoutFiles", (), dict.fromkeys(("open", "write", "close"), print))
+    with registered_writer("plain", object), registered_writer("nameless", without_files):
+        status, _, complaint = mono_run("  write: [csv]")
+        assert status == 0, complaint
+        (tmp_path / "out/tracks.csv").write_text("of the earlier run")
+        for name in ("broken", "plain", "nameless"):
+            status, _, complaint = mono_run(f"  write: [csv, {name}]")
+            assert status == 1
+            assert f"'{name}'" in complaint
+            assert len(complaint.strip().splitlines()) == 1
+        assert (tmp_path / "out/tracks.csv").read_text() == "of the earlier run"
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        ("../evil.txt",),
+        ("folder/a.txt",),
+        ("folder\\a.txt",),
+        ("C:a.txt",),
+        ("/a.txt",),
+        ("..",),
+        (".",),
+        ("",),
+        ("a\n.txt",),
+        ("summary.json",),
+        ("Report.html",),
+        ("overlay.mp4",),
+        ("a.txt", "a.txt"),
+        (5,),
+    ],
+)
+def test_files_that_no_writer_may_write(tmp_path, files):
+    with registered_writer("mine", writer_of(*files)):
+        with pytest.raises(WriterError, match="mine"):
+            create_writer("mine")
+        assert not set(files) - {"summary.json", "overlay.mp4"} & set(result_names())
+
+
+def test_files_outside_of_the_folder_stay(tmp_path, mono_run):
+    (tmp_path / "evil.txt").write_text("precious")
+    with registered_writer("mine", writer_of("../evil.txt")):
+        assert mono_run("  write: [csv]")[0] == 0
+        assert mono_run("  write: [mine]")[0] == 1
+    assert (tmp_path / "evil.txt").read_text() == "precious"
+
+
+def test_writers_of_one_file():
+    with registered_writer("mine", writer_of("tracks.csv")):
+        assert len(create_writers(["mine", "mot"])) == 2
+        with pytest.raises(WriterError, match=r"'csv' and 'mine'.*tracks\.csv"):
+            create_writers(["csv", "mine"])
+    assert len(create_writers(["csv", "csv"])) == 1

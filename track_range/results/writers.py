@@ -1,17 +1,17 @@
 """Writers of results: one class per format, chosen by name (`--write csv,mot`).
 
-A writer is one file with a class as `ResultWriter` describes it and one registration: a line at the end of this file,
+A writer is one file with a class as `ResultWriter` describes it and one registration: a line in `_registered`,
 an entry point of the group `track_range.result_writers` in another package, or a call of `register_writer`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
@@ -28,9 +28,12 @@ ENTRY_POINT_GROUP = "track_range.result_writers"
 
 DEFAULT_WRITERS = ("csv", "mot")
 
+_RUN_FILES = ("summary.json", "settings.yaml", "overlay.mp4", "disparity.mp4", "report.html")
+"""Files that a run itself writes."""
+
 
 class WriterError(UserError):
-    """No such writer, or a class that is none."""
+    """No such writer, a class that is none, or files that cannot be a writer's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +60,8 @@ class ResultWriter(Protocol):
     has been written when the program is killed should be readable: flush after each frame where the format allows it.
 
     Attributes:
-        files: names of the files and folders that it writes in the folder of the results.
+        files: plain names of the files and folders that it writes in the folder of the results; no other writer of the
+            run and not the run itself may write one of them. The next run into the folder removes these files.
     """
 
     files: tuple[str, ...]
@@ -78,7 +82,10 @@ class ResultWriter(Protocol):
 WriterFactory = Callable[[], ResultWriter]
 """Makes a writer; a class."""
 
-_registered: dict[str, WriterFactory | str] = {}
+_registered: dict[str, WriterFactory | str] = {
+    "csv": "track_range.results.csv_file:CsvWriter",
+    "mot": "track_range.results.mot_file:MotWriter",
+}
 """Writers by name; a string "package.module:Class" is imported when it is used."""
 
 
@@ -120,40 +127,86 @@ def create_writer(name: str) -> ResultWriter:
     """A new writer.
 
     Raises:
-        WriterError: there is none of that name, or it cannot be imported.
+        WriterError: there is none of that name, it cannot be imported, or it is no `ResultWriter`.
     """
     points = [point.value for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
     factory = _registered.get(name, points[0] if points else None)
     if factory is None:
         raise WriterError(f"unknown format '{name}': expected {', '.join(writer_names())}.")
-    if not isinstance(factory, str):
-        return factory()
-    module, _, attribute = factory.partition(":")
     try:
-        writer: ResultWriter = getattr(import_module(module), attribute)()
-    except (ImportError, AttributeError, TypeError) as error:
-        raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {error}.") from error
+        writer = (_imported(factory) if isinstance(factory, str) else factory)()
+    except Exception as error:  # whatever another package's module raises: runs without this writer go on
+        reason = f"{type(error).__name__}: {error}"
+        raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
+    _check_writer(name, writer)
     return writer
 
 
+def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
+    """New writers of one run, in this order; a name that is given twice counts once.
+
+    Raises:
+        WriterError: as `create_writer`, or two of them write one file.
+    """
+    writers = {name: create_writer(name) for name in dict.fromkeys(names)}
+    writer_of: dict[str, str] = {}
+    for name, writer in writers.items():
+        for file in writer.files:
+            if (other := writer_of.setdefault(file.casefold(), name)) != name:
+                raise WriterError(f"the writers '{other}' and '{name}' both write {file}: choose one of them.")
+    return tuple(writers.values())
+
+
 def result_names() -> tuple[str, ...]:
-    """Names of all files that a run may leave in its folder, whatever writers it uses."""
-    return (
-        *(file for name in writer_names() for file in create_writer(name).files),
-        *("summary.json", "settings.yaml", "overlay.mp4", "disparity.mp4", "report.html"),
-    )
+    """Names of all files that a run may leave in its folder, whatever writers it uses.
+
+    Writers that cannot be used are left out: they are errors of the runs that choose them.
+    """
+    names: list[str] = []
+    for name in writer_names():
+        with suppress(WriterError):
+            names += create_writer(name).files
+    return (*names, *_RUN_FILES)
+
+
+def _imported(path: str) -> WriterFactory:
+    module, _, attribute = path.partition(":")
+    factory: WriterFactory = getattr(import_module(module), attribute)
+    return factory
+
+
+def _check_writer(name: str, writer: Any) -> None:
+    """Refuse an object that is no `ResultWriter`, and files outside of the folder or of the run itself.
+
+    Raises:
+        WriterError: it cannot be used.
+    """
+    for method in ("open", "write", "close"):
+        if not callable(getattr(writer, method, None)):
+            raise WriterError(f"the writer '{name}': expected a method {method}, found none.")
+    files = getattr(writer, "files", None)
+    if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
+        raise WriterError(f"the writer '{name}': expected `files`, a tuple of file names, got {files!r}.")
+    for file in files:
+        # PureWindowsPath knows the separators of all systems, and drives
+        if file in ("", ".", "..") or PureWindowsPath(file).name != file or not file.isprintable():
+            raise WriterError(f"the writer '{name}': expected plain file names without a folder, got {file!r}.")
+        if file.casefold() in _RUN_FILES:
+            raise WriterError(f"the writer '{name}': expected files of its own, but the run itself writes {file}.")
+    if len({file.casefold() for file in files}) < len(files):
+        raise WriterError(f"the writer '{name}': expected each file once, got {', '.join(files)}.")
 
 
 class OpenWriters:
     """The writers of a run in progress; a context manager that closes those that `close` did not.
 
     Args:
-        names: of writers.
+        names: of writers; one that is given twice counts once.
         info: of the run.
         folder: of the results.
 
     Raises:
-        WriterError: there is no writer of a name.
+        WriterError: there is no writer of a name, it cannot be used, or two of them write one file.
         OutputError: a file cannot be created.
     """
 
@@ -161,7 +214,7 @@ class OpenWriters:
         self._folder = folder
         self._open: list[ResultWriter] = []
         self._failed: ResultWriter | None = None
-        writers = [create_writer(name) for name in names]
+        writers = create_writers(names)
         self.files = tuple(file for writer in writers for file in writer.files)
         try:
             for writer in writers:
@@ -214,7 +267,3 @@ class OpenWriters:
             self._failed = writer
             files = ", ".join(str(self._folder / file) for file in writer.files)
             raise OutputError(f"{files}: {what} ({describe(error)}).") from error
-
-
-register_writer("csv", "track_range.results.csv_file:CsvWriter")
-register_writer("mot", "track_range.results.mot_file:MotWriter")

@@ -8,6 +8,7 @@ from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
+from track_range.results.writers import create_writers
 from track_range.run.box_source import BoxSource
 from track_range.run.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
@@ -59,7 +60,9 @@ def open_pipeline(
         TrackerError: the tracker cannot be made.
         EgoSpeedError: the ego speed cannot be used.
         MethodError: ranging methods of other packages read each other in a circle.
+        WriterError: one of the result writers cannot be used.
     """
+    create_writers(settings.write)  # an error before the results of an earlier run are removed
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
     pair = source.calibration.uncalibrated
     context = MethodContext(
