@@ -5,7 +5,7 @@ from track_range.detection.detections import Detections
 
 
 def test_shapes_are_checked_with_the_shape_wanted_and_the_shape_got():
-    with pytest.raises(ValueError, match=r"xyxy_px: shape \(2, 4\) wanted, \(3, 4\) got"):
+    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(2, 4\), got \(3, 4\)"):
         Detections(np.zeros((3, 4)), np.zeros(2), np.zeros(2, np.int64), np.zeros((2, 0), np.float32))
 
 

@@ -149,7 +149,7 @@ def test_times_closer_than_a_tick_still_increase(tmp_path: Path, level: Callable
 
 def test_another_shape_is_refused(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
-    with writer, pytest.raises(ValueError, match=r"image: shape \(48, 64, 3\) wanted, \(48, 60, 3\) got"):
+    with writer, pytest.raises(ValueError, match=r"image: expected shape \(48, 64, 3\), got \(48, 60, 3\)"):
         writer.write(level(0, width_px=60), 0.0)
 
 

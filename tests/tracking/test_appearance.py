@@ -172,7 +172,7 @@ def test_nothing_is_written_to():
 
 
 def test_what_is_refused():
-    with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) wanted, \(10, 10\) got"):
+    with pytest.raises(ValueError, match=r"image: expected shape \(\*, \*, 3\), got \(10, 10\)"):
         LAYOUT.embed(np.zeros((10, 10), np.uint8), np.zeros((0, 4)))
     with pytest.raises(ValueError, match="n_rows"):
         ColourLayout(ColourLayoutSettings(n_bands=7))

@@ -252,9 +252,9 @@ def test_a_view_of_a_larger_image_is_read_as_it_lies() -> None:
 
 
 def test_wrong_shapes() -> None:
-    with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) wanted, \(20, 20\) got"):
+    with pytest.raises(ValueError, match=r"image: expected shape \(\*, \*, 3\), got \(20, 20\)"):
         CameraMotion().update(np.zeros((20, 20), np.uint8), NO_BOXES)
-    with pytest.raises(ValueError, match=r"xyxy_px: shape \(\*, 4\) wanted, \(2, 5\) got"):
+    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(\*, 4\), got \(2, 5\)"):
         CameraMotion().update(np.zeros((20, 20, 3), np.uint8), np.zeros((2, 5)))
 
 

@@ -164,7 +164,7 @@ def test_an_id_twice_in_a_frame_is_refused() -> None:
 
 def test_shapes_are_checked() -> None:
     ids = np.zeros(1, np.int64)
-    with pytest.raises(ValueError, match=r"xyxy_px: shape \(1, 4\) wanted, \(1, 3\) got"):
+    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(1, 4\), got \(1, 3\)"):
         TrackedBoxes(ids, ids, np.zeros((1, 3)), ids)
-    with pytest.raises(ValueError, match=r"xyxy_px: shape \(1, 4\) wanted, \(2, 4\) got"):
+    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(1, 4\), got \(2, 4\)"):
         IgnoreRegions(ids, np.zeros((2, 4)))

@@ -179,7 +179,7 @@ def test_lengths_that_do_not_fit():
     for act in (of_one(EAST).initiate, of_one(EAST).cosine_distance, lambda d: of_one(EAST).append(FIRST, d)):
         with pytest.raises(ValueError, match=wrong):
             act(longer)
-    with pytest.raises(ValueError, match=r"embedding: shape \(\*, \*, \*\) wanted, \(2, 3\) got"):
+    with pytest.raises(ValueError, match=r"embedding: expected shape \(\*, \*, \*\), got \(2, 3\)"):
         Gallery(np.zeros((2, 3), np.float32))
     with pytest.raises(ValueError, match="at least one slot per track"):
         Gallery.empty(budget=0)

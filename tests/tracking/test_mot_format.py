@@ -96,5 +96,5 @@ def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
 
 def test_columns_of_unlike_length_are_refused() -> None:
     ids = np.zeros(2, np.int64)
-    with pytest.raises(ValueError, match=r"score: shape \(2\) wanted, \(1,\) got"):
+    with pytest.raises(ValueError, match=r"score: expected shape \(2\), got \(1,\)"):
         MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))

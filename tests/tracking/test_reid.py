@@ -124,7 +124,7 @@ def test_networks_that_are_none_for_re_identification(tmp_path):
 def test_a_device_that_is_not_to_be_had_is_told(tmp_path):
     path = write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 60, 30])
     assert ReidModel(path, ONE_THREAD).notes == ()
-    with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) wanted, \(9, 9\) got"):
+    with pytest.raises(ValueError, match=r"image: expected shape \(\*, \*, 3\), got \(9, 9\)"):
         ReidModel(path, ONE_THREAD).embed(np.zeros((9, 9), np.uint8), np.zeros((0, 4)))
 
 

@@ -22,4 +22,4 @@ def check_shape(name: str, array: npt.NDArray[Any], wanted: tuple[int | None, ..
     fits = array.ndim == len(wanted) and all(w is None or w == g for w, g in zip(wanted, array.shape, strict=True))
     if not fits:
         text = ", ".join("*" if w is None else str(w) for w in wanted)
-        raise ValueError(f"{name}: shape ({text}) wanted, {array.shape} got")
+        raise ValueError(f"{name}: expected shape ({text}), got {array.shape}")
