@@ -7,8 +7,9 @@
               Truth that is marked to be considered and of the class pedestrian counts.
     MOT15     truth that is marked to be considered counts.
 
-"Matches" is the best one-to-one assignment at an IoU of 0.5. (KITTI's evaluate_tracking.py and MOTChallenge's rules, as
-TrackEval's datasets kitti_2d_box and mot_challenge_2d_box have them.)
+"Matches" is the best one-to-one assignment at an IoU of 0.5. (The rules are
+those of `evaluate_tracking.py` in KITTI's development kit and of MOTChallenge; TrackEval, another project, has them in
+its `kitti_2d_box.py` and `mot_challenge_2d_box.py`.)
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Fitting, by name, every model of sizes that a run can use, on labelled boxes.
 
-cuboids       priors over sizes (`size_prior_fit.py`): wants labels with 3-D boxes
-log-linear    one curve per class (`size_curve_fit.py`)
+cuboids       priors over sizes (`prior_fit.py`): wants labels with 3-D boxes
+log-linear    one curve per class (`curve_fit.py`)
 the others    plain curves of one size, made safe (`plain_curves.SAFE_CURVES`); their sigma is the error that they
               make on sequences that they are not fitted on
 """
