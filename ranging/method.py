@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
+
 from track_range.foundation.errors import UserError
 from track_range.ranging.ranger import Ranger
+from track_range.ranging.ranges import Ranges
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.tracking.tracks import Tracks
 
 if TYPE_CHECKING:  # onnxruntime takes long to import, and reports do without it
     from track_range.detection.models.onnx_session import Runtime
@@ -123,7 +127,8 @@ class RangingMethod:
         colour: "#rrggbb" in charts and in the overlay.
         create: makes the method's `Ranger` for a run; None where this run cannot have it.
         needs: what it cannot do without; where that is missing `create` is not called.
-        reads: methods whose ranges of the same frame it uses where they are there; they are measured first.
+        reads: methods whose ranges of the same frame it uses where they are there; they are measured first. A method
+            that does not exist is none that is there: it may be one of a package that is not installed.
         error_sources: the parts of its variance; together they are 1.
         fallback_for: a method that makes this one superfluous where both have measured a track (it is in fusion only
             where the other one has no value), since it shares nearly all of its errors or has taught it.
@@ -145,6 +150,14 @@ class RangingMethod:
     is_filtered: bool = False
 
     def __post_init__(self) -> None:
+        for field_name, names in (("needs", self.needs), ("reads", self.reads)):
+            is_list = isinstance(names, Collection) and not isinstance(names, str)
+            if not is_list or not all(isinstance(name, str) for name in names):
+                raise MethodError(
+                    f"ranging method {self.name!r}: expected {field_name} as a tuple of names, got {names!r}"
+                )
+        object.__setattr__(self, "needs", frozenset(self.needs))
+        object.__setattr__(self, "reads", tuple(self.reads))
         sources, needs = get_args(SourceName), get_args(Requirement)
         parts = [part for source in self.error_sources for part in (source.systematic, source.independent)]
         checks = (
@@ -177,3 +190,36 @@ class RangingMethod:
     def noise_share(self) -> float:
         """Part of sigma (not of the variance) that is independent from frame to frame, 0..1."""
         return math.sqrt(sum(source.independent for source in self.error_sources))
+
+
+def checked_ranges(method: str, found: Any, tracks: Tracks) -> Ranges:
+    """What a ranger has returned for these tracks, fit for fusion and filters.
+
+    A distance or sigma that is not finite and positive makes the track not measured: both become NaN.
+
+    Args:
+        method: name of the ranger's method.
+        found: what it returned.
+        tracks: N tracks that were handed to it.
+
+    Raises:
+        MethodError: it is no `Ranges`, or of other tracks.
+    """
+    if not isinstance(found, Ranges):
+        raise MethodError(f"ranging method {method!r}: expected Ranges, got {type(found).__name__}")
+    if len(found) != len(tracks):
+        raise MethodError(f"ranging method {method!r}: expected {len(tracks)} ranges, got {len(found)}")
+    if not np.array_equal(found.track_id, tracks.track_id):
+        raise MethodError(f"ranging method {method!r}: expected the track_id of the tracks in their order, got others")
+    distance_m, sigma_m, systematic_m = found.distance_m, found.sigma_m, found.sigma_systematic_m
+    is_measured = (distance_m > 0) & (distance_m < np.inf) & (sigma_m > 0) & (sigma_m < np.inf)
+    if systematic_m is not None:
+        is_measured &= (systematic_m >= 0) & (systematic_m < np.inf)
+    if np.all(is_measured | (np.isnan(distance_m) & np.isnan(sigma_m))):
+        return found
+    return Ranges(
+        found.track_id,
+        np.where(is_measured, distance_m, np.nan),
+        np.where(is_measured, sigma_m, np.nan),
+        None if systematic_m is None else np.where(is_measured, systematic_m, np.nan),
+    )

@@ -1,7 +1,7 @@
 """Trackers by name: the built-in ones, those of installed packages, and any class as `package.module:Class`.
 
 A tracker is one file with a class that has `update` (`track_range.tracking.tracker.Tracker`) and is made from
-`TrackerOptions`, and one registration: a line at the end of this file, an entry point of the group
+`TrackerOptions`, and one registration: a line in `_registered`, an entry point of the group
 `track_range.trackers` in another package, or a call of `register_tracker`.
 """
 
@@ -14,9 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
+from typing import Any
 
 from track_range.foundation.errors import UserError
 from track_range.tracking.tracker import Tracker, TrackerOptions
+from track_range.tracking.tracks import Tracks
 
 ENTRY_POINT_GROUP = "track_range.trackers"
 
@@ -25,7 +27,7 @@ TrackerFactory = Callable[[TrackerOptions], Tracker]
 
 
 class TrackerError(UserError):
-    """No such tracker, or a class that is none; the message is one sentence for the user."""
+    """No such tracker, a class that is none, or wrong results of one; the message is one sentence for the user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,17 +45,23 @@ class RegisteredTracker:
     uses_reid: bool = False
 
 
-_registered: dict[str, RegisteredTracker] = {}
+_registered: dict[str, RegisteredTracker] = {
+    "deepsort": RegisteredTracker(name="deepsort", factory="track_range.tracking.deepsort:deepsort", uses_reid=True),
+    "sort": RegisteredTracker(name="sort", factory="track_range.tracking.deepsort:sort"),
+}
 
 
 def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: bool = False) -> None:
     """Make a tracker available as `--tracker NAME`; see `RegisteredTracker` for the arguments.
 
     Raises:
+        TrackerError: another tracker has this name.
         ValueError: the name is empty or contains a colon.
     """
     if not name or ":" in name:
         raise ValueError(f"{name!r}: expected a tracker's name without a colon")
+    if name in tracker_names():
+        raise TrackerError(f"the name of the tracker '{name}' is in use: choose another one.")
     _registered[name] = RegisteredTracker(name=name, factory=factory, uses_reid=uses_reid)
 
 
@@ -93,13 +101,30 @@ def create_tracker(name: str, options: TrackerOptions | None = None) -> Tracker:
         options: None = the defaults.
 
     Raises:
-        TrackerError: there is none of that name, or what it makes has no method `update`.
+        TrackerError: there is none of that name, it does not take `TrackerOptions`, or what it makes has no method
+            `update`.
     """
     factory = find_tracker(name).factory
-    tracker = (_imported(factory) if isinstance(factory, str) else factory)(options or TrackerOptions())
+    make = _imported(factory) if isinstance(factory, str) else factory
+    try:
+        tracker = make(options or TrackerOptions())
+    except TypeError as error:
+        raise TrackerError(f"{name}: cannot be made from TrackerOptions ({error}).") from error
     if not callable(getattr(tracker, "update", None)):
         raise TrackerError(f"{name}: expected a method update(detections, time_s, image), found none.")
     return tracker
+
+
+def checked_tracks(tracker: Tracker, found: Any) -> Tracks:
+    """What a tracker's `update` has returned.
+
+    Raises:
+        TrackerError: it is no `Tracks`.
+    """
+    if not isinstance(found, Tracks):
+        name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
+        raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(found).__name__}.")
+    return found
 
 
 def _imported(path: str) -> TrackerFactory:
@@ -121,7 +146,3 @@ def _imported(path: str) -> TrackerFactory:
         raise TrackerError(f"{path}: expected a class or function, found {type(found).__name__}.")
     factory: TrackerFactory = found
     return factory
-
-
-register_tracker("deepsort", "track_range.tracking.deepsort:deepsort", uses_reid=True)
-register_tracker("sort", "track_range.tracking.deepsort:sort")

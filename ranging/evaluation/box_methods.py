@@ -14,7 +14,7 @@ from track_range.ranging.evaluation.errors import MethodColumn
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.fitting.prior_fit import LabelledSizes, fit_size_priors
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.method import MethodContext, RangingMethod
+from track_range.ranging.method import MethodContext, RangingMethod, checked_ranges
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
@@ -104,6 +104,9 @@ def ranger_columns(
         options: how unsure the edges of the boxes are, and the height of the camera.
         size_model: for methods that use one; they see the labels' own classes, the others those of a detector.
         measured: columns of methods measured before, which the listed ones may read.
+
+    Raises:
+        MethodError: a ranger of another package returned no ranges, or those of other tracks.
     """
     columns = {method.name: np.full((3, len(boxes)), np.nan) for method in listed}
     reads = {method.name: method.reads for method in listed}
@@ -122,7 +125,7 @@ def ranger_columns(
         ranges = {name: _ranges(column, tracks, rows) for name, column in (measured or {}).items()}
         for name, ranger in rangers.items():
             others = {other: ranges[other] for other in reads[name] if other in ranges}
-            ranges[name] = found = ranger.measure_with(tracks, frame, others)
+            ranges[name] = found = checked_ranges(name, ranger.measure_with(tracks, frame, others), tracks)
             columns[name][:2, rows] = found.distance_m, found.sigma_m
             columns[name][2, rows] = np.nan if found.sigma_systematic_m is None else found.sigma_systematic_m
     return {

@@ -90,7 +90,11 @@ def test_created_are_the_methods_whose_needs_are_met():
         ({"letter": "RD"}, "letter"),
         ({"colour": "red"}, "#rrggbb"),
         ({"reads": ("radar",)}, "reads"),
+        ({"reads": "mono"}, "reads"),
+        ({"reads": (1,)}, "reads"),
         ({"needs": frozenset({"radar"})}, "needs"),
+        ({"needs": "rig"}, "needs"),
+        ({"needs": None}, "needs"),
         ({"error_sources": (ErrorSource("weather", independent=1.0),)}, "contact_point"),
         ({"error_sources": (ErrorSource("own", independent=0.5),)}, "0.5000"),
         ({"error_sources": (ErrorSource("own", independent=1.5, systematic=-0.5),)}, "parts"),
@@ -100,6 +104,13 @@ def test_created_are_the_methods_whose_needs_are_met():
 def test_a_description_that_cannot_be(change, word):
     with pytest.raises(MethodError, match=word):
         replace(RADAR, **change)
+
+
+def test_needs_and_reads_are_any_collection_of_names():
+    method = replace(RADAR, needs=["rig", "image"], reads=["mono"])
+    assert method.needs == frozenset({"rig", "image"})
+    assert method.reads == ("mono",)
+    assert "radar" not in registry.create_rangers(MethodContext(camera=CAMERA), [method])
 
 
 def test_entry_points(fresh, monkeypatch, tmp_path):

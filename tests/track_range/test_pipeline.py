@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 
 from track_range.detection.detections import Detections
+from track_range.detection.detector import DetectorError
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.ranging.method import MethodError
 from track_range.ranging.methods.ground_plane import GroundRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
+from track_range.run.box_source import boxes_of
 from track_range.run.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.registry import TrackerError
 from track_range.tracking.tracks import Tracks
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 39.5, 100, 80)
@@ -191,3 +194,73 @@ def test_a_ranger_that_measures_other_tracks_is_named():
     loop.rangers = {"mono": Falling(), "radar": Missing()}
     with pytest.raises(MethodError, match="radar"):
         list(loop.run(frames(1)))
+
+
+class Returning(Ranger):
+    """A ranger that returns what a function makes of the tracks."""
+
+    def __init__(self, made_of):
+        self._made_of = made_of
+
+    def measure(self, tracks, frame):
+        return self._made_of(tracks)
+
+
+@pytest.mark.parametrize(
+    ("made_of", "word"),
+    [
+        (lambda tracks: None, "NoneType"),
+        (lambda tracks: tracks, "Tracks"),
+        (lambda tracks: Ranges.unmeasured(tracks.track_id + 1), "track_id"),
+    ],
+)
+def test_a_ranger_that_returns_something_else_is_named(made_of, word):
+    loop = pipeline()
+    loop.rangers = {"radar": Returning(made_of)}
+    with pytest.raises(MethodError, match=f"radar.*{word}"):
+        list(loop.run(frames(1)))
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "sigma_m", "systematic_m"),
+    [
+        (-20.0, 1.0, 0.5),
+        (0.0, 1.0, 0.5),
+        (np.inf, 1.0, 0.5),
+        (np.nan, 1.0, 0.5),
+        (20.0, 0.0, 0.0),
+        (20.0, -1.0, 0.5),
+        (20.0, np.inf, 0.5),
+        (20.0, np.nan, 0.5),
+        (20.0, 1.0, -0.5),
+        (20.0, 1.0, np.inf),
+    ],
+)
+def test_values_that_are_no_distances_are_not_measured(distance_m, sigma_m, systematic_m):
+    values = np.array([[distance_m, 30.0], [sigma_m, 1.0], [systematic_m, 0.5]])
+    loop = pipeline(
+        lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5], [9.5, 59.5, 29.5, 79.5]], [0.9, 0.9], [2, 2])
+    )
+    loop.rangers = {"mono": Falling(), "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values))}
+    (result,) = loop.run(frames(1))
+    found = result.ranges["ground"]
+    for column, value in zip((found.distance_m, found.sigma_m, found.sigma_systematic_m), values, strict=True):
+        np.testing.assert_array_equal(column, [np.nan, value[1]])
+    assert result.ranges["fused"].distance_m[0] == pytest.approx(50.0)
+    np.testing.assert_array_equal(values[:, 0], [distance_m, sigma_m, systematic_m])  # the ranger's own arrays
+
+
+def test_a_tracker_and_a_detector_that_return_nothing_are_named():
+    class Silent:
+        def update(self, detections, time_s, image):
+            return None
+
+        def detect(self, image):
+            return None
+
+    loop = pipeline()
+    loop.tracker = Silent()
+    with pytest.raises(TrackerError, match=r"Silent: .*Tracks.*NoneType"):
+        list(loop.run(frames(1)))
+    with pytest.raises(DetectorError, match=r"Silent: .*Detections.*NoneType"):
+        list(pipeline(boxes_of(Silent()).detect).run(frames(1)))

@@ -52,6 +52,15 @@ def test_registered_class():
     assert not isinstance(tracker, RefinableTracker)
 
 
+@pytest.mark.usefixtures("_restored")
+@pytest.mark.parametrize("name", ["deepsort", "greedy"])
+def test_names_in_use(name):
+    if name == "greedy":
+        register_tracker(name, GreedyIouTracker)
+    with pytest.raises(TrackerError, match=f"{name}.*in use"):
+        register_tracker(name, GreedyIouTracker)
+
+
 def test_class_by_its_module():
     tracker = create_tracker("tests.toy_tracker:GreedyIouTracker")
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
@@ -86,6 +95,8 @@ def test_entry_point(tmp_path, monkeypatch):
         ("tests.toy_tracker:NOT_CALLABLE", "class"),
         ("tests.toy_tracker:TakesNothing", "TrackerOptions"),
         ("tests.toy_tracker:NotATracker", "update"),
+        ("os:system", "TrackerOptions"),
+        ("builtins:int", "TrackerOptions"),
     ],
 )
 def test_wrong_names_and_classes(name, key_word):

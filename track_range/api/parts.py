@@ -20,7 +20,7 @@ from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration
-from track_range.tracking.registry import create_tracker
+from track_range.tracking.registry import checked_tracks, create_tracker
 from track_range.tracking.tracks import Tracks
 
 
@@ -155,5 +155,8 @@ class Tracker:
             detections: boxes of this frame, in pixels of the image.
             time_s: seconds from the first frame.
             image: (H, W, 3) uint8 BGR for appearance and camera motion; None = boxes alone.
+
+        Raises:
+            TrackerError: the tracker of another package returned no Tracks.
         """
-        return self._tracker.update(detections, time_s, image)
+        return checked_tracks(self._tracker, self._tracker.update(detections, time_s, image))

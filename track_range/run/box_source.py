@@ -11,7 +11,7 @@ import numpy as np
 
 from track_range.detection.classes import road_class_ids
 from track_range.detection.detections import Detections
-from track_range.detection.detector import Detector
+from track_range.detection.detector import Detector, checked_detections
 from track_range.detection.formats.detection_files import read_detections
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.run.detector_options import DetectorOptions, open_detector
@@ -73,9 +73,12 @@ def open_box_source(
 
 
 def boxes_of(detector: Detector) -> BoxSource:
-    """Boxes of a detector of the user's own, an object with `detect(image)`."""
+    """Boxes of a detector of the user's own, an object with `detect(image)`.
+
+    `BoxSource.detect` raises DetectorError where that returns no `Detections`.
+    """
     return BoxSource(
-        detect=lambda frame: detector.detect(frame.left),
+        detect=lambda frame: checked_detections(detector, detector.detect(frame.left)),
         frames=np.zeros(0, np.int64),
         found={"detector": {"class": f"{type(detector).__module__}:{type(detector).__qualname__}"}},
         notes=lambda: tuple(getattr(detector, "notes", ())),

@@ -25,7 +25,7 @@ from track_range.ranging.filtering.collision_course import CollisionCourse
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges
 from track_range.ranging.fusion.fusion import Fusion
-from track_range.ranging.method import MethodError
+from track_range.ranging.method import checked_ranges
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
@@ -34,6 +34,7 @@ from track_range.run.prefetch import prefetch
 from track_range.run.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import Tracker
 from track_range.tracking.tracks import Tracks
 
@@ -174,13 +175,13 @@ class Pipeline:
 
     def _tracks(self, frame: Frame, detections: Detections) -> Tracks:
         with self.clock.stage("track"):
-            return self.tracker.update(detections, frame.time_s, frame.left)
+            return checked_tracks(self.tracker, self.tracker.update(detections, frame.time_s, frame.left))
 
     def _ranges(self, frame: Frame, lanes: LaneLines | None, tracks: Tracks) -> dict[str, Ranges]:
         """Distances of the tracks by each method.
 
         Raises:
-            MethodError: a ranger of another package measured other tracks.
+            MethodError: a ranger of another package returned no ranges, or those of other tracks.
         """
         ranges: dict[str, Ranges] = {}
         for name, ranger in self.rangers.items():
@@ -188,9 +189,7 @@ class Pipeline:
             with self.clock.stage(name):
                 if lanes is not None and lanes is not self._lanes:
                     ranger.update_lanes(lanes)
-                ranges[name] = ranger.measure_with(tracks, frame, others)
-            if len(ranges[name]) != len(tracks):
-                raise MethodError(f"ranging method {name!r}: expected {len(tracks)} ranges, got {len(ranges[name])}")
+                ranges[name] = checked_ranges(name, ranger.measure_with(tracks, frame, others), tracks)
         self._lanes = lanes
         return ranges
 

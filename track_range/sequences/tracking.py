@@ -13,6 +13,7 @@ from track_range.detection.formats.detection_files import RecordedDetections
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.sequences.find import SequenceFile
 from track_range.tracking.offline_refinement import OfflineRefinement
+from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import RefinableTracker, Tracker
 from track_range.tracking.tracks import Tracks
 from track_range.video.reader import VideoError, VideoReader
@@ -101,7 +102,7 @@ def track_sequence(
         detections = recorded.at(frame)
         image_counts.add(detections.xyxy_px, image)
         began_s = time.perf_counter()
-        tracks = tracker.update(detections, time_s, image)
+        tracks = checked_tracks(tracker, tracker.update(detections, time_s, image))
         if is_online:
             online.append(tracks)
         else:
