@@ -116,7 +116,7 @@ def _boxes(folder: Path) -> None:
         if number >= 0
     ]
     found = "".join(f"{f},-1,{x:.2f},{y:.2f},{w:.2f},{h:.2f},0.9,-1,-1,-1\n" for f, _, x, y, w, h in boxes)
-    tracked = "".join(f"{f - 1},{i},{x:.2f},{y:.2f},{w:.2f},{h:.2f},0.9,-1,-1,-1\n" for f, i, x, y, w, h in boxes)
+    tracked = "".join(f"{f},{i},{x:.2f},{y:.2f},{w:.2f},{h:.2f},0.9,-1,-1,-1\n" for f, i, x, y, w, h in boxes)
     files = {"det.txt": found}
     for name in SEQUENCES:
         files[f"sequences/{name}/det/det.txt"] = found

@@ -71,7 +71,7 @@ def test_names_that_are_none(option):
 def test_models_info_tells_what_is_known_and_who_says_so(model, cli):
     status, printed, _ = cli("models", "info", model, "--names", "person,car")
     assert status == 0
-    for words in ("YOLOv5", "centred-114", "default of YOLOv5", "person, car", "as given", "it cannot see"):
+    for words in ("YOLOv5", "centred-114", "default of YOLOv5", "person, car", "as given", "classes not covered"):
         assert words in printed
     status, _, complaint = cli("models", "info", model)
     assert status == 1

@@ -101,7 +101,7 @@ def test_outlines_become_boxes(tmp_path):
         ({"names": {0: "person", 2: "car"}}, "numbered from 0 on without gaps, not 0, 2"),
         ({"labels": "nowhere"}, "no such folder: .*nowhere"),
         ({"labels_pseudo": "nowhere"}, "no such folder: .*nowhere"),
-        ({"manifest": "nowhere.csv"}, "nowhere.csv: not readable"),
+        ({"manifest": "nowhere.csv"}, r"nowhere\.csv"),
         ({"train": "images/list.txt"}, "not readable as a list"),
     ],
 )
