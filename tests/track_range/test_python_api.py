@@ -149,6 +149,15 @@ def test_runs_side_by_side_restore_the_switch_interval(drive):
     assert sys.getswitchinterval() == before_s
 
 
+def test_writing_again_into_the_same_folder_keeps_the_videos(drive, tmp_path):
+    run = tr.Run.mono(drive.left, focal_px=700, detections=drive.detections, duration=0.3, out=tmp_path / "out")
+    for _ in run:
+        pass
+    assert (tmp_path / "out" / "overlay.mp4").exists()
+    run.write(tmp_path / "out")
+    assert (tmp_path / "out" / "overlay.mp4").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [

@@ -13,7 +13,7 @@ import html
 import time
 import weakref
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 from rich.console import Console
 
 from track_range.foundation.arrays import Image
-from track_range.foundation.errors import ConfigError
+from track_range.foundation.errors import ConfigError, UserError
 from track_range.overlay.outputs import overlay_picture
 from track_range.overlay.result_video import Draw
 from track_range.ranging.evaluation.truth import read_truth
@@ -230,6 +230,9 @@ class Run:
                 if not session.frame_index:
                     raise
                 session.stopped_by = error
+                if files is not None:
+                    with suppress(UserError):  # the first error is the one to report
+                        files.finish_videos()
             session.wall_s = time.perf_counter() - began_s + session.opened_s
             session.pipeline.clock.busy_s["read"] = session.source.inputs.busy_s
             with ignore_interrupts():
@@ -281,6 +284,8 @@ class Run:
                 "expected a run that is finished or not begun: leave its loop or close() it first, or give out= to "
                 "write while iterating"
             )
+        if self._folder is not None and folder.resolve() == self._folder.resolve():
+            return folder  # written while iterating, videos included
         session = self.session
         check_folder(self.settings, folder)
         with RunFolder(session, folder, has_videos=False) as files:
