@@ -23,6 +23,12 @@ Descriptors = npt.NDArray[np.float32]
 class Detections:
     """What a detector saw in one image; N = 0 means that it saw nothing.
 
+    Example:
+        >>> import track_range as tr
+        >>> boxes = tr.Detections.of([[100, 50, 180, 110], [10, 60, 30, 110]], [0.9, 0.4], [2, 0])
+        >>> boxes.select(boxes.score > 0.5).xyxy_px.tolist()
+        [[100.0, 50.0, 180.0, 110.0]]
+
     Attributes:
         xyxy_px: (N, 4) float64, left, top, right, bottom edge.
         score: (N,) float64 in [0, 1].

@@ -13,6 +13,12 @@ from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 class Ranges:
     """One method's distances for the tracks of one frame.
 
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> ranges = tr.Ranges(np.array([7]), np.array([22.4]), np.array([0.7]))
+        >>> float(ranges.distance_m[0])
+        22.4
+
     Attributes:
         track_id: (N,) int64, the tracks in the order of the frame's Tracks.
         distance_m: (N,) z of the object's visible surface on the ray through the box's centre, in the left camera's

@@ -16,6 +16,13 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check
 class Tracks:
     """The confirmed road users of one frame; N = 0 means none.
 
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> box = np.array([[100.0, 50.0, 180.0, 110.0]])
+        >>> tracks = tr.Tracks(np.array([7]), box, np.array([2]), np.array([0.9]), np.array([True]))
+        >>> len(tracks), tracks.track_id.tolist()
+        (1, [7])
+
     Attributes:
         track_id: (N,) int64, >= 1, unique within a frame, the same for one road user in all frames.
         xyxy_px: (N, 4) float64 box, in the frame's pixels.

@@ -19,7 +19,18 @@ from track_range.tracking.tracks import Tracks
 
 
 class StereoRanger(Ranger):
-    """Ranges each observed box by matching it alone."""
+    """Ranges each observed box by matching it alone.
+
+    Example:
+        >>> import track_range as tr
+        >>> recording = tr.open_recording("left.mp4", "right.mp4", rig="rig.yaml", align="off")
+        >>> frame = next(recording.frames)
+        >>> tracks = tr.Tracker().update(tr.Detector("road").detect(frame.left), frame.time_s, frame.left)
+        >>> ranges = tr.StereoRanger(recording.rig).measure(tracks, frame)
+        >>> len(ranges) == len(tracks)
+        True
+        >>> recording.close()
+    """
 
     def __init__(
         self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: Alignment | None = None

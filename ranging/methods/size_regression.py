@@ -17,7 +17,18 @@ _MIN_HEIGHT_PX = 4.0
 
 
 class SizeRanger(Ranger):
-    """Ranges observed boxes that the image does not cut at top or bottom; where a side is cut off, by height alone."""
+    """Ranges observed boxes that the image does not cut at top or bottom; where a side is cut off, by height alone.
+
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
+        >>> frame = tr.Frame(index=0, time_s=0.0, left=np.zeros((360, 640, 3), np.uint8), right=None)
+        >>> box = np.array([[280.0, 170.0, 350.0, 225.0]])  # a car, 55 px high
+        >>> tracks = tr.Tracks(np.array([1]), box, np.array([2]), np.array([0.9]), np.array([True]))
+        >>> ranges = tr.SizeRanger(camera).measure(tracks, frame)
+        >>> 15 < ranges.distance_m[0] < 25
+        np.True_
+    """
 
     def __init__(
         self,

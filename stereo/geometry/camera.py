@@ -13,6 +13,12 @@ from track_range.foundation.arrays import FloatArray
 class PinholeCamera:
     """One calibrated camera: axes x right, y down, z forward; pixel centres at whole numbers.
 
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
+        >>> camera.project(np.array([[1.0, 0.0, 10.0]])).tolist()
+        [[390.0, 180.0]]
+
     Attributes:
         fx_px: focal length in units of the pixel width.
         fy_px: focal length in units of the pixel height.

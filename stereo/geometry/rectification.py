@@ -36,6 +36,12 @@ _MAX_ZOOM = 4.0
 class Rectifier:
     """Rectifies the pairs of one rig.
 
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> rectifier = tr.Rectifier(tr.load_rig("rig.yaml"))
+        >>> rectifier.rig.is_rectified
+        True
+
     Attributes:
         rig: the rectified rig that the images which come out seem to be taken with.
     """

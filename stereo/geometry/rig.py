@@ -24,6 +24,13 @@ class RigError(UserError):
 class StereoRig:
     """A calibrated pair of cameras.
 
+    Example:
+        >>> import numpy as np, track_range as tr
+        >>> camera = tr.PinholeCamera(700.0, 700.0, 320.0, 180.0, width_px=640, height_px=360)
+        >>> rig = tr.StereoRig.rectified(camera, baseline_m=0.5)
+        >>> rig.distance_m(np.array([17.5])).tolist()
+        [20.0]
+
     Attributes:
         left: the left camera; its frame is the one that all distances are given in.
         right: the right camera.

@@ -31,6 +31,12 @@ def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> di
 def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
     """Distance errors of stereo matchers on pairs of known disparity; as `evaluate stereo --json`.
 
+    Example:
+        >>> import track_range as tr
+        >>> figures = tr.evaluate_stereo("drive", matchers=("sgbm",))
+        >>> figures["matchers"]["sgbm"]["median_relative_error_pct"] < 10
+        True
+
     Args:
         pairs: folder in the layout of KITTI 2015, or of a drive with labels.
         options: as those of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`, `seed=0`.

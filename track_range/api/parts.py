@@ -27,6 +27,11 @@ from track_range.tracking.tracks import Tracks
 def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
     """The pair of cameras of a calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's.
 
+    Example:
+        >>> import track_range as tr
+        >>> tr.load_rig("rig.yaml").baseline_m > 0
+        True
+
     Args:
         path: the file.
         size_px: (width, height) of the images; None = the file's own. KITTI's files give none.

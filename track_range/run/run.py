@@ -56,10 +56,14 @@ class Run:
     """One pass over one recording. Iterate it once; afterwards it holds the rows and the figures.
 
     Example:
-        run = tr.Run.mono("dashcam.mp4", focal_px=1150)
-        for frame in run:
-            print(frame.index, frame.tracks.track_id, frame.ranges["fused"].distance_m)
-        table = run.to_arrow()
+        >>> import track_range as tr
+        >>> run = tr.Run.mono("dashcam.mp4", focal_px=1150, duration=0.3)
+        >>> for frame in run:
+        ...     nearest_m = frame.ranges["fused"].distance_m.min(initial=999.0)
+        >>> run.to_arrow().column_names[:4]
+        ['frame', 'time_s', 'track_id', 'class']
+        >>> run.summary["calibration"]
+        'focal length'
 
     Attributes:
         settings: everything that decides what the run computes.
