@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from track_range.cli.app import main
+from track_range.cli.console import console
 
 FIRST_LEVEL, LEVEL_STEP = 24, 4
 
@@ -82,6 +83,7 @@ def cli(capsys, monkeypatch) -> Callable[..., tuple[int, str, str]]:
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["track-range", *(str(argument) for argument in arguments)])
         monkeypatch.setenv("COLUMNS", "200")
+        monkeypatch.setattr(console, "_width", 200)  # it was made with the width of whoever used it first
         with pytest.raises(SystemExit) as ended:
             main()
         printed = capsys.readouterr()
