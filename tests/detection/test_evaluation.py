@@ -106,7 +106,7 @@ def test_as_many_images_found_as_labelled():
 
 
 def test_arrays_of_other_lengths_are_refused():
-    with pytest.raises(ValueError, match="is_ignored: shape"):
+    with pytest.raises(ValueError, match="is_ignored: expected shape"):
         ImageTruth.of([square(0)], [CAR], is_ignored=[True, False])
 
 

@@ -76,7 +76,8 @@ def test_completion_of_commands_and_options(monkeypatch, capsys, words, complete
     assert capsys.readouterr().out.split() == completed
 
 
-def test_completion_script_can_be_shown(cli):
+def test_completion_script_can_be_shown(cli, monkeypatch):
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")  # the tests' parent need not be a shell
     status, script, _ = cli("--show-completion", "bash")
     assert (status, "_TRACK_RANGE_COMPLETE=complete_bash" in script) == (0, True)
 
