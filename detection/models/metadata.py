@@ -30,7 +30,7 @@ Anchors = tuple[tuple[tuple[float, float], ...], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelOptions:
-    """What the user says of a model; None = not said.
+    """Attributes of a model that the user gives; None = not given.
 
     Attributes:
         names: class names in the network's order.
@@ -52,35 +52,36 @@ class Attribute:
 
 
 class ModelMetadata:
-    """Everything said of one model, by key."""
+    """The attributes of one model, by key."""
 
-    def __init__(self, said: Mapping[str, Attribute]) -> None:
-        self._said = said
+    def __init__(self, attributes: Mapping[str, Attribute]) -> None:
+        self._attributes = attributes
 
     def of(self, key: str, default: Any, source: str) -> Attribute:
-        """What is said under `key`, else the default."""
-        return self._said.get(key) or Attribute(default, source)
+        """The attribute `key`, else the default."""
+        return self._attributes.get(key) or Attribute(default, source)
 
 
 def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
-    """All that options, metadata and `MODEL.yaml` say of the model at `path`, the first to speak wins.
+    """The attributes of the model at `path`, from options, else from its metadata, else from `MODEL.yaml`.
 
     Raises:
-        ModelError: one of them says what cannot be meant.
+        ModelError: a value cannot be used.
     """
-    told = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
+    given = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
     sidecar = path.with_suffix(".yaml")
     beside = _read_yaml(sidecar) if sidecar.is_file() else {}
-    said: dict[str, Attribute] = {}
+    attributes: dict[str, Attribute] = {}
     for key, parse in _PARSERS.items():
-        if told.get(key) is not None:
-            said[key] = Attribute(_parsed(parse, told[key], f"--{key}"), "as given")
+        if given.get(key) is not None:
+            attributes[key] = Attribute(_parsed(parse, given[key], f"--{key}"), "as given")
         elif key in metadata:
             where = f"{path}: its metadata '{key}'"
-            said[key] = Attribute(_parsed(parse, _literal(metadata[key]), where), "from the model's metadata")
+            attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), where), "from the model's metadata")
         elif key in beside:
-            said[key] = Attribute(_parsed(parse, beside[key], f"{sidecar}: '{key}'"), f"from {sidecar.name} beside it")
-    return ModelMetadata(said)
+            source = f"from {sidecar.name} beside it"
+            attributes[key] = Attribute(_parsed(parse, beside[key], f"{sidecar}: '{key}'"), source)
+    return ModelMetadata(attributes)
 
 
 def _parsed(parse: Callable[[Any], Any], value: object, where: str) -> Any:

@@ -40,7 +40,7 @@ def method_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodOptions:
-    """How methods are fitted, and what they are told.
+    """How methods are fitted, and what is given to them.
 
     Attributes:
         curves: a curve file for mono; None = the packaged one.

@@ -3,7 +3,7 @@
     cov(i, j) = sigma_i sigma_j  sum_s sqrt(part_is part_js)        over the error sources s that both declare
 
 once with the systematic parts, which a track keeps from frame to frame, and once with the independent ones, which are
-drawn anew in every frame. The source `own` is shared with nobody.
+drawn anew in every frame. No two methods share the source `own`.
 """
 
 from __future__ import annotations

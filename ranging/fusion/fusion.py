@@ -20,10 +20,10 @@ chi^2 = t^2 = (y_i - y_j)^2 / S. C0 and N come from the error sources that the m
 
 A weight w_i < 0 is an extrapolation from one method through another that shares its errors. Between methods that share
 most of their variance it would be as good as the declared correlations are: there the weight is 0. T = diag(t) is 1,
-but 0 for scale references (Schmidt's filter: the others know their metres from nobody else, and a match can be wrong in
-one frame by more than any bias). Where methods contradict each other by more than their sigmas allow, sigma is widened
-(Birge's ratio, chi^2 per degree of freedom), T is smaller, the learnt biases become less certain, and a method may be
-left out (`outliers`).
+but 0 for scale references (Schmidt's filter: other methods have no independent scale to compare them with, and a match
+can be wrong in one frame by more than any bias). Where methods contradict each other by more than their sigmas allow,
+sigma is widened (Birge's ratio, chi^2 per degree of freedom), T is smaller, the learnt biases become less certain, and a
+method may be left out (`outliers`).
 """
 
 from __future__ import annotations
