@@ -25,14 +25,14 @@ from rich.table import Table
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
-from track_range.detection.training.anchors import by_head, kmeans_anchors, mean_best_iou
-from track_range.detection.training.augmentation import AugmentationSettings
-from track_range.detection.training.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data_yaml import read_data_yaml
-from track_range.detection.training.detection_loss import Losses
-from track_range.detection.training.export import export_onnx
-from track_range.detection.training.losses import BoxLoss
-from track_range.detection.training.networks import NETWORKS, make_network
+from track_range.detection.training.data.augmentation import AugmentationSettings
+from track_range.detection.training.data.data_set import CachedImages, TrainingSets
+from track_range.detection.training.data.data_yaml import read_data_yaml
+from track_range.detection.training.losses.box_losses import BoxLoss
+from track_range.detection.training.losses.detection_loss import Losses
+from track_range.detection.training.networks.anchors import by_head, kmeans_anchors, mean_best_iou
+from track_range.detection.training.networks.export import export_onnx
+from track_range.detection.training.networks.registry import NETWORKS, make_network
 from track_range.detection.training.run_folder import LAST
 from track_range.detection.training.settings import TrainingSettings, best_precision
 from track_range.detection.training.train import Training, prepare_torch

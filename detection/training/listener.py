@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from track_range.detection.training.detection_loss import Losses
+from track_range.detection.training.losses.detection_loss import Losses
 
 
 class Listener(Protocol):

@@ -11,7 +11,7 @@ from typing import Literal
 import torch
 from torch import nn
 
-from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.networks.network import AnchorNetwork
 
 Optimiser = Literal["sgd", "adamw"]
 

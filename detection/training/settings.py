@@ -8,9 +8,9 @@ from typing import Literal
 
 import torch
 
-from track_range.detection.training.augmentation import AugmentationSettings
+from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.errors import TrainingError
-from track_range.detection.training.losses import BoxLoss
+from track_range.detection.training.losses.box_losses import BoxLoss
 from track_range.detection.training.schedule import ScheduleSettings
 
 COARSEST_STRIDE_PX = 32

@@ -20,10 +20,10 @@ from torch import Tensor
 from track_range.detection.classes import COCO_CLASSES, road_class_of_each
 from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
-from track_range.detection.training.assignment import Cells
 from track_range.detection.training.errors import TrainingError
-from track_range.detection.training.network import AnchorNetwork, placed
-from track_range.detection.training.onnx_weights import yolov5_of_export
+from track_range.detection.training.losses.assignment import Cells
+from track_range.detection.training.networks.network import AnchorNetwork, placed
+from track_range.detection.training.networks.onnx_weights import yolov5_of_export
 from track_range.foundation.arrays import IntArray
 
 CONFIDENT = 0.1

@@ -19,12 +19,12 @@ import torch
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.evaluation import DetectionScores
-from track_range.detection.training.batches import BatchMaker, scaled
-from track_range.detection.training.data_set import TrainingSets
-from track_range.detection.training.detection_loss import Batch, DetectionLoss, Losses
+from track_range.detection.training.data.batches import BatchMaker, scaled
+from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.errors import CheckpointError, TrainingError
 from track_range.detection.training.listener import Listener
-from track_range.detection.training.network import AnchorNetwork, placed
+from track_range.detection.training.losses.detection_loss import Batch, DetectionLoss, Losses
+from track_range.detection.training.networks.network import AnchorNetwork, placed
 from track_range.detection.training.run_folder import (
     BEST,
     LAST,

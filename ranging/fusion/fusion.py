@@ -22,8 +22,8 @@ A weight w_i < 0 is an extrapolation from one method through another that shares
 most of their variance it would be as good as the declared correlations are: there the weight is 0. T = diag(t) is 1,
 but 0 for scale references (Schmidt's filter: other methods have no independent scale to compare them with, and a match
 can be wrong in one frame by more than any bias). Where methods contradict each other by more than their sigmas allow,
-sigma is widened (Birge's ratio, chi^2 per degree of freedom), T is smaller, the learnt biases become less certain, and a
-method may be left out (`outliers`).
+sigma is widened (Birge's ratio, chi^2 per degree of freedom), T is smaller, the learnt biases become less certain, and
+a method may be left out (`outliers`).
 """
 
 from __future__ import annotations

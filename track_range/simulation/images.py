@@ -1,7 +1,7 @@
 """Simulated images with exact labels, as a data set to train a detector with: images, labels, data.yaml.
 
-Objects of which less than half is to be seen go to `ignored` (see `labels_pseudo` in detection/training/data_yaml.py):
-it is neither right nor wrong to find them.
+Objects of which less than half is visible go to `ignored` (see `labels_pseudo` in
+detection/training/data/data_yaml.py): it is neither right nor wrong to detect them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 import torch
 
-from track_range.detection.training.assignment import Objects, assign
-from track_range.detection.training.networks import make_network
+from track_range.detection.training.losses.assignment import Objects, assign
+from track_range.detection.training.networks.registry import make_network
 
 
 def objects(*rows):

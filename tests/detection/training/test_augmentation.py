@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.training.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
+from track_range.detection.training.data.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
 
 PLAIN = AugmentationSettings(
     mosaic=0.0, min_gain=1.0, max_gain=1.0, shift=0.0, mirror=0.0, hue=0, saturation=0, value=0
@@ -95,7 +95,7 @@ def test_rotation_keeps_the_object_inside_its_box():
 
 
 def test_of_a_cut_object_too_little_is_left_to_learn_from():
-    from track_range.detection.training.augmentation import _moved, _Part
+    from track_range.detection.training.data.augmentation import _moved, _Part
 
     source = scene(100, 100, (0, 0, 100, 20), (40, 40, 60, 60), (99, 0, 100, 2))
     matrix = np.array([[1.0, 0, -93], [0, 1.0, 0]])

@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
-from track_range.detection.training.assignment import Cells, Objects
-from track_range.detection.training.detection_loss import Batch, Completeness, DetectionLoss
-from track_range.detection.training.networks import make_network
+from track_range.detection.training.losses.assignment import Cells, Objects
+from track_range.detection.training.losses.detection_loss import Batch, Completeness, DetectionLoss
+from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.teacher import HeadAnswers
 
 SIDE = 64
@@ -44,7 +44,7 @@ def logit(p):
 def perfect(network, objects):
     """Raw outputs that say an object of 16 x 30 in the cells that are to find it, in the finest head."""
     raw = silent(network)
-    from track_range.detection.training.assignment import assign
+    from track_range.detection.training.losses.assignment import assign
 
     for head, stride in enumerate(network.strides_px):
         cells = assign(objects, network, head, raw[head].shape[2:4])

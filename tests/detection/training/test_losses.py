@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from track_range.detection.training.losses import ciou, eiou
+from track_range.detection.training.losses.box_losses import ciou, eiou
 
 SQUARES = [[0, 0, 100, 100], [0, 0, 50, 50], [200, 200, 300, 300]]
 # torchvision's test of distance_box_iou; of squares, CIoU is DIoU

@@ -9,13 +9,13 @@ import torch
 
 from tests.detection.training.road_scenes import write_data_set
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.training.augmentation import AugmentationSettings
-from track_range.detection.training.batches import BatchMaker
-from track_range.detection.training.data_set import CachedImages, TrainingSets
-from track_range.detection.training.data_yaml import read_data_yaml
+from track_range.detection.training.data.augmentation import AugmentationSettings
+from track_range.detection.training.data.batches import BatchMaker
+from track_range.detection.training.data.data_set import CachedImages, TrainingSets
+from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.detection.training.errors import CheckpointError, TrainingError
-from track_range.detection.training.export import export_onnx
-from track_range.detection.training.networks import make_network
+from track_range.detection.training.networks.export import export_onnx
+from track_range.detection.training.networks.registry import make_network
 from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
 from track_range.detection.training.schedule import SGD, Schedule, ScheduleSettings, WeightAverage, optimiser_of
 from track_range.detection.training.settings import TrainingSettings

@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
 
-from track_range.detection.training.data_yaml import read_data_yaml
+from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.simulation.images import write_image_set
 
 

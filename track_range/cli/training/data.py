@@ -11,10 +11,10 @@ from track_range.cli.training.options import AnchorOptions
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import LabelledImage
 from track_range.detection.models.metadata import Anchors
-from track_range.detection.training.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
-from track_range.detection.training.data_set import CachedImages
-from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
-from track_range.detection.training.networks import NETWORKS
+from track_range.detection.training.data.data_set import CachedImages
+from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
+from track_range.detection.training.networks.anchors import as_text, by_head, kmeans_anchors, mean_best_iou
+from track_range.detection.training.networks.registry import NETWORKS
 from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 

@@ -14,13 +14,13 @@ from track_range.cli.training.data import own_anchors, read_images
 from track_range.cli.training.options import TrainOptions
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.training.augmentation import AugmentationSettings
-from track_range.detection.training.data_set import TrainingSets
-from track_range.detection.training.data_yaml import TrainingData, read_data_yaml
-from track_range.detection.training.detection_loss import Losses
+from track_range.detection.training.data.augmentation import AugmentationSettings
+from track_range.detection.training.data.data_set import TrainingSets
+from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml
 from track_range.detection.training.errors import TrainingError
-from track_range.detection.training.export import export_onnx
-from track_range.detection.training.networks import NETWORKS, make_network
+from track_range.detection.training.losses.detection_loss import Losses
+from track_range.detection.training.networks.export import export_onnx
+from track_range.detection.training.networks.registry import NETWORKS, make_network
 from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, locked
 from track_range.detection.training.schedule import SGD, ScheduleSettings
 from track_range.detection.training.settings import TrainingSettings, best_precision, usable_device

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from track_range.detection.training.assignment import Objects
-from track_range.detection.training.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
-from track_range.detection.training.data_set import LabelledSet
-from track_range.detection.training.detection_loss import Batch, Completeness
+from track_range.detection.training.data.augmentation import AugmentationSettings, LabelledPixels, mosaic, single
+from track_range.detection.training.data.data_set import LabelledSet
+from track_range.detection.training.losses.assignment import Objects
+from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.foundation.arrays import IntArray
 
 _AHEAD = 3

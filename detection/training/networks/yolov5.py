@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from track_range.detection.models.metadata import Anchors
-from track_range.detection.training.blocks import C3, ConvolutionBlock, Sppf
-from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.networks.blocks import C3, ConvolutionBlock, Sppf
+from track_range.detection.training.networks.network import AnchorNetwork
 
 COCO_ANCHORS_PX: Anchors = (
     ((10, 13), (16, 30), (33, 23)),

@@ -15,7 +15,7 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.labelled_images import ImageFileError, LabelledImage, read_image
-from track_range.detection.training.augmentation import LabelledPixels
+from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 
 _MEMORY_SHARE = 0.5

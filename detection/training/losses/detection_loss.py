@@ -25,9 +25,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as cross_entropy
 
-from track_range.detection.training.assignment import Cells, Objects, assign
-from track_range.detection.training.losses import BOX_LOSSES, BoxLoss
-from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.losses.assignment import Cells, Objects, assign
+from track_range.detection.training.losses.box_losses import BOX_LOSSES, BoxLoss
+from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.training.teacher import HeadAnswers
 
 _BOX, _OBJECTNESS, _CLASS = 0.05, 1.0, 0.5

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.networks.network import AnchorNetwork
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from track_range.detection.models.metadata import Anchors
-from track_range.detection.training.blocks import Cbam, ConvolutionBlock
-from track_range.detection.training.network import AnchorNetwork
-from track_range.detection.training.yolov5 import quiet_head
+from track_range.detection.training.networks.blocks import Cbam, ConvolutionBlock
+from track_range.detection.training.networks.network import AnchorNetwork
+from track_range.detection.training.networks.yolov5 import quiet_head
 from track_range.detection.yolo.layouts import YOLOV4_TINY_ANCHORS
 
 DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from track_range.detection.models.writing import silent_conversion, written_whole
-from track_range.detection.training.network import AnchorNetwork
+from track_range.detection.training.networks.network import AnchorNetwork
 
 _OPSET = 17
 

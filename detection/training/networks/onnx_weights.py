@@ -11,7 +11,7 @@ from onnx import numpy_helper
 from torch import nn
 
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.training.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
+from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
 
 
 def yolov5_of_export(path: Path) -> YoloV5:

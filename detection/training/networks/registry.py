@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from track_range.detection.models.metadata import Anchors
-from track_range.detection.training.network import AnchorNetwork
-from track_range.detection.training.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
-from track_range.detection.training.yolov4_tiny import YoloV4Tiny
-from track_range.detection.training.yolov5 import COCO_ANCHORS_PX, YoloV5
+from track_range.detection.training.networks.network import AnchorNetwork
+from track_range.detection.training.networks.yolov4_tiny import DEFAULT_ANCHORS_PX as YOLOV4_TINY_ANCHORS_PX
+from track_range.detection.training.networks.yolov4_tiny import YoloV4Tiny
+from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, YoloV5
 
 
 @dataclass(frozen=True, slots=True)

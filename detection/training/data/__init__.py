@@ -1,0 +1,1 @@
+"""Labelled images: from data.yaml to augmented batches."""

@@ -1,0 +1,1 @@
+"""The detection loss: assignment of anchors to objects, box and class losses."""
