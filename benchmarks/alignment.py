@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from benchmarks.inputs.simulated_drives import SimulatedDrive
 from benchmarks.plain_tables import figure_text, plain_table
-from benchmarks.simulated_drives import SimulatedDrive
 from track_range.simulation.camera.faults import Faults
 from track_range.stereo.geometry.frames import Frame
 from track_range.video.auto_alignment import find_alignment

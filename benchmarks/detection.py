@@ -21,7 +21,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.drives import REAL_DATA
+from benchmarks.inputs.drives import REAL_DATA
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image

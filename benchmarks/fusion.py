@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from benchmarks.inputs.simulated_drives import FPS
 from benchmarks.plain_tables import figure_text, plain_table
-from benchmarks.simulated_drives import FPS
 from track_range.cli.run import run_and_print
 from track_range.detection.lanes.nets import CLASSICAL
 from track_range.foundation.arrays import BoolArray, Image

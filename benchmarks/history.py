@@ -26,9 +26,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import tracking_sets
-from benchmarks.drives import REAL_DATA
-from benchmarks.tracking_sets import sequences_of
+from benchmarks.inputs import tracking_sets
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.kitti import KittiLabels

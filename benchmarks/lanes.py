@@ -22,9 +22,9 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from benchmarks.drives import REAL_DATA
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.simulated_drives import SimulatedDrive
 from benchmarks.plain_tables import figure_text, plain_table
-from benchmarks.simulated_drives import SimulatedDrive
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime

@@ -1,8 +1,8 @@
 """What looks and the camera's motion are worth to the tracker, online: simulated drives, MOT17-05 and KITTI's pictures.
 
 Protocol, drives: the simulated street for `--seconds` at 10 Hz, 1000 x 320 px, KITTI's focal length, before a camera
-that pitches (bumps, 0.45 deg rms of 0.8-3.5 Hz) and yaws (to and fro, up to 9-15 deg/s; `benchmarks.looks_drives`);
-seeds 1 to `--drives`, even ones at 10 m/s in traffic, odd ones at 3 m/s past 30 people who cross each other. Boxes are
+that pitches (bumps, 0.45 deg rms of 0.8-3.5 Hz) and yaws (to and fro, up to 9-15 deg/s;
+`benchmarks.inputs.looks_drives`); seeds 1 to `--drives`, even ones at 10 m/s in traffic, odd ones at 3 m/s past 30 people who cross each other. Boxes are
 the playback detector's (true boxes with jitter, misses, false alarms); road users are hidden for 0.5-2 s again and
 again: the detector does not see them, the picture stays. All classes are tracked and scored, all drives as one; who is
 hidden, or largely outside, does not count, for or against. `kept`: of what was hidden on purpose, how much has the same
@@ -28,9 +28,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.drives import REAL_DATA
-from benchmarks.looks_drives import FPS, LooksDrive, class_ids, real, simulated
-from benchmarks.tracking_sets import sequences_of
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.looks_drives import FPS, LooksDrive, class_ids, real, simulated
+from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import Runtime

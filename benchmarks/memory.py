@@ -18,7 +18,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.drives import add_drive_options, looped
+from benchmarks.inputs.drives import add_drive_options, looped
 
 _SAMPLE_S = 0.25
 _MIB = 2**20

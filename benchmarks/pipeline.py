@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.drives import LoopedDrive, add_drive_options, looped
+from benchmarks.inputs.drives import LoopedDrive, add_drive_options, looped
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 from track_range.detection.yolo.detector import DEFAULT_SIZE_PX
 from track_range.detection.yolo.letterbox import rectangular_input_hw

@@ -24,7 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.drives import REAL_DATA
+from benchmarks.inputs.drives import REAL_DATA
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.lanes.lines import LaneLine, LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder

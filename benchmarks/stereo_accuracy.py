@@ -21,7 +21,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.drives import REAL_DATA
+from benchmarks.inputs.drives import REAL_DATA
 from track_range.calibration.drive_pairs import read_drive
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.drive import write_drive

@@ -32,11 +32,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import tracking_sets
-from benchmarks.drives import REAL_DATA
-from benchmarks.peer_runs import ONE_THREAD, Answer, made_environments, names_in, run_peers
-from benchmarks.peer_trackers import PEERS, Array
-from benchmarks.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
+from benchmarks.inputs import tracking_sets
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.tracking_sets import N_WARM_UP, SETS, scene, sequences_of
+from benchmarks.peers.peer_runs import ONE_THREAD, Answer, made_environments, names_in, run_peers
+from benchmarks.peers.peer_trackers import PEERS, Array
 from track_range.detection.detections import Detections
 from track_range.sequences.tracking import track_sequence
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.drives import loop_video
+from benchmarks.inputs.drives import loop_video
 from track_range.detection.boxes import iou
 from track_range.detection.formats.kitti import read_kitti
 from track_range.results.columns import column_names

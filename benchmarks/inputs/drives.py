@@ -9,7 +9,7 @@ from pathlib import Path
 
 import av
 
-REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""Drives and sequences that benchmarks run on."""

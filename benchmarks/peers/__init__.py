@@ -1,0 +1,1 @@
+"""Other projects' trackers, run on the same detections."""
