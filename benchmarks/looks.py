@@ -3,10 +3,11 @@
 Protocol, drives: the simulated street for `--seconds` at 10 Hz, 1000 x 320 px, KITTI's focal length, before a camera
 that pitches (bumps, 0.45 deg rms of 0.8-3.5 Hz) and yaws (to and fro, up to 9-15 deg/s;
 `benchmarks.inputs.looks_drives`); seeds 1 to `--drives`, even ones at 10 m/s in traffic, odd ones at 3 m/s past 30
-people who cross each other. Boxes are the playback detector's (true boxes with jitter, misses, false alarms); road users are
-hidden for 0.5-2 s again and again: the detector does not see them, the picture stays. All classes are tracked and scored, all drives as one; who is
-hidden, or largely outside, does not count, for or against. `kept`: of what was hidden on purpose, how much has the same
-identity in its last match of the second before and in its first of the second after.
+people who cross each other. Boxes are the playback detector's (true boxes with jitter, misses, false alarms); road
+users are hidden for 0.5-2 s again and again: the detector does not see them, the picture stays. All classes are
+tracked and scored, all drives as one; who is hidden, or largely outside, does not count, for or against. `kept`: of
+what was hidden on purpose, how much has the same identity in its last match of the second before and in its first of
+the second after.
 
 Protocol, others: MOT17-05-FRCNN with the vectors stored with it, by MOTChallenge's rules, no pictures; kitti_stereo's
 two drives of 16 frames, their labels played back with five seeds and hidden for 0.5-0.8 s, scored as the drives.
