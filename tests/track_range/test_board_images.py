@@ -10,7 +10,7 @@ import pytest
 
 from track_range.calibration.board_images import board_images
 from track_range.detection.formats.labelled_images import ImageFileError
-from track_range.video.reader import VideoError
+from track_range.video.frame import VideoError
 
 
 @pytest.fixture

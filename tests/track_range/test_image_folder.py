@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from track_range.video.reader import VideoError, VideoReader
+from track_range.video.frame import VideoError
+from track_range.video.reader import VideoReader
 
 Level = Callable[..., np.ndarray]
 NumberIn = Callable[[np.ndarray], int]

@@ -11,19 +11,19 @@ from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor, SyncM
 SIZE_PX = (480, 260)
 
 
-def eye(number, *, shift_px, row_px=0, zoom=1.05):
-    """A textured wall that the vehicle drives towards, as one eye sees it."""
+def wall(number, *, shift_px, row_px=0, zoom=1.05):
+    """A textured wall that the vehicle drives towards, as one camera sees it."""
     noise = np.random.default_rng(7).normal(size=(320, 700))
-    wall = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
     grown = zoom**number
     towards = np.array([[grown, 0, 250 - grown * 350 - shift_px], [0, grown, 130 - grown * 160 + row_px]])
-    return cv2.warpAffine(wall, towards, SIZE_PX)
+    return cv2.warpAffine(texture, towards, SIZE_PX)
 
 
 def frames(n, *, late=0, shift_px=10, **more):
     for number in range(n):
-        left = eye(number, shift_px=0, zoom=more.get("zoom", 1.05))
-        yield Frame(number, number / 10, left, eye(number - late, shift_px=shift_px, **more))
+        left = wall(number, shift_px=0, zoom=more.get("zoom", 1.05))
+        yield Frame(number, number / 10, left, wall(number - late, shift_px=shift_px, **more))
 
 
 def notes_of(passing, *monitors):
@@ -66,13 +66,13 @@ def test_pairs_are_checked_until_enough_are_conclusive(n_conclusive):
     notes_of(frames(n_conclusive), monitor)
     assert monitor.is_done
     assert len(monitor.row_offsets_px) == n_conclusive
-    swapped = Frame(9, 0.9, eye(0, shift_px=0), eye(0, shift_px=-10))
+    swapped = Frame(9, 0.9, wall(0, shift_px=0), wall(0, shift_px=-10))
     assert notes_of([swapped], monitor) == ()
 
 
 def test_ten_pairs_are_checked():
     blank = [Frame(n, n / 10, np.zeros((260, 480), np.uint8), np.zeros((260, 480), np.uint8)) for n in range(10)]
-    swapped = Frame(10, 1.0, eye(0, shift_px=0), eye(0, shift_px=-10))
+    swapped = Frame(10, 1.0, wall(0, shift_px=0), wall(0, shift_px=-10))
     assert len(blank) == MAX_CHECKED_PAIRS
     (note,) = notes_of([*blank, swapped], PairMonitor())
     assert "too few points" in note

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from track_range.video.frame import VideoError
 from track_range.video.pairing import StereoVideo
-from track_range.video.reader import VideoError, VideoReader
+from track_range.video.reader import VideoReader
 
 Level = Callable[..., np.ndarray]
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from track_range.video.reader import VideoError, VideoReader
+from track_range.video.frame import VideoError
+from track_range.video.reader import VideoReader
 
 Film = Callable[..., Path]
 NumberIn = Callable[[np.ndarray], int]

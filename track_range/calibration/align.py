@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -111,20 +111,26 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
     sources += [settings.stereo] if settings.stereo else []
     if not sources:
         raise UsageError("nothing to align by: give --stereo LEFT RIGHT, --drive DIR or --reference DIR|FILE.")
-    opened = [open_pair(left, right, settings.rig, has_checks=True) for left, right in sources]
-    rigs = [rig for _, rig in opened]
-    if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
-        raise RigError("the drives are of different rigs; align each rig by its own drives.")
-    estimator = DriveAlignment(rigs[0])
-    with progress("frames") as advance:
-        for recording, _ in opened:
-            estimator.start_drive()
-            _feed(estimator, recording, advance)
+    with ExitStack() as opened:
+        recordings, rigs = [], []
+        for left, right in sources:
+            recording, rig = open_pair(left, right, settings.rig, has_checks=True)
+            opened.callback(recording.close)
+            recordings.append(recording)
+            rigs.append(rig)
+        if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
+            raise RigError("the drives are of different rigs; align each rig by its own drives.")
+        estimator = DriveAlignment(rigs[0])
+        with progress("frames") as advance:
+            for recording in recordings:
+                estimator.start_drive()
+                _feed(estimator, recording, advance)
+                recording.close()
     measured = estimator.estimate()
     if not measured.is_measured:
         raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past things that stand still.")
     named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
-    return named, tuple(dict.fromkeys(note for recording, _ in opened for note in recording.calibration.file_notes))
+    return named, tuple(dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes))
 
 
 def _names(sources: list[tuple[Path, Path]]) -> str:
@@ -133,12 +139,11 @@ def _names(sources: list[tuple[Path, Path]]) -> str:
 
 
 def _feed(estimator: DriveAlignment, recording: Recording, advance: Callable[[int, int | None], None]) -> None:
-    with closing(recording):
-        for number, frame in enumerate(recording.frames):
-            if estimator.is_full:
-                return
-            estimator.add(frame)
-            advance(number + 1, max(recording.n_frames or 0, number + 1))
+    for number, frame in enumerate(recording.frames):
+        if estimator.is_full:
+            return
+        estimator.add(frame)
+        advance(number + 1, max(recording.n_frames or 0, number + 1))
 
 
 def _from_reference(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,9 @@ def _pairs(settings: StereoEvaluationSettings, known: Alignment | None) -> Itera
     return read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
 
 
-def _counted(pairs: Iterator[StereoPair], advance: Any, n_pairs: int | None) -> Iterator[StereoPair]:
+def _counted(
+    pairs: Iterator[StereoPair], advance: Callable[[int, int | None], None], n_pairs: int | None
+) -> Iterator[StereoPair]:
     for number, pair in enumerate(pairs):
         yield pair
         advance(number + 1, n_pairs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
+from track_range.foundation.progress import StepProgress, no_progress
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
@@ -17,12 +18,11 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import Tracker
-from track_range.video.auto_alignment import Progress
 from track_range.video.recording import Recording, open_recording
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M
 
 
-def open_input(settings: RunSettings, progress: Progress | None = None) -> Recording:
+def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> Recording:
     """The recording that the settings name; errors as of `open_recording`."""
     left, right = settings.stereo or (settings.left, None)
     return open_recording(

@@ -12,7 +12,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
-from track_range.foundation.arrays import IntArray
+from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.sequences.find import (
     KITTI_FOLDER,
@@ -92,9 +92,9 @@ def _cleaned(
 ) -> tuple[TrackedBoxes, TrackedBoxes]:
     """Truth and results of one sequence that count by the benchmark's rules."""
     if form == "mot":
-        wanted = read_mot(truth.path)
-        _check_once(truth.path, wanted.frame, wanted.track_id)
-        return mot_cleaned(wanted, _read_results(results.path, road_class))
+        rows = read_mot(truth.path)
+        _check_once(truth.path, rows.frame, rows.track_id)
+        return mot_cleaned(rows, _read_results(results.path, road_class))
     labels = read_kitti(truth.path)
     named = labels.track_id >= 0
     _check_once(truth.path, labels.frame[named], labels.track_id[named])
@@ -111,8 +111,8 @@ def _read_results(path: Path, road_class: str) -> TrackedBoxes:
         rows = read_mot(path)
         return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
     labels = read_kitti(path)
-    mine = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id
-    labels = labels.select(mine & (labels.track_id >= 0))
+    is_of_class = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id
+    labels = labels.select(is_of_class & (labels.track_id >= 0))
     return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
 
 
@@ -121,7 +121,7 @@ def _check_once(path: Path, frame: IntArray, track_id: IntArray) -> None:
         raise LabelFileError(f"{path}: an identity is there twice in one frame.")
 
 
-def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: Any, class_id: int) -> TrackedBoxes:
+def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray, class_id: int) -> TrackedBoxes:
     try:
         return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
     except ValueError as error:

@@ -30,7 +30,7 @@ from track_range.sequences.settings import TrackSettings
 from track_range.sequences.tracking import images_of, track_sequence
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import Tracker
-from track_range.video.reader import VideoError
+from track_range.video.frame import VideoError
 
 DEFAULT_FPS = 10.0
 """KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""

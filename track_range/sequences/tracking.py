@@ -16,7 +16,8 @@ from track_range.tracking.offline_refinement import OfflineRefinement
 from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import RefinableTracker, Tracker
 from track_range.tracking.tracks import Tracks
-from track_range.video.reader import VideoError, VideoReader
+from track_range.video.frame import VideoError
+from track_range.video.reader import VideoReader
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from track_range.foundation.progress import StepProgress, no_progress
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.alignment.from_drive import DriveAlignment
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-
-Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
-"""Opens a progress bar with a text; it yields a function of the steps done and their total."""
 
 MAX_LOOK_S = 8.0
 """Duration of the part of a drive that the alignment is estimated from."""
@@ -70,7 +67,7 @@ def find_alignment(
     align: str | Path | Alignment,
     rig: StereoRig,
     frames: Generator[Frame, None, None],
-    progress: Progress | None = None,
+    progress: StepProgress = no_progress,
 ) -> FoundAlignment:
     """The alignment of a calibrated pair.
 
@@ -91,7 +88,7 @@ def find_alignment(
         return FoundAlignment(measured=load_alignment(Path(align)), is_applied=True)
     began_s = time.perf_counter()
     drive, first_s = DriveAlignment(rig), math.nan
-    with (progress or _no_progress)("estimating the alignment") as advance:
+    with progress("estimating the alignment") as advance:
         for frame in frames:
             first_s = frame.time_s if math.isnan(first_s) else first_s
             advance(round(10 * (frame.time_s - first_s)), round(10 * MAX_LOOK_S))
@@ -100,8 +97,3 @@ def find_alignment(
                 break
         measured = drive.estimate()
     return FoundAlignment(measured=measured, is_applied=measured.is_clear, look_s=time.perf_counter() - began_s)
-
-
-@contextmanager
-def _no_progress(_: str) -> Generator[Callable[[int, int], None], None, None]:
-    yield lambda done, total: None

@@ -99,9 +99,9 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
     Raises:
         RigError: a file that cannot be used or does not fit the images; one camera without file and focal length.
     """
-    is_sought = rig is None and focal_px is None and isinstance(left, Path)
-    path = find_rig(left) if is_sought and isinstance(left, Path) else rig
-    search_notes = (f"Using calibration {path} found next to the left video.",) if is_sought and path else ()
+    found = find_rig(left) if rig is None and focal_px is None and isinstance(left, Path) else None
+    search_notes = () if found is None else (f"Using calibration {found} found next to the left video.",)
+    path = found if rig is None else rig
     if path is not None:
         loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
         return replace(loaded, search_notes=search_notes)

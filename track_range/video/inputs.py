@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Generator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 from track_range.foundation.arrays import Image
@@ -70,15 +70,15 @@ class Inputs:
         first = reader(left)
         if right is None:
             return cls(first, None, (first.width_px, first.height_px))
-        try:
+        with ExitStack() as on_error:
+            on_error.callback(first.close)
             second = reader(right, origin_s=first.first_time_s)
-        except BaseException:
-            first.close()
-            raise
-        pairs = _paired(first, second)
+            on_error.callback(second.close)
+            pairs = _paired(first, second)
+            size_px = _common_size_px(first, second)
+            on_error.pop_all()
         is_live = isinstance(pairs, LivePair)
-        look_ahead = LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES)
-        return cls(first, look_ahead, _common_size_px(first, second))
+        return cls(first, LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES), size_px)
 
     def read_ahead(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         """The first pairs, before the iteration; see `LookAhead.read_ahead`. Nothing of one video."""
@@ -141,8 +141,6 @@ def _paired(left: Reader, right: Reader) -> StereoVideo | LivePair:
         return LivePair(left, right)
     if isinstance(left, VideoReader) and isinstance(right, VideoReader):
         return StereoVideo(left, right)
-    left.close()
-    right.close()
     raise VideoError(f"{left.path} and {right.path}: expected two files or two live streams, got one of each.")
 
 
@@ -150,8 +148,6 @@ def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:
     sizes = [(reader.width_px, reader.height_px) for reader in (left, right)]
     if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(*sizes, strict=True)):
         (lw, lh), (rw, rh) = sizes
-        left.close()
-        right.close()
         raise VideoError(
             f"{right.path}: expected {lw}x{lh} px like {left.path}, got {rw}x{rh}; both videos must have one size."
         )

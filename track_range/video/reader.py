@@ -12,11 +12,8 @@ from track_range.video.file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.image_folder import ImageFolder
 from track_range.video.threads import DECODER_THREADS
-from track_range.video.writer import VideoWriter
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
-
-__all__ = ["VideoError", "VideoFrame", "VideoReader", "VideoWriter"]
 
 
 class VideoReader:

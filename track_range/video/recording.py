@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from track_range.foundation.progress import StepProgress, no_progress
 from track_range.stereo.alignment.from_drive import MIN_STEP_S
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.auto_alignment import MAX_LOOK_S, Progress, find_alignment
+from track_range.video.auto_alignment import MAX_LOOK_S, find_alignment
 from track_range.video.calibration import Calibration, find_calibration
 from track_range.video.inputs import Images, Inputs
 from track_range.video.live.address import VideoName, video_name
@@ -90,7 +91,7 @@ def open_recording(
     duration_s: float | None = None,
     folder_fps: float = 10.0,
     has_checks: bool = True,
-    progress: Progress | None = None,
+    progress: StepProgress = no_progress,
 ) -> Recording:
     """Open one video or a pair for one pass over its rectified frames.
 
@@ -104,7 +105,7 @@ def open_recording(
         start_s: where to start, in seconds after the left video's first frame.
         duration_s: how much to read from there; None = all.
         folder_fps: frame rate of folders of images without timestamps.txt.
-        has_checks: whether pairs are checked for swapped, misaligned or unsynchronised videos.
+        has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos.
         progress: opens a progress bar for the estimate of the alignment.
 
     Raises:
@@ -136,7 +137,7 @@ def _aligned(
     inputs: Inputs,
     align: str | Path | Alignment,
     checks: tuple[PairMonitor, ...],
-    progress: Progress | None,
+    progress: StepProgress,
 ) -> Calibration:
     """A calibrated pair with its alignment; the first pair is checked even where no alignment is estimated."""
     with closing(_first_frames(calibration, inputs, checks)) as first_frames:

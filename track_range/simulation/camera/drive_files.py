@@ -16,7 +16,7 @@ from track_range.results.output_files import make_folder, write_bytes
 from track_range.simulation.world.truth import SeenObjects
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.reader import VideoWriter
+from track_range.video.writer import VideoWriter
 
 NEAR_LOSSLESS_CRF = 10
 """x264's quality: a texture moves against its surface by far less than a tenth of a pixel."""
