@@ -34,7 +34,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.sequences.tracking import track_sequence
-from track_range.tracking.association import assigned
+from track_range.tracking.association import min_cost_matching
 from track_range.tracking.benchmark_rules import KITTI_TYPES
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingCounts
@@ -149,7 +149,7 @@ def _truth_of_each(sequence: tracking_sets.Sequence, boxes: TrackedBoxes) -> Int
     for frame in range(sequence.n_frames):
         rows, here = np.flatnonzero(boxes.frame == frame), np.flatnonzero((labels.frame == frame) & is_class)
         overlap = iou(boxes.xyxy_px[rows], labels.xyxy_px[here])
-        got, wanted = assigned(np.where(overlap >= 0.5, 1.0 - overlap, np.inf), max_cost=1.0)
+        got, wanted = min_cost_matching(np.where(overlap >= 0.5, 1.0 - overlap, np.inf), max_cost=1.0)
         found[rows[got]] = here[wanted]
     return found
 

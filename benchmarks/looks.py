@@ -47,7 +47,7 @@ from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.tracker import AppearanceModel
 from track_range.tracking.tracks import Tracks
 
-NO_LOOKS = AppearanceSettings(max_distance=0.0)
+NO_LOOKS = AppearanceSettings(max_cosine_distance=0.0)
 REAL_SEEDS = range(5)
 _MIN_IOU = 0.5
 _FIGURES = {"hota": "HOTA", "idf1": "IDF1", "assa": "AssA", "deta": "DetA", "idsw": "IDsw"}
@@ -62,7 +62,7 @@ class Timed:
     """A descriptor whose time per call is kept."""
 
     inner: AppearanceModel
-    max_distance: float
+    max_cosine_distance: float
     notes: tuple[str, ...] = ()
     times_ms: list[float] = field(default_factory=list)
 
@@ -141,7 +141,7 @@ def _rows(reid: Path) -> dict[str, Row]:
 
 
 def _timed(descriptor: AppearanceModel) -> Timed:
-    return Timed(descriptor, descriptor.max_distance)
+    return Timed(descriptor, descriptor.max_cosine_distance)
 
 
 def _measured(drives: Iterable[LooksDrive], rows: Mapping[str, Row]) -> dict[str, Figures]:

@@ -54,7 +54,9 @@ class Own:
 
 OURS: Mapping[str, Own] = {
     "track-range": Own(DeepSortSettings()),
-    "track-range, sort": Own(DeepSortSettings(appearance=AppearanceSettings(max_distance=0.0)), needs_vectors=True),
+    "track-range, sort": Own(
+        DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0)), needs_vectors=True
+    ),
     "track-range, looks ahead": Own(DeepSortSettings(), is_online=False),
 }
 BEST = "track-range"

@@ -62,7 +62,7 @@ class ColourLayoutSettings:
         chroma_span: largest distinguished distance of a* and b* from grey, CIELAB units.
         spread_x, spread_y: a point's weight falls off from the box's middle like a normal distribution with this
             standard deviation, in widths and heights: corners are background.
-        max_distance: see `AppearanceModel`.
+        max_cosine_distance: see `AppearanceModel`.
     """
 
     n_columns: int = 16
@@ -72,7 +72,7 @@ class ColourLayoutSettings:
     chroma_span: float = 40.0
     spread_x: float = 0.4
     spread_y: float = 0.35
-    max_distance: float = 0.08
+    max_cosine_distance: float = 0.08
 
     def __post_init__(self) -> None:
         if self.n_rows % self.n_bands:
@@ -85,7 +85,7 @@ class ColourLayout:
     Images without colour are described by lightness alone, so that grey, which all share, does not make all similar.
 
     Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, three cars only, took no
-    part in that, but `max_distance` was chosen on all of them. One embedding against one, within a class, at least
+    part in that, but `max_cosine_distance` was chosen on all of them. One embedding against one, within a class, at least
     half visible, boxes jittered by 4 %. (OSNet x0.25, which takes a hundred times as long, was tuned on none of them.)
 
         frames apart (0.1, 0.125 s)       1      5     10     OSNet:    1      5     10
@@ -94,13 +94,13 @@ class ColourLayout:
         drives area under the curve   0.989  0.975  0.981             0.991  0.976  0.962
                same object, 95 % below 0.059  0.103  0.100             0.236  0.367  0.379
 
-    At `max_distance`, and with a track's gallery, 0 to 9 % of the same are missed and 11 to 25 % of the others pass.
+    At `max_cosine_distance`, and with a track's gallery, 0 to 9 % of the same are missed and 11 to 25 % of the others pass.
     A light of 0.8 stays below it (0.075 in 95 of 100 boxes), one of 0.6 does not.
     """
 
     def __init__(self, settings: ColourLayoutSettings | None = None) -> None:
         self._settings = form = settings or ColourLayoutSettings()
-        self.max_distance = form.max_distance
+        self.max_cosine_distance = form.max_cosine_distance
         self.notes: tuple[str, ...] = ()
         self._u = (np.arange(form.n_columns) + 0.5) / form.n_columns
         self._v = (np.arange(form.n_rows) + 0.5) / form.n_rows

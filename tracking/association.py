@@ -49,7 +49,7 @@ class Assignment:
 
     def match_subset(self, cost: FloatArray, tracks: IntArray, detections: IntArray, *, max_cost: float) -> None:
         """Match the tracks (n,) and detections (m,) with these row numbers at least total `cost` (n, m)."""
-        i, j = assigned(cost, max_cost=max_cost)
+        i, j = min_cost_matching(cost, max_cost=max_cost)
         self._take(tracks[i], detections[j])
 
     def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
@@ -95,7 +95,7 @@ def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classe
     return np.asarray(track_class_id[:, None] == detected_class_id[None, :])
 
 
-def assigned(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
+def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
     """Rows and columns of the pairs of least total cost, each pair at most `max_cost`; inf forbids a pair.
 
     Args:

@@ -38,7 +38,7 @@ from track_range.tracking.track_table import TrackTable
 from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
-_MAX_DISTANCE_OF_FILES = 0.2
+_MAX_COSINE_DISTANCE_OF_FILES = 0.2
 """Cosine distance up to which embeddings of a file are one object's: deep_sort's, for its vectors of 128 numbers."""
 
 
@@ -47,18 +47,19 @@ class AppearanceSettings:
     """Which detection may belong to a track by its appearance.
 
     Attributes:
-        max_distance: cosine distance (1 - cos) from the nearest of the track's embeddings; 0 = appearance is not
+        max_cosine_distance: cosine distance (1 - cos) from the nearest of the track's embeddings; 0 = appearance is not
             compared; None = the appearance model's own, 0.2 for embeddings of a file.
-        max_mahalanobis: squared, from the track's prediction: the chi-square gate, 99.7 % at 4 degrees of freedom.
+        gating_threshold: largest squared Mahalanobis distance from the track's prediction: the chi-square gate, 99.7 %
+            at 4 degrees of freedom.
         max_occlusion: a detection with a larger share of its area inside a nearer one gets no embedding, which would
             resemble the occluder's.
-        budget: embeddings per track, the running mean among them (deep_sort's `nn_budget`).
+        nn_budget: embeddings per track, the running mean among them (deep_sort's `nn_budget`).
     """
 
-    max_distance: float | None = None
-    max_mahalanobis: float = 16.0
+    max_cosine_distance: float | None = None
+    gating_threshold: float = 16.0
     max_occlusion: float = 0.5
-    budget: int = 4
+    nn_budget: int = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +136,7 @@ class DeepSortTracker:
         self._camera_motion = CameraMotion() if settings.is_camera_motion_compensated else None
         self._activation_threshold = ConfidenceThreshold(settings.track_activation_threshold)
         self._noise_scale = ProcessNoiseScale(settings.process_noise)
-        self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.budget)
+        self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)
         self._next_id = 1
         self._last_s = -np.inf
         self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are no misses
@@ -155,10 +156,10 @@ class DeepSortTracker:
         detections = self._valid_detections(detections)
         self._activation_threshold.update(detections)
         is_high = detections.score >= self.track_activation_threshold(detections.class_id)
-        detections, max_distance = self._with_embeddings(detections, is_high, image)
+        detections, max_cosine_distance = self._with_embeddings(detections, is_high, image)
 
         self._predict(detections, time_s, image)
-        matches = self._associate(detections, is_high, max_distance)
+        matches = self._associate(detections, is_high, max_cosine_distance)
         self._update_matched(matches.tracks, detections.select(matches.detections), time_s)
         is_high[matches.detections] = False
         self._initiate_tracks(detections, is_high, time_s)
@@ -189,21 +190,23 @@ class DeepSortTracker:
 
         The embeddings are the detector's own or the appearance model's; the distance is 0 where there are none.
         """
-        chosen_distance, model = self._settings.appearance.max_distance, self._appearance_model
+        chosen_distance, model = self._settings.appearance.max_cosine_distance, self._appearance_model
         without = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
         if chosen_distance == 0 or not is_high.any():
             return without, 0.0
         if detections.descriptor.shape[1]:
-            is_visible, max_distance = self._is_visible(detections, is_high), _MAX_DISTANCE_OF_FILES
+            is_visible, max_cosine_distance = self._is_visible(detections, is_high), _MAX_COSINE_DISTANCE_OF_FILES
             of_visible = unit_rows(detections.descriptor[is_visible])
         elif image is not None and model is not None:
-            is_visible, max_distance = self._is_visible(detections, is_high), model.max_distance
+            is_visible, max_cosine_distance = self._is_visible(detections, is_high), model.max_cosine_distance
             of_visible = model.embed(image, detections.xyxy_px[is_visible])
         else:
             return without, 0.0
         embedding = np.zeros((len(detections), of_visible.shape[1]), np.float32)
         embedding[is_visible] = of_visible
-        return replace(detections, descriptor=embedding), max_distance if chosen_distance is None else chosen_distance
+        return replace(
+            detections, descriptor=embedding
+        ), max_cosine_distance if chosen_distance is None else chosen_distance
 
     def _is_visible(self, detections: Detections, is_high: BoolArray) -> BoolArray:
         """(N,) high-confidence detections that no nearer one occludes by more than `max_occlusion`."""
@@ -228,8 +231,8 @@ class DeepSortTracker:
         last_s = self._table.last_s
         return np.asarray((last_s == self._last_detected_s) & (time_s - last_s <= self._settings.max_skipped_s))
 
-    def _associate(self, detections: Detections, is_high: BoolArray, max_distance: float) -> Assignment:
-        """Stage 2: match detections and tracks; cosine distances up to `max_distance` count, 0 = no embeddings."""
+    def _associate(self, detections: Detections, is_high: BoolArray, max_cosine_distance: float) -> Assignment:
+        """Stage 2: match detections and tracks; cosine distances up to `max_cosine_distance` count, 0 = no embeddings."""
         settings, table = self._settings, self._table
         assignment = Assignment(len(table), len(detections))
         if not len(table) or not len(detections):
@@ -241,11 +244,11 @@ class DeepSortTracker:
         overlap_cost[~allowed] = np.inf
 
         # First association: confirmed tracks and high-confidence detections, by appearance, then by IoU.
-        if max_distance > 0:
+        if max_cosine_distance > 0:
             distance = self._gated_cosine_distance(detections, allowed)
             is_recent = table.last_s == self._last_detected_s
             for of_cascade in (is_recent, ~is_recent):  # the matching cascade: tracks detected last choose first
-                assignment.match(distance, confirmed & of_cascade, is_high, max_cost=max_distance)
+                assignment.match(distance, confirmed & of_cascade, is_high, max_cost=max_cosine_distance)
         else:
             min_iou = np.where(is_high, settings.min_iou, settings.min_iou_low_confidence)
             assignment.match_unambiguous(overlap_cost, confirmed, 1 - min_iou)
@@ -265,8 +268,8 @@ class DeepSortTracker:
     def _gated_cosine_distance(self, detections: Detections, allowed: BoolArray) -> FloatArray:
         """(N, M) cosine distances of tracks and detections, inf outside the chi-square gate."""
         settings, table = self._settings, self._table
-        squared = motion.squared_mahalanobis(table.filters, detections.xyxy_px, settings.noise)
-        is_gated_in = squared <= settings.appearance.max_mahalanobis
+        gating_distance = motion.gating_distance(table.filters, detections.xyxy_px, settings.noise)
+        is_gated_in = gating_distance <= settings.appearance.gating_threshold
         return table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
 
     def _update_matched(self, rows: IntArray, matched: Detections, time_s: float) -> None:
@@ -346,4 +349,4 @@ def deepsort(options: TrackerOptions) -> DeepSortTracker:
 
 def sort(_options: TrackerOptions) -> DeepSortTracker:
     """`--tracker sort`: the same without appearance."""
-    return DeepSortTracker(DeepSortSettings(appearance=AppearanceSettings(max_distance=0.0)))
+    return DeepSortTracker(DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from track_range.detection.boxes import iou, share_inside
 from track_range.foundation.arrays import BoolArray
-from track_range.tracking.association import assigned
+from track_range.tracking.association import min_cost_matching
 from track_range.tracking.clear import MIN_IOU, ClearCounts, count_clear
 from track_range.tracking.hota import HotaCounts, count_hota
 from track_range.tracking.similarity import Similarity
@@ -113,7 +113,7 @@ def _ignored(truth: TrackedBoxes, results: TrackedBoxes, ignore: IgnoreRegions) 
         of_truth, of_results = truth.select(truth.frame == frame), results.select(rows)
         overlap = iou(of_truth.xyxy_px, of_results.xyxy_px)
         may = (of_truth.class_id[:, None] == of_results.class_id[None, :]) & (overlap >= MIN_IOU)
-        _, matched = assigned(np.where(may, 1.0 - overlap, np.inf), max_cost=1.0)
+        _, matched = min_cost_matching(np.where(may, 1.0 - overlap, np.inf), max_cost=1.0)
         share = share_inside(of_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(axis=1, initial=0.0)
         inside = share >= _MIN_SHARE_IGNORED
         inside[matched] = False

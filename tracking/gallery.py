@@ -55,9 +55,9 @@ class Gallery:
         return len(self.embedding)
 
     @classmethod
-    def empty(cls, *, budget: int) -> Gallery:
-        """Of no tracks, with `budget` slots, the mean's among them."""
-        return cls(np.zeros((0, budget, 0), np.float32))
+    def empty(cls, *, nn_budget: int) -> Gallery:
+        """Of no tracks, with `nn_budget` slots, the mean's among them."""
+        return cls(np.zeros((0, nn_budget, 0), np.float32))
 
     @property
     def is_known(self) -> BoolArray:

@@ -131,7 +131,7 @@ def update(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> tupl
     return BoxFilters(filters.state.update(innovation, R), z[:, 3]), innovation / sigma
 
 
-def squared_mahalanobis(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
+def gating_distance(filters: BoxFilters, xyxy_px: FloatArray, noise: MotionNoise) -> FloatArray:
     """(N, M) squared Mahalanobis distances of boxes (M, 4) from each prediction.
 
     For a box of the same object it is chi-square distributed with 4 degrees of freedom.

@@ -32,19 +32,19 @@ class ReidModel:
     """Computes embeddings with a network.
 
     Attributes:
-        max_distance: see `AppearanceModel`; 0.27 suits OSNet x0.25 on KITTI 0003 and 0005 and simulated
+        max_cosine_distance: see `AppearanceModel`; 0.27 suits OSNet x0.25 on KITTI 0003 and 0005 and simulated
             drives, on which it was chosen: 0 to 10 % of the same missed, 0 to 16 % of the others passed.
         input_hw: (height, width) that crops are resized to.
         notes: sentences for the user.
     """
 
-    def __init__(self, model: Path, runtime: Runtime | None = None, *, max_distance: float = 0.27) -> None:
+    def __init__(self, model: Path, runtime: Runtime | None = None, *, max_cosine_distance: float = 0.27) -> None:
         """Load the network and run it once.
 
         Raises:
             ModelError: no such model, or no re-identification network.
         """
-        self.max_distance = max_distance
+        self.max_cosine_distance = max_cosine_distance
         self._session = OnnxSession(model, runtime)
         self.notes = self._session.notes
         batch, channels, height, width = self._session.input_shape

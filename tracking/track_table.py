@@ -47,7 +47,7 @@ class TrackTable:
         self.n_hits: IntArray = np.zeros(0, np.int64)
         self.is_confirmed: BoolArray = np.zeros(0, np.bool_)
         self.innovation: FloatArray = np.zeros((0, 2))
-        self.gallery = Gallery.empty(budget=n_embeddings)
+        self.gallery = Gallery.empty(nn_budget=n_embeddings)
 
     def __len__(self) -> int:
         return len(self.track_id)

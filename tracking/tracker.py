@@ -44,11 +44,11 @@ class AppearanceModel(Protocol):
     """Computes appearance embeddings of boxes: vectors of length 1 whose cosine distance is small for one object.
 
     Attributes:
-        max_distance: cosine distance up to which two embeddings are taken for one object's.
+        max_cosine_distance: cosine distance up to which two embeddings are taken for one object's.
         notes: sentences for the user.
     """
 
-    max_distance: float
+    max_cosine_distance: float
     notes: tuple[str, ...]
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:

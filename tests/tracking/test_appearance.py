@@ -64,15 +64,15 @@ def test_the_size_of_a_box_hardly_matters():
     image = scene()
     small = cv2.resize(image, (160, 120), interpolation=cv2.INTER_AREA)
     box = np.array([[80.0, 60, 180, 200]])
-    assert distance((image, box), (small, (box + 0.5) / 2 - 0.5)) < LAYOUT.max_distance / 4
+    assert distance((image, box), (small, (box + 0.5) / 2 - 0.5)) < LAYOUT.max_cosine_distance / 4
 
 
 def test_less_light_is_under_the_gate_and_another_colour_over_it():
     for seed in range(5):
         image, box = scene(seed), np.array([[80.0, 60, 180, 200]])
         darker = (image * 0.8).astype(np.uint8)
-        assert 0.002 < distance((image, box), (darker, box)) < LAYOUT.max_distance
-    assert distance(painted(RED, GREY), painted(BLUE, GREY)) > 2 * LAYOUT.max_distance
+        assert 0.002 < distance((image, box), (darker, box)) < LAYOUT.max_cosine_distance
+    assert distance(painted(RED, GREY), painted(BLUE, GREY)) > 2 * LAYOUT.max_cosine_distance
 
 
 def test_the_middle_counts_more_than_the_corners():
@@ -192,5 +192,7 @@ def test_real_cars_are_nearer_to_themselves(shared_data):
             same.append(apart[is_same])
             other.append(apart[~is_same])
         before = now
-    assert np.quantile(np.concatenate(same), 0.95) < LAYOUT.max_distance / 2
-    assert 0.5 * LAYOUT.max_distance < np.quantile(np.concatenate(other), 0.05) < np.concatenate(other).mean() < 0.5
+    assert np.quantile(np.concatenate(same), 0.95) < LAYOUT.max_cosine_distance / 2
+    assert (
+        0.5 * LAYOUT.max_cosine_distance < np.quantile(np.concatenate(other), 0.05) < np.concatenate(other).mean() < 0.5
+    )

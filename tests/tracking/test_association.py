@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.tracking.association import are_compatible, assigned, iou_cost, widened
+from track_range.tracking.association import are_compatible, min_cost_matching, iou_cost, widened
 
 
 def test_iou_cost_by_hand() -> None:
@@ -48,24 +48,24 @@ def test_classes_that_may_be_one_object(a: str, b: str, may: bool) -> None:
 
 def test_the_sum_is_minimised_not_each_row() -> None:
     # greedy would take (0, 0) at 0.1 and be left with 0.9
-    rows, columns = assigned(np.array([[0.1, 0.2], [0.2, 0.9]]), max_cost=1.0)
+    rows, columns = min_cost_matching(np.array([[0.1, 0.2], [0.2, 0.9]]), max_cost=1.0)
     assert list(zip(rows, columns, strict=True)) == [(0, 1), (1, 0)]
 
 
 def test_a_poor_pair_is_left_alone_and_does_not_push_a_good_one() -> None:
     # to pair both rows, row 0 would have to give up its 0.1 for 0.5 and row 1 to take 0.85 > 0.7
-    rows, columns = assigned(np.array([[0.1, 0.5], [0.85, np.inf]]), max_cost=0.7)
+    rows, columns = min_cost_matching(np.array([[0.1, 0.5], [0.85, np.inf]]), max_cost=0.7)
     assert list(zip(rows, columns, strict=True)) == [(0, 0)]
 
 
 def test_infinite_cost_forbids() -> None:
-    rows, columns = assigned(np.full((2, 3), np.inf), max_cost=0.9)
+    rows, columns = min_cost_matching(np.full((2, 3), np.inf), max_cost=0.9)
     assert len(rows) == len(columns) == 0
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 3), (2, 0)])
 def test_nothing_to_assign(shape: tuple[int, int]) -> None:
-    rows, columns = assigned(np.zeros(shape), max_cost=0.5)
+    rows, columns = min_cost_matching(np.zeros(shape), max_cost=0.5)
     assert rows.dtype == columns.dtype == np.int64
     assert len(rows) == len(columns) == 0
 
@@ -76,7 +76,7 @@ def test_nothing_to_assign(shape: tuple[int, int]) -> None:
 )
 @settings(deadline=None)
 def test_no_other_choice_is_cheaper(cost: np.ndarray, max_cost: float) -> None:
-    rows, columns = assigned(cost, max_cost=max_cost)
+    rows, columns = min_cost_matching(cost, max_cost=max_cost)
     assert len(set(rows)) == len(rows)
     assert len(set(columns)) == len(columns)
     assert (cost[rows, columns] <= max_cost).all()

@@ -315,7 +315,7 @@ def test_looks_are_told_from_images_where_the_detector_brings_none() -> None:
     """Two cars, red and blue, change places while unseen: the built-in descriptor follows the colours."""
     red, blue = (20, 20, 220), (220, 20, 20)
     settings = DeepSortSettings(
-        appearance=AppearanceSettings(max_mahalanobis=1e9),
+        appearance=AppearanceSettings(gating_threshold=1e9),
         is_camera_motion_compensated=False,
         prediction=PredictionGates(max_missing_s=0.0),
     )

@@ -20,8 +20,8 @@ def random_rows(rng, n, length, *, unknown=0.3):
     return rows
 
 
-def of_one(*descriptors, budget=4):
-    gallery = Gallery.empty(budget=budget).initiate(descriptors[0])
+def of_one(*descriptors, nn_budget=4):
+    gallery = Gallery.empty(nn_budget=nn_budget).initiate(descriptors[0])
     for descriptor in descriptors[1:]:
         gallery = gallery.append(FIRST, descriptor)
     return gallery
@@ -59,7 +59,7 @@ class Slow:
 def test_equals_a_loop_over_lists(seed, n, m, n_kept, length, share):
     rng = np.random.default_rng(seed)
     first = random_rows(rng, n, length)
-    gallery, slow = Gallery.empty(budget=n_kept).initiate(first), [Slow(row, n_kept) for row in first]
+    gallery, slow = Gallery.empty(nn_budget=n_kept).initiate(first), [Slow(row, n_kept) for row in first]
     for _ in range(4):
         rows = rng.permutation(n)[: rng.integers(0, n + 1)]
         new = random_rows(rng, len(rows), length)
@@ -76,7 +76,7 @@ def test_equals_a_loop_over_lists(seed, n, m, n_kept, length, share):
 def test_few_pairs_among_many_are_the_same_as_all():
     rng = np.random.default_rng(3)
     gallery = (
-        Gallery.empty(budget=3).initiate(random_rows(rng, 120, 16)).append(np.arange(120), random_rows(rng, 120, 16))
+        Gallery.empty(nn_budget=3).initiate(random_rows(rng, 120, 16)).append(np.arange(120), random_rows(rng, 120, 16))
     )
     found = random_rows(rng, 150, 16)
     among = rng.random((120, 150)) < 0.05  # one by one, in more than one block
@@ -88,14 +88,14 @@ def test_few_pairs_among_many_are_the_same_as_all():
 def test_a_distance_is_never_negative():
     rows = random_rows(np.random.default_rng(2), 300, 144, unknown=0)
     assert (1 - np.einsum("nd,nd->n", rows, rows)).min() < 0  # so rounding would make it
-    gallery = Gallery.empty(budget=2).initiate(rows)
+    gallery = Gallery.empty(nn_budget=2).initiate(rows)
     for among in (None, np.eye(300, dtype=bool)):
         nearest = np.diag(gallery.cosine_distance(rows, among))
         assert 0 <= nearest.min() <= nearest.max() < 1e-6
 
 
 def test_distances_by_hand():
-    gallery = Gallery.empty(budget=4).initiate(np.concatenate([EAST, NORTH, NOTHING]))
+    gallery = Gallery.empty(nn_budget=4).initiate(np.concatenate([EAST, NORTH, NOTHING]))
     found = np.concatenate([EAST, WEST, NOTHING])
     wanted = [[0, 2, np.inf], [1, 1, np.inf], [np.inf] * 3]
     np.testing.assert_array_equal(gallery.cosine_distance(found), wanted)
@@ -115,7 +115,7 @@ def test_the_last_ones_and_the_mean_are_kept():
 
 
 def test_one_slot_is_the_mean_alone():
-    gallery = of_one(EAST, NORTH, budget=1)
+    gallery = of_one(EAST, NORTH, nn_budget=1)
     np.testing.assert_allclose(gallery.embedding[0, 0], np.array([0.9, 0.1]) / np.hypot(0.9, 0.1), atol=1e-6)
 
 
@@ -129,13 +129,13 @@ def test_what_nobody_could_tell_changes_nothing():
 def test_opposite_descriptors_have_a_mean_that_is_no_nan():
     gallery = Gallery(np.repeat(EAST[:, None], 2, axis=1), mean_memory=0.5).append(FIRST, WEST)
     assert np.isfinite(gallery.embedding).all()
-    assert np.isfinite(Gallery.empty(budget=2).initiate(EAST).cosine_distance(WEST)).all()
+    assert np.isfinite(Gallery.empty(nn_budget=2).initiate(EAST).cosine_distance(WEST)).all()
 
 
 def test_nothing_is_written_to():
     rng = np.random.default_rng(0)
     first, new = random_rows(rng, 5, 4, unknown=0), random_rows(rng, 2, 4, unknown=0)
-    gallery = Gallery.empty(budget=3).initiate(first)
+    gallery = Gallery.empty(nn_budget=3).initiate(first)
     before = [array.copy() for array in (gallery.embedding, first, new)]
     for array in (gallery.embedding, first, new):
         array.setflags(write=False)
@@ -157,17 +157,17 @@ def test_select_and_joined_keep_rows_together():
 
 def test_without_looks_everything_works():
     none = np.zeros((3, 0), np.float32)
-    gallery = Gallery.empty(budget=4).initiate(none)
+    gallery = Gallery.empty(nn_budget=4).initiate(none)
     gallery = gallery.append(np.array([0, 1, 2]), none).select(np.array([True, False, True]))
     assert gallery.embedding.shape == (2, 4, 0)
     np.testing.assert_array_equal(gallery.cosine_distance(none), np.full((2, 3), np.inf))
     np.testing.assert_array_equal(gallery.cosine_distance(np.concatenate([EAST, WEST])), np.full((2, 2), np.inf))
-    assert Gallery.empty(budget=4).cosine_distance(EAST).shape == (0, 1)
+    assert Gallery.empty(nn_budget=4).cosine_distance(EAST).shape == (0, 1)
     assert of_one(EAST).cosine_distance(np.zeros((0, 2), np.float32)).shape == (1, 0)
 
 
 def test_looks_may_come_later_and_stay_away_for_a_frame():
-    gallery = Gallery.empty(budget=2).initiate(np.zeros((2, 0), np.float32))
+    gallery = Gallery.empty(nn_budget=2).initiate(np.zeros((2, 0), np.float32))
     gallery = gallery.append(np.array([1]), EAST).initiate(NORTH).initiate(np.zeros((1, 0), np.float32))
     gallery = gallery.append(np.array([1, 2]), np.zeros((2, 0), np.float32))
     np.testing.assert_array_equal(gallery.cosine_distance(EAST)[:, 0], [np.inf, 0, 1, np.inf])
@@ -182,7 +182,7 @@ def test_lengths_that_do_not_fit():
     with pytest.raises(ValueError, match=r"embedding: expected shape \(\*, \*, \*\), got \(2, 3\)"):
         Gallery(np.zeros((2, 3), np.float32))
     with pytest.raises(ValueError, match="at least one slot per track"):
-        Gallery.empty(budget=0)
+        Gallery.empty(nn_budget=0)
 
 
 def test_rows_of_length_1():

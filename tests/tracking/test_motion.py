@@ -16,7 +16,7 @@ from track_range.tracking.motion import (
     compensate_camera_motion,
     initiate,
     predict,
-    squared_mahalanobis,
+    gating_distance,
     transformed,
     update,
 )
@@ -114,22 +114,22 @@ def test_a_box_that_shrinks_away_keeps_one_pixel() -> None:
     np.testing.assert_allclose(gone.xyxy_px, [[119.5, 89.5, 120.5, 90.5]])
 
 
-def test_squared_mahalanobis_is_the_full_form() -> None:
+def test_gating_distance_by_hand() -> None:
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
     z = np.array([[110.0, 44.0, 152.0, 140.0], [100.0, 50.0, 140.0, 130.0]])
     S = np.eye(4) * (filters.state.P_xx[0, 0] + (0.05 * 80) ** 2)
     innovation = np.array([131.0 - 120.0, 92.0 - 90.0, 42.0 - 40.0, 96.0 - 80.0])
     expected = innovation @ np.linalg.inv(S) @ innovation
-    np.testing.assert_allclose(squared_mahalanobis(filters, z, NOISE), [[expected, 0.0]])
+    np.testing.assert_allclose(gating_distance(filters, z, NOISE), [[expected, 0.0]])
 
 
-def test_squared_mahalanobis_of_the_models_own_boxes_is_chi_square() -> None:
+def test_gating_distance_is_chi_square() -> None:
     rng = np.random.default_rng(7)
     filters = predict(initiate(BOX, NOISE), 0.1, NOISE)
     sigma = np.sqrt(filters.state.P_xx[0, 0] + (0.05 * 80) ** 2)
     cxcywh = filters.state.x[0] + rng.normal(0, 1, (4000, 4)) * sigma
     xyxy = np.concatenate([cxcywh[:, :2] - cxcywh[:, 2:] / 2, cxcywh[:, :2] + cxcywh[:, 2:] / 2], axis=1)
-    distance = squared_mahalanobis(filters, xyxy, NOISE)[0]
+    distance = gating_distance(filters, xyxy, NOISE)[0]
     for share in (0.5, 0.9, 0.99):
         assert np.mean(distance <= chi2.ppf(share, df=4)) == pytest.approx(share, abs=0.02)
 
@@ -147,7 +147,7 @@ def test_no_tracks() -> None:
     none = predict(initiate(np.zeros((0, 4)), NOISE), 0.1, NOISE)
     assert len(none) == 0
     assert none.xyxy_px.shape == (0, 4)
-    assert squared_mahalanobis(none, BOX, NOISE).shape == (0, 1)
+    assert gating_distance(none, BOX, NOISE).shape == (0, 1)
 
 
 def test_inputs_are_not_written_to() -> None:

@@ -31,7 +31,7 @@ def test_built_in_trackers(name):
 
 def test_reid_is_handed_to_deepsort():
     class Counting:
-        max_distance, notes, n_calls = 0.1, (), 0
+        max_cosine_distance, notes, n_calls = 0.1, (), 0
 
         def embed(self, image, xyxy_px):
             self.n_calls += 1

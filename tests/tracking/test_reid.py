@@ -145,8 +145,8 @@ def test_osnet_finds_real_cars_again(shared_data):
     assert len(id_a) >= 3
     apart = 1 - a @ b.T
     assert apart.argmin(axis=1).tolist() == apart.argmin(axis=0).tolist() == list(range(len(apart)))
-    assert 0.01 < np.diag(apart).min() <= np.diag(apart).max() < model.max_distance
-    assert np.median(apart[~np.eye(len(apart), dtype=bool)]) > model.max_distance
+    assert 0.01 < np.diag(apart).min() <= np.diag(apart).max() < model.max_cosine_distance
+    assert np.median(apart[~np.eye(len(apart), dtype=bool)]) > model.max_cosine_distance
 
 
 def test_a_real_detector_is_refused(shared_data):
