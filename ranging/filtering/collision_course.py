@@ -109,7 +109,7 @@ class CollisionCourse:
         measured_s = np.where(valid, time_s, measured_s)
         is_recent = time_s - self._tracks.known[-1] <= _MAX_GAP_S
         kept = np.concatenate([state, [np.full(len(tracks), time_s), measured_s]])
-        self._tracks.put(tracks.track_id, kept, keep=is_recent)
+        self._tracks.put(tracks.track_id, kept, keep_known=is_recent)
         return _offsets(ConstantVelocity(*state), ttc_s, half_width_m=width_px * m_per_px / 2)
 
 

@@ -200,7 +200,7 @@ class DistanceFilters:
         np.copyto(measured_s, time_s, where=measured.valid)
         np.copyto(systematic, measured.systematic, where=measured.valid)
         is_recent = (time_s - self._tracks.known[_MEASURED_S] <= settings.max_gap_s).any(axis=0)
-        self._tracks.put(track_id, columns, keep=is_recent)
+        self._tracks.put(track_id, columns, keep_known=is_recent)
         is_steady = time_s - steady_since_s >= settings.min_steady_s
         filtered = self._filtered(ConstantVelocity(*columns[:5]), systematic, is_steady, track_id)
         return {name: filtered[name] for name in given}

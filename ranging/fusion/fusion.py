@@ -166,7 +166,7 @@ class Fusion:
             reference_s=np.where(used.valid[model.reference].any(axis=0), time_s, track.reference_s),
         )
         is_recent = time_s - TrackBiases.times_s(self._tracks.known) <= _MAX_GAP_S
-        self._tracks.put(track_id, track.to_columns(), keep=is_recent)
+        self._tracks.put(track_id, track.to_columns(), keep_known=is_recent)
 
         distance_m = np.where(has_any, np.exp(estimate.log_m), np.nan)
         sigma_m = distance_m * np.sqrt(estimate.variance * np.maximum(1.0, estimate.chi2_per_dof))

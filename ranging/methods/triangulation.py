@@ -83,6 +83,6 @@ class TrackMatcher:
         self._state.put(
             tracks.track_id[rows],
             np.where(np.isfinite(matches.disparity_px), after, before),
-            keep=time_s - self._state.known[1] <= _PRIOR_LIFETIME_S,
+            keep_known=time_s - self._state.known[1] <= _PRIOR_LIFETIME_S,
         )
         return disparity_px, sigma_px

@@ -30,24 +30,24 @@ def test_equals_filterpy():
         state = state.predict(dt, q=q, drift=drift)
         state = state.update(z - state.x, R)
         expected = [*oracle.x[:, 0], oracle.P[0, 0], oracle.P[0, 1], oracle.P[1, 1]]
-        for found, number in zip(arrays(state), expected, strict=True):
-            assert found == pytest.approx(np.full((2, 3), number))
+        for array, number in zip(arrays(state), expected, strict=True):
+            assert array == pytest.approx(np.full((2, 3), number))
 
 
-def test_two_half_steps_are_one_step():
+def test_two_half_steps_equal_one_step():
     once = states(1).predict(0.2, q=2.0, drift=0.3)
     twice = states(1).predict(0.1, q=2.0, drift=0.3).predict(0.1, q=2.0, drift=0.3)
     for a, b in zip(arrays(once), arrays(twice), strict=True):
         assert a == pytest.approx(b)
 
 
-def test_only_valid_measurements_count():
+def test_invalid_measurements_are_ignored():
     state = states(2).update(np.array([1.0, np.nan]), np.array([2.0, np.nan]), valid=np.array([True, False]))
     assert [array[1] for array in arrays(state)] == list(START)
     assert state.x[0] == pytest.approx(3.0 + 4.0 / 6.0)
 
 
-def test_elements_may_share_a_covariance():
+def test_shared_covariance():
     value, shared = np.array([[1.0, 2.0, 3.0]]), np.ones((1, 1))
     state = ConstantVelocity(value, value, shared, 0 * shared, shared).predict(1.0, q=0.0).update(np.ones((1, 3)), 2.0)
     assert state.P_xx.shape == (1, 1)

@@ -15,22 +15,22 @@ def test_mad_sigma_of_a_normal_distribution_with_outliers() -> None:
     assert mad_sigma(values) == pytest.approx(2.0, rel=0.05)
 
 
-def test_mad_sigma_by_hand() -> None:
+def test_mad_sigma_worked_by_hand() -> None:
     assert mad_sigma(np.array([1.0, 2.0, 4.0, 8.0, 100.0])) == pytest.approx(1.4826 * 3.0)
 
 
-def test_weighted_median_of_equal_weights_is_the_median() -> None:
+def test_weighted_median_with_equal_weights() -> None:
     for n in (1, 4, 7):
         values = np.random.default_rng(n).normal(size=n)
         assert weighted_median(values, np.full(n, 3.0)) == pytest.approx(np.median(values))
 
 
-def test_weighted_median_follows_the_weight() -> None:
+def test_weighted_median_with_unequal_weights() -> None:
     assert weighted_median(np.array([3.0, 1.0, 2.0]), np.array([100.0, 1.0, 1.0])) == pytest.approx(3.0, abs=0.02)
     assert weighted_median(np.array([1.0, 2.0]), np.array([1.0, 3.0])) == pytest.approx(1.75)  # 0.5, 2.5; half is 2
 
 
-def test_jackknife_sigma_of_means_is_the_standard_error() -> None:
+def test_jackknife_sigma_is_the_standard_error() -> None:
     values = np.random.default_rng(1).normal(size=20)
     without_one = np.array([[np.delete(values, i).mean()] for i in range(20)])
     assert jackknife_sigma(without_one)[0] == pytest.approx(values.std(ddof=1) / np.sqrt(20))

@@ -1,1 +1,1 @@
-"""What all packages may import: array aliases, files, statistics and per-track state."""
+"""Modules that all packages may import: array aliases, files, options, errors, statistics and per-track state."""

@@ -1,4 +1,4 @@
-"""Aliases of array types and the shape check that all data classes share."""
+"""Array type aliases, and the shape check of all data classes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ Image = npt.NDArray[np.uint8]
 """(H, W, 3) BGR or (H, W) grey."""
 
 
-def check_shape(name: str, array: npt.NDArray[Any], wanted: tuple[int | None, ...]) -> None:
-    """Raise ValueError unless `array` has the shape `wanted` (None matches any length)."""
-    if array.shape == wanted:
+def check_shape(name: str, array: npt.NDArray[Any], expected: tuple[int | None, ...]) -> None:
+    """Raise ValueError unless `array` has the shape `expected` (None matches any length)."""
+    if array.shape == expected:
         return
-    fits = array.ndim == len(wanted) and all(w is None or w == g for w, g in zip(wanted, array.shape, strict=True))
-    if not fits:
-        text = ", ".join("*" if w is None else str(w) for w in wanted)
+    is_match = array.ndim == len(expected) and all(
+        length is None or length == actual for length, actual in zip(expected, array.shape, strict=True)
+    )
+    if not is_match:
+        text = ", ".join("*" if length is None else str(length) for length in expected)
         raise ValueError(f"{name}: expected shape ({text}), got {array.shape}")

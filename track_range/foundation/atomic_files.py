@@ -1,7 +1,7 @@
-"""Writing files whole or not at all: to a temporary file in the same folder, fsync, rename.
+"""Atomic writing of files: write to a temporary file in the same folder, fsync, rename.
 
-A reader sees the old content or the new one, never a part, however the program ends. Errors of the file system are
-raised as OSError; callers turn them into their own error class with `describe`.
+A reader sees the complete old or the complete new content, however the program ends. File system errors are raised as
+OSError; callers convert them to their own error class with `describe`.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, for libraries that write files themselves; renamed to `path` at the end.
+    """A temporary path next to `path`, for libraries that write files themselves; renamed to `path` at the end.
 
-    The temporary file is hidden, has the same suffix, and is removed if the block raises. A device, a pipe or a
-    symbolic link is not replaced: then `path` itself is given, and written in place.
+    The temporary file is hidden, has the same suffix, and is removed if the block raises. Devices, pipes and symbolic
+    links are not replaced but written in place: the result is then `path` itself.
 
     Raises:
         OSError: `path` is a folder, or the file cannot be written or renamed.
@@ -37,10 +37,10 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder beside `path`, for intermediate files; the file named `path.name` in it replaces `path`.
+    """A temporary folder next to `path`, for intermediate files; the file named `path.name` in it replaces `path`.
 
     Raises:
-        OSError: the folder cannot be made, or the file is missing or cannot be renamed.
+        OSError: the folder cannot be created, or the file is missing or cannot be renamed.
     """
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         yield Path(folder)
@@ -58,7 +58,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8 with the line ends of `text`.
+    """Write a text file atomically, in UTF-8 with the line endings of `text`.
 
     Raises:
         OSError: it cannot be written.
@@ -67,12 +67,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def describe(error: OSError) -> str:
-    """The reason of an error of the file system, without the path and the number."""
+    """The reason for a file system error, without its path and number."""
     return error.strerror or str(error)
 
 
 def _replace(partial: Path, path: Path) -> None:
-    """Flush a finished file to the disk and give it its name."""
+    """Flush a finished file to the disk and rename it."""
     with partial.open("r+b") as file:
         os.fsync(file.fileno())
     partial.replace(path)

@@ -4,8 +4,8 @@
                Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]] + drift [[dt, 0], [0, 0]]
     update     S = P_xx + R      K = [P_xx, P_xv] / S      [x, v]' = [x, v] + K nu      P' = P - K S K^T
 
-q and drift are densities of continuous noise: two steps of dt/2 give what one step of dt gives. nu = z - x is the
-innovation of a measurement z of x with variance R.
+q and drift are power spectral densities of continuous noise, so two steps of dt/2 equal one step of dt. nu = z - x is
+the innovation of a measurement z of x with variance R.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ConstantVelocity:
-    """States [x, v] and their covariances P; the covariances may have axes of length 1 where elements share them.
+    """States [x, v] and their covariances P; elements that share a covariance may have axes of length 1.
 
     Attributes:
         x: value.
@@ -43,7 +43,7 @@ class ConstantVelocity:
         Args:
             dt: time step, s.
             q: growth of the rate's variance per second.
-            drift: growth of the value's variance per second beyond what its rate explains.
+            drift: growth of the value's variance per second in addition to that caused by its rate.
         """
         P_xv = self.P_xv + dt * self.P_vv
         return ConstantVelocity(
@@ -62,7 +62,7 @@ class ConstantVelocity:
         Args:
             innovation: nu, measurement minus `x`.
             R: variance of the measurement, > 0.
-            valid: where there is a measurement; elsewhere the state stays as it is.
+            valid: elements with a measurement; the state of the others does not change.
         """
         weight, nu = 1.0 / (self.P_xx + R), innovation
         if valid is not True:

@@ -14,7 +14,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class CsvTable:
-    """Cells of a CSV file, without the spaces around them; blank lines are left out.
+    """Cells of a CSV file, stripped of surrounding spaces; blank lines are omitted.
 
     Attributes:
         path: the file.
@@ -39,7 +39,7 @@ class CsvTable:
         return name in self.header
 
     def fault(self, row: int, message: str) -> Exception:
-        """An exception about row `row`, counted from 0; for the caller to raise."""
+        """An exception about row `row`, counted from 0, that the caller raises."""
         return self.error(f"{self.path}, line {self.lines[row]}: {message}")
 
     def require(self, names: Iterable[str]) -> None:
@@ -53,17 +53,17 @@ class CsvTable:
         """Raise `error` if two columns have one of these names."""
         for name in names:
             if self.header.count(name) > 1:
-                raise self.error(f"{self.path}: two columns are called {name}.")
+                raise self.error(f"{self.path}: expected one column {name}, got two; rename or remove one.")
 
     def texts(self, name: str) -> list[str]:
-        """N cells of a column; empty ones if there is no such column."""
+        """N cells of a column; empty texts if there is no such column."""
         if name not in self.header:
             return [""] * len(self.rows)
         column = self.header.index(name)
         return [row[column] for row in self.rows]
 
     def numbers(self, name: str) -> FloatArray:
-        """(N,) numbers of a column; NaN for cells that are no number, and if there is no such column."""
+        """(N,) numbers of a column; NaN for cells that are not numbers, and for a missing column."""
         return np.array([number(cell) for cell in self.texts(name)], np.float64)
 
     def finite(self, name: str) -> FloatArray:
@@ -77,7 +77,7 @@ class CsvTable:
         return values
 
     def check(self, name: str, values: FloatArray, is_valid: BoolArray, expected: str) -> None:
-        """Raise `error` for the first of the rows that is not valid; `values` are the numbers of column `name`."""
+        """Raise `error` for the first invalid row; `values` (N,) are the numbers of column `name`."""
         for row in np.flatnonzero(~is_valid).tolist():
             cell = self.texts(name)[row] if name in self.header else f"{values[row]:g}"
             raise self.fault(row, f"expected {expected} for {name}, got '{cell}'.")
@@ -86,14 +86,15 @@ class CsvTable:
 def read_csv_table(
     path: Path, error: type[Exception], expected: str, *, default_header: Sequence[str] = (), exact: bool = False
 ) -> CsvTable:
-    """Read a CSV file in UTF-8 whose first line names its columns.
+    """Read a CSV file in UTF-8 with a header line.
 
     Args:
         path: the file.
         error: class of the exceptions to raise.
-        expected: what the file should hold, for messages; such as "columns time_s and speed_mps".
-        default_header: names of the columns if the first line holds none of them, in order.
-        exact: refuse rows that are shorter than the header, instead of taking the missing cells as empty.
+        expected: expected content of the file, for messages, such as "columns time_s and speed_mps".
+        default_header: names of the columns, in order, of a file without a header: one with none of them in its first
+            line.
+        exact: reject rows that are shorter than the header, instead of filling them with empty cells.
 
     Raises:
         error: the file is unreadable or empty, or a row has more cells than the header.
@@ -103,7 +104,9 @@ def read_csv_table(
             reader = csv.reader(file)
             numbered = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
     except OSError as reason:
-        raise error(f"{path}: cannot be read ({reason.strerror or reason}).") from reason
+        raise error(
+            f"{path}: cannot be read ({reason.strerror or reason}); check the path and permissions."
+        ) from reason
     except (UnicodeDecodeError, csv.Error) as reason:
         raise error(
             f"{path}: cannot be read as CSV in UTF-8 ({type(reason).__name__}); expected {expected}."
@@ -121,13 +124,13 @@ def read_csv_table(
         if len(row) < len(header) and not exact:
             row.extend([""] * (len(header) - len(row)))
         if len(row) != len(header) and (exact or any(row[len(header) :])):
-            raise table.fault(index, f"expected {len(header)} cells, as in the header, got {len(row)}.")
+            raise table.fault(index, f"expected {len(header)} cells as in the header, got {len(row)}.")
     return table
 
 
 def number(cell: str) -> float:
-    """The number that a cell holds; NaN if it holds none."""
+    """The number in a cell; NaN if it is not a number."""
     try:
-        return float("nan") if "_" in cell else float(cell)  # Python takes 1_000 for a number
+        return float("nan") if "_" in cell else float(cell)  # float() accepts 1_000
     except ValueError:
         return float("nan")

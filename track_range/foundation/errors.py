@@ -1,7 +1,7 @@
-"""The base of all errors that a user's input can cause.
+"""Base classes of all errors that a user's input can cause.
 
-The command line prints such an error as one sentence and ends with its exit status; any other exception is a defect of
-the program and keeps its traceback.
+The command line prints such an error as one sentence and exits with its status; any other exception is a defect of the
+program and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from typing import ClassVar
 
 
 class UserError(Exception):
-    """An input or output that cannot be used; the message names it, what was expected, and what to do."""
+    """An unusable input or output; the message names it, what was expected, and what to do."""
 
     exit_status: ClassVar[int] = 1
 
 
 class ConfigError(UserError):
-    """Settings that cannot be used; the message names the setting."""
+    """An invalid setting; the message names it."""
 
 
 class UsageError(ConfigError):
-    """Options that contradict each other or are out of range: wrong usage, not a wrong input."""
+    """Options that contradict each other or are out of range: wrong usage, not an unusable input."""
 
     exit_status: ClassVar[int] = 2
 
 
 class RunStoppedError(UserError):
-    """The user ended a run early, by Ctrl-C or SIGTERM; the results of the finished frames are kept."""
+    """The user stopped a run early with Ctrl-C or SIGTERM; the results of the finished frames are kept."""

@@ -1,7 +1,7 @@
-"""Options of commands and functions: pydantic models whose fields are the options, each declared once.
+"""Options of commands and functions: pydantic models in which each option is declared once, as a field.
 
-The command line makes its parameters from the fields (`track_range.cli.parameters`), settings files hold the same
-fields, and Python code passes the same names.
+`track_range.cli.parameters` creates the parameters of the command line from the fields; settings files and the Python
+API use the same names.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ def option(
         description: help text: a noun phrase with unit, allowed values and default where they are not obvious.
         flag: such as "--start" or "--overlay/--no-overlay"; None = the field's name with hyphens.
         metavar: placeholder of the value in the help.
-        panel: heading under which the help lists it.
-        is_repeated: a field of many values is filled by giving the option again; otherwise by values with commas.
-        is_argument: positional, without a flag.
-        is_file_only: no option of the command line, only a key of settings files.
+        panel: heading of the option's section in the help.
+        is_repeated: the option is repeated for each value of a list, instead of given once with commas.
+        is_argument: the option is positional, without a flag.
+        is_file_only: the option exists only in settings files, not on the command line.
         old_names: earlier names of the field, still accepted in files and as hidden options.
-        constraints: of `pydantic.Field`: ge, le, gt, lt, allow_inf_nan.
+        constraints: arguments of `pydantic.Field`: ge, le, gt, lt, allow_inf_nan.
     """
-    shown = {
+    declaration = {
         "flag": flag,
         "metavar": metavar,
         "panel": panel,
@@ -51,20 +51,20 @@ def option(
         "is_file_only": is_file_only,
         "old_names": old_names,
     }
-    return Field(description=description, json_schema_extra={"option": shown}, **constraints)  # type: ignore[dict-item]
+    return Field(description=description, json_schema_extra={"option": declaration}, **constraints)  # type: ignore[dict-item]
 
 
 def option_of(field: FieldInfo) -> Mapping[str, Any]:
-    """The arguments that `option` was given for a field."""
+    """The arguments of `option` in the declaration of a field."""
     extra = field.json_schema_extra
-    shown = extra.get("option") if isinstance(extra, dict) else None
-    if not isinstance(shown, Mapping):
+    declaration = extra.get("option") if isinstance(extra, dict) else None
+    if not isinstance(declaration, Mapping):
         raise TypeError("a field of Options needs an option(...)")
-    return shown
+    return declaration
 
 
 def value_type(field: FieldInfo) -> Any:
-    """The type of a field's value, without None."""
+    """The type of a field's value, None excluded."""
     annotation = field.annotation
     if get_origin(annotation) in (Union, UnionType):
         kinds = [kind for kind in get_args(annotation) if kind is not type(None)]
@@ -73,20 +73,20 @@ def value_type(field: FieldInfo) -> Any:
 
 
 def is_list(field: FieldInfo) -> bool:
-    """Whether a field holds any number of values: `tuple[X, ...]`."""
+    """Whether a field is a list, `tuple[X, ...]`."""
     kind = value_type(field)
     return get_origin(kind) is tuple and get_args(kind)[-1] is Ellipsis
 
 
 class Options(BaseModel):
-    """Base of options: immutable, and without unknown names."""
+    """Base class of option models: immutable, unknown names are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)  # built when first used: --help is faster
 
     @model_validator(mode="before")
     @classmethod
     def _old_names_and_lists(cls, given: Any) -> Any:
-        """Values under the fields' present names, and texts such as "car,bus" as lists."""
+        """Values by the current names of the fields, with texts such as "car,bus" split into lists."""
         if not isinstance(given, Mapping):
             return given
         values = dict(given)
@@ -100,18 +100,18 @@ class Options(BaseModel):
 
     @classmethod
     def flag(cls, name: str) -> str:
-        """The option of a field, such as "--start", or its metavar for an argument; other names as they are."""
+        """The option of a field, such as "--start", or the metavar of an argument; unknown names are unchanged."""
         field = cls.model_fields.get(name)
         if field is None or option_of(field)["is_file_only"]:
             return name
-        shown = option_of(field)
-        if shown["is_argument"]:
-            return str(shown["metavar"] or name.upper())
-        return str(shown["flag"] or "--" + name.replace("_", "-")).partition("/")[0]
+        declaration = option_of(field)
+        if declaration["is_argument"]:
+            return str(declaration["metavar"] or name.upper())
+        return str(declaration["flag"] or "--" + name.replace("_", "-")).partition("/")[0]
 
     @classmethod
     def problem(cls, error: ValidationError) -> str:
-        """The first fault of options as one sentence that begins with the option."""
+        """The first validation error as one sentence that begins with the option."""
         first = error.errors()[0]
         if first["type"] == "extra_forbidden":
             name = str(first["loc"][0])
@@ -122,10 +122,10 @@ class Options(BaseModel):
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
-        """Options from values by name; None = not given.
+        """Options from values by name; None values are treated as not given.
 
         Raises:
-            UsageError: a value is missing, wrong or contradicts another.
+            UsageError: a value is missing, invalid or contradicts another.
         """
         try:
             return cls(**{name: value for name, value in given.items() if value is not None})

@@ -1,4 +1,4 @@
-"""Progress of long work, reported to whoever shows it."""
+"""Types of the callbacks that report the progress of long tasks."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 StepProgress = Callable[[str], AbstractContextManager[Callable[[int, int | None], None]]]
-"""Called with the name of the work; within the context, call with steps done and their number (None = unknown)."""
+"""Called with the name of a task; the context gives a function of (steps done, total steps or None if unknown)."""
 
 
 @contextmanager
-def no_progress(_work: str) -> Iterator[Callable[[int, int | None], None]]:
-    """Progress that nobody sees."""
+def no_progress(_task: str) -> Iterator[Callable[[int, int | None], None]]:
+    """A `StepProgress` that shows nothing."""
     yield lambda _done, _total: None
 
 
 FrameProgress = Callable[[int | None], AbstractContextManager[Callable[[], None]]]
-"""Called with the number of frames (None = unknown); within the context, call once per frame."""
+"""Called with the number of frames (None = unknown); the context gives a function to call once per frame."""
 
 
 @contextmanager
 def no_frame_progress(_n_frames: int | None) -> Iterator[Callable[[], None]]:
-    """Progress that nobody sees."""
+    """A `FrameProgress` that shows nothing."""
     yield lambda: None

@@ -7,7 +7,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation (MAD): 1 / 0.6745."""
+"""Ratio of standard deviation to median absolute deviation (MAD) of a normal distribution: 1 / 0.6745."""
 
 
 def mad_sigma(values: FloatArray) -> float:
@@ -23,7 +23,7 @@ def weighted_median(values: FloatArray, weight: FloatArray) -> float:
 
 
 def jackknife_sigma(estimates: FloatArray) -> FloatArray:
-    """(P,) standard deviations from (G, P) estimates, each without one of G groups of the data.
+    """(P,) standard deviations of P parameters from (G, P) estimates, each made without one of G groups of the data.
 
     sigma^2 = (G - 1) / G sum_g (theta_g - mean theta)^2, the delete-a-group jackknife (Efron, "The jackknife, the
     bootstrap and other resampling plans", 1982).
