@@ -1,1 +1,1 @@
-"""Pixels in, image-space findings out, never metres."""
+"""Detection of road users and lane lines in images; all results are in pixels, none in metres."""

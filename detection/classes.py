@@ -1,4 +1,4 @@
-"""The road classes, and which names of other class lists (COCO, KITTI, VOC) mean them."""
+"""The road classes, and the names of other class lists (COCO, KITTI, VOC) that map to them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from track_range.foundation.arrays import IntArray
 from track_range.foundation.errors import UserError
 
 ROAD_CLASSES = ("person", "bicycle", "car", "motorcycle", "bus", "truck", "traffic light", "traffic sign")
-"""Index in this tuple = class_id everywhere downstream of a detector."""
+"""Names of the road classes; the index in this tuple is the `class_id` of detections and tracks."""
 
 ROAD_CLASS_OF = {
     **{name: name for name in ROAD_CLASSES},
@@ -26,16 +26,16 @@ ROAD_CLASS_OF = {
     "van": "car",
     "person_sitting": "person",
 }
-"""Names of COCO, VOC and KITTI (lower case) -> road class; what is not here is not a road class.
+"""Road class by the lower-case name that COCO, VOC or KITTI use; other names are not road classes.
 
-This is what a detector's word means; what KITTI's truth asks for is narrower (`KITTI_IGNORED`).
+For detectors' class names. For KITTI's ground truth, `KITTI_IGNORED` excludes some of these names.
 """
 
 SAME_OBJECT_GROUP: IntArray = np.array([0, 1, 2, 1, 2, 2, 3, 4])
-"""(8,) by class_id: classes of one group are what detectors take for each other on one and the same object."""
+"""(8,) group number by class_id: detectors confuse the classes of one group with each other on the same object."""
 
 KITTI_IGNORED = ("Van", "Tram", "Misc", "Person", "Person_sitting", "DontCare")
-"""KITTI types that are neither right nor wrong to detect or track: neighbours of a class, or labelled in lumps."""
+"""KITTI types that count neither as true nor as false positives: similar to an evaluated class, or crowd regions."""
 
 # fmt: off
 COCO_CLASSES = (
@@ -50,7 +50,7 @@ COCO_CLASSES = (
     "toothbrush",
 )
 # fmt: on
-"""COCO's 80 names in the order of every network trained on it."""
+"""COCO's 80 class names, in the order that networks trained on COCO use."""
 
 # fmt: off
 VOC_CLASSES = (
@@ -58,20 +58,20 @@ VOC_CLASSES = (
     "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
 )
 # fmt: on
-"""Pascal VOC's 20 names, in their order."""
+"""Pascal VOC's 20 class names, in alphabetical order as networks trained on VOC use them."""
 
 
 class ClassNameError(UserError, ValueError):
-    """A class name that is no road class; the message names the nearest one."""
+    """Unknown class name; the message suggests the most similar road class."""
 
 
 def road_class_ids(names: Iterable[str]) -> IntArray:
-    """Class ids, sorted, of names such as a user writes them: road classes or their synonyms.
+    """Sorted class ids of names that a user typed: road classes or their synonyms, in any case.
 
     Raises:
         ClassNameError: a name is unknown.
     """
-    found = set()
+    class_ids = set()
     for name in names:
         key = name.strip().lower()
         if key not in ROAD_CLASS_OF:
@@ -80,11 +80,11 @@ def road_class_ids(names: Iterable[str]) -> IntArray:
                 f"unknown class '{name.strip()}': did you mean '{ROAD_CLASS_OF[near]}'? "
                 f"The classes are {', '.join(ROAD_CLASSES)}."
             )
-        found.add(ROAD_CLASSES.index(ROAD_CLASS_OF[key]))
-    return np.array(sorted(found), np.int64)
+        class_ids.add(ROAD_CLASSES.index(ROAD_CLASS_OF[key]))
+    return np.array(sorted(class_ids), np.int64)
 
 
-def road_class_of_each(names: Sequence[str]) -> IntArray:
-    """(len(names),) road class id of each name of a foreign class list, -1 where it is no road class."""
+def map_to_road_classes(names: Sequence[str]) -> IntArray:
+    """(len(names),) road class id of each name of another class list; -1 for names that are not road classes."""
     road = [ROAD_CLASS_OF.get(name.strip().lower()) for name in names]
     return np.array([-1 if name is None else ROAD_CLASSES.index(name) for name in road], np.int64)

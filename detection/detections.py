@@ -1,7 +1,7 @@
 """Detections: the boxes of one image as parallel arrays, without identities.
 
-Frame of all boxes: pixels of the image that was handed in, x right, y down, pixel centres at whole numbers
-(OpenCV's convention), so a box that covers the pixel columns 3..5 wholly runs from x1 = 2.5 to x2 = 5.5.
+Boxes are in pixels of the detector's input image, x right, y down, with pixel centres at integers (OpenCV's
+convention): a box that covers the pixel columns 3 to 5 has x1 = 2.5 and x2 = 5.5.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from track_range.detection.formats.supervision import read_supervision, supervis
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 Descriptors = npt.NDArray[np.float32]
+"""(N, D) appearance embeddings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """What a detector saw in one image; N = 0 means that it saw nothing.
+    """The N detections of one image; N = 0 if there are none.
 
     Example:
         >>> import track_range as tr
@@ -31,9 +32,9 @@ class Detections:
 
     Attributes:
         xyxy_px: (N, 4) float64, left, top, right, bottom edge.
-        score: (N,) float64 in [0, 1].
+        score: (N,) float64 confidence in [0, 1].
         class_id: (N,) int64, index into `detection.classes.ROAD_CLASSES`.
-        descriptor: (N, D) float32 appearance vectors; D = 0 when there are none.
+        descriptor: (N, D) float32 appearance embeddings; D = 0 if there are none.
     """
 
     xyxy_px: FloatArray
@@ -53,7 +54,7 @@ class Detections:
 
     @classmethod
     def of(cls, xyxy_px: npt.ArrayLike, score: npt.ArrayLike, class_id: npt.ArrayLike) -> Detections:
-        """Detections without appearance, from anything that numpy can read as such arrays."""
+        """Detections without embeddings, from boxes (N, 4), scores (N,) and class ids (N,) as arrays or lists."""
         boxes = np.asarray(xyxy_px, np.float64).reshape(-1, 4)
         return cls(
             boxes,
@@ -69,17 +70,17 @@ class Detections:
 
     @classmethod
     def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Detections:
-        """Detections from supervision's `Detections`, or anything with its attributes `xyxy, confidence, class_id`.
+        """Detections from supervision's `Detections`, or any object with its attributes `xyxy, confidence, class_id`.
 
-        See `formats.supervision.read_supervision`: boxes of other classes than road users are left out.
+        Boxes of classes that are not road classes are left out; see `formats.supervision.read_supervision`.
         """
-        found = read_supervision(boxes, class_names)
-        return cls.of(found.xyxy_px, found.score, found.class_id)
+        road_boxes = read_supervision(boxes, class_names)
+        return cls.of(road_boxes.xyxy_px, road_boxes.score, road_boxes.class_id)
 
     def to_supervision(self) -> Any:
-        """Supervision's `Detections` where it is installed, else an object with the same attributes."""
+        """The boxes as supervision's `Detections` if that is installed, else as an object with the same attributes."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id)
 
-    def select(self, keep: BoolArray | IntArray) -> Detections:
-        """The rows that a mask or an index array names, in its order."""
-        return Detections(self.xyxy_px[keep], self.score[keep], self.class_id[keep], self.descriptor[keep])
+    def select(self, index: BoolArray | IntArray) -> Detections:
+        """The detections that a mask (N,) or an array of indices selects, in the order of the indices."""
+        return Detections(self.xyxy_px[index], self.score[index], self.class_id[index], self.descriptor[index])

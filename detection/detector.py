@@ -1,4 +1,4 @@
-"""The seam between pixels and boxes: whatever finds road users in one image."""
+"""The `Detector` protocol: what every detector of road users implements."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from track_range.foundation.errors import UserError
 
 
 class DetectorError(UserError):
-    """An object that is no detector; the message names its class."""
+    """An object that does not implement `Detector`; the message names its class."""
 
 
 class Detector(Protocol):
-    """Finds road users in an image; one instance serves one stream of frames from one thread."""
+    """Detector of road users in images; use one instance per video stream, in one thread."""
 
     def detect(self, image: Image) -> Detections:
-        """The road users in `image`, (H, W, 3) uint8 BGR, in that image's pixels."""
+        """The road users in `image`, (H, W, 3) uint8 BGR, with boxes in pixels of that image."""
         ...
 
 
-def checked_detections(detector: Detector, found: Any) -> Detections:
-    """What a detector's `detect` has returned.
+def checked_detections(detector: Detector, result: Any) -> Detections:
+    """`result`, the return value of `detector.detect`, after a check of its type.
 
     Raises:
-        DetectorError: it is no `Detections`.
+        DetectorError: `result` is not a `Detections`.
     """
-    if not isinstance(found, Detections):
+    if not isinstance(result, Detections):
         name = f"{type(detector).__module__}:{type(detector).__qualname__}"
-        raise DetectorError(f"{name}: expected Detections from the detector's detect, got {type(found).__name__}.")
-    return found
+        raise DetectorError(f"{name}: expected detect() to return Detections, got {type(result).__name__}.")
+    return result

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -123,7 +123,7 @@ def read_csv_labels(path: Path) -> CsvLabels:
         frame=numbers["frame"].astype(np.int64),
         track_id=np.where(is_region, -1, numbers["id"]).astype(np.int64),
         word=words,
-        class_id=road_class_of_each([str(word) for word in words]),
+        class_id=map_to_road_classes([str(word) for word in words]),
         xyxy_px=boxes,
         distance_m=np.where(is_region, np.nan, numbers["distance_m"]),
         visible_share=np.where(np.isnan(numbers["visible_share"]), 1.0, numbers["visible_share"]),

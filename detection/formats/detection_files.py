@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -120,7 +120,7 @@ def _form_of(file_format: str, kind: str) -> DetectionForm:
 def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     labels = read_kitti(path)
     score = np.where(np.isfinite(labels.score), labels.score, 1.0)
-    class_id = road_class_of_each([str(name) for name in labels.kitti_type])
+    class_id = map_to_road_classes([str(name) for name in labels.kitti_type])
     return "KITTI rows", labels.frame, Detections.of(labels.xyxy_px, score, class_id)
 
 
@@ -183,7 +183,7 @@ def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
     table.require((*expected, "class"))
     cells = np.stack([table.finite(name) for name in expected], axis=1)
-    class_id = road_class_of_each(table.texts("class"))
+    class_id = map_to_road_classes(table.texts("class"))
     observed = cells[:, 6] == 1
     return (
         "the observed rows of a tracks.csv",

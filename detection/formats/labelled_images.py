@@ -19,7 +19,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
 from track_range.detection.formats.yolo_labels import YoloLabelReader
@@ -216,7 +216,7 @@ def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
 
 
 def _road_of_categories(categories: Sequence[Mapping[str, Any]]) -> dict[Any, int]:
-    road = road_class_of_each([str(each["name"]) for each in categories])
+    road = map_to_road_classes([str(each["name"]) for each in categories])
     return {each["id"]: int(i) for each, i in zip(categories, road, strict=True) if i >= 0}
 
 

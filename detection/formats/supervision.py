@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, map_to_road_classes
 from track_range.foundation.arrays import FloatArray, IntArray
 
 _CORNER_FROM_CENTRE_PX = 0.5
@@ -73,7 +73,7 @@ def read_supervision(boxes: Any, class_names: Sequence[str] | None = None) -> Ro
     xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
     n = len(xyxy)
     names = _names_of_each(boxes, class_names, n)
-    class_id = road_class_of_each(names)
+    class_id = map_to_road_classes(names)
     score = _column(boxes, "confidence", n)
     tracker_id = _column(boxes, "tracker_id", n)
     rows = np.flatnonzero(class_id >= 0)

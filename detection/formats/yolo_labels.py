@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from track_range.detection.boxes import xyxy_from_cxcywh
-from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.models.metadata import names_of
 from track_range.foundation.arrays import FloatArray, IntArray
@@ -56,7 +56,7 @@ class YoloLabelReader:
             LabelFileError: the file of names there has none.
         """
         known = tuple(names) if names is not None else names_beside(folder) if folder is not None else ()
-        self._road: IntArray = road_class_of_each(known or ROAD_CLASSES)
+        self._road: IntArray = map_to_road_classes(known or ROAD_CLASSES)
 
     def read(self, file: Path) -> YoloLabels:
         """The labels of one image.

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from track_range.detection.classes import COCO_CLASSES, road_class_of_each
+from track_range.detection.classes import COCO_CLASSES, map_to_road_classes
 from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import ModelError, OnnxSession
 from track_range.detection.training.errors import TrainingError
@@ -69,7 +69,7 @@ class Teacher:
         names = read_metadata(path, metadata, ModelOptions()).of("names", COCO_CLASSES, "default").value
         if "trained_anchors" in metadata:
             network.anchors_px.copy_(torch.tensor(json.loads(metadata["trained_anchors"])))
-        mine = road_class_of_each(names)
+        mine = map_to_road_classes(names)
         if network.n_classes != len(names) or not np.isin(mine, road_class_id).any():
             raise ModelError(f"{path}: its {network.n_classes} classes are not known by name, or none is a road class.")
         self.name = path.name

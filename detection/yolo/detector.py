@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes, nms
-from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.models.metadata import Attribute, ModelMetadata, ModelOptions, read_metadata
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
@@ -97,7 +97,7 @@ class YoloDetector:
             self.size = Attribute(self._settings.size_px, "as given")
         self._prepare(image_hw=(self.size.value, self.size.value))
         names = self.model.names
-        self._road_class: IntArray = road_class_of_each(names)
+        self._road_class: IntArray = map_to_road_classes(names)
         wanted = np.append(self._settings.min_score_by_class(), _UNREACHABLE)  # -1, no road class, is the last
         self._min_score: FloatArray = wanted[self._road_class]
         if (self._min_score >= _UNREACHABLE).all():

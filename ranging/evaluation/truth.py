@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.classes import KITTI_IGNORED, road_class_of_each
+from track_range.detection.classes import KITTI_IGNORED, map_to_road_classes
 from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -116,7 +116,7 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
     _check_identities(labels, path)
     scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
     distance_m = np.where(scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan)
-    road = road_class_of_each([str(name) for name in labels.kitti_type])
+    road = map_to_road_classes([str(name) for name in labels.kitti_type])
     return Truth(
         frame=labels.frame,
         track_id=labels.track_id,

@@ -6,8 +6,8 @@ from track_range.detection.classes import (
     ROAD_CLASSES,
     SAME_OBJECT_GROUP,
     ClassNameError,
+    map_to_road_classes,
     road_class_ids,
-    road_class_of_each,
 )
 
 
@@ -22,7 +22,7 @@ def test_an_unknown_name_is_an_error_with_the_nearest_one():
 
 
 def test_coco_maps_onto_all_road_classes():
-    road = road_class_of_each(COCO_CLASSES)
+    road = map_to_road_classes(COCO_CLASSES)
     assert len(COCO_CLASSES) == 80
     assert {COCO_CLASSES[i]: ROAD_CLASSES[road[i]] for i in np.flatnonzero(road >= 0)} == {
         "person": "person",

@@ -100,8 +100,8 @@ def test_nothing_found_nothing_there():
     assert np.isnan(alarm.recall)
 
 
-def test_as_many_images_found_as_labelled():
-    with pytest.raises(ValueError, match="found: 1 images wanted, as in truth, 0 got"):
+def test_unequal_numbers_of_images():
+    with pytest.raises(ValueError, match="expected 1 images"):
         scores([], [ImageTruth.of([], [])])
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.detection.onnx_models import write_rectangle_finder
 from track_range.detection.boxes import nms
-from track_range.detection.classes import SAME_OBJECT_GROUP, road_class_of_each
+from track_range.detection.classes import SAME_OBJECT_GROUP, map_to_road_classes
 from track_range.detection.models.onnx_session import Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.detection.yolo.input_format import InputFormat
@@ -158,7 +158,7 @@ def test_candidates_equal_the_reference(shared_data, images, model, name):
     blob, ratio, pad = blob_of(image, hw)
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     outputs = session.run(None, {session.get_inputs()[0].name: blob})
-    road = road_class_of_each(detector.model.names)
+    road = map_to_road_classes(detector.model.names)
     wanted = np.array([row for row in rows_of(outputs, hw) if row[4] >= ABOVE and road[row[5]] >= 0])
     assert len(wanted) >= 5
 

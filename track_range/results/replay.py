@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from track_range.detection.classes import road_class_of_each
+from track_range.detection.classes import map_to_road_classes
 from track_range.ranging.ranges import Ranges
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.truth import boxes_px
@@ -26,7 +26,7 @@ def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterab
         methods: names of the distances that were measured.
     """
     measured = [name for name in methods_with_sigma() if name in set(methods)]
-    class_id = road_class_of_each([str(name) for name in columns["class"]])
+    class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
     observed = columns["observed"] > 0
     for index in frame_index:

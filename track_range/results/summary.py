@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.foundation.arrays import IntArray
 from track_range.ranging.evaluation.errors import (
     BANDS_M,
@@ -61,7 +61,7 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
         return counts
     truth = truth.select(np.isin(truth.frame, frames))
     counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
-    class_id = road_class_of_each([str(name) for name in columns["class"]])
+    class_id = map_to_road_classes([str(name) for name in columns["class"]])
     tracks = TrackedBoxes(columns["frame"].astype(np.int64), track_id, boxes_px(columns), class_id)
     low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < MIN_HEIGHT_PX
     ignored_frame = np.concatenate([truth.frame[~counted], tracks.frame[low]])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import ROAD_CLASSES, road_class_ids, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
@@ -111,7 +111,7 @@ def _read_results(path: Path, road_class: str) -> TrackedBoxes:
         rows = read_mot(path)
         return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
     labels = read_kitti(path)
-    is_of_class = road_class_of_each([str(kind) for kind in labels.kitti_type]) == class_id
+    is_of_class = map_to_road_classes([str(kind) for kind in labels.kitti_type]) == class_id
     labels = labels.select(is_of_class & (labels.track_id >= 0))
     return _tracked(path, labels.frame, labels.track_id, labels.xyxy_px, class_id)
 

@@ -26,7 +26,7 @@ import numpy as np
 import yaml
 
 from track_range.detection.boxes import are_valid_boxes, iou
-from track_range.detection.classes import ROAD_CLASSES, road_class_of_each
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.image_truth import ImageTruth
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.labelled_images import (
@@ -87,7 +87,7 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
     if form not in ("yolo", "kitti"):
         raise LabelFileError(f"{path}: format is yolo or kitti, not {form!r}.")
     names = _KITTI_NAMES if form == "kitti" else _names(path, document)
-    road = road_class_of_each(names)
+    road = map_to_road_classes(names)
     classes: IntArray = np.array(list(dict.fromkeys(road[road >= 0].tolist())), np.int64)
     if not len(classes):
         raise LabelFileError(f"{path}: none of its names is a road class ({', '.join(ROAD_CLASSES)}).")
