@@ -1,1 +1,1 @@
-"""Identities and geometry in, metres out."""
+"""Distances of tracked objects from boxes, images and geometry: methods, fusion, filters, evaluation."""

@@ -1,12 +1,11 @@
-"""How fast the camera itself moves along its axis, at any time of the video.
+"""EgoSpeed: forward speed of the camera along its optical axis over the time of the video.
 
-50                          km/h, all the time
+50                          constant speed in km/h
 FILE.csv                    columns time_s (seconds from the video's first frame) and speed_mps or speed_kmh
-OXTS_DIR                    KITTI's GPS/IMU folder: NNNNNNNNNN.txt per frame, whose 9th value is the forward speed vf in
-                            m/s, and timestamps.txt in it or beside it (Geiger et al., IJRR 2013)
+OXTS_DIR                    KITTI GPS/IMU folder: NNNNNNNNNN.txt per frame, with the forward speed vf in m/s as the 9th
+                            value, and timestamps.txt in it or next to it (Geiger et al., IJRR 2013)
 
-Between two samples the speed is interpolated by time; outside of what is known it is NaN, and whoever asks goes on
-without it. How the camera turns is not in it: distances are along the axis, and what turns past changes them too.
+The speed is interpolated linearly between samples and is NaN outside them. Rotation of the camera is not modelled.
 """
 
 from __future__ import annotations
@@ -23,30 +22,38 @@ from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
 
 _MPS_PER_KMH = 1 / 3.6
-_FASTEST_MPS = 120.0
-_LONGEST_GAP_S = 3.0
-"""Nothing is known in a hole that is longer."""
+_MAX_SPEED_MPS = 120.0
+"""Largest plausible speed (432 km/h); a faster one is most likely in another unit."""
+
+_MAX_GAP_S = 3.0
+"""Longest interval between two samples that is interpolated."""
 
 _EDGE_S = 0.25
-"""The first and the last sample hold this much longer: clocks do not start with the video to the frame."""
+"""Time before the first and after the last sample for which its speed holds: recordings and videos do not start on the
+same frame."""
 
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}
+"""Factor from each speed column to m/s."""
+
 _OXTS_FORWARD = 8
+"""Index of the forward speed vf in a line of KITTI oxts."""
+
 _OXTS_COLUMNS = 30
+"""Number of values in a line of KITTI oxts."""
 
 
 class EgoSpeedError(UserError):
-    """An ego speed that cannot be used; the message says what is wanted."""
+    """An ego speed that cannot be used; the message says what was expected."""
 
 
 @dataclass(frozen=True, slots=True)
 class EgoSpeed:
-    """Samples of the speed.
+    """Samples of the camera's speed.
 
     Attributes:
-        time_s: (N,) rising, seconds from the video's first frame; one sample at -inf = always the same.
+        time_s: (N,) increasing, seconds from the video's first frame; a single sample at -inf is a constant speed.
         speed_mps: (N,) along the camera's axis, negative = backwards.
-        source: where it is from, for notes.
+        source: where the samples come from, for notes.
     """
 
     time_s: FloatArray
@@ -54,38 +61,38 @@ class EgoSpeed:
     source: str
 
     def at(self, time_s: float) -> float:
-        """The speed at that time, m/s; NaN = unknown."""
+        """Speed at `time_s` in m/s, NaN = unknown."""
         if np.isneginf(self.time_s[0]):
             return float(self.speed_mps[0])
         if not self.time_s[0] - _EDGE_S <= time_s <= self.time_s[-1] + _EDGE_S:
             return math.nan
         after = int(np.searchsorted(self.time_s, time_s))
         is_between = 0 < after < len(self.time_s)
-        if is_between and self.time_s[after] - self.time_s[after - 1] > _LONGEST_GAP_S:
+        if is_between and self.time_s[after] - self.time_s[after - 1] > _MAX_GAP_S:
             return math.nan
         return float(np.interp(time_s, self.time_s, self.speed_mps))
 
     def note(self, last_s: float) -> str | None:
-        """What a user should know of a video whose last frame is at `last_s`; None where all of it is covered."""
+        """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of it."""
         first_known_s, last_known_s = float(self.time_s[0]), float(self.time_s[-1])
         if np.isneginf(first_known_s) or (first_known_s - _EDGE_S <= 0 and last_s <= last_known_s + _EDGE_S):
             return None
         return (
-            f"The ego speed of {self.source} covers {first_known_s:.1f}-{last_known_s:.1f} s of the video's "
-            f"0.0-{last_s:.1f} s; for the rest closing speeds come from the distances alone."
+            f"The ego speed from {self.source} covers {first_known_s:.1f}-{last_known_s:.1f} s of the video's "
+            f"0.0-{last_s:.1f} s; elsewhere closing speeds are estimated from distances alone."
         )
 
 
-def open_ego_speed(word: str) -> EgoSpeed:
-    """The ego speed that a user gives as km/h, a CSV file or a folder of KITTI's oxts.
+def open_ego_speed(text: str) -> EgoSpeed:
+    """Ego speed from a number in km/h, a CSV file or a folder of KITTI oxts files.
 
     Raises:
-        EgoSpeedError: it is none of these, or the file or folder cannot be used.
+        EgoSpeedError: `text` is none of these, or the file or folder cannot be used.
     """
     try:
-        kmh = float(word)
+        kmh = float(text)
     except ValueError:
-        return _from_path(Path(word))
+        return _from_path(Path(text))
     return EgoSpeed(np.array([-np.inf]), _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed"), f"{kmh:g} km/h")
 
 
@@ -93,7 +100,9 @@ def _from_path(path: Path) -> EgoSpeed:
     if path.is_dir():
         return _from_oxts(path)
     if not path.is_file():
-        raise EgoSpeedError(f"{path}: no such file; a speed in km/h, a CSV file or a folder of KITTI's oxts wanted.")
+        raise EgoSpeedError(
+            f"{path}: no such file; expected a speed in km/h, a CSV file or a folder of KITTI oxts files."
+        )
     return _from_csv(path)
 
 
@@ -102,60 +111,68 @@ def _from_csv(path: Path) -> EgoSpeed:
     units = [name for name in table.header if name in _UNITS]
     if "time_s" not in table or len(units) != 1:
         raise EgoSpeedError(
-            f"{path}: its header is '{','.join(table.header)}'; expected the columns time_s and either speed_mps or "
-            "speed_kmh: a speed needs a unit."
+            f"{path}: expected the columns time_s and either speed_mps or speed_kmh, got {','.join(table.header)}."
         )
     table.refuse_duplicates(table.header)
     if not len(table):
-        raise EgoSpeedError(f"{path}: expected a header such as 'time_s,speed_kmh' and at least one row.")
+        raise EgoSpeedError(f"{path}: expected at least one row below the header, got none.")
     time_s, speed_mps = table.finite("time_s"), table.finite(units[0]) * _UNITS[units[0]]
     if (np.diff(time_s) <= 0).any():
-        raise EgoSpeedError(f"{path}: the times must rise from row to row.")
+        raise EgoSpeedError(f"{path}: expected time_s to increase from row to row; sort the rows, remove duplicates.")
     return EgoSpeed(time_s, _plausible(speed_mps, str(path)), path.name)
 
 
 def _from_oxts(folder: Path) -> EgoSpeed:
-    files = sorted(file for at in (folder, folder / "data") for file in at.glob("*.txt") if file.stem.isdigit())
+    files = sorted(file for part in (folder, folder / "data") for file in part.glob("*.txt") if file.stem.isdigit())
     if not files:
-        raise EgoSpeedError(f"{folder}: no files such as 0000000000.txt in this folder; KITTI's oxts wanted.")
+        raise EgoSpeedError(f"{folder}: expected KITTI oxts files such as 0000000000.txt, found none.")
     times_s = _oxts_times_s(folder)
     number = np.array([int(file.stem) for file in files])
     if number[-1] >= len(times_s):
-        raise EgoSpeedError(f"{folder}: {files[-1].name} is there, but timestamps.txt has {len(times_s)} lines only.")
+        raise EgoSpeedError(
+            f"{folder}: expected a line in timestamps.txt for each oxts file, got {len(times_s)} lines "
+            f"but a file {files[-1].name}."
+        )
     speed_mps = np.array([_oxts_forward_mps(file) for file in files])
     return EgoSpeed(times_s[number], _plausible(speed_mps, str(folder)), folder.name)
 
 
 def _oxts_times_s(folder: Path) -> FloatArray:
-    """Seconds since the first of timestamps.txt, which stands in the folder or beside it."""
+    """(N,) seconds from the first line of timestamps.txt, which is in the folder or next to it."""
     for path in (folder / "timestamps.txt", folder.parent / "timestamps.txt"):
         if path.is_file():
             break
     else:
-        raise EgoSpeedError(f"{folder}: no timestamps.txt in it or beside it, so nobody knows when its speeds were.")
+        raise EgoSpeedError(f"{folder}: expected a timestamps.txt in this folder or next to it, found none.")
     try:
-        # Nanoseconds, of which datetime takes six digits.
+        # The file has nanoseconds, datetime reads microseconds: 26 characters.
         moments = [datetime.fromisoformat(line.strip()[:26]) for line in path.read_text("utf-8").splitlines() if line]
     except (OSError, ValueError) as error:
-        raise EgoSpeedError(f"{path}: lines such as '2011-09-26 13:10:51.168593664' wanted ({error}).") from error
+        raise EgoSpeedError(f"{path}: expected lines such as '2011-09-26 13:10:51.168593664' ({error}).") from error
     times_s = np.array([(moment - moments[0]).total_seconds() for moment in moments])
     if (np.diff(times_s) <= 0).any():
-        raise EgoSpeedError(f"{path}: the times must rise from line to line.")
+        raise EgoSpeedError(f"{path}: expected times that increase from line to line.")
     return times_s
 
 
 def _oxts_forward_mps(file: Path) -> float:
     try:
-        values = [float(word) for word in file.read_text("utf-8").split()]
+        values = [float(text) for text in file.read_text("utf-8").split()]
     except (OSError, ValueError) as error:
-        raise EgoSpeedError(f"{file}: {_OXTS_COLUMNS} numbers of KITTI's oxts wanted ({error}).") from error
+        raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} numbers of a KITTI oxts file ({error}).") from error
     if len(values) != _OXTS_COLUMNS or not math.isfinite(values[_OXTS_FORWARD]):
-        raise EgoSpeedError(f"{file}: {_OXTS_COLUMNS} finite numbers of KITTI's oxts wanted, {len(values)} found.")
+        raise EgoSpeedError(
+            f"{file}: expected {_OXTS_COLUMNS} numbers, the forward speed (the 9th) finite, got {len(values)} numbers."
+        )
     return values[_OXTS_FORWARD]
 
 
 def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
-    wrong = speed_mps[~(np.abs(speed_mps) <= _FASTEST_MPS)]
-    if len(wrong):
-        raise EgoSpeedError(f"{where}: {wrong[0] * 3.6:.0f} km/h is no speed of a car; is the unit right?")
+    """`speed_mps`, if all values are plausible; raises EgoSpeedError otherwise, naming `where` they come from."""
+    implausible = speed_mps[~(np.abs(speed_mps) <= _MAX_SPEED_MPS)]
+    if len(implausible):
+        raise EgoSpeedError(
+            f"{where}: expected a speed of at most {_MAX_SPEED_MPS * 3.6:.0f} km/h, got "
+            f"{implausible[0] * 3.6:.0f} km/h; check the unit."
+        )
     return speed_mps

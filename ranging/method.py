@@ -1,4 +1,4 @@
-"""RangingMethod: everything the program knows of one way to measure distance.
+"""RangingMethod: description of one way to measure distance.
 
 A method is one file with a `Ranger` and one `RangingMethod` that describes it, registered in `ranging.registry`.
 """
@@ -26,49 +26,49 @@ if TYPE_CHECKING:  # onnxruntime takes long to import, and reports do without it
     from track_range.detection.models.onnx_session import Runtime
 
 SourceName = Literal["size", "box_height", "contact_point", "horizon", "baseline", "lane_width", "own"]
-"""What a distance error comes from.
+"""Sources of distance errors.
 
-size: the object is taller or shorter than its class; box_height: the height of the box in the image; contact_point: the
-row where the box meets the ground; horizon: pitch of the camera and slope of the road; baseline: the rig's geometry;
-lane_width: the width of the lane; own: what no other method has any part of.
+size: deviation of the object's size from the mean of its class; box_height: height of the box in the image;
+contact_point: row where the object touches the ground; horizon: pitch of the camera and slope of the road; baseline:
+geometry of the stereo rig; lane_width: width of the lane; own: errors that no other method shares.
 """
 
 Requirement = Literal["image", "rig", "right_image", "dense_disparity", "lane_lines", "camera_height"]
-"""What a method cannot do without.
+"""Inputs that a method may require.
 
-image: pixels of the left image, not only boxes; rig: a calibrated stereo pair; right_image: a pair whose rows agree,
-calibrated or not; dense_disparity: dense stereo is switched on; lane_lines: a lane finder runs; camera_height: the
-height of the camera above the road was given.
+image: pixels of the left image, not only boxes; rig: a calibrated stereo pair; right_image: a row-aligned stereo pair,
+calibrated or not; dense_disparity: dense stereo is enabled; lane_lines: lane detection is enabled; camera_height: the
+height of the camera above the road is given.
 """
 
 RESERVED_NAMES = ("fused", "fuse", "read", "lanes", "detect", "track", "write", "x", "y", "truth", "scored_truth")
-"""Names of columns and stages that are no method's."""
+"""Names of result columns and pipeline stages, which a method cannot have."""
 
 
 class MethodError(UserError):
-    """A ranging method that cannot be used; the message names it and the reason."""
+    """A ranging method that cannot be used; the message names the method and the reason."""
 
 
 @dataclass(slots=True, kw_only=True)
 class MethodContext:
-    """What a run, or an evaluation of boxes, gives to the methods it creates.
+    """Inputs from which the rangers of a run, or of an evaluation of boxes, are created.
 
     Attributes:
         camera: the (left) camera, undistorted.
         rig: the calibrated, rectified pair; None = one camera, or an uncalibrated pair.
-        assumed_rig: an uncalibrated pair whose rows agree, with an assumed baseline; None = there is none.
+        assumed_rig: an uncalibrated, row-aligned pair with an assumed baseline; None = any other input.
         alignment: correction of the rig's disparities.
         focal_sigma: relative standard deviation of the focal length, which all methods share; 0 = calibrated.
         size_model: sizes of road users; None = the packaged model.
-        box_sigma_px: standard deviation of one edge of the boxes; None = a detector's boxes.
-        camera_height_m: of the camera above the road; None = unknown.
-        lane_width_m: between the middles of the lane's lines, as given or assumed.
-        has_images: whether frames have pixels; False where boxes alone are evaluated.
-        has_lane_lines: whether a lane finder runs.
-        has_dense_disparity: whether dense stereo is switched on.
-        sgbm_options: parameters of dense stereo chosen by the user.
+        box_sigma_px: standard deviation of one box edge in px; None = the noise model of a detector (`BoxNoise`).
+        camera_height_m: height of the camera above the road; None = unknown.
+        lane_width_m: distance between the centre lines of the lane markings, given or assumed.
+        has_images: whether frames have pixels; False if only boxes are evaluated.
+        has_lane_lines: whether lane detection is enabled.
+        has_dense_disparity: whether dense stereo is enabled.
+        sgbm_options: parameters of dense stereo set by the user.
         runtime: threads and device for networks; None = the defaults.
-        rangers: those created so far, by method; `RangingMethod.reads` are created first.
+        rangers: rangers created so far, by method name; the methods of `RangingMethod.reads` are created first.
     """
 
     camera: PinholeCamera
@@ -89,7 +89,7 @@ class MethodContext:
 
     @property
     def available(self) -> frozenset[Requirement]:
-        """The requirements that are met."""
+        """Requirements that this context meets."""
         is_met: dict[Requirement, bool] = {
             "image": self.has_images,
             "rig": self.rig is not None,
@@ -103,12 +103,12 @@ class MethodContext:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSource:
-    """One part of a method's variance.
+    """Contribution of one error source to a method's variance.
 
     Attributes:
-        name: where the error comes from; two methods that declare the same source share it.
-        systematic: part of the variance, 0..1, that a track keeps from frame to frame.
-        independent: part of the variance, 0..1, that is drawn anew in every frame.
+        name: the source; methods that declare the same source share its error.
+        systematic: share of the variance, 0..1, that is constant over a track.
+        independent: share of the variance, 0..1, that is independent from frame to frame.
     """
 
     name: SourceName
@@ -122,19 +122,19 @@ class RangingMethod:
 
     Attributes:
         name: prefix of its columns: `NAME_m`, `NAME_sigma_m`.
-        title: a short noun phrase for the legend of the overlay.
-        letter: one letter for the small figures of the overlay.
+        title: short noun phrase for the legend of the overlay.
+        letter: one letter for the labels of the overlay.
         colour: "#rrggbb" in charts and in the overlay.
-        create: makes the method's `Ranger` for a run; None where this run cannot have it.
-        needs: what it cannot do without; where that is missing `create` is not called.
-        reads: methods whose ranges of the same frame it uses where they are there; they are measured first. A method
-            that does not exist is none that is there: it may be one of a package that is not installed.
-        error_sources: the parts of its variance; together they are 1.
-        fallback_for: a method that makes this one superfluous where both have measured a track (it is in fusion only
-            where the other one has no value), since it shares nearly all of its errors or has taught it.
-        is_scale_reference: whether its scale is taken as the true one: fusion reckons with its systematic error but
-            does not estimate it from differences to other methods.
-        is_filtered: whether it also gets a filter over time (`NAME_kf_m`).
+        create: creates the method's `Ranger` for a run, or returns None if the run does not support the method.
+        needs: required inputs; `create` is called only if the run has all of them.
+        reads: methods with ranges that this one uses if they are available; they measure a frame first. Names of
+            methods that are not installed are ignored.
+        error_sources: the contributions to its variance; their shares sum to 1.
+        fallback_for: name of a method that supersedes this one: fusion uses this method only for tracks that the other
+            one has not measured, since it shares nearly all of the other's errors or is calibrated by it.
+        is_scale_reference: whether fusion takes the scale of this method as correct: its systematic error is part of
+            the covariance, but is not estimated from differences to other methods.
+        is_filtered: whether it also has a filter over time (`NAME_kf_m`).
     """
 
     name: str
@@ -162,19 +162,22 @@ class RangingMethod:
         parts = [part for source in self.error_sources for part in (source.systematic, source.independent)]
         checks = (
             (re.fullmatch(r"[a-z][a-z0-9_]*", self.name), "expected a lower-case name for columns"),
-            (not self.name.endswith(("_kf", "_sigma")), "expected a name without _kf or _sigma at its end"),
-            (self.name not in RESERVED_NAMES, f"expected another name than {', '.join(RESERVED_NAMES)}"),
+            (not self.name.endswith(("_kf", "_sigma")), "expected a name that does not end with _kf or _sigma"),
+            (self.name not in RESERVED_NAMES, f"expected a name that is not reserved ({', '.join(RESERVED_NAMES)})"),
             (len(self.letter) == 1 and self.letter.isprintable(), f"expected one letter, got {self.letter!r}"),
             (re.fullmatch(r"#[0-9a-f]{6}", self.colour), f"expected a colour as #rrggbb, got {self.colour!r}"),
-            (self.name not in (*self.reads, self.fallback_for), "expected other methods in reads and fallback_for"),
-            (self.needs <= set(needs), f"expected needs of {', '.join(needs)}, got {', '.join(self.needs)}"),
+            (
+                self.name not in (*self.reads, self.fallback_for),
+                "expected reads and fallback_for to name other methods",
+            ),
+            (self.needs <= set(needs), f"expected needs among {', '.join(needs)}, got {', '.join(self.needs)}"),
             (
                 {source.name for source in self.error_sources} <= set(sources),
-                f"expected error sources of {', '.join(sources)}",
+                f"expected error sources among {', '.join(sources)}",
             ),
             (
                 math.isclose(sum(parts), 1.0, abs_tol=1e-6) and min(parts) >= 0,
-                f"expected error sources that are parts of 1, got {sum(parts):.4f}",
+                f"expected non-negative error sources that sum to 1, got a sum of {sum(parts):.4f}",
             ),
         )
         for is_met, expected in checks:
@@ -183,42 +186,42 @@ class RangingMethod:
 
     @property
     def uses_size_model(self) -> bool:
-        """Whether sizes of road users are among its error sources: `evaluate ranges` refits the model for it."""
+        """Whether object size is one of its error sources; `evaluate ranges` then refits the size model for it."""
         return any(source.name == "size" for source in self.error_sources)
 
     @property
     def noise_share(self) -> float:
-        """Part of sigma (not of the variance) that is independent from frame to frame, 0..1."""
+        """Share of sigma (not of the variance) that is independent from frame to frame, 0..1."""
         return math.sqrt(sum(source.independent for source in self.error_sources))
 
 
-def checked_ranges(method: str, found: Any, tracks: Tracks) -> Ranges:
-    """What a ranger has returned for these tracks, fit for fusion and filters.
+def checked_ranges(method: str, ranges: Any, tracks: Tracks) -> Ranges:
+    """Validated return value of a ranger, for fusion and filters.
 
-    A distance or sigma that is not finite and positive makes the track not measured: both become NaN.
+    A track with a distance or sigma that is not finite and positive counts as not measured: both become NaN.
 
     Args:
         method: name of the ranger's method.
-        found: what it returned.
-        tracks: N tracks that were handed to it.
+        ranges: return value of the ranger.
+        tracks: N tracks that the ranger measured.
 
     Raises:
-        MethodError: it is no `Ranges`, or of other tracks.
+        MethodError: `ranges` is not a `Ranges`, or has other tracks.
     """
-    if not isinstance(found, Ranges):
-        raise MethodError(f"ranging method {method!r}: expected Ranges, got {type(found).__name__}")
-    if len(found) != len(tracks):
-        raise MethodError(f"ranging method {method!r}: expected {len(tracks)} ranges, got {len(found)}")
-    if not np.array_equal(found.track_id, tracks.track_id):
-        raise MethodError(f"ranging method {method!r}: expected the track_id of the tracks in their order, got others")
-    distance_m, sigma_m, systematic_m = found.distance_m, found.sigma_m, found.sigma_systematic_m
+    if not isinstance(ranges, Ranges):
+        raise MethodError(f"ranging method {method!r}: expected Ranges, got {type(ranges).__name__}")
+    if len(ranges) != len(tracks):
+        raise MethodError(f"ranging method {method!r}: expected {len(tracks)} ranges, got {len(ranges)}")
+    if not np.array_equal(ranges.track_id, tracks.track_id):
+        raise MethodError(f"ranging method {method!r}: expected the track_id of the tracks in the same order")
+    distance_m, sigma_m, systematic_m = ranges.distance_m, ranges.sigma_m, ranges.sigma_systematic_m
     is_measured = (distance_m > 0) & (distance_m < np.inf) & (sigma_m > 0) & (sigma_m < np.inf)
     if systematic_m is not None:
         is_measured &= (systematic_m >= 0) & (systematic_m < np.inf)
     if np.all(is_measured | (np.isnan(distance_m) & np.isnan(sigma_m))):
-        return found
+        return ranges
     return Ranges(
-        found.track_id,
+        ranges.track_id,
         np.where(is_measured, distance_m, np.nan),
         np.where(is_measured, sigma_m, np.nan),
         None if systematic_m is None else np.where(is_measured, systematic_m, np.nan),

@@ -1,4 +1,4 @@
-"""Ranger: measures the distances of a frame's tracks; one implementation per ranging method."""
+"""Ranger: base class of ranging methods; measures the distances of a frame's tracks."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from track_range.tracking.tracks import Tracks
 
 
 class Ranger(ABC):
-    """Measures the distance of each track of a frame; may keep state per track, by the tracks' ids.
+    """Measures the distance of each track of a frame; an implementation may have state per track id.
 
     Only `measure` is required. The other members are hooks that a run calls or reads; their defaults do nothing.
-    In each frame a run calls `start` (in another thread, perhaps a few frames ahead), `update_lanes` where the lane
-    finder has run on the frame, and `measure_with`; after the last frame `close`.
+    For each frame a run calls `start` (in another thread, up to a few frames ahead), `update_lanes` if lanes were
+    detected in the frame, and `measure_with`; after the last frame it calls `close`.
 
     Attributes:
         background_s: seconds of work so far in the ranger's own threads; a run adds them to the time of its stage.
-        disparity: (H, W) px, dense disparity of the frame measured last, NaN = unknown, in the left image, for the
+        disparity: (H, W) dense disparity in px of the frame measured last, in the left image, NaN = unknown, for the
             overlay; None = the method computes none.
     """
 
@@ -31,32 +31,32 @@ class Ranger(ABC):
 
     @abstractmethod
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of N tracks in their order, NaN = not measured."""
+        """Distances of N tracks in the same order, NaN = not measured."""
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
-        """As `measure`, given the ranges of the same tracks in the same frame by methods measured before.
+        """Distances of N tracks, given their ranges in the same frame by the methods measured before.
 
         Args:
             tracks: N tracks.
             frame: the images.
-            others: by method name, those of `RangingMethod.reads` that have measured in this run.
+            others: ranges by method name, of the methods in `RangingMethod.reads` that are part of this run.
         """
         return self.measure(tracks, frame)
 
     def start(self, frame: Frame) -> None:  # noqa: B027
-        """Begin work on a frame in the background, before its tracks are known; `measure` of the frame follows."""
+        """Start work on a frame in the background, before its tracks are known; `measure` of the frame follows."""
 
     def update_lanes(self, lines: LaneLines) -> None:  # noqa: B027
-        """Take in newly found lines of the own lane, a few times per second; they hold until the next call."""
+        """Store newly detected lines of the ego lane; called a few times per second, valid until the next call."""
 
     def close(self) -> None:  # noqa: B027
-        """End threads and release what they hold; nothing is measured afterwards."""
+        """Stop threads and release resources; no measurement follows."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user at the end of a run."""
+        """Notes for the user at the end of a run, one sentence each."""
         return ()
 
     def summary(self) -> dict[str, Any]:
-        """Entries for the top level of summary.json: JSON values under keys that no other part uses."""
+        """Entries for the top level of summary.json: JSON values under unique keys."""
         return {}

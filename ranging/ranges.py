@@ -1,4 +1,4 @@
-"""Ranges: how far each track is by one method, and how sure that is."""
+"""Ranges: distances of one frame's tracks by one method, with standard deviations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Ranges:
         distance_m: (N,) z of the object's visible surface on the ray through the box's centre, in the left camera's
             frame; NaN = not measured.
         sigma_m: (N,) standard deviation of distance_m; NaN where distance_m is.
-        sigma_systematic_m: (N,) systematic part of sigma_m, which a track keeps; None = unknown.
+        sigma_systematic_m: (N,) systematic part of sigma_m, constant over a track; None = unknown.
     """
 
     track_id: IntArray
@@ -45,6 +45,6 @@ class Ranges:
 
     @classmethod
     def unmeasured(cls, track_id: IntArray) -> Ranges:
-        """NaN for every track."""
+        """Ranges of (N,) tracks of which none is measured: NaN."""
         nan = np.full(len(track_id), np.nan)
         return cls(track_id, nan, nan.copy())

@@ -1,6 +1,6 @@
-"""The registry of ranging methods: the built-in ones, those of other packages, those registered by a program.
+"""Registry of ranging methods: built-in, from other packages, and registered at run time.
 
-Packages register a `RangingMethod` under the entry point group `track_range.ranging_methods`:
+A package registers a `RangingMethod` under the entry point group `track_range.ranging_methods`:
 
     [project.entry-points."track_range.ranging_methods"]
     my_method = "my_package.my_module:MY_METHOD"
@@ -27,14 +27,14 @@ _BUILT_IN = (
     ("patch_stereo", "STEREO"),
     ("dense_stereo", "SGBM"),
 )
-"""Module and description of each, in the order of columns, tables and stages."""
+"""Module and `RangingMethod` of each built-in method, in the order of columns, tables and stages."""
 
 _registered: dict[str, RangingMethod] = {}
-"""Methods registered by `register`, after the built-in ones and those of entry points."""
+"""Methods added by `register`, in the order of their registration."""
 
 
 def methods() -> tuple[RangingMethod, ...]:
-    """All ranging methods: the built-in ones, those of entry points by name, then those registered, in their order."""
+    """All ranging methods: built-in ones, those of entry points sorted by name, then registered ones in their order."""
     return (*_installed()[0], *_registered.values())
 
 
@@ -44,7 +44,7 @@ def method_notes() -> tuple[str, ...]:
 
 
 def register(method: RangingMethod) -> None:
-    """Add a method, for this process.
+    """Add a method for the lifetime of the process.
 
     Raises:
         MethodError: another method has its name or its letter.
@@ -55,7 +55,7 @@ def register(method: RangingMethod) -> None:
 
 @contextmanager
 def registered(method: RangingMethod) -> Iterator[None]:
-    """A method that is registered inside of the with-block only.
+    """Context manager that registers a method inside the with-block.
 
     Raises:
         MethodError: as `register`.
@@ -67,32 +67,32 @@ def registered(method: RangingMethod) -> Iterator[None]:
         del _registered[method.name]
 
 
-def in_reading_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:
-    """The methods in their order, but each after those of them that it reads.
+def in_measuring_order(listed: Sequence[RangingMethod]) -> tuple[RangingMethod, ...]:
+    """The methods in a stable topological order: each after those of the list that it reads.
 
     Raises:
-        MethodError: methods read each other in a circle.
+        MethodError: the `reads` of the methods form a cycle.
     """
-    waiting, ordered = list(listed), list[RangingMethod]()
-    while waiting:
-        names = {method.name for method in waiting}
-        ready = next((method for method in waiting if names.isdisjoint(method.reads)), None)
+    pending, ordered = list(listed), list[RangingMethod]()
+    while pending:
+        names = {method.name for method in pending}
+        ready = next((method for method in pending if names.isdisjoint(method.reads)), None)
         if ready is None:
-            raise MethodError(f"ranging methods {', '.join(sorted(names))}: they read each other in a circle")
-        waiting.remove(ready)
+            raise MethodError(f"ranging methods {', '.join(sorted(names))}: their `reads` form a cycle")
+        pending.remove(ready)
         ordered.append(ready)
     return tuple(ordered)
 
 
 def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | None = None) -> dict[str, Ranger]:
-    """The rangers of all methods (or of those listed) that can run, by name, in the order in which they measure.
+    """Rangers by name, in measuring order, of all methods (or those `listed`) with their requirements met.
 
     Adds them to `context.rangers`.
 
     Raises:
-        MethodError: methods read each other in a circle.
+        MethodError: the `reads` of the methods form a cycle.
     """
-    for method in in_reading_order(methods() if listed is None else listed):
+    for method in in_measuring_order(methods() if listed is None else listed):
         if method.needs <= context.available and (ranger := method.create(context)) is not None:
             context.rangers[method.name] = ranger
     return context.rangers
@@ -101,23 +101,23 @@ def create_rangers(context: MethodContext, listed: Sequence[RangingMethod] | Non
 @cache
 def _installed() -> tuple[tuple[RangingMethod, ...], tuple[str, ...]]:
     """The built-in methods and those of entry points, and notes on entry points that cannot be used."""
-    found = [getattr(import_module(f"{_METHODS_FOLDER}.{module}"), name) for module, name in _BUILT_IN]
+    installed = [getattr(import_module(f"{_METHODS_FOLDER}.{module}"), name) for module, name in _BUILT_IN]
     notes = []
     for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name):
         try:
             method = _loaded(entry)
-            _check_unique(method, found)
+            _check_unique(method, installed)
         except MethodError as error:
-            notes.append(f"The entry point {entry.name} = {entry.value} cannot be used: {error}.")
+            notes.append(f"Entry point {entry.name} = {entry.value} cannot be used: {error}.")
         else:
-            found.append(method)
-    return tuple(found), tuple(notes)
+            installed.append(method)
+    return tuple(installed), tuple(notes)
 
 
 def _loaded(entry: EntryPoint) -> RangingMethod:
     try:
         method = entry.load()
-    except Exception as error:  # whatever another package's module raises, the run goes on without it
+    except Exception as error:  # a module of another package may raise anything; the run continues without it
         raise MethodError(f"{type(error).__name__}: {error}") from error
     if not isinstance(method, RangingMethod):
         raise MethodError(f"expected a RangingMethod, got {type(method).__name__}")
@@ -128,6 +128,6 @@ def _check_unique(method: RangingMethod, others: Sequence[RangingMethod]) -> Non
     for other in others:
         if method.name == other.name or method.letter == other.letter:
             raise MethodError(
-                f"ranging method {method.name!r}: expected a name and a letter of its own, "
-                f"but {other.name!r} has the letter {other.letter!r}"
+                f"ranging method {method.name!r}: expected a unique name and letter, "
+                f"but {other.name!r} is registered with the letter {other.letter!r}"
             )

@@ -51,13 +51,15 @@ def _chosen(settings: RangeEvaluationSettings) -> tuple[str, ...]:
 def _check(settings: RangeEvaluationSettings) -> None:
     unknown = [name for name in _chosen(settings) if name not in method_names()]
     if unknown:
-        raise UsageError(f"--method {','.join(unknown)}: of {', '.join(method_names())}.")
+        raise UsageError(f"--method {','.join(unknown)}: expected methods among {', '.join(method_names())}.")
     if settings.boxes != "labels" and not (settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"):
         raise UsageError(f"--boxes {settings.boxes}: expected labels or rrc:DIR.")
     if (settings.cross_validate or settings.same_drive) and settings.curves is not None:
-        raise UsageError("--cross-validate and --same-drive fit their own curves: leave --curves out.")
+        raise UsageError(
+            "--curves: not allowed with --cross-validate or --same-drive, which fit the curves themselves."
+        )
     if settings.cross_validate and settings.same_drive:
-        raise UsageError("--cross-validate leaves out the drive that --same-drive fits on: give one of them.")
+        raise UsageError("--cross-validate: not allowed with --same-drive; give only one of them.")
 
 
 def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[str, Any]) -> dict[str, Any]:
@@ -80,19 +82,22 @@ def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[
 
 
 def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) -> list[str]:
-    which = f"leaving out what they are tested on, {n_folds} folds over {n_sequences} sequences"
+    scheme = f"cross-validated in {n_folds} folds over {n_sequences} sequences"
     if settings.same_drive:
-        which = "each drive on itself alone, which says nothing of other drives (how the paper was measured)"
+        scheme = "fitted and tested on the same drive, as in the paper (no measure of the error on other drives)"
     elif n_sequences == 1:
-        which = "the one sequence there is, and tested on the same boxes"
-    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes such as are measured"
+        scheme = "fitted and tested on the only sequence"
+    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes like the measured ones"
     is_refitted = settings.cross_validate or settings.same_drive
-    own = "refitted in the same way" if is_refitted else f"{settings.curves or 'the packaged ones'}"
+    mono_curves = "fitted in the same way" if is_refitted else f"{settings.curves or 'packaged'}"
     notes = [
-        "Truth: z at which the ray through the label's box centre meets its 3-D box; labels at 5-100 m, not truncated, "
-        "occluded <= 1; a class's figures over 10-100 m, far ones over 30-100 m, bands over 5-100 m.",
-        f"Plain curves: fitted on {fitted}, {which}. Size curves of mono: {own}.",
+        "Ground truth: z at which the ray through the label's box centre meets its 3-D box, for labels at 5-100 m, not "
+        "truncated, occluded <= 1. Class figures cover 10-100 m, far figures 30-100 m, bands 5-100 m.",
+        f"Plain curves: fitted to {fitted}, {scheme}. Size curves of mono: {mono_curves}.",
     ]
     if settings.filter != "none":
-        notes.append("Filtered over time, ego speed unknown; closing speed against labels half a second either way.")
+        notes.append(
+            "Filtered over time with unknown ego speed; the true closing speed is the mean over half a second before "
+            "and after each label."
+        )
     return notes

@@ -21,19 +21,19 @@ class RangeEvaluationSettings(Options):
         ),
     ] = "labels"
     noise_px: Annotated[
-        float, option("Standard deviation in pixels of noise on the edges of boxes.", metavar="PX", ge=0.0, le=50.0)
+        float, option("Standard deviation in pixels of noise added to box edges.", metavar="PX", ge=0.0, le=50.0)
     ] = 0.0
-    seed: Annotated[int, option("Random seed of the noise.", ge=0)] = 0
-    filter: Annotated[Literal["none", "paper", "default"], option("Filter over time, track by track.")] = "none"
+    seed: Annotated[int, option("Random seed for the noise.", ge=0)] = 0
+    filter: Annotated[Literal["none", "paper", "default"], option("Filter over time, per track.")] = "none"
     cross_validate: Annotated[
-        bool, option("Size curves refitted for each sequence without the boxes that it is tested on.")
+        bool, option("Cross-validation: size curves refitted without the sequences that they are tested on.")
     ] = False
     same_drive: Annotated[
-        bool, option("Size curves fitted to the drive that is tested, as in the paper: too optimistic.")
+        bool, option("Size curves fitted to the tested drive itself, as in the paper (optimistic).")
     ] = False
     fit_on: Annotated[
         Literal["labels", "boxes"],
-        option("Boxes that curves are fitted to: the labels' exact ones, or boxes like those measured."),
+        option("Boxes that curves are fitted to: the labels' exact boxes, or the measured boxes."),
     ] = "labels"
     methods: Annotated[
         tuple[str, ...], option("Methods to measure (default: all).", flag="--method", metavar="A,B,...")

@@ -36,14 +36,14 @@ _HIDDEN_SHARE = 0.2
 _SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
 
 KITTI_PROTOCOL = (
-    "the z at which the ray through a label's box centre first meets its 3-D box "
+    "z at which the ray through a label's box centre first meets its 3-D box "
     f"(labels at 5-100 m, not truncated, occluded <= {MAX_OCCLUDED}; {_SCORED})"
 )
 CSV_PROTOCOL = (
-    "the distance and closing speed that a row of the CSV gives "
-    f"(rows at 5-100 m, not cut by the image's border, visible_share >= {MIN_VISIBLE_SHARE:g}; {_SCORED})"
+    "distance and closing speed in the rows of the CSV file "
+    f"(rows at 5-100 m, not cut by the image border, visible_share >= {MIN_VISIBLE_SHARE:g}; {_SCORED})"
 )
-"""What errors are measured against."""
+"""Ground truth that errors are measured against, as printed and stored with them."""
 
 _COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_m", "closing_mps")
 
@@ -92,7 +92,7 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
 def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
     labels = read_csv_labels(path)
     if len(labels.frame) and not np.isfinite(labels.distance_m).any():
-        raise LabelFileError(f"{path}: no row has a distance_m, so it tells no distances.")
+        raise LabelFileError(f"{path}: expected a distance_m in at least one row, found none.")
     last_px = np.array([camera.width_px, camera.height_px]) - 1
     box_px = labels.xyxy_px
     is_cut = (box_px[:, :2] <= _CUT_PX).any(axis=1) | (box_px[:, 2:] >= last_px - _CUT_PX).any(axis=1)
@@ -112,7 +112,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
 def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
     labels = read_kitti(path)
     if not labels.has_3d_box.any():
-        raise LabelFileError(f"{path}: no label has a 3-D box, so it tells no distances; KITTI tracking labels wanted.")
+        raise LabelFileError(f"{path}: expected KITTI tracking labels with 3-D boxes, found no label with a 3-D box.")
     _check_identities(labels, path)
     scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
     distance_m = np.where(scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan)
@@ -132,12 +132,12 @@ def _check_identities(labels: KittiLabels, path: Path) -> None:
     """Refuse object labels, which name no one, and an identity that is in two places at once."""
     named = ~np.isin(labels.kitti_type, KITTI_IGNORED)
     if (labels.track_id[named] < 0).any():
-        raise LabelFileError(f"{path}: its labels have no identities (id -1); KITTI tracking labels wanted.")
+        raise LabelFileError(f"{path}: expected KITTI tracking labels with track ids, got the id -1 of object labels.")
     pairs, counts = np.unique(np.stack([labels.frame[named], labels.track_id[named]]), axis=1, return_counts=True)
     if (counts > 1).any():
         frame, track_id = pairs[:, counts > 1][:, 0]
         raise LabelFileError(
-            f"{path}: id {track_id} stands twice in frame {frame}; an object can be in one place only."
+            f"{path}: expected each track id at most once per frame, got id {track_id} twice in frame {frame}."
         )
 
 

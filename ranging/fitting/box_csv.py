@@ -36,11 +36,11 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
     table.refuse_duplicates(COLUMNS)
     if "fx" not in table and focal_px is None:
         raise LabelFileError(
-            f"{path}: no focal length: add a column fx (in pixels), or give --focal-px. A camera's is in its "
-            "calibration file, or width / (2 tan(field of view / 2))."
+            f"{path}: expected a focal length; add a column fx (in px) or give --focal-px, either from the camera's "
+            "calibration or as image width / (2 tan(field of view / 2))."
         )
     if not len(table):
-        raise LabelFileError(f"{path}: the file has no rows below its header.")
+        raise LabelFileError(f"{path}: expected at least one row below the header, got none.")
     numbers = {name: _numbers(table, name) for name in _NUMBERS if name in table}
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
     for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():
@@ -66,9 +66,9 @@ def _box_set(
     names, number = np.unique(table.texts("sequence"), return_inverse=True)
     track = table.texts("track")
     name = table.path.name
-    notes = [] if "cx" in numbers else [f"{name} has no column cx: the image's middle taken at x = {middle[0]:g}."]
+    notes = [] if "cx" in numbers else [f"{name} has no column cx; using the middle of the boxes, {middle[0]:g} px."]
     if len(names) == 1:
-        notes.append(f"{name} is one sequence: the curves cannot be validated on other drives.")
+        notes.append(f"{name} contains one sequence only; the curves cannot be validated on other drives.")
     boxes = BoxSet(
         sequence_names=tuple(str(name) for name in names),
         sequence=number.astype(np.int64).reshape(n),
@@ -93,5 +93,5 @@ def _box_set(
 def _class(table: CsvTable, row: int, word: str) -> str:
     name = "van" if word.lower() == "van" else ROAD_CLASS_OF.get(word.lower())
     if name is None:
-        raise table.fault(row, f"class '{word}' is unknown; it must be one of {', '.join(sorted(ROAD_CLASS_OF))}.")
+        raise table.fault(row, f"expected a class among {', '.join(sorted(ROAD_CLASS_OF))}, got '{word}'.")
     return name

@@ -66,8 +66,8 @@ def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:
     names, counts = np.unique(samples.road_class, return_counts=True)
     enough = [str(name) for name, count in zip(names, counts, strict=True) if count >= MIN_SAMPLES]
     if not enough:
-        found = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
-        raise CurveError(f"at least {MIN_SAMPLES} labelled boxes of a class are needed for a curve; found: {found}.")
+        available = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
+        raise CurveError(f"expected at least {MIN_SAMPLES} labelled boxes of one class, got {available}.")
     standard = {name: _standard_curve(name) for name in STANDARD_HEIGHTS_M if name not in enough}
     whole, height_only = (
         {name: _fit_class(samples.select(samples.road_class == name), use_width=w, source=source) for name in enough}

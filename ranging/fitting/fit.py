@@ -62,15 +62,15 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
 
 def _check(settings: FitSettings) -> None:
     if (settings.labels is None) == (settings.csv is None):
-        raise UsageError("give --labels with --calib, or --csv, and not both.")
+        raise UsageError("expected either --labels with --calib or --csv.")
     if settings.labels is not None and settings.calib is None:
-        raise UsageError("--labels needs --calib, the folder of calib files: without, no focal length is known.")
+        raise UsageError("--labels requires --calib, the folder of calibration files with the focal lengths.")
     if settings.out is None and not settings.compare and settings.picture is None:
-        raise UsageError("nothing to do: give --out FILE for a curve file, or --compare.")
+        raise UsageError("nothing to do; give --out FILE to write a curve file, --compare or --picture.")
     if settings.curve is not None and settings.curve not in MODEL_NAMES:
-        raise UsageError(f"--curve {settings.curve}: of {', '.join(MODEL_NAMES)}.")
+        raise UsageError(f"--curve {settings.curve}: expected one of {', '.join(MODEL_NAMES)}.")
     if settings.csv is not None and settings.curve == CUBOIDS:
-        raise UsageError("--curve cuboids wants labels with 3-D boxes (--labels); a CSV file has none.")
+        raise UsageError("--curve cuboids requires labels with 3-D boxes (--labels); a CSV file has none.")
 
 
 def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
@@ -79,12 +79,12 @@ def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
     elif settings.labels is not None and settings.calib is not None:
         boxes, notes = box_set(settings.labels, settings.calib), ()
     else:
-        raise UsageError("give --labels with --calib, or --csv.")
+        raise UsageError("expected either --labels with --calib or --csv.")
     excluded = set(settings.leave_out) - {""}
     unknown = excluded - set(boxes.sequence_names)
     if unknown:  # a slip here would fit on what is kept for testing
         raise LabelFileError(
-            f"{settings.labels or settings.csv}: no sequence {', '.join(sorted(unknown))} to leave out."
+            f"{settings.labels or settings.csv}: --leave-out names unknown sequences: {', '.join(sorted(unknown))}."
         )
     is_out = np.array([name in excluded for name in boxes.sequence_names])[boxes.sequence]
     return boxes.select(~is_out), notes

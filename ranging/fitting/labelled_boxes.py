@@ -152,15 +152,15 @@ def box_set(labels: Path, calib: Path, *, boxes: str = "labels", noise_px: float
     """
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
     if not files:
-        raise LabelFileError(f"{labels}: no label files such as 0000.txt.")
+        raise LabelFileError(f"{labels}: expected label files such as 0000.txt, found none.")
     found = [_sequence(file, calib / file.name, boxes) for file in files]
     if not any(has_3d for _, has_3d in found):
-        raise LabelFileError(f"{labels}: no label has a 3-D box, so they tell no distances; KITTI labels wanted.")
+        raise LabelFileError(f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box.")
     whole = _joined([part for part, _ in found], files)
     if not len(whole):
         raise LabelFileError(
-            f"{labels}: nothing to measure: boxes of {', '.join(CLASS_OF)} at {BANDS_M[0]:g}-{BANDS_M[-1]:g} m wanted, "
-            f"not truncated, occluded <= {MAX_OCCLUDED}{'' if boxes == 'labels' else ', each with a detection'}."
+            f"{labels}: found no usable label; expected {', '.join(CLASS_OF)} at {BANDS_M[0]:g}-{BANDS_M[-1]:g} m, "
+            f"not truncated, occluded <= {MAX_OCCLUDED}{'' if boxes == 'labels' else ', with a matching detection'}."
         )
     return whole.with_noise(noise_px, seed=seed) if noise_px > 0 else whole
 
@@ -219,12 +219,12 @@ def _detected(every: BoxSet, labels: KittiLabels, name: str, boxes: str) -> BoxS
     """The labels with the boxes of the detections that match them; NaN boxes where none does."""
     form, _, folder = boxes.partition(":")
     if form != "rrc" or not folder:
-        raise LabelFileError(f"boxes '{boxes}': labels or rrc:DIR wanted.")
+        raise LabelFileError(f"--boxes {boxes}: expected labels or rrc:DIR.")
     xyxy_px = np.full((len(every), 4), np.nan)
     for word, kitti_type in _RRC_TYPE.items():
         path = Path(folder) / word / name
         if not path.parent.is_dir():
-            raise LabelFileError(f"{path.parent}: no such folder; rrc:DIR wants DIR/Car and DIR/Pedestrian.")
+            raise LabelFileError(f"{path.parent}: no such folder; rrc:DIR requires DIR/Car and DIR/Pedestrian.")
         if not path.is_file() or not path.read_text(encoding="utf-8-sig").strip():
             continue  # nothing was found in this sequence
         recorded = read_detections(path, form="rrc")

@@ -53,13 +53,13 @@ def usable_boxes(boxes: BoxSet) -> UsableBoxes:
         mine = boxes.class_name == name
         low, high = np.percentile(boxes.wh_over_f[mine, 1], [5, 95])
         if mine.sum() < MIN_SAMPLES:
-            refused.append(f"{name} ({mine.sum()} boxes, at least {MIN_SAMPLES} needed)")
+            refused.append(f"{name} ({mine.sum()} boxes, at least {MIN_SAMPLES} required)")
         elif high / low < _MIN_SPREAD:
-            refused.append(f"{name} (boxes of one size: several distances needed)")
+            refused.append(f"{name} (all boxes of the same size, several distances required)")
         else:
             good |= mine
     if not good.any():
-        raise CurveError(f"no class has what a curve needs: {', '.join(refused) or 'no labelled boxes'}.")
+        raise CurveError(f"too few samples to fit a curve for any class: {', '.join(refused) or 'no labelled boxes'}.")
     return UsableBoxes(boxes.select(good), tuple(refused))
 
 
@@ -89,12 +89,12 @@ def table_model(boxes: BoxSet, name: str, *, source: str) -> TableSizes:
         mine = boxes.select(boxes.class_name == kind)
         fitted = SAFE_CURVES[name].fit(mine.wh_over_f, mine.bearing, mine.distance_m)
         if not isinstance(fitted, FittedTable):
-            raise TypeError(f"{name} is no curve of one size")
+            raise TypeError(f"{name}: expected a curve of one box measure")
         measure = fitted.measure.__name__
         sigma = max(_error_on_other_drives(mine, name, fitted), _MIN_SIGMA_RELATIVE)
         curves[kind] = TableCurve(table=fitted, sigma_relative=sigma, n=len(mine), source=source)
     if not curves:
-        raise CurveError(f"at least {MIN_SAMPLES} labelled boxes of a class are needed for a curve.")
+        raise CurveError(f"expected at least {MIN_SAMPLES} labelled boxes of one class, got fewer.")
     return TableSizes(measure, curves)
 
 

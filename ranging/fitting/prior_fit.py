@@ -93,10 +93,10 @@ def fit_size_priors(labels: LabelledSizes, *, source: str) -> CuboidSizes:
             learnt[name] = _learnt(name, mine, source)
     if not learnt:
         names, counts = np.unique(labels.size_class, return_counts=True)
-        found = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
+        available = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
         raise CurveError(
-            f"at least {MIN_BOXES} boxes with 3-D boxes, of {MIN_OBJECTS} objects of a class, are wanted; "
-            f"found: {found}."
+            f"expected at least {MIN_BOXES} labels with 3-D boxes of at least {MIN_OBJECTS} objects of one class, "
+            f"got {available}."
         )
     return CuboidSizes({name: learnt.get(name) or _standard(name) for name in STANDARD_SIZES})
 

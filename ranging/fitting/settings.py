@@ -19,7 +19,7 @@ class FitSettings(Options):
     csv: Annotated[
         Path | None,
         option(
-            "CSV file of boxes, in place of labels: class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence].",
+            "CSV file of boxes instead of labels: class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence].",
             metavar="FILE",
         ),
     ] = None
@@ -33,11 +33,13 @@ class FitSettings(Options):
         ),
     ] = None
     out: Annotated[Path | None, option("Curve file to write, for --curves.", metavar="FILE")] = None
-    compare: Annotated[bool, option("Comparison of all plain curves: residuals on the fitted and on other drives.")] = (
+    compare: Annotated[bool, option("Comparison of all plain curves: errors on the fitted and on other drives.")] = (
         False
     )
     picture: Annotated[Path | None, option("Image to write: all plain curves over the boxes.", metavar="FILE.png")] = (
         None
     )
-    leave_out: Annotated[tuple[str, ...], option("Sequences kept for testing, such as 0005.", metavar="A,B,...")] = ()
-    source: Annotated[str, option("Description of the labels, kept in the file.")] = ""
+    leave_out: Annotated[
+        tuple[str, ...], option("Sequences to leave out for testing, such as 0005.", metavar="A,B,...")
+    ] = ()
+    source: Annotated[str, option("Description of the labels, stored in the curve file.")] = ""

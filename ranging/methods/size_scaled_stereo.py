@@ -142,9 +142,9 @@ class SizeScaledRanger(Ranger):
         if learnt is None:
             return ()
         return (
-            f"Uncalibrated: with a focal length of {learnt['focal_px']:.0f} px the sizes of {learnt['n_tracks']} "
-            f"tracks say a baseline of {learnt['baseline_m']:.2f} m; all distances are good to about "
-            f"{100 * learnt['relative_sigma']:.0f} %.",
+            f"Uncalibrated pair: with a focal length of {learnt['focal_px']:.0f} px, the sizes of "
+            f"{learnt['n_tracks']} tracks imply a baseline of {learnt['baseline_m']:.2f} m; all distances share a "
+            f"scale uncertainty of about {100 * learnt['relative_sigma']:.0f} %.",
         )
 
     def summary(self) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def cuboids_in(document: Mapping[str, Any]) -> CuboidSizes:
     priors = {}
     for name, numbers in document["classes"].items():
         if name not in SIZE_CLASSES:
-            raise ValueError(f"{name} is no class with a size")
+            raise ValueError(f"unknown size class {name}")
         priors[name] = SizePrior(**{key: _tuples(value) for key, value in numbers.items()})
         if faults := priors[name].faults():
             raise ValueError(f"{name}: {faults}")

@@ -41,11 +41,11 @@ def load_curves(path: Path | None = None) -> StoredSizeModel:
     name, document = _read_document(path)
     kind = str(document.get("kind"))
     if kind not in _READERS:
-        raise CurveError(f"{name}: curves of kind {kind}; of {', '.join(_READERS)}.")
+        raise CurveError(f"{name}: expected a curve file of kind {', '.join(_READERS)}, got {kind}.")
     try:
         return _READERS[kind](document)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise CurveError(f"{name}: not a curve file of track-range ({error!r}).") from error
+        raise CurveError(f"{name}: expected a track-range curve file ({error!r}).") from error
 
 
 def save_curves(model: StoredSizeModel, path: Path) -> None:
@@ -75,10 +75,9 @@ def _read_document(path: Path | None) -> tuple[str, Mapping[str, Any]]:
     except OSError as error:
         raise CurveError(f"{name}: cannot be read ({error.strerror or error}).") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise CurveError(f"{name}: not a curve file of track-range ({error!r}).") from error
+        raise CurveError(f"{name}: expected a track-range curve file ({error!r}).") from error
     if version != CURVE_VERSION:
         raise CurveError(
-            f"{name}: version {version} of a curve file; this track-range reads version {CURVE_VERSION}: "
-            "fit it anew with `track-range fit`."
+            f"{name}: expected curve file version {CURVE_VERSION}, got {version}; fit it again with `track-range fit`."
         )
     return name, document

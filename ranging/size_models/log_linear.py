@@ -93,9 +93,9 @@ def _curves_in(section: Mapping[str, Mapping[str, Any]]) -> dict[str, SizeCurve]
     curves = {name: SizeCurve(**fields) for name, fields in section.items()}
     for name, curve in curves.items():
         if name not in SIZE_CLASSES:
-            raise ValueError(f"{name} is no class with a size")
+            raise ValueError(f"unknown size class {name}")
         if not (curve.per_log_height < 0 and curve.per_log_width <= 0 and curve.sigma_relative > 0):
-            raise ValueError(f"{name}: distance must fall with size, and sigma_relative be positive")
+            raise ValueError(f"{name}: distance must decrease with size, sigma_relative must be positive")
     return curves
 
 

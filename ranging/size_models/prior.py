@@ -81,13 +81,13 @@ class SizePrior:
     def faults(self) -> str:
         """What is wrong with the numbers; empty = nothing."""
         if len(self.turn_weights) != len(TURN_DEG) or min(self.turn_weights) < 0 or sum(self.turn_weights) <= 0:
-            return f"{len(TURN_DEG)} turn_weights wanted, not negative, not all zero"
+            return f"expected {len(TURN_DEG)} turn_weights, none of them negative, not all 0"
         if min(*self.hwl_m, *self.log_sigma, *self.scatter, self.log_distance[1]) <= 0:
             return "sizes and standard deviations must be positive"
         if not np.isfinite([*self.offset, self.log_distance[0]]).all():
             return "offsets and distances must be finite"
         if not np.linalg.eigvalsh(self.covariance).min() > 0:
-            return "the correlations contradict each other"
+            return "the correlation matrix must be positive definite"
         return ""
 
 

@@ -80,11 +80,11 @@ def tables_in(document: Mapping[str, Any]) -> TableSizes:
     curves = {}
     for name, numbers in document["classes"].items():
         if name not in SIZE_CLASSES:
-            raise ValueError(f"{name} is no class with a size")
+            raise ValueError(f"unknown size class {name}")
         log_size, log_distance = (np.array(numbers[key], np.float64) for key in ("log_size", "log_distance"))
         falls = log_size.shape == log_distance.shape == (len(log_size),) and len(log_size) >= 2
         if not (falls and (np.diff(log_size) > 0).all() and (np.diff(log_distance) <= 0).all()):
-            raise ValueError(f"{name}: sizes must rise, and distances not")
+            raise ValueError(f"{name}: log_size must increase and log_distance must not")
         sigma = float(numbers["sigma_relative"])
         if not sigma > 0:
             raise ValueError(f"{name}: sigma_relative must be positive")

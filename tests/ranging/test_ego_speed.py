@@ -26,31 +26,28 @@ def oxts_folder(tmp_path, *, inside="oxts", n=3, times=None):
     return folder
 
 
-def test_a_number_is_km_per_h_for_ever():
+def test_number_is_a_constant_in_kmh():
     ego = open_ego_speed("50")
     assert ego.at(0.0) == ego.at(1e6) == pytest.approx(13.889, abs=1e-3)
     assert ego.note(100.0) is None
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("speed_mps", 1.0), ("speed_kmh", 1 / 3.6), (" Speed_KMH ", 1 / 3.6)])
-def test_the_header_tells_the_unit(tmp_path, unit, factor):
+def test_header_gives_the_unit(tmp_path, unit, factor):
     ego = open_ego_speed(csv_file(tmp_path, f"brake,time_s,{unit}\n0,1.0,10\n1,2.0,20\n"))
     assert ego.at(1.5) == pytest.approx(15 * factor)
     assert ego.at(1.0) == pytest.approx(10 * factor)
     assert ego.at(2.2) == pytest.approx(20 * factor)
 
 
-def test_outside_of_the_file_and_in_long_holes_nothing_is_known(tmp_path):
+def test_unknown_outside_the_file_and_in_long_gaps(tmp_path):
     ego = open_ego_speed(csv_file(tmp_path, "time_s,speed_mps\n0,10\n1,10\n9,10\n10,12\n"))
     assert [math.isnan(ego.at(t)) for t in (-0.3, -0.2, 0.5, 5.0, 9.5, 10.2, 10.3)] == [1, 0, 0, 1, 0, 0, 1]
     assert ego.note(10.2) is None
-    assert ego.note(30.0) == (
-        "The ego speed of speed.csv covers 0.0-10.0 s of the video's 0.0-30.0 s; for the rest closing speeds come from "
-        "the distances alone."
-    )
+    assert "speed.csv covers 0.0-10.0 s of the video's 0.0-30.0 s" in ego.note(30.0)
 
 
-def test_a_file_that_begins_late_is_told_too(tmp_path):
+def test_note_on_a_late_first_sample(tmp_path):
     assert "covers 2.0-3.0 s" in open_ego_speed(csv_file(tmp_path, "time_s,speed_mps\n2,10\n3,10\n")).note(3.0)
 
 
@@ -69,63 +66,65 @@ def test_oxts_of_a_part_of_the_drive_keeps_its_times(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "word"),
     [
-        ("", "a header such as"),
-        ("time_s,speed_mps\n", "at least one row"),
-        ("time_s,speed\n0,10\n", "its header is 'time_s,speed'"),
-        ("time_s,speed_mps,speed_kmh\n0,10,36\n", "unit"),
-        ("frame,speed_mps\n0,10\n", "the columns time_s and either"),
-        ("0.0,10.0\n0.1,10.1\n", "its header is '0.0,10.0'"),
+        ("", "header"),
+        ("time_s,speed_mps\n", "row"),
+        ("time_s,speed\n0,10\n", "time_s,speed"),
+        ("time_s,speed_mps,speed_kmh\n0,10,36\n", "either"),
+        ("frame,speed_mps\n0,10\n", "time_s"),
+        ("0.0,10.0\n0.1,10.1\n", "0.0,10.0"),
         ("time_s,speed_mps\n0,fast\n", "'fast'"),
         ("time_s,speed_mps\n0,10\n1\n", "line 3: "),
-        ("time_s,speed_mps\n0,nan\n", "line 2: expected a finite number"),
-        ("time_s,speed_mps\n0,10\n0,10\n", "the times must rise"),
-        ("time_s,speed_mps\n0,130\n", "468 km/h is no speed of a car; is the unit right?"),
+        ("time_s,speed_mps\n0,nan\n", "line 2: "),
+        ("time_s,speed_mps\n0,10\n0,10\n", "increase"),
+        ("time_s,speed_mps\n0,130\n", "468 km/h"),
     ],
 )
-def test_a_file_that_cannot_be_used(tmp_path, text, told):
-    with pytest.raises(EgoSpeedError, match=re.escape(told)):
-        open_ego_speed(csv_file(tmp_path, text))
+def test_invalid_csv_files(tmp_path, text, word):
+    path = csv_file(tmp_path, text)
+    with pytest.raises(EgoSpeedError, match=re.escape(word)) as error:
+        open_ego_speed(path)
+    assert "speed.csv" in str(error.value)
 
 
-def test_what_is_no_speed_file_or_folder(tmp_path):
-    for word, told in (
-        ("fifty", "no such file; a speed in km/h"),
-        ("500", "500 km/h is no speed"),
-        ("nan", "nan km/h is no speed"),
-        (str(tmp_path), "no files such as 0000000000.txt"),
+def test_invalid_arguments(tmp_path):
+    for argument, word in (
+        ("fifty", "fifty: .*km/h"),
+        ("500", "500 km/h"),
+        ("nan", "nan km/h"),
+        (str(tmp_path), "0000000000.txt"),
     ):
-        with pytest.raises(EgoSpeedError, match=told):
-            open_ego_speed(word)
+        with pytest.raises(EgoSpeedError, match=word):
+            open_ego_speed(argument)
     (tmp_path / "picture.csv").write_bytes(b"\x89PNG\xff\xfe\x00")
     with pytest.raises(EgoSpeedError, match="CSV"):
         open_ego_speed(str(tmp_path / "picture.csv"))
 
 
-def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
+def test_file_without_read_permission(tmp_path, monkeypatch):
     path = csv_file(tmp_path, "time_s,speed_mps\n0,1\n")
 
-    def refuses(*_args, **_kwargs):
+    def deny(*_args, **_kwargs):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("pathlib.Path.open", refuses)  # whoever runs the tests may be allowed everything
-    with pytest.raises(EgoSpeedError, match=r"cannot be read .Permission denied"):
+    monkeypatch.setattr("pathlib.Path.open", deny)  # file modes do not stop a test run by root
+    with pytest.raises(EgoSpeedError, match="Permission denied"):
         open_ego_speed(path)
 
 
-def test_oxts_that_cannot_be_used(tmp_path):
-    for name, break_it, told in (
-        ("a", lambda f: (f.parent / "timestamps.txt").unlink(), "no timestamps.txt in it or beside it"),
-        ("b", lambda f: (f.parent / "timestamps.txt").write_text("noon\n"), "lines such as '2011-09-26"),
-        ("c", lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n"), "has 1 lines only"),
-        ("d", lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n" * 3), "must rise"),
-        ("e", lambda f: (f / "0000000001.txt").write_text("1 2 3"), "0000000001.txt: 30 finite numbers .* 3 found"),
-        ("f", lambda f: (f / "0000000001.txt").write_text("a b"), "30 numbers of KITTI's oxts wanted"),
+def test_invalid_oxts(tmp_path):
+    for name, damage, word in (
+        ("a", lambda f: (f.parent / "timestamps.txt").unlink(), "timestamps.txt"),
+        ("b", lambda f: (f.parent / "timestamps.txt").write_text("noon\n"), "noon"),
+        ("c", lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n"), "1 lines"),
+        ("d", lambda f: (f.parent / "timestamps.txt").write_text("2011-09-26 13:10:51.1\n" * 3), "increase"),
+        ("e", lambda f: (f / "0000000001.txt").write_text("1 2 3"), "0000000001.txt: .* 3 numbers"),
+        ("f", lambda f: (f / "0000000001.txt").write_text("a b"), "0000000001.txt: .*'a'"),
     ):
         folder = oxts_folder(tmp_path / name)
-        break_it(folder)
-        with pytest.raises(EgoSpeedError, match=told):
+        damage(folder)
+        with pytest.raises(EgoSpeedError, match=word):
             open_ego_speed(str(folder))
 
 

@@ -97,13 +97,13 @@ def test_truth_from_labels(tmp_path):
     assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)  # rear at 18 m, a metre further from the left camera
     assert np.isnan(truth.distance_m[1:]).all()
     file.write_text("\n".join([rows[0], rows[0]]))
-    with pytest.raises(LabelFileError, match="id 1 stands twice in frame 0"):
+    with pytest.raises(LabelFileError, match="id 1 twice"):
         read_truth(file, camera, np.zeros(3))
     file.write_text(rows[0].replace("0 1 Car", "0 -1 Car"))
-    with pytest.raises(LabelFileError, match="its labels have no identities"):
+    with pytest.raises(LabelFileError, match="track ids"):
         read_truth(file, camera, np.zeros(3))
     file.write_text(rows[-1])
-    with pytest.raises(LabelFileError, match="no label has a 3-D box"):
+    with pytest.raises(LabelFileError, match="3-D box"):
         read_truth(file, camera, np.zeros(3))
 
 
@@ -169,7 +169,7 @@ def test_boxes_that_the_border_cuts_are_not_scored(tmp_path, box, is_cut):
 
 
 def test_a_csv_without_any_distance_is_no_truth(tmp_path):
-    with pytest.raises(LabelFileError, match=r"no row has a distance_m, so it tells no distances\."):
+    with pytest.raises(LabelFileError, match="distance_m"):
         csv_truth(tmp_path / "t.csv", "0,1,car,9,9,99,99,,1,3")
 
 

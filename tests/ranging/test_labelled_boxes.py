@@ -108,25 +108,25 @@ def test_object_labels_a_file_per_image(tmp_path, row, drives):
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ({}, "no label files"),
-        ({"a": ["0 1 Car 0 0 0 1 1 9 9 -1 -1 -1 -1000 -1000 -1000 -10"]}, "no label has a 3-D box"),
-        ({"a": ["0 1 Misc 0 0 0 1 1 9 9 1.5 1.7 4 0 1.65 20 0"]}, "nothing to measure"),
+        ({}, "label files"),
+        ({"a": ["0 1 Car 0 0 0 1 1 9 9 -1 -1 -1 -1000 -1000 -1000 -10"]}, "3-D box"),
+        ({"a": ["0 1 Misc 0 0 0 1 1 9 9 1.5 1.7 4 0 1.65 20 0"]}, "no usable label"),
         ({"a": ["0 1 Car 0 0"]}, "line 1"),
     ],
 )
-def test_labels_that_cannot_be_used(tmp_path, drives, rows, message):
+def test_invalid_labels(tmp_path, drives, rows, message):
     with pytest.raises(LabelFileError, match=message):
         box_set(*drives(tmp_path, rows))
 
 
-def test_a_missing_calibration_or_folder_is_told(tmp_path, row, drives):
+def test_missing_calibration_or_folder(tmp_path, row, drives):
     labels, calib = drives(tmp_path, {"a": [row(0, 0, "Car", 20.0)]})
-    with pytest.raises(LabelFileError, match=r"labels or rrc:DIR"):
+    with pytest.raises(LabelFileError, match="rrc:DIR"):
         box_set(labels, calib, boxes="mine")
-    with pytest.raises(LabelFileError, match=r"DIR/Car and DIR/Pedestrian"):
+    with pytest.raises(LabelFileError, match="DIR/Car"):
         box_set(labels, calib, boxes=f"rrc:{tmp_path}")
     (labels / "a.txt").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(LabelFileError, match="cannot be read as text"):
+    with pytest.raises(LabelFileError, match=r"a\.txt: cannot be read"):
         box_set(labels, calib)
     (calib / "a.txt").unlink()
     (labels / "a.txt").write_text(row(0, 0, "Car", 20.0))

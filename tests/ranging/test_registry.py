@@ -63,10 +63,10 @@ def test_registered_ends_with_the_block():
 
 def test_methods_measure_after_those_that_they_read():
     first, second = replace(RADAR, name="a", reads=("b", "absent")), replace(RADAR, name="b")
-    assert names(registry.in_reading_order([first, second])) == ["b", "a"]
-    with pytest.raises(MethodError, match="circle"):
-        registry.in_reading_order([first, replace(second, reads=("a",))])
-    order = names(registry.in_reading_order(registry.methods()))
+    assert names(registry.in_measuring_order([first, second])) == ["b", "a"]
+    with pytest.raises(MethodError, match="cycle"):
+        registry.in_measuring_order([first, replace(second, reads=("a",))])
+    order = names(registry.in_measuring_order(registry.methods()))
     assert order.index("lane") > order.index("stereo")
 
 
@@ -97,11 +97,11 @@ def test_created_are_the_methods_whose_needs_are_met():
         ({"needs": None}, "needs"),
         ({"error_sources": (ErrorSource("weather", independent=1.0),)}, "contact_point"),
         ({"error_sources": (ErrorSource("own", independent=0.5),)}, "0.5000"),
-        ({"error_sources": (ErrorSource("own", independent=1.5, systematic=-0.5),)}, "parts"),
-        ({"error_sources": ()}, "parts"),
+        ({"error_sources": (ErrorSource("own", independent=1.5, systematic=-0.5),)}, "sum"),
+        ({"error_sources": ()}, "sum"),
     ],
 )
-def test_a_description_that_cannot_be(change, word):
+def test_invalid_descriptions(change, word):
     with pytest.raises(MethodError, match=word):
         replace(RADAR, **change)
 
@@ -132,5 +132,5 @@ def test_entry_points(fresh, monkeypatch, tmp_path):
     monkeypatch.setattr(registry, "entry_points", lambda group: entries)
     assert names(registry.methods())[5:] == ["radar"]
     notes = registry.method_notes()
-    assert [note.split()[3] for note in notes] == ["absent", "other", "unknown", "zweimal"]
+    assert [note.split()[2] for note in notes] == ["absent", "other", "unknown", "zweimal"]
     assert all("\n" not in note for note in notes)

@@ -116,7 +116,7 @@ def test_frames_beyond_the_video_do_not_count_and_another_videos_are_told(
         ("class", "ufo", "line 2: class 'ufo' is unknown"),
         ("x1", "nan", "line 2: expected a number of pixels for x1"),
         ("id", "7", "line 3: id 7 twice in frame 0"),
-        ("distance_m", "", "no row has a distance_m, so it tells no distances"),
+        ("distance_m", "", "expected a distance_m"),
     ],
 )
 def test_a_bad_truth_is_one_sentence(

@@ -79,7 +79,7 @@ def test_fitted_and_tested_on_one_drive_as_the_paper_did(cli, folders, tmp_path)
         status, out, _ = cli(*given, tmp_path / "f.json", option)
         assert status == 0
         error[option] = json.loads((tmp_path / "f.json").read_text())["methods"]["log-linear"]["person"]
-        assert ("how the paper was measured" in " ".join(out.split())) == (option == "--same-drive")
+        assert ("the same drive" in " ".join(out.split())) == (option == "--same-drive")
     assert error["--same-drive"]["mean_relative_error_pct"] < 0.1
     assert 3.0 < error["--cross-validate"]["mean_relative_error_pct"] < 12.0
     assert error["--same-drive"]["rear_view_far_pct"] < 0.1
@@ -91,18 +91,18 @@ def test_packaged_curves_one_sequence_and_chosen_methods(cli, folders, tmp_path)
     assert status == 0
     told = json.loads((tmp_path / "f.json").read_text())
     assert list(told["methods"]) == ["ground", "log-linear"]
-    assert "the one sequence there is" in " ".join(out.split())
+    assert "the only sequence" in " ".join(out.split())
     assert "packaged" in out
 
 
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (("--method", "mono,radar"), 2, "--method radar: of diagonal-3"),
-        (("--boxes", "mine"), 2, "--boxes mine: expected labels or rrc:DIR"),
-        (("--boxes", "rrc:nowhere"), 1, "DIR/Car and DIR/Pedestrian"),
-        (("--cross-validate", "--curves", "c.json"), 2, "leave --curves out"),
-        (("--same-drive", "--cross-validate"), 2, "give one of them"),
+        (("--method", "mono,radar"), 2, "--method radar: "),
+        (("--boxes", "other"), 2, "--boxes other: "),
+        (("--boxes", "rrc:nowhere"), 1, "DIR/Car"),
+        (("--cross-validate", "--curves", "c.json"), 2, "--curves: "),
+        (("--same-drive", "--cross-validate"), 2, "--same-drive"),
         (("--curves", "none.json"), 1, "cannot be read"),
         (("--json", "no/such/folder/f.json"), 1, "cannot be written"),
     ],
@@ -150,13 +150,13 @@ def test_a_curve_file_of_another_version_is_refused(cli, folders, tmp_path):
     old = json.loads((tmp_path / "c.json").read_text()) | {"track_range_size_curves": 1}
     (tmp_path / "c.json").write_text(json.dumps(old))
     status, _, err = cli("evaluate", "ranges", *given, "--method", "mono", "--curves", tmp_path / "c.json")
-    assert (status, "version 1 of a curve file" in err) == (1, True), err
+    assert (status, "c.json: " in err, "version" in err) == (1, True, True), err
 
 
 def test_labels_without_3d_boxes_are_refused(cli, folders, tmp_path):
     flat = [f"{k} 0 Car 0 0 0 10 10 {60 + k} 40 -1 -1 -1 -1000 -1000 -1000 -10" for k in range(150)]
     status, _, err = cli("fit", *folders(a=flat), "--out", tmp_path / "c.json")
-    assert (status, "no label has a 3-D box" in err) == (1, True), err
+    assert (status, "3-D box" in err) == (1, True), err
 
 
 def test_fit_on_a_csv(cli, tmp_path):
@@ -168,7 +168,7 @@ def test_fit_on_a_csv(cli, tmp_path):
     (tmp_path / "b.csv").write_text("\n".join(lines))
     given = ("fit", "--csv", tmp_path / "b.csv", "--out", tmp_path / "c.json")
     status, _, err = cli(*given)
-    assert (status, "no focal length: add a column fx" in err) == (1, True)
+    assert (status, "b.csv: " in err, "--focal-px" in err) == (1, True, True)
     status, out, _ = cli(*given, "--focal-px", 900)
     assert status == 0
     assert "one sequence" in out
@@ -178,8 +178,8 @@ def test_fit_on_a_csv(cli, tmp_path):
 @pytest.mark.parametrize(
     ("kinds", "n_frames", "message"),
     [
-        (("Car",), 10, "car (10 boxes, at least 100 needed)"),
-        (("Car", "Pedestrian"), 60, "car (60 boxes, at least 100 needed), person (60 boxes"),
+        (("Car",), 10, "car (10 boxes"),
+        (("Car", "Pedestrian"), 60, "person (60 boxes"),
     ],
 )
 def test_too_few_boxes_are_refused(cli, folders, tmp_path, kinds, n_frames, message):
@@ -194,23 +194,21 @@ def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_p
     rows += [row(k, 3, "Van", 20.0, x_m=6) for k in range(150)]
     status, out, _ = cli("fit", *folders(a=rows), "--out", tmp_path / "c.json")
     assert status == 0
-    assert "Too few samples to fit a curve for van (boxes of one size: several distances needed)." in " ".join(
-        out.split()
-    )
+    assert "van (all boxes of the same size" in " ".join(out.split())
     same = [row(k, 0, "Car", 20.0) for k in range(150)]
     status, _, err = cli("fit", *folders(a=same), "--out", tmp_path / "d.json")
-    assert (status, "car (boxes of one size" in err) == (1, True), err
+    assert (status, "car (all boxes of the same size" in err) == (1, True), err
 
 
 @pytest.mark.parametrize(
     ("options", "status", "message"),
     [
-        (("--compare",), 2, "give --labels with --calib, or --csv"),
-        (("--labels", "x", "--csv", "y", "--compare"), 2, "not both"),
-        (("--labels", "x", "--compare"), 2, "--labels needs --calib"),
-        (("--csv", "x"), 2, "nothing to do"),
-        (("--csv", "x", "--compare", "--curve", "spline"), 2, "--curve spline: of"),
-        (("--csv", "x", "--out", "c.json", "--curve", "cuboids"), 2, "wants labels with 3-D boxes"),
+        (("--compare",), 2, "--csv"),
+        (("--labels", "x", "--csv", "y", "--compare"), 2, "either"),
+        (("--labels", "x", "--compare"), 2, "--calib"),
+        (("--csv", "x"), 2, "--out"),
+        (("--csv", "x", "--compare", "--curve", "spline"), 2, "--curve spline: "),
+        (("--csv", "x", "--out", "c.json", "--curve", "cuboids"), 2, "3-D boxes"),
         (("--csv", "none.csv", "--compare"), 1, "none.csv: cannot be read"),
     ],
 )
