@@ -9,36 +9,41 @@ from track_range.foundation.options import Options, option
 
 
 class RangeEvaluationSettings(Options):
-    """Which methods are measured on which boxes; no video is needed."""
+    """Methods, boxes and labels of `track-range evaluate ranges`."""
 
-    labels: Annotated[Path, option("Folder of KITTI labels, NAME.txt per sequence.", metavar="DIR")]
-    calib: Annotated[Path, option("Folder of calib files with the same names.", metavar="DIR")]
+    labels: Annotated[Path, option("Folder of KITTI tracking labels, NAME.txt for each sequence.", metavar="DIR")]
+    calib: Annotated[Path, option("Folder of KITTI calibration files with the same names.", metavar="DIR")]
     boxes: Annotated[
         str,
         option(
-            "Boxes to measure: the labels' own, or detections DIR/{Car,Pedestrian}/NAME.txt.",
+            "Boxes to measure distances from: the labelled ones, or detections DIR/{Car,Pedestrian}/NAME.txt.",
             metavar="labels|rrc:DIR",
         ),
     ] = "labels"
     noise_px: Annotated[
-        float, option("Standard deviation in pixels of noise added to box edges.", metavar="PX", ge=0.0, le=50.0)
+        float,
+        option("Standard deviation in pixels of noise added to the edges of the boxes.", metavar="PX", ge=0.0, le=50.0),
     ] = 0.0
     seed: Annotated[int, option("Random seed for the noise.", ge=0)] = 0
-    filter: Annotated[Literal["none", "paper", "default"], option("Filter over time, per track.")] = "none"
+    filter: Annotated[
+        Literal["none", "paper", "default"], option("Filter of the distances of each track over time.")
+    ] = "none"
     cross_validate: Annotated[
-        bool, option("Cross-validation: size curves refitted without the sequences that they are tested on.")
+        bool, option("Cross-validation: size curves refitted for each sequence on the boxes of the others.")
     ] = False
     same_drive: Annotated[
-        bool, option("Size curves fitted to the tested drive itself, as in the paper (optimistic).")
+        bool, option("Size curves fitted to the sequence they are evaluated on, as in the paper (too optimistic).")
     ] = False
     fit_on: Annotated[
         Literal["labels", "boxes"],
-        option("Boxes that curves are fitted to: the labels' exact boxes, or the measured boxes."),
+        option("Boxes that size curves are fitted to: the labelled ones, or boxes as in --boxes and --noise-px."),
     ] = "labels"
     methods: Annotated[
-        tuple[str, ...], option("Methods to measure (default: all).", flag="--method", metavar="A,B,...")
+        tuple[str, ...], option("Ranging methods to evaluate (default: all).", flag="--method", metavar="A,B,...")
     ] = ()
-    curves: Annotated[Path | None, option("Size curves of mono (default: the packaged ones).", metavar="FILE")] = None
+    curves: Annotated[
+        Path | None, option("Size curves of the mono method (default: the packaged curves).", metavar="FILE")
+    ] = None
     camera_height_m: Annotated[
         float | None,
         option(

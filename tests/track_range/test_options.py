@@ -83,7 +83,7 @@ def test_wrong_values_from_python_name_the_option():
 def test_parameters_show_panel_metavar_and_bounds():
     guests = next(each for each in parameters(Recipe) if each.name == "guests")
     (info,) = guests.annotation.__metadata__
-    assert (info.help, info.metavar, info.rich_help_panel) == ("Number of guests.", "N", "Table")
+    assert (info.help, info.metavar, info.rich_help_panel) == ("Number of guests (default: 4).", "N", "Table")
     assert (info.min, info.max) == (1, 9)
     assert guests.default == 4
 

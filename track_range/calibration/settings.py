@@ -11,48 +11,55 @@ OFF, LEAVE_TWO_OUT = "off", "leave-two-out"
 
 
 class CalibrationSettings(Options):
-    """Which images of which board are calibrated from, and where the results go."""
+    """Images, board and output files of `track-range calibrate`."""
 
     mono: Annotated[
         str | None,
-        option("Images of one camera: 'boards/*.jpg' in quotes, a folder, or a video.", metavar="IMAGES"),
+        option("Images of one camera: a pattern in quotes ('boards/*.jpg'), a folder, or a video.", metavar="IMAGES"),
     ] = None
     stereo: Annotated[
         tuple[str, str] | None,
-        option("Images of both cameras: 'left*.jpg' 'right*.jpg', folders, or videos.", metavar="LEFT RIGHT"),
+        option(
+            "Images of the left and the right camera: patterns in quotes, folders, or videos.", metavar="LEFT RIGHT"
+        ),
     ] = None
     board: Annotated[
         str,
         option(
-            "Inner corners of the chessboard, such as 9x6; or charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM[:DICT], in "
-            "squares.",
-            metavar="COLUMNSxROWS",
+            "Board: COLUMNSxROWS inner corners of a chessboard, such as 9x6, or a ChArUco board with COLUMNSxROWS "
+            "squares, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM[:DICTIONARY].",
+            metavar="BOARD",
         ),
     ]
-    square_mm: Annotated[float | None, option("Side of the chessboard's squares in mm.", metavar="MM")] = None
+    square_mm: Annotated[float | None, option("Side length of the chessboard's squares in mm.", metavar="MM")] = None
     lens_terms: Annotated[
-        int, option("Number of distortion coefficients: k1 k2 p1 p2, k3, k4 k5 k6.", metavar="0|4|5|8")
+        int,
+        option(
+            "Number of distortion coefficients: 4 = k1 k2 p1 p2, 5 = also k3, 8 = also k4 k5 k6.",
+            metavar="0|4|5|8",
+        ),
     ] = 5
-    out: Annotated[Path, option("Rig file to write.", metavar="FILE")]
+    out: Annotated[Path, option("Calibration file to write, rig.yaml.", metavar="FILE")]
     picture: Annotated[
-        Path | None, option("Image of residuals and coverage to write (default: beside --out).", metavar="FILE.png")
+        Path | None,
+        option("Picture of the residuals and the image coverage (default: beside --out).", metavar="FILE.png"),
     ] = None
-    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
-        None
-    )
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
 
 
 class AlignmentSettings(Options):
-    """What the disparity error of a rig is estimated from, and where the alignment goes."""
+    """Drives or references, and output files, of `track-range align`."""
 
     stereo: Annotated[
         tuple[Path, Path] | None,
-        option("Left and right video of a drive past static objects.", metavar="LEFT RIGHT"),
+        option(
+            "Left and right video of a drive past static objects (buildings, parked cars, trees).", metavar="LEFT RIGHT"
+        ),
     ] = None
     drives: Annotated[
         tuple[Path, ...],
         option(
-            "Folder with left.mp4 and right.mp4; repeat the option for more drives with the same rig.",
+            "Folder with left.mp4 and right.mp4; repeat the option for further drives with the same rig.",
             flag="--drive",
             metavar="DIR",
             is_repeated=True,
@@ -61,36 +68,34 @@ class AlignmentSettings(Options):
     reference: Annotated[
         Path | None,
         option(
-            "Objects of known distance: KITTI 2015's layout or a labelled drive; with --stereo KITTI tracking labels, "
-            "or a CSV of frame, x1, y1, x2, y2 and distance_m or disparity_px.",
+            "Objects at known distances: a folder in KITTI 2015's layout or of a labelled drive; with --stereo, KITTI "
+            "tracking labels or a CSV with frame, x1, y1, x2, y2 and distance_m or disparity_px.",
             metavar="DIR|LABELS|CSV",
         ),
     ] = None
-    rig: Annotated[Path | None, option("Rig file (default: the one beside the images).")] = None
-    out: Annotated[Path, option("Alignment file to write, for `--align FILE`.", metavar="FILE")]
-    seed: Annotated[int, option("Random seed of the resampling that gives the uncertainty.", ge=0)] = 0
-    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
-        None
-    )
+    rig: Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")] = None
+    out: Annotated[Path, option("Alignment file to write, for the option --align of a run.", metavar="FILE")]
+    seed: Annotated[int, option("Random seed for the resampling that estimates the uncertainty.", ge=0)] = 0
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
 
 
 class StereoEvaluationSettings(Options):
-    """Which matchers are measured on which pairs of known disparity."""
+    """Matchers and stereo pairs of `track-range evaluate stereo`."""
 
     pairs: Annotated[
         Path,
         option(
-            "Folder with KITTI 2015's image_2, image_3, disp_occ_0, obj_map and calib.txt, or of a drive with "
-            "left.mp4, right.mp4, rig.yaml and truth.csv or truth.txt.",
+            "Folder in KITTI 2015's layout (image_2, image_3, disp_occ_0, obj_map, calib.txt), or of a drive "
+            "(left.mp4, right.mp4, rig.yaml, and truth.csv or truth.txt).",
             metavar="DIR",
         ),
     ]
-    rig: Annotated[Path | None, option("Rig file (default: the folder's own).")] = None
+    rig: Annotated[Path | None, option("Calibration file (default: the one in the folder).")] = None
     matchers: Annotated[
         tuple[str, ...],
         option(
-            "Matchers to measure, of: patch, sgbm, and sgbm in other modes as sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4, "
-            "each but patch also with -centre for the disparity at the box centre.",
+            "Matchers to evaluate: patch, sgbm, and OpenCV's other SGBM modes sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4; "
+            "with -centre appended (not patch), the disparity at the box centre is used.",
             flag="--matcher",
             metavar="A,B,...",
             min_length=1,
@@ -99,8 +104,8 @@ class StereoEvaluationSettings(Options):
     align: Annotated[
         str,
         option(
-            "Disparity correction: an alignment file, none (off), or a fit to all pairs but two at a time.",
+            "Disparity correction: an alignment file, none (off), or cross-validated, leaving two pairs out at a time.",
             metavar="FILE|off|leave-two-out",
         ),
     ] = OFF
-    seed: Annotated[int, option("Random seed of the bootstrap intervals.", ge=0)] = 0
+    seed: Annotated[int, option("Random seed for the bootstrap intervals.", ge=0)] = 0

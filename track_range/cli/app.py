@@ -1,6 +1,6 @@
-"""The command line: commands, and errors as one sentence.
+"""The command line: its commands, and the handling of errors, which are printed as one sentence.
 
-Exit status: 0 done, 1 an input or output that cannot be used (or the user stopped the run), 2 wrong usage.
+Exit status: 0 = success, 1 = an unusable input or output, or a run stopped by the user, 2 = wrong usage.
 """
 
 from __future__ import annotations
@@ -18,36 +18,90 @@ from track_range.foundation.errors import UserError
 PROGRAM = "track-range"
 
 COMMANDS = {
-    "calibrate": Lazy(
-        "track_range.cli.calibrate",
-        "Calibrate a camera, or a pair of them, from images of a chessboard or ChArUco board.",
+    "run": Lazy(
+        "track_range.cli.run",
+        "Track road users in one video or a stereo pair and measure their distances.",
+        "The word 'run' may be omitted. Writes tracks.csv, mot.txt, overlay.mp4, report.html and summary.json.",
+        (
+            "track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
+            "track-range --mono dashcam.mp4 --focal-px 1150 --out drive-1",
+            "track-range --stereo 0 1 --rig rig.yaml --show",
+            "track-range --settings drive-1/settings.yaml",
+        ),
     ),
-    "rig": Lazy("track_range.cli.rig", "Calibration files: track-range's own, KITTI's, OpenCV's, Kalibr's."),
-    "align": Lazy(
-        "track_range.cli.align",
-        "Measure the disparity error of a calibrated pair, from a drive or from known distances.",
+    "demo": Lazy(
+        "track_range.cli.demo",
+        "Simulate a short stereo drive, run on it, and print the tables.",
+        examples=("track-range demo --out demo",),
     ),
-    "run": Lazy("track_range.cli.run", "Track and range one video, or a stereo pair (the word 'run' may be left out)."),
     "report": Lazy(
         "track_range.cli.report",
-        "Rewrite a run's report.html from its folder; with several folders compare the runs side by side.",
+        "Rewrite the report of a run, or compare several runs on one page.",
+        examples=("track-range report drive-1", "track-range report drive-1 drive-2 --out comparison.html"),
     ),
-    "track": Lazy("track_range.cli.track", "Track recorded detections: identities without distances or a video."),
-    "evaluate": Lazy("track_range.cli.evaluate", "Evaluation against your own labels."),
-    "fit": Lazy("track_range.cli.fit", "Fit the monocular size curves to labels of your own camera."),
-    "models": Lazy("track_range.cli.models", "Detectors: inspect, list, download, import and quantize them."),
+    "calibrate": Lazy(
+        "track_range.cli.calibrate",
+        "Calibrate a camera or a stereo pair from images of a board.",
+        "The board is a chessboard or a ChArUco board. Prints the residual of every view and the standard deviation of "
+        "every parameter (jackknife over views).",
+        (
+            "track-range calibrate --stereo 'left*.jpg' 'right*.jpg' --board 9x6 \\\n"
+            "      --square-mm 40 --out rig.yaml",
+            "track-range calibrate --mono boards/ --board charuco:11x8:30:22 --out rig.yaml",
+        ),
+    ),
+    "rig": Lazy("track_range.cli.rig", "Show or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr)."),
+    "align": Lazy(
+        "track_range.cli.align",
+        "Estimate the disparity error of a calibrated stereo pair.",
+        "It is estimated from drives past static objects, or from objects at known distances.",
+        (
+            "track-range align --stereo left.mp4 right.mp4 --rig rig.yaml --out align.yaml",
+            "track-range align --reference kitti2015/ --out align.yaml",
+        ),
+    ),
+    "track": Lazy(
+        "track_range.cli.track",
+        "Track recorded detections, without a detector and without distances.",
+        examples=(
+            "track-range track MOT17/train --images MOT17/train --out tracks",
+            "track-range track det.txt --tracker sort --out tracks",
+        ),
+    ),
+    "evaluate": Lazy("track_range.cli.evaluate", "Evaluate tracks, distances, detectors or stereo matchers."),
+    "fit": Lazy(
+        "track_range.cli.fit",
+        "Fit the size curves of the mono method to labels of your camera.",
+        examples=(
+            "track-range fit --labels label_02/ --calib calib/ --out curves.json",
+            "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
+        ),
+    ),
+    "models": Lazy("track_range.cli.models", "List, download, inspect, import or quantize detectors."),
     "train": Lazy(
         "track_range.cli.training.train",
-        "Train a detector on labelled images, and export it as an ONNX file for --detector.",
+        "Train a detector on labelled images and export it as an ONNX file.",
+        "The file can be used with --detector. Requires PyTorch.",
+        (
+            "track-range train --data data.yaml --epochs 100",
+            "track-range train --data data.yaml --epochs 100 --resume",
+        ),
     ),
     "anchors": Lazy(
         "track_range.cli.training.anchors",
-        "Print anchors fitted to the boxes of a data set (k-means++), and how well they fit.",
+        "Fit anchors to the boxes of a data set (k-means++).",
+        "Prints the anchors and their mean best IoU with the boxes, beside that of the networks' default anchors.",
+        ("track-range anchors --data data.yaml --size 640 --clusters 9",),
     ),
     "simulate": Lazy(
-        "track_range.cli.simulate", "Simulate a stereo drive with exact truth, or labelled images to train a detector."
+        "track_range.cli.simulate",
+        "Simulate a stereo drive with exact ground truth, or labelled images.",
+        "Labelled images serve to train detectors.",
+        (
+            "track-range simulate --scenario highway --seconds 20 --out drive",
+            "track-range simulate --images 500 --out images",
+        ),
     ),
-    "demo": Lazy("track_range.cli.demo", "Simulate a short stereo drive, run on it, and print the tables."),
 }
 
 _ROOT_OPTIONS = ("--version", "--install-completion", "--show-completion")
@@ -56,10 +110,13 @@ app = lazy_app(
     COMMANDS,
     add_completion=True,
     pretty_exceptions_enable=False,
-    help="Track every road user in a video and measure its distance with uncertainty, its closing speed and its time "
-    "to collision.",
-    epilog="Examples: track-range --stereo left.mp4 right.mp4 --rig rig.yaml  |  "
-    "track-range --mono dashcam.mp4 --focal-px 1150 --detector yolov5n.onnx  |  track-range demo",
+    help="Track every road user in a video and measure its distance, the uncertainty of the distance, its closing "
+    "speed and its time to collision.",
+    examples=(
+        "track-range demo",
+        "track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
+        "track-range --mono dashcam.mp4 --focal-px 1150 --detector yolov5n.onnx",
+    ),
 )
 
 
@@ -76,10 +133,10 @@ def _root(
 
 def main() -> None:
     """Entry point of `track-range`."""
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # our own sentence names the problem
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # track-range reports the problem itself
     _complete_as_run(os.environ)
     arguments = sys.argv[1:]
-    if arguments in ([], ["-h"], ["--help"]):  # the main command needs no name
+    if arguments in ([], ["-h"], ["--help"]):  # the name of the main command may be omitted
         app(["--help"], prog_name=PROGRAM, standalone_mode=False)
         arguments = ["run", "--help"]
     elif _is_run(arguments):
@@ -97,7 +154,7 @@ def main() -> None:
 
 
 def _is_run(arguments: list[str]) -> bool:
-    """Whether arguments are options of `run` without its name."""
+    """Whether the arguments are options of `run`, given without its name."""
     return bool(arguments) and arguments[0].startswith("-") and not arguments[0].startswith(_ROOT_OPTIONS)
 
 
@@ -111,7 +168,7 @@ def _print_error(message: str) -> None:
 
 
 def _complete_as_run(environment: MutableMapping[str, str]) -> None:
-    """In the words that a shell wants completed, put `run` before options of it that stand without its name."""
+    """Insert `run` into the command line that a shell completes, where its options are given without its name."""
     for variable in ("COMP_WORDS", "_TYPER_COMPLETE_ARGS"):  # bash, and the other shells
         program, *words = environment.get(variable, "").split(maxsplit=1) or [""]
         if f"_{PROGRAM.replace('-', '_').upper()}_COMPLETE" in environment and _is_run("".join(words).split()):

@@ -19,12 +19,15 @@ from track_range.simulation.drive import write_drive
 class DemoOptions(Options):
     """Options of `track-range demo`."""
 
-    out: Annotated[Path, option("Folder of the drive and the results.")] = Path("track-range-demo")
-    seed: Annotated[int, option("Random seed of the drive.", ge=0)] = 0
-    seconds: Annotated[float, option("Length of the drive in seconds.", ge=0.5, le=60)] = 6.0
-    playback: Annotated[bool, option("Detections from the truth with noise, in place of the packaged detector's.")] = (
-        False
-    )
+    out: Annotated[Path, option("Folder of the drive and the results.", metavar="DIR")] = Path("track-range-demo")
+    seed: Annotated[int, option("Random seed for the drive.", ge=0)] = 0
+    seconds: Annotated[float, option("Length of the drive in seconds.", metavar="S", ge=0.5, le=60)] = 6.0
+    playback: Annotated[
+        bool,
+        option(
+            "Simulated detections (true boxes with noise, misses and false alarms) instead of the packaged detector."
+        ),
+    ] = False
 
 
 def _demo(options: DemoOptions) -> None:

@@ -51,7 +51,7 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
             kind = str
         is_optional = is_only_given or (bool(shown["old_names"]) and not field.is_required())
         default = None if is_optional else _default(field)
-        declaration = _declaration(model, name, is_default_added=is_optional, is_checked=not is_only_given)
+        declaration = _declaration(model, name, is_checked=not is_only_given)
         listed.append(_parameter(name, kind, declaration, default))
         for old_name in shown["old_names"]:
             hidden = typer.Option(_old_flag(model.flag(name), shown["flag"], old_name), hidden=True)
@@ -75,18 +75,18 @@ def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Paramete
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[value, declaration])
 
 
-def _declaration(model: type[Options], name: str, *, is_default_added: bool, is_checked: bool) -> Any:
+def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
     """typer.Option or typer.Argument of a field; `is_checked`: with its bounds or choices."""
     field = model.model_fields[name]
     shown, kind = option_of(field), value_type(field)
     common: dict[str, Any] = {
-        "help": _help(field, is_default_added=is_default_added),
-        "metavar": shown["metavar"],
+        "help": _help(field),
+        "show_default": False,  # the help text names it
+        "metavar": shown["metavar"] or _placeholder(kind),
         "rich_help_panel": shown["panel"],
     }
     if get_origin(kind) is Literal and not is_checked:
         choices = get_args(kind)
-        common["metavar"] = "|".join(choices)
         common["autocompletion"] = lambda incomplete: [word for word in choices if word.startswith(incomplete)]
     if kind in (int, float) and is_checked:
         common["min"] = next((mark.ge for mark in field.metadata if isinstance(mark, Ge)), None)
@@ -94,6 +94,17 @@ def _declaration(model: type[Options], name: str, *, is_default_added: bool, is_
     if shown["is_argument"]:
         return typer.Argument(**common)
     return typer.Option(shown["flag"] or model.flag(name), **common)
+
+
+def _placeholder(kind: Any) -> str | None:
+    """Placeholder of a value in the help where the option declares none; None for a switch."""
+    if get_origin(kind) is Literal:
+        return "|".join(get_args(kind))
+    return _PLACEHOLDERS.get(kind, "TEXT")
+
+
+_PLACEHOLDERS = {bool: None, int: "N", float: "NUMBER", Path: "FILE"}
+"""By type of the value."""
 
 
 def _typer_type(field: FieldInfo) -> Any:
@@ -120,14 +131,21 @@ def _default(field: FieldInfo) -> Any:
     return field.default
 
 
-def _help(field: FieldInfo, *, is_default_added: bool) -> str:
-    text = field.description or ""
-    value = field.default
-    is_plain = isinstance(value, str | int | float) and not isinstance(value, bool)
-    if not is_default_added or not is_plain or "(default:" in text:
-        return text
-    shown = f"{value:g}" if isinstance(value, float) else str(value)
-    return f"{text.removesuffix('.')} (default: {shown})."
+def _help(field: FieldInfo) -> str:
+    """Help text of an option with its default, or "(required)"."""
+    text = (field.description or "").removesuffix(".")
+    if field.is_required():
+        return f"{text}." if option_of(field)["is_argument"] else f"{text} (required)."
+    value = ",".join(map(str, field.default)) if is_list(field) else field.default
+    if isinstance(value, bool) or not isinstance(value, str | int | float | Path | tuple) or value in ("", Path()):
+        return f"{text}."
+    if "(default:" in text:
+        return f"{text}."
+    if isinstance(value, tuple):
+        shown = " ".join(f"{part:g}" if isinstance(part, float) else str(part) for part in value)
+    else:
+        shown = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{text} (default: {shown})."
 
 
 def _old_flag(flag: str, declared: str | None, old_name: str) -> str:

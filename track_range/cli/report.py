@@ -16,13 +16,14 @@ class ReportOptions(Options):
     """Options of `track-range report`."""
 
     folders: Annotated[
-        tuple[Path, ...], option("Result folders of runs.", metavar="DIR...", is_argument=True, is_repeated=True)
+        tuple[Path, ...],
+        option("Result folder of a run; several are compared.", metavar="DIR...", is_argument=True, is_repeated=True),
     ]
     out: Annotated[
         Path | None,
         option(
-            "Page to write (default: report.html in the run's folder; for several runs comparison.html in this "
-            "folder).",
+            "Page to write (default: report.html in the folder of a single run, comparison.html in the current folder "
+            "for several).",
             metavar="FILE",
         ),
     ] = None

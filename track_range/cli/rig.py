@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
 
 from track_range.cli.console import console, print_grid, print_line
+from track_range.cli.lazy import Lazy, lazy_app, single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
@@ -20,19 +20,17 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import left_from_reference_m, load_calibration
 from track_range.stereo.rig_formats.registry import rig_writers
 
-_Size = Annotated[
-    str | None, option("Size of the images in pixels, for files that do not contain it.", metavar="WIDTHxHEIGHT")
-]
+_Size = Annotated[str | None, option("Size of the images in pixels, for formats without it.", metavar="WIDTHxHEIGHT")]
 
 
 class ConvertOptions(Options):
     """Options of `track-range rig convert`."""
 
-    source: Annotated[Path, option("Calibration file to read.", metavar="IN", is_argument=True)]
-    out: Annotated[Path, option("File to write.", metavar="OUT", is_argument=True)]
-    to: Annotated[str, option("Format of OUT: rig.yaml (ours) or OpenCV's stereo_calib.", metavar="ours|opencv")] = (
-        "ours"
-    )
+    source: Annotated[Path, option("Calibration file to read, in any known format.", metavar="IN", is_argument=True)]
+    out: Annotated[Path, option("Calibration file to write.", metavar="OUT", is_argument=True)]
+    to: Annotated[
+        str, option("Format of OUT: rig.yaml (ours) or OpenCV's stereo_calib (opencv).", metavar="ours|opencv")
+    ] = "ours"
     size: _Size = None
 
 
@@ -163,10 +161,19 @@ def _check_sized(found: PinholeCamera | StereoRig, source: Path) -> None:
         raise RigError(f"{source}: it does not say how large the images are; add --size WIDTHxHEIGHT.")
 
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode="rich")
-app.command("convert", help="Convert a calibration of any known format to rig.yaml or OpenCV's stereo_calib.")(
-    command(ConvertOptions, _convert)
-)
-app.command("show", help="Show angles of view, baseline, and metres per pixel of disparity of a calibration.")(
-    command(ShowOptions, _show)
+convert_app = single_app(command(ConvertOptions, _convert))
+show_app = single_app(command(ShowOptions, _show))
+app = lazy_app(
+    {
+        "show": Lazy(
+            "track_range.cli.rig:show_app",
+            "Show angles of view, baseline, and metres per pixel of disparity.",
+            examples=("track-range rig show rig.yaml", "track-range rig show calib.txt --size 1242x375"),
+        ),
+        "convert": Lazy(
+            "track_range.cli.rig:convert_app",
+            "Convert a calibration file to rig.yaml or OpenCV's stereo_calib.",
+            examples=("track-range rig convert calib.txt rig.yaml --size 1242x375",),
+        ),
+    }
 )

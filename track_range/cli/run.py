@@ -24,15 +24,15 @@ class RunView(Options):
 
     settings: Annotated[
         Path | None,
-        option("Settings file of an earlier run, settings.yaml; other options override it.", panel="Input"),
+        option("Settings of an earlier run (settings.yaml); options given in addition override it.", panel="Input"),
     ] = None
-    show: Annotated[bool, option("Live view of the overlay in a browser.", panel="How to run")] = False
+    show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
     serve: Annotated[
         str | None,
         option(
-            "Port of the live view on this machine, or an address that other machines can see.",
+            "Address of the live view: a port on this machine, or HOST:PORT to make it reachable from others.",
             metavar="PORT|HOST:PORT",
-            panel="How to run",
+            panel="Output",
         ),
     ] = None
 

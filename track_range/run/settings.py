@@ -22,13 +22,14 @@ from track_range.run.detector_fields import (
     size_option,
     threads_option,
 )
+from track_range.run.tracker_fields import reid_option, tracker_option
 from track_range.video.live.address import LiveAddress, live_address
 
 VideoName = Path | LiveAddress
 """A video file or folder of images, or a camera or stream."""
 
-_INPUT, _WHAT, _HOW = "Input", "What to look at", "How to run"
-"""Panels of the help."""
+_INPUT, _DETECTION, _TRACKING, _RANGING, _OUTPUT = "Input", "Detection", "Tracking", "Ranging", "Output"
+"""Headings of the help page under which the options are listed."""
 
 
 def check_tracker(name: str, reid: Path | None) -> None:
@@ -53,102 +54,44 @@ class RunSettings(Options):
     stereo: Annotated[
         tuple[VideoName, VideoName] | None,
         option(
-            "Left and right video: files, folders of numbered images, cameras (0 1) or streams (rtsp://...).",
+            "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...).",
             metavar="LEFT RIGHT",
             panel=_INPUT,
         ),
     ] = None
     mono: Annotated[
         VideoName | None,
-        option("Video of a single camera: a file, a folder, a camera or a stream.", metavar="VIDEO", panel=_INPUT),
+        option(
+            "Video of a single camera: a file, a folder of numbered images, a camera number or a stream.",
+            metavar="VIDEO",
+            panel=_INPUT,
+        ),
     ] = None
     rig: Annotated[
         Path | None,
         option(
-            "Rig file: rig.yaml, KITTI's calib.txt, or OpenCV's stereo calibration (default: rig.yaml or calib.txt "
-            "beside the left video; two cameras without any give uncalibrated distances).",
+            "Calibration file: rig.yaml, KITTI's calib.txt, OpenCV's stereo calibration or Kalibr's camchain (default: "
+            "rig.yaml or calib.txt in the folder of the left video; a pair without one is measured uncalibrated).",
             panel=_INPUT,
         ),
     ] = None
     focal_px: Annotated[
         float | None,
         option(
-            "Focal length in pixels of cameras without a rig file; the principal point is the image's centre.",
+            "Focal length in pixels of a camera without a calibration file; the principal point is the image centre.",
+            metavar="PX",
             panel=_INPUT,
             gt=0,
             allow_inf_nan=False,
         ),
     ] = None
-    detector: Annotated[
-        str | None,
-        option(
-            "YOLO network: an ONNX file, or a name of `models list` (default: road, the packaged one).",
-            metavar="FILE|NAME",
-            panel=_INPUT,
-        ),
-    ] = None
-    names: Annotated[str | None, names_option(panel=_INPUT)] = None
-    anchors: Annotated[str | None, anchors_option(panel=_INPUT)] = None
-    letterbox: Annotated[str | None, letterbox_option(panel=_INPUT)] = None
-    detections: Annotated[
-        Path | None,
-        option(
-            "Boxes from a file in place of a detector: MOT det.txt, KITTI labels or detections, or a tracks.csv.",
-            panel=_INPUT,
-        ),
-    ] = None
-    curves: Annotated[
-        Path | None,
-        option(
-            "Size curves for the monocular distance, written by `track-range fit` (default: the packaged ones).",
-            panel=_INPUT,
-        ),
-    ] = None
-    truth: Annotated[
-        Path | None,
-        option(
-            "Ground truth: KITTI tracking labels, or a CSV (from lidar or radar, say) with the columns "
-            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps; others are "
-            "ignored.",
-            metavar="FILE",
-            panel=_INPUT,
-        ),
-    ] = None
-    ego_speed: Annotated[
-        str | None,
-        option(
-            "Speed of the camera: km/h, a CSV of time_s and speed_mps or speed_kmh, or KITTI's oxts folder.",
-            metavar="KMH|FILE|DIR",
-            panel=_INPUT,
-        ),
-    ] = None
-    folder_fps: Annotated[
-        float, option("Frame rate of folders of images, which carry no times.", panel=_INPUT, ge=0.01, le=1000)
-    ] = 10.0
-    classes: Annotated[
-        tuple[str, ...],
-        option(
-            "Road classes to track, of: person, bicycle, car, motorcycle, bus, truck, traffic light, traffic sign "
-            "(default: all).",
-            metavar="A,B,...",
-            panel=_WHAT,
-        ),
-    ] = ()
-    min_score: Annotated[
-        str | None,
-        option(
-            "Minimum detection confidence, such as 0.1,car=0.3 (default: 0.1).",
-            metavar="S[,CLASS=S...]",
-            panel=_WHAT,
-        ),
-    ] = None
     start_s: Annotated[
         float,
         option(
-            "Start of the run in the video, in seconds.",
+            "Time in the video, in seconds, at which the run starts.",
             flag="--start",
             metavar="S",
-            panel=_WHAT,
+            panel=_INPUT,
             ge=0,
             allow_inf_nan=False,
         ),
@@ -156,95 +99,175 @@ class RunSettings(Options):
     duration_s: Annotated[
         float | None,
         option(
-            "Length of the run in seconds (default: to the end).",
+            "Length of the run in seconds (default: to the end of the video).",
             flag="--duration",
             metavar="S",
-            panel=_WHAT,
+            panel=_INPUT,
             gt=0,
             allow_inf_nan=False,
         ),
     ] = None
-    out: Annotated[
-        Path | None,
-        option("Folder of the results (default: LEFT-track-range, in this folder).", metavar="DIR", panel=_HOW),
+    folder_fps: Annotated[
+        float,
+        option(
+            "Frame rate of folders of images, which have no timestamps.", metavar="FPS", panel=_INPUT, ge=0.01, le=1000
+        ),
+    ] = 10.0
+    ego_speed: Annotated[
+        str | None,
+        option(
+            "Speed of the camera, for the absolute speeds of objects: a constant in km/h, a CSV with time_s and "
+            "speed_mps or speed_kmh, or KITTI's oxts folder.",
+            metavar="KMH|FILE|DIR",
+            panel=_INPUT,
+        ),
     ] = None
-    write: Annotated[
+    truth: Annotated[
+        Path | None,
+        option(
+            "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the columns "
+            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps; other columns "
+            "are ignored.",
+            panel=_INPUT,
+        ),
+    ] = None
+    detector: Annotated[
+        str | None,
+        option(
+            "YOLO network: an ONNX file, or a name from `track-range models list` (default: road, which is packaged).",
+            metavar="FILE|NAME",
+            panel=_DETECTION,
+        ),
+    ] = None
+    classes: Annotated[
         tuple[str, ...],
         option(
-            "Formats of the result files: csv (tracks.csv), mot (mot.txt), or those of installed packages.",
+            "Road classes to track: person, bicycle, car, motorcycle, bus, truck, traffic light, traffic sign "
+            "(default: all).",
             metavar="A,B,...",
-            panel=_HOW,
+            panel=_DETECTION,
         ),
-    ] = ("csv", "mot")
-    table: Annotated[Path | None, option("Markdown file to write the tables to.", metavar="FILE.md", panel=_HOW)] = None
-    overlay: Annotated[bool, option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay", panel=_HOW)] = True
+    ] = ()
+    min_score: Annotated[
+        str | None,
+        option(
+            "Minimum detection confidence from 0 to 1, also by class: 0.1,car=0.3 (default: 0.1).",
+            metavar="S[,CLASS=S...]",
+            panel=_DETECTION,
+        ),
+    ] = None
+    detections: Annotated[
+        Path | None,
+        option(
+            "Recorded boxes instead of a detector: MOTChallenge's det.txt, KITTI labels or detections, or a "
+            "tracks.csv.",
+            panel=_DETECTION,
+        ),
+    ] = None
+    names: Annotated[str | None, names_option(panel=_DETECTION)] = None
+    anchors: Annotated[str | None, anchors_option(panel=_DETECTION)] = None
+    letterbox: Annotated[str | None, letterbox_option(panel=_DETECTION)] = None
+    size_px: Annotated[int | None, size_option(panel=_DETECTION)] = None
+    threads: Annotated[int, threads_option(panel=_DETECTION)] = 0
+    device: Annotated[Device, device_option(panel=_DETECTION)] = "auto"
+    tracker: Annotated[str, tracker_option(panel=_TRACKING)] = "deepsort"
+    reid: Annotated[Path | None, reid_option(panel=_TRACKING)] = None
+    curves: Annotated[
+        Path | None,
+        option(
+            "Size curves of the mono method, written by `track-range fit` (default: the packaged curves).",
+            panel=_RANGING,
+        ),
+    ] = None
     sgbm: Annotated[
         bool,
-        option("Dense stereo matching beside the patch matcher (slow).", flag="--sgbm/--no-sgbm", panel=_HOW),
+        option(
+            "Dense stereo matching (sgbm, slow) in addition to the patch matcher (stereo).",
+            flag="--sgbm/--no-sgbm",
+            panel=_RANGING,
+        ),
     ] = True
     sgbm_options: Annotated[
         dict[str, Any],
-        option("Dense stereo's parameters that the rig does not choose: fields of SgbmSettings.", is_file_only=True),
+        option(
+            "Parameters of dense stereo that do not follow from the rig: fields of SgbmSettings.", is_file_only=True
+        ),
     ] = Field(default_factory=dict)
     align: Annotated[
         str,
         option(
-            "Disparity correction: estimated from the drive (auto), none (off), or a file that `align` wrote.",
+            "Disparity correction: estimated from the drive (auto), none (off), or read from a file written by "
+            "`track-range align`.",
             metavar="auto|off|FILE",
-            panel=_HOW,
+            panel=_RANGING,
         ),
     ] = "auto"
-    disparity: Annotated[
-        bool,
-        option("Video of dense stereo's disparities, disparity.mp4.", flag="--disparity/--no-disparity", panel=_HOW),
-    ] = False
-    overlay_disparity: Annotated[
-        bool,
-        option(
-            "Overlay with the colour-coded disparities of dense stereo below each frame.",
-            flag="--overlay-disparity/--no-overlay-disparity",
-            panel=_HOW,
-            old_names=("overlay_side",),
-        ),
-    ] = False
     lanes: Annotated[
         str,
         option(
-            "Detector of the own lane's lines, for distances from the lane's width: edges (classical), none (off), or "
-            "a lane network (ONNX).",
+            "Detector of the own lane's lines, from whose width the lane method measures: edge-based (classical), none "
+            "(off), or a lane network (ONNX).",
             metavar="classical|off|FILE",
-            panel=_HOW,
+            panel=_RANGING,
         ),
     ] = "classical"
     lane_width_m: Annotated[
         float,
-        option("Width of a lane in metres; stereo corrects it.", metavar="M", panel=_HOW, ge=1.5, le=6.0),
+        option(
+            "Width of the own lane in metres; stereo distances refine it.",
+            metavar="M",
+            panel=_RANGING,
+            ge=1.5,
+            le=6.0,
+        ),
     ] = 3.5
     camera_height_m: Annotated[
         float | None,
         option(
-            "Height of the camera above the road in metres (default: estimated).",
+            "Height of the camera above the road in metres (default: estimated from the drive).",
             metavar="M",
-            panel=_HOW,
+            panel=_RANGING,
             ge=0.2,
             le=5.0,
         ),
     ] = None
-    size_px: Annotated[int | None, size_option(panel=_HOW)] = None
-    tracker: Annotated[
-        str,
-        option(
-            "Tracker: deepsort compares appearance too, sort does not; or a tracker class of your own.",
-            metavar="NAME|MODULE:CLASS",
-            panel=_HOW,
-        ),
-    ] = "deepsort"
-    reid: Annotated[
+    out: Annotated[
         Path | None,
-        option("Re-identification network (ONNX) for appearance (default: a built-in colour descriptor).", panel=_HOW),
+        option(
+            "Folder of the results (default: LEFT-track-range in the current folder).", metavar="DIR", panel=_OUTPUT
+        ),
     ] = None
-    threads: Annotated[int, threads_option(panel=_HOW)] = 0
-    device: Annotated[Device, device_option(panel=_HOW)] = "auto"
+    write: Annotated[
+        tuple[str, ...],
+        option(
+            "Formats of the result files: csv (tracks.csv), mot (mot.txt), or formats of installed packages.",
+            metavar="A,B,...",
+            panel=_OUTPUT,
+        ),
+    ] = ("csv", "mot")
+    table: Annotated[
+        Path | None, option("Markdown file for the tables of the run.", metavar="FILE.md", panel=_OUTPUT)
+    ] = None
+    overlay: Annotated[bool, option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay", panel=_OUTPUT)] = (
+        True
+    )
+    disparity: Annotated[
+        bool,
+        option(
+            "Video of the disparities of dense stereo, disparity.mp4.",
+            flag="--disparity/--no-disparity",
+            panel=_OUTPUT,
+        ),
+    ] = False
+    overlay_disparity: Annotated[
+        bool,
+        option(
+            "Colour-coded disparities of dense stereo below each frame of the overlay.",
+            flag="--overlay-disparity/--no-overlay-disparity",
+            panel=_OUTPUT,
+            old_names=("overlay_side",),
+        ),
+    ] = False
 
     @model_validator(mode="before")
     @classmethod

@@ -15,6 +15,7 @@ from track_range.run.detector_fields import (
     size_option,
     threads_option,
 )
+from track_range.run.tracker_fields import reid_option, tracker_option
 
 TruthFormat = Literal["mot", "kitti"]
 
@@ -25,110 +26,128 @@ LabelFormatField = Annotated[
 LabelNamesField = Annotated[
     str | None,
     option(
-        "Class names of YOLO's numbers: a,b,c or a file (default: classes.txt or data.yaml beside the labels, else the "
-        "8 road classes)."
+        "Class names of the numbers in YOLO labels: a,b,c or a file with one name per line (default: classes.txt or "
+        "data.yaml beside the labels, else the 8 road classes)."
     ),
 ]
 ManifestField = Annotated[
     Path | None,
-    option("CSV with columns file, split, labels_complete (8 flags): which images and classes count."),
+    option(
+        "CSV with the columns file, split and labels_complete (8 flags), which selects images and the classes to "
+        "evaluate in each."
+    ),
 ]
-SplitField = Annotated[str, option("Split of the manifest to use.")]
+SplitField = Annotated[str, option("Split of the manifest to evaluate on.")]
 
 
 class TrackSettings(Options):
-    """Which detections are tracked and how, and where the tracks go."""
+    """Input, tracker and output folder of `track-range track`."""
 
     detections: Annotated[
         Path,
         option(
-            "Detections: MOT det.txt, KITTI rows, or frame,x1,y1,x2,y2,score; a file, a folder of them (NAME.txt), or "
-            "MOTChallenge's folders (NAME/det/det.txt).",
+            "Detections in the format of MOTChallenge's det.txt, of KITTI, or frame,x1,y1,x2,y2,score: a file, a "
+            "folder of files NAME.txt, or a folder of sequences NAME/det/det.txt.",
             metavar="DETECTIONS",
             is_argument=True,
         ),
     ]
-    out: Annotated[Path, option("Folder of the results, mot/NAME.txt per sequence.", metavar="DIR")]
+    out: Annotated[Path, option("Folder of the results: mot/NAME.txt for each sequence.", metavar="DIR")]
     images: Annotated[
         Path | None,
         option(
-            "Images of the frames, for appearance and camera motion: a video, a folder of images, or a folder of "
-            "either per sequence.",
+            "Images of the frames, for appearance and camera-motion compensation: a video, a folder of images, or a "
+            "folder with one of them for each sequence.",
             metavar="VIDEO|DIR",
         ),
     ] = None
     form: Annotated[
         Literal["mot", "kitti", "rrc"] | None,
         option(
-            "Format of the detections; rrc: frame,x1,y1,x2,y2,score (default: detected from the file).",
+            "Format of the detections; rrc is frame,x1,y1,x2,y2,score (default: detected from the file).",
             flag="--format",
         ),
     ] = None
     road_class: Annotated[
         str | None,
         option(
-            "Class of rows that name none (default: car or person by the folder's name, else person).",
+            "Road class of rows without a class (default: car or person if the folder name contains it, else person).",
             flag="--classes",
-            metavar="X",
+            metavar="CLASS",
         ),
     ] = None
-    fps: Annotated[float | None, option("Frame rate (default: seqinfo.ini's, else 10).", ge=0.01, le=1000)] = None
-    tracker: Annotated[
-        str,
-        option(
-            "Tracker: deepsort compares appearance too, sort does not; or a tracker class of your own.",
-            metavar="NAME|MODULE:CLASS",
-        ),
-    ] = "deepsort"
-    reid: Annotated[
-        Path | None, option("Re-identification network (ONNX) for appearance; needs --images.", metavar="FILE")
+    fps: Annotated[
+        float | None, option("Frame rate (default: from seqinfo.ini, else 10).", metavar="FPS", ge=0.01, le=1000)
     ] = None
+    tracker: Annotated[str, tracker_option()] = "deepsort"
+    reid: Annotated[Path | None, reid_option()] = None
     online: Annotated[
-        bool, option("Output of each frame as a live run reports it, without what later frames add (gaps, starts).")
+        bool,
+        option("Tracks as a live run reports them: no filled gaps and no boxes from before a track was confirmed."),
     ] = False
-    kitti: Annotated[bool, option("KITTI rows in addition: kitti/NAME.txt.")] = False
+    kitti: Annotated[bool, option("Tracks in KITTI's format in addition, as kitti/NAME.txt.")] = False
 
 
 class TrackEvaluationSettings(Options):
-    """Which tracks are measured against which ground truth."""
+    """Tracks and ground truth of `track-range evaluate tracks`."""
 
-    truth: Annotated[Path, option("Ground truth: a file, or a folder of sequences (NAME.txt or NAME/gt).")]
+    truth: Annotated[Path, option("Ground truth: a file, or a folder of sequences NAME.txt or NAME/gt/gt.txt.")]
     results: Annotated[
-        Path, option("Tracks: MOT or KITTI rows, NAME.txt per sequence, or the output folder of `track`.")
+        Path,
+        option(
+            "Tracks in MOTChallenge's or KITTI's format: a file, a folder of files NAME.txt, or the output folder of "
+            "`track-range track`."
+        ),
     ]
     truth_format: Annotated[
-        TruthFormat | None, option("Format of the truth (default: detected from its first line).", flag="--format")
+        TruthFormat | None,
+        option("Format of the ground truth (default: detected from its first line).", flag="--format"),
     ] = None
     road_class: Annotated[
         str | None,
-        option("Class to evaluate; KITTI: car (default), person or bicycle.", flag="--class", metavar="NAME"),
+        option(
+            "Class to evaluate; for KITTI car, person or bicycle (default: car; MOTChallenge: person).",
+            flag="--class",
+            metavar="NAME",
+        ),
     ] = None
     compare: Annotated[
         Literal["motmetrics"] | None,
-        option("Other package whose figures for the same boxes are shown too, with the reasons for differences."),
+        option("Package that evaluates the same boxes for comparison; differences are explained."),
     ] = None
 
 
 class DetectionEvaluationSettings(Options):
-    """Which detectors are measured on which labelled images."""
+    """Detectors and labelled images of `track-range evaluate detections`."""
 
     models: Annotated[
         tuple[str, ...],
-        option("Detector; repeat the option for others.", flag="--model", metavar="FILE|NAME", is_repeated=True),
+        option(
+            "Detector to evaluate: an ONNX file, or a name from `track-range models list`; repeat the option to "
+            "compare several.",
+            flag="--model",
+            metavar="FILE|NAME",
+            is_repeated=True,
+        ),
     ]
-    images: Annotated[Path, option("Folder of images, or a video.")]
-    labels: Annotated[Path, option("Labels of the images: a folder, or one COCO or KITTI tracking file.")]
+    images: Annotated[Path, option("Folder of images, or a video.", metavar="DIR|VIDEO")]
+    labels: Annotated[
+        Path, option("Labels of the images: a folder, a COCO file, or a KITTI tracking file.", metavar="DIR|FILE")
+    ]
     label_format: LabelFormatField = None
     label_names: LabelNamesField = None
     manifest: ManifestField = None
     split: SplitField = "val"
-    classes: Annotated[tuple[str, ...], option("Road classes to measure (default: all).", metavar="A,B,...")] = ()
+    classes: Annotated[tuple[str, ...], option("Road classes to evaluate (default: all).", metavar="A,B,...")] = ()
     min_height: Annotated[
-        float, option("Minimum height in pixels; smaller objects are ignored.", metavar="PX", ge=0.0)
+        float, option("Minimum height of an object in pixels; smaller objects are ignored.", metavar="PX", ge=0.0)
     ] = 0.0
     min_score: Annotated[
         str | None,
-        option("Working confidence, for precision and recall (default: 0.25).", metavar="S[,CLASS=S...]"),
+        option(
+            "Confidence threshold at which precision and recall are reported, also by class (default: 0.25).",
+            metavar="S[,CLASS=S...]",
+        ),
     ] = None
     names: Annotated[str | None, names_option()] = None
     anchors: Annotated[str | None, anchors_option()] = None

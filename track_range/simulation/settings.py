@@ -8,7 +8,7 @@ from typing import Annotated
 from track_range.foundation.options import Options, option
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 
-_WHAT, _WRITTEN, _FAULTS = "What is driven", "What is written", "What is wrong with the cameras (default: nothing)"
+_DRIVE, _OUTPUT, _FAULTS = "Drive", "Output", "Camera faults (default: none)"
 
 FAULT_FIELDS = (
     "gain",
@@ -24,21 +24,21 @@ FAULT_FIELDS = (
 
 
 class SimulationSettings(Options):
-    """What is simulated, and where it is written; None = not given."""
+    """Scenario, cameras and output folder of `track-range simulate`; None = not given."""
 
-    out: Annotated[Path, option("Folder of the files.", metavar="DIR")]
+    out: Annotated[Path, option("Folder for the simulated files.", metavar="DIR", panel=_OUTPUT)]
     scenario: Annotated[
-        str | None, option(f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city).", metavar="NAME", panel=_WHAT)
+        str | None, option(f"Scenario: {', '.join(SCENARIO_NAMES)} (default: city).", metavar="NAME", panel=_DRIVE)
     ] = None
     seconds: Annotated[
-        float | None, option("Length of the drive in seconds (default: 10).", metavar="S", panel=_WHAT)
+        float | None, option("Length of the drive in seconds (default: 10).", metavar="S", panel=_DRIVE)
     ] = None
-    fps: Annotated[float | None, option("Frame rate (default: 10).", panel=_WHAT, ge=1, le=120)] = None
+    fps: Annotated[float | None, option("Frame rate (default: 10).", metavar="FPS", panel=_DRIVE, ge=1, le=120)] = None
     seed: Annotated[
         int | None,
         option(
-            "Random seed of the drive (default: 0), or number of the first scene of images (default: 1000).",
-            panel=_WHAT,
+            "Random seed for the drive (default: 0), or with --images the number of the first scene (default: 1000).",
+            panel=_DRIVE,
             ge=0,
             le=2**31,
         ),
@@ -46,37 +46,37 @@ class SimulationSettings(Options):
     rig: Annotated[
         Path | None,
         option(
-            "Rectified pair to render for: rig.yaml or calib.txt (default: KITTI's angle of view, 1240 x 376).",
-            panel=_WHAT,
+            "Calibration file of the rectified pair to simulate (default: KITTI's angle of view, 1240 x 376 pixels).",
+            panel=_DRIVE,
         ),
     ] = None
     lossless: Annotated[
-        bool, option("Folders of PNGs, left/ and right/, in place of H.264 videos.", panel=_WRITTEN)
+        bool, option("Folders of PNG images, left/ and right/, instead of H.264 videos.", panel=_OUTPUT)
     ] = False
     disparity: Annotated[
         bool,
         option(
-            "True disparities in KITTI 2015's layout in addition: image_2/, image_3/, disp_occ_0/ and obj_map/.",
-            panel=_WRITTEN,
+            "True disparities in addition, in KITTI 2015's layout: image_2/, image_3/, disp_occ_0/ and obj_map/.",
+            panel=_OUTPUT,
         ),
     ] = False
     images: Annotated[
         int | None,
         option(
-            "Number of labelled training images, in place of a drive: images/, labels/, data.yaml.",
+            "Number of labelled training images to render instead of a drive: images/, labels/, data.yaml.",
             metavar="N",
-            panel=_WRITTEN,
+            panel=_OUTPUT,
             ge=1,
             le=1_000_000,
         ),
     ] = None
-    frames: Annotated[int, option("Number of images per scene, for --images.", panel=_WRITTEN, ge=1, le=1000)] = 6
+    frames: Annotated[int, option("Number of images of each scene, with --images.", panel=_OUTPUT, ge=1, le=1000)] = 6
     noise_grey: Annotated[
         float | None,
         option(
-            "Sensor noise in grey levels (default: 2).",
+            "Standard deviation of the sensor noise in grey levels of 255 (default: 2).",
             flag="--noise",
-            metavar="GREY",
+            metavar="LEVELS",
             panel=_FAULTS,
             ge=0,
             le=40,
@@ -84,17 +84,32 @@ class SimulationSettings(Options):
     ] = None
     gain: Annotated[
         float | None,
-        option("Brightness of the right camera relative to the left one.", panel=_FAULTS, ge=0.1, le=4),
+        option(
+            "Brightness of the right camera relative to the left one, as a factor.",
+            metavar="FACTOR",
+            panel=_FAULTS,
+            ge=0.1,
+            le=4,
+        ),
     ] = None
     blur_px: Annotated[
         float | None,
-        option("Blur of both cameras in pixels.", flag="--blur", metavar="PX", panel=_FAULTS, ge=0, le=20),
+        option(
+            "Standard deviation in pixels of the blur of both cameras.",
+            flag="--blur",
+            metavar="PX",
+            panel=_FAULTS,
+            ge=0,
+            le=20,
+        ),
     ] = None
-    rain: Annotated[float | None, option("Density of rain.", metavar="0..1", panel=_FAULTS, ge=0, le=1)] = None
+    rain: Annotated[
+        float | None, option("Density of rain, from 0 to 1.", metavar="0..1", panel=_FAULTS, ge=0, le=1)
+    ] = None
     row_offset_px: Annotated[
         float | None,
         option(
-            "Vertical offset of the right image in pixels, downwards.",
+            "Vertical offset of the right image in pixels, positive downwards.",
             flag="--row-offset",
             metavar="PX",
             panel=_FAULTS,
@@ -105,7 +120,7 @@ class SimulationSettings(Options):
     disparity_offset_px: Annotated[
         float | None,
         option(
-            "Error of all disparities in pixels.",
+            "Constant error of all disparities in pixels.",
             flag="--disparity-offset",
             metavar="PX",
             panel=_FAULTS,
@@ -116,9 +131,9 @@ class SimulationSettings(Options):
     drop_share: Annotated[
         float | None,
         option(
-            "Share of frames that each camera loses.",
+            "Fraction of frames dropped by each camera, from 0 to 0.9.",
             flag="--drop-frames",
-            metavar="SHARE",
+            metavar="FRACTION",
             panel=_FAULTS,
             ge=0,
             le=0.9,
@@ -127,7 +142,7 @@ class SimulationSettings(Options):
     late_s: Annotated[
         float | None,
         option(
-            "Delay of the right camera in seconds, which its timestamps do not show.",
+            "Delay of the right camera in seconds that its timestamps do not show.",
             flag="--late",
             metavar="S",
             panel=_FAULTS,
@@ -138,7 +153,8 @@ class SimulationSettings(Options):
     wrong_rig: Annotated[
         str | None,
         option(
-            "Error in rig.yaml: baseline (5 % too long), focal (4 % too long), principal (15 px off).",
+            "Error in rig.yaml: baseline (5 % too long), focal (focal length 4 % too long) or principal (principal "
+            "point 15 px off).",
             metavar="NAME",
             panel=_FAULTS,
         ),

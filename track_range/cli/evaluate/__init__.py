@@ -1,4 +1,4 @@
-"""`track-range evaluate`: measurements against a user's own labels."""
+"""`track-range evaluate`: errors of tracks, distances, detectors and stereo matchers against labels."""
 
 from __future__ import annotations
 
@@ -8,19 +8,34 @@ app = lazy_app(
     {
         "tracks": Lazy(
             "track_range.cli.evaluate.tracks",
-            "HOTA, MOTA, IDF1 and related metrics of tracks, by KITTI's or MOTChallenge's rules.",
+            "HOTA, MOTA, IDF1 and related metrics of tracks.",
+            "Follows the evaluation rules of KITTI or MOTChallenge, by the format of the ground truth.",
+            (
+                "track-range evaluate tracks --truth MOT17/train --results tracks",
+                "track-range evaluate tracks --truth label_02/ --results tracks --class person",
+            ),
         ),
         "stereo": Lazy(
             "track_range.cli.evaluate.stereo",
-            "Distance error of stereo matchers on pairs with true disparities, side by side.",
+            "Distance errors of stereo matchers on pairs with true disparities.",
+            examples=("track-range evaluate stereo --pairs kitti2015/ --matcher patch,sgbm",),
         ),
         "detections": Lazy(
             "track_range.cli.evaluate.detections",
-            "Average precision and speed of detectors on labelled images, side by side.",
+            "Average precision and speed of detectors on labelled images.",
+            "Exits with status 1 if a detector could not be evaluated or an image could not be read.",
+            (
+                "track-range evaluate detections --model road --model yolov5n.onnx \\\n"
+                "      --images images/ --labels labels/",
+            ),
         ),
         "ranges": Lazy(
             "track_range.cli.evaluate.ranges",
-            "Error of distances from boxes against labels with 3-D boxes, all methods side by side; no video needed.",
+            "Distance errors of the ranging methods on labelled boxes, without a video.",
+            examples=(
+                "track-range evaluate ranges --labels label_02/ --calib calib/",
+                "track-range evaluate ranges --labels label_02/ --calib calib/ --noise-px 2",
+            ),
         ),
     },
 )

@@ -26,9 +26,7 @@ from track_range.sequences.settings import DetectionEvaluationSettings
 class DetectionsOptions(DetectionEvaluationSettings):
     """Options of `track-range evaluate detections`."""
 
-    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
-        None
-    )
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
 
 
 def _detections(options: DetectionsOptions) -> None:

@@ -20,10 +20,8 @@ from track_range.results.output_files import write_text
 class RangesOptions(RangeEvaluationSettings):
     """Options of `track-range evaluate ranges`."""
 
-    table: Annotated[Path | None, option("Markdown file to write the tables to.", metavar="FILE.md")] = None
-    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
-        None
-    )
+    table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
 
 
 def _ranges(options: RangesOptions) -> None:

@@ -24,9 +24,7 @@ _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 class TracksOptions(TrackEvaluationSettings):
     """Options of `track-range evaluate tracks`."""
 
-    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
-        None
-    )
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
 
 
 def _tracks(options: TracksOptions) -> None:

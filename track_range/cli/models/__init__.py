@@ -1,4 +1,4 @@
-"""`track-range models`: what detector files hold, where they come from, and making them."""
+"""`track-range models`: list, download, inspect, import and quantize detectors."""
 
 from __future__ import annotations
 
@@ -6,20 +6,36 @@ from track_range.cli.lazy import Lazy, lazy_app
 
 app = lazy_app(
     {
-        "info": Lazy(
-            "track_range.cli.models.info", "Show what a model file contains, what is assumed of it, and its classes."
+        "list": Lazy(
+            "track_range.cli.models.files:list_app",
+            "List the packaged, downloaded and downloadable detectors.",
+            examples=("track-range models list",),
         ),
-        "list": Lazy("track_range.cli.models.files:list_app", "List detectors that can be downloaded or are here."),
         "pull": Lazy(
             "track_range.cli.models.files:pull_app",
-            "Download a detector from its own project's release into the cache folder, and verify it.",
+            "Download a detector into the cache folder and verify its checksum.",
+            "Detectors come from the releases of their projects.",
+            ("track-range models pull yolov5n",),
+        ),
+        "info": Lazy(
+            "track_range.cli.models.info",
+            "Show the layout, input format, classes and origin of a detector.",
+            "Attributes that the file does not contain are shown with their assumed values.",
+            ("track-range models info road", "track-range models info best.onnx"),
         ),
         "import": Lazy(
-            "track_range.cli.models.files:import_app", "Convert a Darknet network (cfg and weights) to an ONNX file."
+            "track_range.cli.models.files:import_app",
+            "Convert a Darknet network (.cfg and .weights) to an ONNX file.",
+            examples=(
+                "track-range models import yolov4-tiny.cfg yolov4-tiny.weights \\\n"
+                "      --names coco.names --out yolov4-tiny.onnx",
+            ),
         ),
         "quantize": Lazy(
             "track_range.cli.models.quantize",
-            "Write INT8 and FP16 copies of a detector, and compare size, speed and accuracy.",
+            "Write INT8 and FP16 copies of a detector and compare them with it.",
+            "Size, speed and accuracy are compared, on the labels if given, else on the boxes of the original.",
+            ("track-range models quantize road --images images/ --out copies",),
         ),
     },
 )

@@ -20,21 +20,23 @@ from track_range.run.ready_model import ready_model
 
 
 class ListOptions(Options):
-    """`track-range models list` has no options."""
+    """No options, for `track-range models list`."""
 
 
 class PullOptions(Options):
     """Options of `track-range models pull`."""
 
-    name: Annotated[str, option("Name of `models list`.", metavar="NAME", is_argument=True)]
+    name: Annotated[str, option("Name of the detector in `track-range models list`.", metavar="NAME", is_argument=True)]
 
 
 class ImportOptions(Options):
     """Options of `track-range models import`."""
 
-    cfg: Annotated[Path, option("Darknet's description of the network.", metavar="FILE.cfg", is_argument=True)]
-    weights: Annotated[Path, option("Darknet's weights.", metavar="FILE.weights", is_argument=True)]
-    names: Annotated[str, option("Class names: a,b,c or a file with one per line, such as coco.names.")]
+    cfg: Annotated[
+        Path, option("Description of the network in Darknet's format.", metavar="FILE.cfg", is_argument=True)
+    ]
+    weights: Annotated[Path, option("Weights in Darknet's format.", metavar="FILE.weights", is_argument=True)]
+    names: Annotated[str, option("Class names: a,b,c or a file with one name per line, such as coco.names.")]
     out: Annotated[Path, option("ONNX file to write.")]
 
 

@@ -27,7 +27,9 @@ _ABOUT = ("data", "date", "epochs", "licence", "license")
 class InfoOptions(Options):
     """Options of `track-range models info`."""
 
-    model: Annotated[str, option("ONNX file, or a name of `models list`.", metavar="FILE|NAME", is_argument=True)]
+    model: Annotated[
+        str, option("ONNX file, or a name from `track-range models list`.", metavar="FILE|NAME", is_argument=True)
+    ]
     names: Annotated[str | None, names_option()] = None
     anchors: Annotated[str | None, anchors_option()] = None
     letterbox: Annotated[str | None, letterbox_option()] = None

@@ -66,12 +66,24 @@ class _OriginalsBoxes:
 class QuantizeOptions(Options):
     """Options of `track-range models quantize`."""
 
-    model: Annotated[str, option("Float32 network.", metavar="FILE|NAME", is_argument=True)]
-    images: Annotated[Path, option("Folder of images like those that the network will see; 60 are used.")]
-    out: Annotated[Path, option("Folder of the copies (default: this one).")] = Path()
+    model: Annotated[
+        str,
+        option(
+            "Float32 detector: an ONNX file, or a name from `track-range models list`.",
+            metavar="FILE|NAME",
+            is_argument=True,
+        ),
+    ]
+    images: Annotated[
+        Path,
+        option(
+            f"Folder of images typical of the detector's use; {N_CALIBRATION} are used for calibration.", metavar="DIR"
+        ),
+    ]
+    out: Annotated[Path, option("Folder of the copies (default: the current folder).", metavar="DIR")] = Path()
     labels: Annotated[
         Path | None,
-        option("Labels of the images; without them, the copies are compared with the original's own boxes."),
+        option("Labels of the images (default: the boxes of the original detector).", metavar="DIR|FILE"),
     ] = None
     label_format: LabelFormatField = None
     label_names: LabelNamesField = None
@@ -82,9 +94,7 @@ class QuantizeOptions(Options):
     letterbox: Annotated[str | None, letterbox_option()] = None
     size_px: Annotated[int | None, size_option()] = None
     threads: Annotated[int, threads_option()] = 0
-    json_file: Annotated[Path | None, option("JSON file to write the figures to.", flag="--json", metavar="FILE")] = (
-        None
-    )
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
 
 
 def _quantize(options: QuantizeOptions) -> None:
