@@ -1,1 +1,1 @@
-"""Filters over time: distance, closing speed, time to collision, passing offset."""
+"""Filters over time: distance, closing speed, time to collision, lateral offset when passing."""

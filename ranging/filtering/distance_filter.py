@@ -1,21 +1,22 @@
-"""Distance, closing speed and time to collision per track: one Kalman filter per track, all tracks as arrays.
+"""DistanceFilters: distance, closing speed and time to collision, with a Kalman filter per track and method.
 
-    x = [d, v]    F = [1 dt; 0 1]    Q = q [dt^3/3 dt^2/2; dt^2/2 dt]         (`foundation.constant_velocity`)
-    z = log d     H = [1/d 0]        R = lambda (share sigma / d)^2           so nu = d (z - log d), R in metres d^2 R
+    x = [d, v]'   F = [1 dt; 0 1]    Q = q [dt^3/3 dt^2/2; dt^2/2 dt]         (`foundation.constant_velocity`)
+    z = log d     H = [1/d 0]        R = lambda (s sigma / d)^2
 
-d is the distance, v its rate (m/s, negative = closing). z is a logarithm since a box's size in pixels is what jumps:
-a small box that looks smaller still is far too far away, and also has a large sigma, so that a filter in metres would
-believe the near ones more. Where the ego speed V is known, v + V, the target's own speed, is what stays:
-d' = d + v dt - dV dt / 2, v' = v - dV, and a new track begins with a target that may stand still, v = -V.
+d is the distance in m, v its rate (m/s, negative = closing), s the independent share of sigma; time steps dt come from
+the frames' timestamps. The innovation and its noise are converted to metres: nu = d (z - log d), and d^2 R. z is a
+logarithm because the noise is in the box size in px: in metres, too large distances would also have too large sigmas,
+and short distances too much weight. If the ego speed V is known, the target's own speed v + V is taken as constant,
+with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. A new track then starts as a static
+target, v = -V.
 
-The sigma of a method has a part that is independent from frame to frame (box jitter, matching noise) and a systematic
-one that a track keeps (a tall car stays a tall car): only the first averages out, so it alone is R, with a factor
-lambda that is learnt from the method's own innovations (`noise_scale`), and the second is added to the filter's own
-variance afterwards. Distance and speed share it, so the time to collision d / -v has none of it. Where the condition of
-a measurement is another one than before (a method joined or left the fusion), the systematic error is another one, too:
-both variances are given to d, so that the step is taken for what it is and not for speed. A measurement beyond 3 sigma
-is not thrown away but counts less, in proportion (Huber); three in a row mean that the filter is wrong, and it
-restarts. The steps are true time steps.
+The sigma of a method has an independent part, new in every frame (box jitter, matching noise), and a systematic part,
+constant over a track (the car is larger than average). Only the independent part averages out: it alone is R, scaled by
+lambda, which is estimated from the innovations of the method (`noise_scale`). The systematic part is added to the
+filter's variance at the output. It is common to distance and speed, so the time to collision d / -v does not contain
+it. When the condition of a measurement changes (a method joins or leaves the fusion), so does its systematic error:
+the variances of the old and the new one are added to that of d, so that the step does not appear as speed. A
+measurement beyond 3 sigma is down-weighted (Huber); after three in a row the filter restarts.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ from track_range.ranging.filtering.noise_scale import NoiseScale
 from track_range.ranging.ranges import Ranges
 
 _MIN_INDEPENDENT_SHARE = 0.1
-"""Least part of sigma that is taken to be independent, also where a method declares less."""
+"""Smallest independent share of sigma; a method that declares less is filtered with this share."""
 
 _MIN_DISTANCE_M = 0.3
-"""No track is predicted to be nearer: one that runs through the camera starts anew."""
+"""Smallest distance in m; a track that is predicted to be nearer has passed the camera, and its filter restarts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,17 +46,16 @@ class FilterSettings:
     """Settings of a distance filter.
 
     Attributes:
-        acceleration_noise: random walk of the speed, m/s per root second; q is its square.
-        initial_rate_sigma_mps: standard deviation of the rate of a new track where the ego speed is unknown.
-        target_speed_sigma_mps: standard deviation of a new track's own speed where the ego speed is known: many stand
-            still.
-        learns_noise: whether lambda is learnt from the innovations; else it is 1.
-        outlier_sigma: innovations beyond so many standard deviations count less.
-        max_outliers: so many of them in a row restart the track's filter.
-        max_gap_s: a track without a measurement for longer is NaN, and starts anew.
-        max_rate_sigma_mps: the rate is NaN while its standard deviation is larger.
-        min_steady_s: the rate is NaN for so long after a start or a change of condition: a false alarm costs more than
-            a late one.
+        acceleration_noise: random walk of the speed, m/s per square root of a second; q is its square.
+        initial_rate_sigma_mps: standard deviation of the rate of a new track if the ego speed is unknown.
+        target_speed_sigma_mps: standard deviation of a new track's own speed if the ego speed is known; smaller,
+            since many targets are static.
+        learns_noise: whether lambda is estimated from the innovations; otherwise it is 1.
+        outlier_sigma: innovations beyond this number of standard deviations are down-weighted.
+        max_outliers: number of consecutive outliers that restart a track's filter.
+        max_gap_s: longest time without a measurement; the track is then NaN, and its filter restarts.
+        max_rate_sigma_mps: largest standard deviation of a reported rate; NaN above.
+        min_steady_s: time after a start or a change of condition during which the rate is NaN, against false alarms.
     """
 
     acceleration_noise: float = 1.5
@@ -71,13 +71,13 @@ class FilterSettings:
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """Measurements of one frame, (M, N).
+    """Measurements of N tracks in one frame by M methods, (M, N) each.
 
     Attributes:
-        distance_m: NaN where there is none, and so the variances.
-        independent: variance of log distance that is new in every frame, lambda included.
-        systematic: variance of log distance that a track keeps.
-        valid: whether there is a measurement.
+        distance_m: measured distance, NaN = not measured.
+        independent: R, variance of log distance that is independent from frame to frame, with lambda; NaN likewise.
+        systematic: variance of log distance that is constant over a track; NaN likewise.
+        valid: whether the track is measured.
     """
 
     distance_m: FloatArray
@@ -88,13 +88,14 @@ class _Measured:
 
 _INITIAL = (np.nan, np.nan, 0.0, 0.0, 0.0, np.nan, np.nan, np.nan, np.nan, 0.0, 0.0, np.nan)
 """State of a new track: d, v, P_xx, P_xv, P_vv, systematic variance, time of the state, time of the last measurement,
-ego speed, outliers in a row, condition of the last measurement, time of the start or last change of condition."""
+ego speed, consecutive outliers, condition of the last measurement, time of the start or last change of condition."""
 
 _MEASURED_S = 7
+"""Index of the time of the last measurement in the state."""
 
 
 class DistanceFilters:
-    """The filters of M methods for all tracks of a video; a track is remembered through short absences.
+    """Kalman filters of M methods for all tracks of a video; states survive gaps up to `FilterSettings.max_gap_s`.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -110,9 +111,9 @@ class DistanceFilters:
         """Start without tracks.
 
         Args:
-            noise_shares: by method, the part of its sigma that is independent from frame to frame, where learning it
-                starts; not used where `Ranges` give that part box by box.
-            settings: of all filters.
+            noise_shares: initial independent share s of sigma by method; not used for `Ranges` with a systematic part
+                per box.
+            settings: settings of all filters; None = the defaults.
         """
         self._settings = settings or FilterSettings()
         self._methods = tuple(noise_shares)
@@ -122,7 +123,7 @@ class DistanceFilters:
 
     @property
     def noise_shares(self) -> dict[str, float]:
-        """Part of each method's sigma that is independent from frame to frame, as learnt so far."""
+        """Current estimate of the independent share of sigma, by method."""
         shares = np.sqrt(self._independent_share * self._noise_scale.factor)[:, 0]
         return dict(zip(self._methods, shares.tolist(), strict=True))
 
@@ -134,19 +135,20 @@ class DistanceFilters:
         conditions: Mapping[str, IntArray] | None = None,
         ego_speed_mps: float = math.nan,
     ) -> dict[str, FilteredRanges]:
-        """The filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
+        """Filtered ranges of every track at `time_s`, by method, after the measurements of this frame.
 
         Args:
-            by_method: distances and their whole sigmas, of the same tracks in the same order, NaN = not measured;
+            by_method: distances with their total sigmas, of the same tracks in the same order, NaN = not measured;
                 methods without a filter are ignored.
-            time_s: of the frame; never earlier than the last one.
-            conditions: of methods whose measurements come about in different ways, (N,) a number for each way.
-            ego_speed_mps: of the camera along its axis, now; NaN = unknown.
+            time_s: time of the frame, not earlier than that of the previous frame.
+            conditions: (N,) code of the condition of each measurement, by method; a change of the code is a change of
+                the systematic error.
+            ego_speed_mps: current speed of the camera along its axis; NaN = unknown.
         """
-        given = [name for name in self._methods if name in by_method]
-        if not given:
+        names = [name for name in self._methods if name in by_method]
+        if not names:
             return {}
-        settings, track_id = self._settings, by_method[given[0]].track_id
+        settings, track_id = self._settings, by_method[names[0]].track_id
         measured = self._measured(by_method, len(track_id))
         columns = self._tracks.get(track_id)
         state = ConstantVelocity(*columns[:5])
@@ -154,18 +156,18 @@ class DistanceFilters:
 
         # Predict.
         dt = np.fmax(time_s - state_s, 0.0)  # 0 for a new track
-        faster_mps = np.nan_to_num(ego_speed_mps - state_ego_mps)  # 0 where unknown, before or now
+        dV = np.nan_to_num(ego_speed_mps - state_ego_mps)  # 0 if the ego speed was or is unknown
         state = state.predict(dt, q=settings.acceleration_noise**2)
-        d, v = state.x - dt * faster_mps / 2, state.v - faster_mps
-        is_over = (time_s - measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
-        d[is_over] = v[is_over] = np.nan
+        d, v = state.x - dt * dV / 2, state.v - dV
+        is_expired = (time_s - measured_s > settings.max_gap_s) | (d < _MIN_DISTANCE_M)
+        d[is_expired] = v[is_expired] = np.nan
 
-        # Change of condition: the old systematic error and the new one may be the step between them.
+        # A change of condition: the step may be as large as the old and the new systematic error together.
         is_changed = np.zeros_like(measured.valid)
-        for name, number in (conditions or {}).items():
+        for name, code in (conditions or {}).items():
             i = self._methods.index(name)
-            is_changed[i] = measured.valid[i] & (number != condition[i]) & np.isfinite(d[i])
-            np.copyto(condition[i], number, where=measured.valid[i])
+            is_changed[i] = measured.valid[i] & (code != condition[i]) & np.isfinite(d[i])
+            np.copyto(condition[i], code, where=measured.valid[i])
         P_xx = state.P_xx + np.where(is_changed, d * d * (systematic + measured.systematic), 0.0)
         steady_since_s[is_changed] = time_s
 
@@ -203,10 +205,10 @@ class DistanceFilters:
         self._tracks.put(track_id, columns, keep_known=is_recent)
         is_steady = time_s - steady_since_s >= settings.min_steady_s
         filtered = self._filtered(ConstantVelocity(*columns[:5]), systematic, is_steady, track_id)
-        return {name: filtered[name] for name in given}
+        return {name: filtered[name] for name in names}
 
     def _measured(self, by_method: Mapping[str, Ranges], n: int) -> _Measured:
-        """The measurements of N tracks; a method that is missing has measured nothing."""
+        """Measurements of N tracks; NaN for a method that is missing."""
         distance_m, sigma_m = np.full((2, len(self._methods), n), np.nan)
         share = np.repeat(self._independent_share, n, axis=1)
         for i, name in enumerate(self._methods):
@@ -219,14 +221,14 @@ class DistanceFilters:
         valid = np.isfinite(distance_m) & (distance_m > 0) & (sigma_m > 0)
         distance_m = np.where(valid, distance_m, np.nan)
         variance, factor = (sigma_m / distance_m) ** 2, self._noise_scale.factor
-        # Where there is less noise than declared the rest of sigma is still uncertain: it is systematic.
+        # If the noise is smaller than declared, the remainder of sigma counts as systematic.
         systematic = (1 - share * np.minimum(factor, 1.0)) * variance
         return _Measured(distance_m, share * factor * variance, systematic, valid)
 
     def _filtered(
         self, state: ConstantVelocity, systematic: FloatArray, is_steady: BoolArray, track_id: IntArray
     ) -> dict[str, FilteredRanges]:
-        """Distances, rates and times to collision by method."""
+        """Filtered ranges by method, from the states and the systematic variance of log distance, (M, N) each."""
         sigma_m = np.sqrt(state.P_xx + systematic * state.x**2)
         is_certain = (state.P_vv <= self._settings.max_rate_sigma_mps**2) & is_steady
         rate_mps = np.where(is_certain, state.v, np.nan)

@@ -1,4 +1,4 @@
-"""FilteredRanges: one method's distances after a filter over time, their rate and the time to collision."""
+"""FilteredRanges: filtered distances of one method, with their rate and the time to collision."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3
-"""Least closing speed that has a time to collision; below, it would be minutes of noise."""
+"""Smallest closing speed in m/s for which a time to collision is reported; below, the time is mostly noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilteredRanges:
-    """Filtered ranges, their rate, and the time to collision from both.
+    """Filtered distances of one method, with their rate and the time to collision.
 
     Attributes:
         ranges: distance and sigma, NaN = no recent measurement.
-        rate_mps: (N,) change of distance per second, negative = closing; NaN while unknown.
-        rate_sigma_mps: (N,) its standard deviation, and so that of the closing speed, `-rate_mps`.
-        ttc_s: (N,) time to collision, distance / closing speed; NaN where it does not close, or the rate is unknown.
-        ttc_sigma_s: (N,) its standard deviation, to first order.
+        rate_mps: (N,) change of distance per second, negative = closing; NaN = unknown.
+        rate_sigma_mps: (N,) standard deviation of the rate, and of the closing speed `-rate_mps`.
+        ttc_s: (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown.
+        ttc_sigma_s: (N,) standard deviation of `ttc_s`, to first order.
     """
 
     ranges: Ranges
@@ -35,15 +35,17 @@ class FilteredRanges:
 def time_to_collision(
     distance_m: FloatArray, rate_mps: FloatArray, *, variances: tuple[FloatArray, FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """(...) seconds until the distance is 0 at this rate, and their sigma to first order; NaN where it does not close.
+    """Time to collision T = d / -v in s and its standard deviation, (...) each; NaN = not closing.
+
+        (sigma_T / T)^2 = P_dd / d^2 - 2 P_dv / (d v) + P_vv / v^2        to first order
 
     Args:
-        distance_m: (...) distance.
-        rate_mps: (...) its rate, negative = closing.
-        variances: (...) each, of the distance, its covariance with the rate, of the rate.
+        distance_m: (...) distance d.
+        rate_mps: (...) rate v, negative = closing.
+        variances: P_dd, P_dv, P_vv, (...) each.
     """
-    closes_mps = np.where(rate_mps < -MIN_CLOSING_MPS, -rate_mps, np.nan)
-    ttc_s = distance_m / closes_mps
-    of_distance, of_both, of_rate = variances
-    relative = of_distance / distance_m**2 + 2 * of_both / (distance_m * closes_mps) + of_rate / closes_mps**2
+    closing_mps = np.where(rate_mps < -MIN_CLOSING_MPS, -rate_mps, np.nan)
+    ttc_s = distance_m / closing_mps
+    P_dd, P_dv, P_vv = variances
+    relative = P_dd / distance_m**2 + 2 * P_dv / (distance_m * closing_mps) + P_vv / closing_mps**2
     return ttc_s, ttc_s * np.sqrt(np.maximum(relative, 0.0))

@@ -1,11 +1,12 @@
-"""Scale of each method's noise, learnt from how far its measurements are from their predictions.
+"""NoiseScale: scale of each method's measurement noise, estimated from the innovations of its filter.
 
-    nu = z - z_predicted,   E nu^2 = S = P + lambda R   ->   lambda' = lambda weighted mean of nu^2 / S
+    nu = z - z_predicted,   E nu^2 = S = P + lambda R   ->   lambda' = lambda * (mean of nu^2 / S with weights w)
+    w = lambda R / S
 
-P is the variance of the prediction, R the variance of the noise that the method declares. Where R is a large part of S
-the ratio depends on R, elsewhere on the motion: that part is the weight. The boxes of one detector jump by half a
-pixel, those of another by two, and no detector reports which; one number for all tracks of a method is soon known.
-(Covariance matching, Mehra 1972.)
+P is the variance of the prediction, R the variance of the noise that the method declares. The ratio nu^2 / S depends on
+R where R is a large part of S, and on the motion elsewhere, hence the weights w. The jitter of boxes differs between
+detectors, from half a pixel to two, and detectors do not report it; a single number for all tracks of a method
+converges fast. (Covariance matching, Mehra 1972.)
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray
 
 _PRIOR_SAMPLES = 30.0
-"""Weight of the declared noise, in measurements."""
+"""Weight of the declared noise, as a number of measurements."""
 
 _MEMORY_SAMPLES = 300.0
-"""Half-life of what has been learnt, in measurements."""
+"""Half-life of the estimate, as a number of measurements."""
 
 _LIMITS = (0.2**2, 4.0**2)
-"""Least and largest factor."""
+"""Smallest and largest lambda: between a fifth and four times the declared standard deviation."""
 
-_LARGEST = 9.0
-"""Squared innovations beyond 3 sigma are outliers, not noise."""
+_MAX_RATIO = 9.0
+"""Largest nu^2 / S; innovations beyond 3 sigma are outliers."""
 
 
 class NoiseScale:
-    """Factors lambda on the methods' noise variances, each learnt alone.
+    """Factors lambda on the noise variances of M methods, estimated separately.
 
     Attributes:
-        factor: (M, 1) lambda, 1 at first.
+        factor: (M, 1) lambda, initially 1.
     """
 
     def __init__(self, n_methods: int = 1) -> None:
@@ -43,16 +44,16 @@ class NoiseScale:
         """Update the factors with the innovations of one frame.
 
         Args:
-            squared: (M, N) squared innovations.
-            predicted: (M, N) variance of the predictions.
-            noise: (M, N) declared variance of the noise, times `factor`.
-            use: (M, N) which innovations count.
+            squared: (M, N) squared innovations nu^2.
+            predicted: (M, N) variance P of the predictions.
+            noise: (M, N) variance lambda R of the noise.
+            use: (M, N) whether to use the innovation.
         """
-        total = predicted + noise
-        weight = np.where(use, noise / total, 0.0)
-        ratio = np.where(use, squared / total, 0.0)
-        fades = 0.5 ** (use.sum(axis=1, keepdims=True) / _MEMORY_SAMPLES)
-        ratios = (weight * np.minimum(ratio, _LARGEST)).sum(axis=1, keepdims=True)
-        self._ratios = self._ratios * fades + self.factor * ratios
-        self._weights = self._weights * fades + weight.sum(axis=1, keepdims=True)
+        S = predicted + noise
+        w = np.where(use, noise / S, 0.0)
+        ratio = np.where(use, squared / S, 0.0)
+        decay = 0.5 ** (use.sum(axis=1, keepdims=True) / _MEMORY_SAMPLES)
+        ratios = (w * np.minimum(ratio, _MAX_RATIO)).sum(axis=1, keepdims=True)
+        self._ratios = self._ratios * decay + self.factor * ratios
+        self._weights = self._weights * decay + w.sum(axis=1, keepdims=True)
         self.factor = (self._ratios / self._weights).clip(*_LIMITS)

@@ -1,1 +1,1 @@
-"""Fusion of several methods into one distance."""
+"""Fusion of the distances of several methods into one."""

@@ -1,9 +1,9 @@
-"""ErrorModel: how the errors of any number of methods hang together, from the error sources that each declares.
+"""ErrorModel: covariance of the errors of any number of methods, from the error sources that the methods declare.
 
-    cov(i, j) = sigma_i sigma_j  sum_s sqrt(part_is part_js)        over the error sources s that both declare
+    cov(i, j) = sigma_i sigma_j  sum_s sqrt(p_is p_js)        over the error sources s that both methods declare
 
-once with the systematic parts, which a track keeps from frame to frame, and once with the independent ones, which are
-drawn anew in every frame. No two methods share the source `own`.
+p_is is the share of source s in the variance of method i. There is one covariance of the systematic shares, constant
+over a track, and one of the independent shares, new in every frame. Methods do not share the source `own`.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.method import RangingMethod
 
 _MIN_OWN_NOISE = 0.1
-"""At least this part of a method's independent variance is taken to be its own, whatever it declares: two methods with
-the same sources still differ by rounding and by implementation, and their covariance stays positive definite."""
+"""Smallest share of the source `own` in a method's independent variance: two methods with the same sources still
+differ by rounding and implementation, and their covariance has to be positive definite."""
 
 _SIMILAR = 0.5
-"""Correlation of the errors of two methods from which fusion does not extrapolate from one through the other."""
+"""Correlation of the errors of two methods above which fusion does not extrapolate from one through the other."""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """M methods: their correlations, and what the outlier rules need to know of them.
+    """Error correlations of M methods, and their grouping by error source for the outlier rules.
 
     Attributes:
-        names: of the methods, in the order of all arrays.
-        systematic: (M, 1) share of each sigma that a track keeps.
-        independent: (M, 1) share of each sigma that is new in every frame.
-        systematic_correlation: (M, M) correlation C0 of the parts that a track keeps.
-        systematic_covariance: (M, M, 1) products of the shares that a track keeps.
-        independent_covariance: (M, M, 1) covariance of the parts that are new in every frame, for sigmas of 1.
-        similar: pairs of methods that share more than half of their variance and may count together.
-        reference: indices of scale references: those declared, and those whose systematic errors are all shared with
-            a declared one.
-        is_learnt: (M, 1) whether the bias of a method is estimated: of all but references.
-        superseded_by: (M, M) whether method i does not count where method j measures.
+        names: names of the methods, in the order of all arrays.
+        systematic: (M, 1) systematic share of sigma, constant over a track.
+        independent: (M, 1) independent share of sigma, new in every frame.
+        systematic_correlation: (M, M) correlation C0 of the systematic errors.
+        systematic_covariance: (M, M, 1) products of the systematic shares.
+        independent_covariance: (M, M, 1) covariance of the independent errors for sigmas of 1.
+        similar: pairs of methods with an error correlation above 0.5 that may both be used for a track.
+        reference: indices of scale references: methods declared as such, and methods with all systematic errors in
+            common with one of them.
+        is_learnt: (M, 1) whether the bias of a method is estimated: all but scale references.
+        superseded_by: (M, M) whether method i is not used for a track that method j measures.
         size: indices of methods that depend on the size of the object's class.
         matching: indices of methods that match two images.
-        contact: indices of methods that go by the foot of the box and not by sizes.
+        contact: indices of methods that depend on the contact point and not on object size.
         lane: indices of methods that depend on the width of the lane.
-        horizon: indices of methods that go by the foot of the box and neither by sizes nor by the lane.
+        horizon: indices of methods that depend on the contact point and neither on object size nor on the lane width.
     """
 
     names: tuple[str, ...]
@@ -65,7 +65,7 @@ class ErrorModel:
 
     @classmethod
     def of(cls, methods: Sequence[RangingMethod]) -> ErrorModel:
-        """The model of these methods."""
+        """Error model of the given methods."""
         systematic, systematic_correlation = _correlation(methods, "systematic")
         independent, independent_correlation = _correlation(methods, "independent", min_own=_MIN_OWN_NOISE)
         independent_covariance = independent * independent.T * independent_correlation
@@ -100,7 +100,7 @@ class ErrorModel:
 
 
 def _parts(method: RangingMethod, kind: str) -> dict[str, float]:
-    """Part of the variance by error source, of one kind ("systematic" or "independent")."""
+    """Share of the variance by error source, of one kind ("systematic" or "independent")."""
     parts: dict[str, float] = {}
     for source in method.error_sources:
         parts[source.name] = parts.get(source.name, 0.0) + getattr(source, kind)
@@ -108,15 +108,15 @@ def _parts(method: RangingMethod, kind: str) -> dict[str, float]:
 
 
 def _correlation(methods: Sequence[RangingMethod], kind: str, *, min_own: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """(M, 1) share of sigma that is of this kind, and (M, M) its correlation.
+    """(M, 1) share of sigma and (M, M) correlation of the errors of one kind ("systematic" or "independent").
 
-    Sources that only one method declares are its own. Where less than `min_own` of a method's variance of this kind is,
-    the parts that it shares are made smaller.
+    A source that only one method declares counts as `own`. If `own` is less than the share `min_own` of a method's
+    variance of this kind, the shared sources are scaled down.
     """
     parts = [_parts(method, kind) for method in methods]
-    variance = np.array([sum(of_one.values()) for of_one in parts])
-    names = sorted({name for of_one in parts for name in of_one} - {"own"})
-    shared = np.array([[of_one.get(name, 0.0) for name in names] for of_one in parts]).reshape(len(parts), len(names))
+    variance = np.array([sum(part.values()) for part in parts])
+    names = sorted({name for part in parts for name in part} - {"own"})
+    shared = np.array([[part.get(name, 0.0) for name in names] for part in parts]).reshape(len(parts), len(names))
     shared = shared * ((shared > 0).sum(axis=0) > 1)
     shared = shared / np.where(variance > 0, variance, 1.0)[:, None]
     total = shared.sum(axis=1, keepdims=True)
@@ -128,7 +128,7 @@ def _correlation(methods: Sequence[RangingMethod], kind: str, *, min_own: float 
 
 
 def _references(methods: Sequence[RangingMethod]) -> BoolArray:
-    """(M,) which methods are scale references."""
+    """(M,) whether each method is a scale reference."""
     known = {name for method in methods if method.is_scale_reference for name in _parts(method, "systematic")}
     parts = [set(_parts(method, "systematic")) for method in methods]
     return np.array(
@@ -141,22 +141,22 @@ def _references(methods: Sequence[RangingMethod]) -> BoolArray:
 
 
 def _superseded_by(methods: Sequence[RangingMethod]) -> BoolArray:
-    """(M, M) which methods make which others superfluous.
+    """(M, M) whether method i is not used for tracks that method j measures.
 
-    A fallback does not count where the method that it stands in for measures, nor where another fallback for that
-    method does that has the very same error sources, and so replaces it.
+    A fallback is superseded by the method that it is a fallback for, and by another fallback for that method with the
+    same error sources as that method.
     """
     shared = {
         method.name: {(s.name, s.systematic, s.independent) for s in method.error_sources if s.name != "own"}
         for method in methods
     }
 
-    def is_superseded(one: RangingMethod, other: RangingMethod) -> bool:
-        target = one.fallback_for
-        if target is None or target not in shared or one is other:
+    def is_superseded(method: RangingMethod, other: RangingMethod) -> bool:
+        target = method.fallback_for
+        if target is None or target not in shared or method is other:
             return False
         return other.name == target or (other.fallback_for == target and shared[other.name] == shared[target])
 
-    return np.array([[is_superseded(one, other) for other in methods] for one in methods], bool).reshape(
+    return np.array([[is_superseded(method, other) for other in methods] for method in methods], bool).reshape(
         len(methods), len(methods)
     )

@@ -1,6 +1,6 @@
-"""Measurements of one frame, biases of its tracks, and the generalised least squares estimate from both.
+"""Generalised least squares estimate of log distances from one frame's measurements and the biases of its tracks.
 
-Arrays are over M methods and N tracks, tracks last; the symbols are those of `fusion`.
+Arrays are over M methods and N tracks, tracks last. Symbols are those of the docstring of `fusion`.
 """
 
 from __future__ import annotations
@@ -15,16 +15,17 @@ from track_range.ranging.fusion.error_model import ErrorModel
 from track_range.ranging.ranges import Ranges
 
 _TINY = 1e-300
+"""Lower bound of divisors that are 0 for tracks without a measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
-    """The ranges of one frame.
+    """Ranges of N tracks in one frame by M methods, as logarithms.
 
     Attributes:
-        z: (M, N) log distance, 0 where there is none.
-        sigma: (M, N) its standard deviation, which is the relative one of the distance; 0 where there is none.
-        valid: (M, N) whether there is a measurement.
+        z: (M, N) log distance; 0 = not measured.
+        sigma: (M, N) standard deviation of z, equal to the relative one of the distance; 0 = not measured.
+        valid: (M, N) whether the track is measured.
     """
 
     z: FloatArray
@@ -33,7 +34,7 @@ class Measurements:
 
     @classmethod
     def of(cls, by_method: Mapping[str, Ranges], model: ErrorModel, track_id: IntArray) -> Measurements:
-        """Those of the model's methods; a method that is missing has measured nothing."""
+        """Measurements of the model's methods; a method that is missing in `by_method` has not measured any track."""
         distance_m, sigma_m = np.full((2, len(model.names), len(track_id)), np.nan)
         for i, name in enumerate(model.names):
             if name in by_method:
@@ -43,26 +44,26 @@ class Measurements:
         return cls(np.log(distance_m), np.where(valid, sigma_m, 0.0) / distance_m, valid)
 
     def only(self, valid: BoolArray) -> Measurements:
-        """Only those where `valid` (M, N) holds."""
+        """The measurements selected by the mask `valid` (M, N)."""
         return Measurements(self.z * valid, self.sigma * valid, valid)
 
     def of_tracks(self, tracks: IntArray) -> Measurements:
-        """Of the tracks with these indices only."""
+        """The measurements of the tracks with the indices `tracks`."""
         return Measurements(self.z[:, tracks], self.sigma[:, tracks], self.valid[:, tracks])
 
 
 @dataclass(frozen=True, slots=True)
 class TrackBiases:
-    """What fusion remembers of each track.
+    """State of fusion for N tracks: biases of the methods, and the last estimate.
 
     Attributes:
         u: (M, N) bias of each method, in units of the systematic part of its sigma.
         C: (M, M, N) covariance of u.
-        log_m: (N,) log distance when the track was last measured; NaN = never.
+        log_m: (N,) log distance at the last measurement; NaN = never measured.
         variance: (N,) variance of `log_m`; NaN = never measured.
-        time_s: (N,) time of the last measurement; NaN = never.
-        n_agreements: (N,) frames in which methods agreed, less two for each in which they did not; within limits.
-        n_conflicts: (N,) frames in which methods contradicted each other and the track's past did not decide.
+        time_s: (N,) time of the last measurement; NaN = never measured.
+        n_agreements: (N,) number of frames in which methods agreed, minus 2 for each frame with a conflict; limited.
+        n_conflicts: (N,) number of frames with a conflict between methods that the track's history did not resolve.
         reference_s: (N,) time of the last measurement of a scale reference; NaN = never.
     """
 
@@ -77,27 +78,27 @@ class TrackBiases:
 
     @classmethod
     def from_columns(cls, columns: FloatArray, m: int) -> TrackBiases:
-        """Biases of `m` methods from columns (m + m m + 6, N)."""
+        """Biases of `m` methods from `columns` (m + m m + 6, N), the inverse of `to_columns`."""
         return cls(columns[:m], columns[m : m + m * m].reshape(m, m, -1), *columns[m + m * m :])
 
     @staticmethod
     def times_s(columns: FloatArray) -> FloatArray:
-        """(N,) `time_s` of such columns."""
+        """(N,) times of the last measurement in `columns` of `to_columns`."""
         return np.asarray(columns[-4])
 
     def to_columns(self) -> FloatArray:
-        """The columns (M + M M + 6, N)."""
+        """(M + M M + 6, N) all attributes, one column per track."""
         others = [self.log_m, self.variance, self.time_s, self.n_agreements, self.n_conflicts, self.reference_s]
         return np.concatenate([self.u, self.C.reshape(len(self.u) ** 2, self.u.shape[1]), others])
 
     @staticmethod
     def initial_column(model: ErrorModel) -> FloatArray:
-        """(M + M M + 6,) column of a new track: u = 0 with the covariance C0."""
+        """(M + M M + 6,) column of a new track: u = 0, C = C0."""
         others = [np.nan, np.nan, np.nan, 0.0, 0.0, np.nan]
         return np.concatenate([np.zeros(len(model.names)), model.systematic_correlation.ravel(), others])
 
     def of_tracks(self, tracks: IntArray) -> TrackBiases:
-        """Of the tracks with these indices only."""
+        """The biases of the tracks with the indices `tracks`."""
         return TrackBiases(*(getattr(self, field.name)[..., tracks] for field in fields(self)))
 
     @property
@@ -106,26 +107,26 @@ class TrackBiases:
         return self.C.reshape(len(self.u) ** 2, self.u.shape[1])[:: len(self.u) + 1]
 
     def decayed(self, share: FloatArray, model: ErrorModel) -> TrackBiases:
-        """With u moved towards 0 and C towards C0; `share` (N,) of u is left."""
+        """Biases decayed towards the prior: u multiplied by `share` (N,), C moved towards C0."""
         C0 = model.systematic_correlation[:, :, None]
         return replace(self, u=self.u * share, C=C0 + (self.C - C0) * (share * share))
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Log distance from one frame's measurements, given the biases; 0 in M and N where there is no measurement.
+    """Log distances from one frame's measurements, given the biases; entries without a measurement are 0.
 
     Attributes:
         log_m: (N,) log distance.
-        variance: (N,) its variance; meaningless where no method measured.
+        variance: (N,) variance of `log_m`; undefined for tracks without a measurement.
         k: (M, N) systematic part of sigma.
-        y: (M, N) measurements without their biases.
+        y: (M, N) measurements minus their biases.
         A: (M, M, N) covariance of y.
-        P: (M, M, N) information of the differences between methods, of those that measured.
+        P: (M, M, N) information of the differences between the valid methods.
         residual: (M, N) P y.
-        t2: (N,) largest squared deviation of a method from all others, in units of its variance.
+        t2: (N,) largest t_i^2: squared deviation of a method from all others, in units of its variance.
         chi2_per_dof: (N,) chi^2 of the differences per degree of freedom.
-        n_valid: (N,) how many methods measured.
+        n_valid: (N,) number of valid methods.
     """
 
     log_m: FloatArray
@@ -141,38 +142,38 @@ class Estimate:
 
 
 def least_squares(used: Measurements, track: TrackBiases, model: ErrorModel) -> Estimate:
-    """Log d by generalised least squares over the valid methods, and by how much they differ."""
+    """Estimate of log d by generalised least squares over the valid methods, with their residuals."""
     k = used.sigma * model.systematic
     y = used.z - k * track.u
     A = used.sigma[:, None] * used.sigma * (model.systematic_covariance * track.C + model.independent_covariance)
     n_valid = used.valid.sum(axis=0)
 
-    information = _inverse(A, used.valid)
-    of_one = information.sum(axis=1) * used.valid  # A^-1 1
-    total = np.maximum(of_one.sum(axis=0), _TINY)  # 1' A^-1 1
-    w, variance = of_one / total, 1.0 / total
-    P = information - of_one[:, None] * w
+    A_inv = _inverse(A, used.valid)
+    A_inv_1 = A_inv.sum(axis=1) * used.valid  # A^-1 1
+    information = np.maximum(A_inv_1.sum(axis=0), _TINY)  # 1' A^-1 1
+    w, variance = A_inv_1 / information, 1.0 / information
+    P = A_inv - A_inv_1[:, None] * w
     if any((used.valid[i] & used.valid[j]).any() for i, j in model.similar):
         w = _without_extrapolation(w, A, used.valid, model.similar)
         variance = np.einsum("in,ijn,jn->n", w, A, w)
     log_m = (w * y).sum(axis=0)
 
-    distance = (y - log_m) * used.valid  # P 1 = 0: the same P y, from smaller numbers
-    residual = (P * distance).sum(axis=1)
+    difference = (y - log_m) * used.valid  # P 1 = 0, so P y = P (y - log d), from smaller numbers
+    residual = (P * difference).sum(axis=1)
     t2 = (residual * residual / np.maximum(np.einsum("iin->in", P), _TINY)).max(axis=0)
-    chi2_per_dof = (distance * residual).sum(axis=0) / np.maximum(n_valid - 1, 1)
+    chi2_per_dof = (difference * residual).sum(axis=0) / np.maximum(n_valid - 1, 1)
     return Estimate(log_m, variance, k, y, A, P, residual, t2, chi2_per_dof, n_valid)
 
 
 def _without_extrapolation(
     w: FloatArray, A: FloatArray, valid: BoolArray, similar: Sequence[tuple[int, int]]
 ) -> FloatArray:
-    """The weights of least squares without negative ones between similar methods, which leave one by one.
+    """(M, N) least-squares weights after similar methods with negative weights were removed one by one.
 
     Args:
         w: (M, N) weights of the valid methods.
         A: (M, M, N) covariance of the measurements.
-        valid: (M, N) which there are.
+        valid: (M, N) whether the track is measured.
         similar: pairs of methods that share most of their errors.
     """
     w, valid = w.copy(), valid.copy()
@@ -187,12 +188,12 @@ def _without_extrapolation(
             return w
         valid[:, columns] &= similar_w[:, columns] > worst[columns]
         part = valid[:, columns]
-        of_one = _inverse(A[:, :, columns] * part * part[:, None], part).sum(axis=1) * part
-        w[:, columns] = of_one / of_one.sum(axis=0)
+        A_inv_1 = _inverse(A[:, :, columns] * part * part[:, None], part).sum(axis=1) * part
+        w[:, columns] = A_inv_1 / A_inv_1.sum(axis=0)
 
 
 def _inverse(A: FloatArray, valid: BoolArray) -> FloatArray:
-    """(M, M, N) inverses of the valid parts of covariances A, which are 0 outside of them; 1 on the diagonal there."""
+    """(M, M, N) inverses of covariances A, which are 0 outside their valid parts; the identity is inserted there."""
     complete = A.transpose(2, 0, 1).copy()
     complete.reshape(-1, len(A) ** 2)[:, :: len(A) + 1] += ~valid.T
     return np.asarray(np.linalg.inv(complete).transpose(1, 2, 0), np.float64)
