@@ -1,9 +1,17 @@
-# setup | demo | test | check | bench | format; demo and test do all the set-up on a fresh machine.
+# setup | demo | test | test-all | coverage | check | bench | format; each sets up what it needs on a fresh machine.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: setup demo test check bench format clean
+# Processes that run tests; 0 = none beside pytest itself, which a debugger needs.
+WORKERS ?= auto
+PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal --tiers-file out/tiers.json
+SLOW_TIERS := slow or train or browser or real
+ifdef COVERAGE
+PYTEST += --cov --cov-append --cov-report=
+endif
+
+.PHONY: setup demo test test-slow test-all coverage check bench format clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -28,8 +36,21 @@ setup: $(VENV)/.dev $(VENV)/.opencv4
 demo: $(VENV)/.runtime
 	$(BIN)/track-range demo --out out/demo
 
-test: $(VENV)/.dev $(VENV)/.opencv4
-	$(BIN)/python -m pytest
+# The fast tier: every package in minutes.
+test: $(VENV)/.dev
+	$(PYTEST) -m 'not ($(SLOW_TIERS))'
+
+# The tiers that `make test` leaves out; tests/tiers.py says what they are.
+test-slow: $(VENV)/.dev $(VENV)/.opencv4
+	$(PYTEST) -m '$(SLOW_TIERS)'
+
+test-all: test test-slow
+
+# Branch coverage of all tiers.
+coverage: $(VENV)/.dev
+	$(BIN)/coverage erase
+	$(MAKE) test-all COVERAGE=yes
+	$(BIN)/coverage report --skip-covered
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
@@ -45,4 +66,4 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf $(VENV) out .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) out .coverage .mypy_cache .pytest_cache .ruff_cache

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.command_line import Finished, run_command
+from tests.drive_cache import DriveCache
+from track_range.simulation.drive import Drive
+
+pytest_plugins = ["tests.tiers"]
 
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -15,5 +22,26 @@ def shared_data() -> Path:
     """The folder of real data (never part of the project); tests that need it are skipped where it is absent."""
     folder = Path(os.environ.get("TRACK_RANGE_DATA", PROJECT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip(f"real data not here: no folder {folder} (set TRACK_RANGE_DATA)")
+        pytest.skip(f"no folder of real data; set TRACK_RANGE_DATA (now {folder})")
     return folder
+
+
+@pytest.fixture(scope="session")
+def cli() -> Callable[..., Finished]:
+    """The command line in this process: `cli("--mono", video, ...)` gives (status, stdout, stderr)."""
+    return run_command
+
+
+@pytest.fixture(scope="session")
+def render_drive(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Drive]:
+    """Renders a simulated drive or copies it from the cache: `render_drive(seed=3, seconds=1.2)`, see `DriveCache`."""
+    cache = getattr(pytestconfig, "cache", None)  # none with -p no:cacheprovider
+    folder = Path(cache.mkdir("drives")) if cache else tmp_path_factory.getbasetemp().parent / "drives"
+    drives = DriveCache(folder)
+    return lambda **options: drives.drive(tmp_path_factory.mktemp("drive") / "files", **options)
+
+
+@pytest.fixture(scope="session")
+def small_drive(render_drive: Callable[..., Drive]) -> Drive:
+    """A simulated drive of 12 frames of 620x188, for tests that only read it."""
+    return render_drive()

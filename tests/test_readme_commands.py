@@ -150,6 +150,7 @@ def promised(line):
     return [file for file in files if file], [word.format(**told) for word in (*words, *more)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", WHOLE, ids=str)
 def test_it_runs_and_leaves_what_is_promised(track_range, line):
     assert line.startswith("track-range "), "neither track-range's nor excused"
@@ -162,6 +163,7 @@ def test_it_runs_and_leaves_what_is_promised(track_range, line):
     assert [path for path in made if not Path(path).stat().st_size] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", BEGUN, ids=str)
 def test_it_begins_and_ctrl_c_ends_it(desk, line):
     first_file, said = BEGUN[line]
@@ -195,6 +197,7 @@ def test_what_is_missing_is_said_in_one_sentence(track_range, line):
     assert re.fullmatch(f"track-range: ({REFUSED[line]})\n", complaint), complaint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [line for line, (_, instead) in EXCUSED.items() if instead])
 def test_what_stands_in_for_what_is_not_run(line):
     program, *rest = shlex.split(EXCUSED[line][1])

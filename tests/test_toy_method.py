@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from tests.toy_method import TOY
-from tests.track_range.conftest import cli, write_film  # noqa: F401
+from tests.track_range.conftest import write_film
 from tests.track_range.overlay_results import BOX, result
 from track_range.overlay.colours import colour_of_each
 from track_range.overlay.labels import corner_lines, label_lines
@@ -25,7 +25,7 @@ def toy():
 
 
 @pytest.fixture
-def run_folder(tmp_path, cli):  # noqa: F811
+def run_folder(tmp_path, cli):
     """Runs on a film of eight frames with a box in each."""
     video, boxes, out = tmp_path / "film.mp4", tmp_path / "boxes.txt", tmp_path / "out"
     write_film(video, [0.1 * i for i in range(8)])

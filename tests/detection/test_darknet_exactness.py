@@ -13,6 +13,8 @@ from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.darknet.network import read_network
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 
+pytestmark = pytest.mark.slow  # OpenCV 4 has its own environment
+
 PROJECT = Path(__file__).resolve().parents[2]
 OPENCV_EPSILON, DARKNET_EPSILON = 1e-6, 1e-5
 

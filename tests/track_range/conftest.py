@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -12,9 +11,6 @@ import av
 import cv2
 import numpy as np
 import pytest
-
-from track_range.cli.app import main
-from track_range.cli.console import console
 
 FIRST_LEVEL, LEVEL_STEP = 24, 4
 
@@ -74,19 +70,3 @@ def level() -> Callable[..., np.ndarray]:
 def number_in() -> Callable[[np.ndarray], int]:
     """The number of a film's image."""
     return number_of
-
-
-@pytest.fixture
-def cli(capsys, monkeypatch) -> Callable[..., tuple[int, str, str]]:
-    """The command line in this process: status, what it printed, what it complained of."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["track-range", *(str(argument) for argument in arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
-        monkeypatch.setattr(console, "_width", 200)  # it was made with the width of whoever used it first
-        with pytest.raises(SystemExit) as ended:
-            main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return run

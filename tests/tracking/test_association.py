@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.tracking.association import are_compatible, min_cost_matching, iou_cost, widened
+from track_range.tracking.association import are_compatible, iou_cost, min_cost_matching, widened
 
 
 def test_iou_cost_by_hand() -> None:

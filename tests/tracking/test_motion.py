@@ -14,9 +14,9 @@ from track_range.tracking.motion import (
     BoxFilters,
     MotionNoise,
     compensate_camera_motion,
+    gating_distance,
     initiate,
     predict,
-    gating_distance,
     transformed,
     update,
 )
