@@ -1,4 +1,4 @@
-# setup | demo | test | test-all | coverage | check | bench | format; each sets up what it needs on a fresh machine.
+# setup | demo | test | test-all | coverage | check | docs | bench | format; each sets up what it needs on a fresh machine.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -11,7 +11,7 @@ ifdef COVERAGE
 PYTEST += --cov --cov-append --cov-report=
 endif
 
-.PHONY: setup demo test test-slow test-all coverage check bench format clean
+.PHONY: setup demo test test-slow test-all coverage check docs bench format clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -30,6 +30,10 @@ $(VENV)/.opencv4: | $(BIN)/python
 	$(PYTHON) -m venv $(VENV)/opencv4
 	$(VENV)/opencv4/bin/python -m pip install --quiet 'opencv-python-headless>=4.10,<5'
 	touch $@
+
+$(VENV)/.docs: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	touch $@ $(VENV)/.runtime
 
 setup: $(VENV)/.dev $(VENV)/.opencv4
 
@@ -56,6 +60,10 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# The pages are in out/docs, ready to be opened as files.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'

@@ -1,0 +1,361 @@
+"""The pictures of the documentation, drawn again from the program: `python docs/pictures.py [NAME ...]`.
+
+Frames are those of the simulation, curves are computed by the package, diagrams are drawn here; there are no
+photographs. `report` takes a screenshot with Chromium, where it is installed. Without names all pictures are drawn,
+which takes a few minutes, most of them for two short runs.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+import pyarrow.csv
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
+
+import track_range as tr
+from track_range.ranging.registry import methods
+
+IMAGES = Path(__file__).with_name("images")
+README_PICTURE = Path(__file__).resolve().parents[1] / ".github" / "demo.jpg"
+
+FOCAL_PX, BASELINE_M, CAMERA_HEIGHT_M = 721.5, 0.54, 1.65
+"""KITTI's left colour camera, as in the simulation."""
+
+COLOUR = {method.name: method.colour for method in methods()} | {"fused": "#1f5fbf"}
+INK, FAINT, ROAD = "#303030", "#909090", "#d8d8d4"
+
+mpl.rcParams.update(
+    {
+        "font.size": 9,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.edgecolor": FAINT,
+        "svg.hashsalt": "track-range",
+        "legend.frameon": False,
+    }
+)
+
+DEMO_FRAME = 34
+"""The frame of the demo that is shown."""
+
+
+# -- diagrams and curves ----------------------------------------------------------------------------------------------
+
+
+def mono() -> None:
+    """The pinhole law in side view, and the distances that the packaged size model gives to heights of boxes."""
+    figure = Figure((7.4, 2.7))
+    scene, plot = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    _side_view(scene)
+    _car(scene, 7.0, 0.0)
+    scene.plot([0, 7.0], [1.2, 1.5], color=COLOUR["mono"], lw=1)
+    scene.plot([0, 7.0], [1.2, 0.0], color=COLOUR["mono"], lw=1)
+    scene.plot([1.3, 1.3], [1.2 - 1.3 * 1.2 / 7, 1.2 + 1.3 * 0.3 / 7], color=INK, lw=2.5)
+    scene.annotate("h px", (1.3, 1.33), ha="center", color=INK)
+    _arrow(scene, (7.25, 0.0), (7.25, 1.5), "H m", (7.5, 0.7))
+    _arrow(scene, (0, -0.28), (7.0, -0.28), "d = f H / h", (3.5, -0.62))
+
+    height_px = np.geomspace(12, 160, 60)
+    for name, class_id, aspect in (("car", 2, 1.25), ("person", 0, 0.4), ("truck", 5, 0.95)):
+        distance_m, sigma_m = _by_size(height_px, class_id, aspect)
+        (line,) = plot.plot(height_px, distance_m, lw=1.5, label=name)
+        plot.fill_between(height_px, distance_m - sigma_m, distance_m + sigma_m, alpha=0.2, color=line.get_color())
+    plot.set(xscale="log", yscale="log", xlabel="height of the box, px (f = 721 px)", ylabel="distance, m")
+    plot.set_xticks([12, 25, 50, 100], ["12", "25", "50", "100"])
+    plot.set_yticks([5, 10, 20, 50, 100], ["5", "10", "20", "50", "100"])
+    plot.minorticks_off()
+    plot.legend(title="mono with 1 sigma")
+    _save(figure, "mono.svg")
+
+
+def ground() -> None:
+    """The ground plane in side view, and what a pitch of a tenth of a degree does."""
+    figure = Figure((7.4, 2.7))
+    scene, plot = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    _side_view(scene)
+    _car(scene, 7.0, 0.0)
+    scene.plot([0, 8.6], [1.2, 1.2], color=FAINT, lw=1, ls="--")
+    scene.text(8.6, 1.26, "horizon", ha="right", color=FAINT)
+    scene.plot([0, 7.0], [1.2, 0.0], color=COLOUR["ground"], lw=1)
+    scene.plot([1.3, 1.3], [1.2 - 1.3 * 1.2 / 7, 1.2], color=INK, lw=2.5)
+    scene.text(1.45, 0.98, "y_bottom - y_horizon", color=INK, fontsize=8)
+    _arrow(scene, (-0.25, 0.0), (-0.25, 1.2), "H", (-0.55, 0.55))
+    scene.plot([7.0], [0.0], "o", color=COLOUR["ground"], ms=5)
+    scene.text(6.95, -0.34, "contact point", ha="right", fontsize=8, color=COLOUR["ground"])
+    scene.text(0.1, -0.62, "d = f H / (y_bottom - y_horizon)", color=INK)
+
+    distance_m = np.linspace(5, 100, 100)
+    for error_px, label in ((1.0, "1 px"), (FOCAL_PX * np.radians(0.2), "0.2 degrees of pitch (2.5 px)")):
+        share = error_px * distance_m / (FOCAL_PX * CAMERA_HEIGHT_M)
+        plot.plot(distance_m, 100 * share, label=label, color=COLOUR["ground"], ls="-" if error_px == 1 else "--")
+    plot.set(xlabel="distance, m", ylabel="error, %", ylim=(0, 25))
+    plot.legend(title="error of the row, camera at 1.65 m")
+    _save(figure, "ground.svg")
+
+
+def lane() -> None:
+    """The own lane in the image, the box in it, and the width in the row of its bottom edge."""
+    figure = Figure((7.4, 2.6))
+    scene = figure.subplots()
+    scene.set(xlim=(0, 1240), ylim=(376, 120), aspect="equal")
+    scene.axis("off")
+    scene.add_patch(Rectangle((0, 120), 1240, 256, color="#eef1f3", lw=0))
+    scene.add_patch(Polygon([(610, 173), (-400, 376), (1620, 376)], color=ROAD, lw=0, clip_on=True))
+    for offset_m in (-1.75, 1.75, -5.25, 5.25):
+        end = 610 + offset_m * (376 - 173) / CAMERA_HEIGHT_M
+        style = {"color": COLOUR["lane"], "lw": 2.5} if abs(offset_m) < 2 else {"color": "white", "lw": 2}
+        scene.plot([610, end], [173, 376], **style)
+    y_px = 255.0
+    half_px = 1.75 * (y_px - 173) / CAMERA_HEIGHT_M
+    scene.add_patch(Rectangle((565, 188), 92, y_px - 188, fill=False, color=INK, lw=2))
+    scene.annotate(
+        "", (610 - half_px, y_px), (610 + half_px, y_px), arrowprops={"arrowstyle": "<->", "color": COLOUR["lane"]}
+    )
+    scene.text(610, y_px + 24, "w px in the row of the bottom edge", ha="center", color=COLOUR["lane"])
+    scene.text(610, 356, "W m between the lines:   d = f W / w", ha="center", color=INK)
+    scene.text(20, 168, "horizon", color=FAINT)
+    scene.plot([0, 1240], [173, 173], color=FAINT, lw=0.8, ls="--")
+    _save(figure, "lane.svg")
+
+
+def stereo() -> None:
+    """Two cameras from above, and the distance error of a disparity error."""
+    figure = Figure((7.4, 2.7))
+    scene, plot = figure.subplots(1, 2, width_ratios=(1.05, 1))
+    scene.set(xlim=(-2.2, 2.2), ylim=(-0.7, 4.4))
+    scene.axis("off")
+    for x, name in ((-0.9, "left"), (0.9, "right")):
+        scene.plot([x], [0], "s", color=INK, ms=8)
+        scene.text(x, -0.5, name, ha="center")
+        scene.plot([x - 0.5, x + 0.5], [0.6, 0.6], color=INK, lw=2)
+        scene.plot([x, x], [0, 4.1], color=FAINT, ls="--", lw=0.8)
+        scene.plot([x, 0.1], [0, 4.0], color=COLOUR["stereo"], lw=1.2)
+    scene.plot([0.1], [4.0], "o", color=COLOUR["stereo"])
+    _arrow(scene, (-0.9, -0.12), (0.9, -0.12), "B", (0, -0.45))
+    _arrow(scene, (1.9, 0), (1.9, 4.0), "Z", (2.05, 2))
+    scene.text(-2.1, 2.7, "d = x_left - x_right\nZ = f B / d", color=INK)
+    distance_m = np.linspace(5, 80, 100)
+    for sigma_px, style in ((0.05, ":"), (0.1, "-"), (0.5, "--")):
+        share = sigma_px * distance_m / (FOCAL_PX * BASELINE_M)
+        plot.plot(distance_m, 100 * share, style, color=COLOUR["stereo"], label=f"{sigma_px} px")
+    plot.set(xlabel="distance, m", ylabel="error, %", ylim=(0, 8))
+    plot.legend(title="error of the disparity\n(f = 721 px, B = 0.54 m)")
+    _save(figure, "stereo.svg")
+
+
+def alignment() -> None:
+    """Distances that a disparity error of half a pixel makes of true ones."""
+    figure = Figure((6.0, 2.6))
+    plot = figure.subplots()
+    true_m = np.linspace(5, 60, 100)
+    for error_px, style in ((-0.5, "-"), (-0.2, "--"), (0.5, ":")):
+        disparity_px = FOCAL_PX * BASELINE_M / true_m + error_px
+        measured_m = FOCAL_PX * BASELINE_M / disparity_px
+        plot.plot(true_m, 100 * (measured_m / true_m - 1), style, color=COLOUR["stereo"], label=f"{error_px:+.1f} px")
+    plot.axhline(0, color=FAINT, lw=0.8)
+    plot.set(xlabel="true distance, m", ylabel="distance error, %")
+    plot.legend(title="disparities read\nf = 721 px, B = 0.54 m", loc="upper left")
+    _save(figure, "alignment.svg")
+
+
+def fused() -> None:
+    """One track of the demo: the error of each method over time, with fused and its sigma."""
+    rows, truth = _longest_track()
+    figure = Figure((7.4, 2.9))
+    plot = figure.subplots()
+    for name in ("mono", "ground", "lane", "stereo"):
+        plot.plot(rows["time_s"], 100 * (rows[f"{name}_m"] / truth - 1), color=COLOUR[name], lw=1.1, label=name)
+    error = 100 * (rows["fused_m"] / truth - 1)
+    sigma = 100 * rows["fused_sigma_m"] / truth
+    plot.fill_between(rows["time_s"], error - sigma, error + sigma, color=COLOUR["fused"], alpha=0.2, lw=0)
+    plot.plot(rows["time_s"], error, color=COLOUR["fused"], lw=2.2, label="fused, 1 sigma")
+    plot.axhline(0, color=FAINT, lw=0.8)
+    plot.set(xlabel="time, s", ylabel="distance error, %", title="A car of the simulated drive", ylim=(-16, 16))
+    plot.legend(ncols=5, fontsize=8, loc="lower left")
+    _save(figure, "fused.svg")
+
+
+def filtered() -> None:
+    """The same track: distance by size before and after the filter, and the closing speed."""
+    rows, truth = _longest_track()
+    figure = Figure((7.4, 2.9))
+    plot, speed = figure.subplots(1, 2)
+    plot.plot(rows["time_s"], truth, color=INK, lw=1, label="truth")
+    plot.plot(rows["time_s"], rows["mono_m"], ".", color=COLOUR["mono"], ms=4, label="mono")
+    plot.plot(rows["time_s"], rows["mono_kf_m"], color=COLOUR["mono"], lw=1.5, label="mono_kf")
+    plot.plot(rows["time_s"], rows["fused_kf_m"], color=COLOUR["fused"], lw=1.5, ls="--", label="fused_kf")
+    plot.set(xlabel="time, s", ylabel="distance, m")
+    plot.legend(fontsize=8)
+    closing, sigma = rows["closing_mps"], rows["closing_sigma_mps"]
+    speed.fill_between(rows["time_s"], closing - sigma, closing + sigma, color=COLOUR["fused"], alpha=0.2, lw=0)
+    speed.plot(rows["time_s"], closing, color=COLOUR["fused"], lw=1.5, label="closing_mps, 1 sigma")
+    speed.plot(rows["time_s"], rows["true_closing_mps"], color=INK, lw=1, label="truth")
+    speed.set(xlabel="time, s", ylabel="closing speed, m/s")
+    speed.legend(fontsize=8)
+    _save(figure, "filtered.svg")
+
+
+# -- frames of the simulation -----------------------------------------------------------------------------------------
+
+
+def overlay() -> None:
+    """A frame of the demo's overlay, for the README too, and the road from above that is part of it."""
+    image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
+    _save_jpeg(image, README_PICTURE, quality=88)
+    _save_jpeg(image, IMAGES / "overlay.jpg", quality=88)
+    inset = image[-226:, :200]
+    cv2.imwrite(str(IMAGES / "birds_eye.png"), cv2.resize(inset, None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC))
+
+
+def disparity() -> None:
+    """The overlay with dense stereo's disparities below it."""
+    drive, out = _demo() / "drive", _demo() / "with_disparity"
+    options = ["--overlay-disparity", "--align", "off", "--start", "3", "--duration", "0.5", "--out", str(out)]
+    _track_range("--stereo", str(drive / "left.mp4"), str(drive / "right.mp4"), *options)
+    image = _frame(out / "overlay.mp4", 2)
+    _save_jpeg(cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA), IMAGES / "disparity.jpg")
+
+
+def scenarios() -> None:
+    """A frame of each scenario of `track-range simulate`."""
+    names = ("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night")
+    tiles = []
+    for name in names:
+        folder = _temporary() / name
+        _track_range("simulate", "--out", str(folder), "--scenario", name, "--seconds", "2", "--fps", "2")
+        tile = cv2.resize(_frame(folder / "left.mp4", 3), (620, 188), interpolation=cv2.INTER_AREA)
+        cv2.putText(tile, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 3, cv2.LINE_AA)
+        cv2.putText(tile, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+        tiles.append(cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)))
+    rows = [np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)]
+    _save_jpeg(np.vstack(rows), IMAGES / "scenarios.jpg", quality=80)
+
+
+def report() -> None:
+    """The top of the demo's report, as Chromium shows it."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        print("report: Chromium is not installed; the picture stays as it is.", file=sys.stderr)  # noqa: T201
+        return
+    shot = _temporary() / "report.png"
+    page = (_demo() / "report.html").as_uri()
+    window = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1200,1500"]
+    subprocess.run(
+        [chromium, *window, "--virtual-time-budget=4000", f"--screenshot={shot}", page], check=True, capture_output=True
+    )
+    image = cv2.resize(cv2.imread(str(shot)), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    _save_jpeg(image, IMAGES / "report.jpg", quality=80)
+
+
+# -- helpers ----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _temporary() -> Path:
+    return Path(tempfile.mkdtemp(prefix="track-range-pictures-"))
+
+
+@cache
+def _demo() -> Path:
+    """The folder of the demo's results."""
+    out = _temporary() / "demo"
+    _track_range("demo", "--out", str(out))
+    return out
+
+
+def _track_range(*arguments: str) -> None:
+    subprocess.run([sys.executable, "-m", "track_range", *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+@cache
+def _longest_track() -> tuple[dict[str, Any], Any]:
+    """Rows of the demo's car with the most frames and a distance that changes, and its true distances."""
+    table = pyarrow.csv.read_csv(_demo() / "tracks.csv").to_pandas()
+    truth = pyarrow.csv.read_csv(_demo() / "drive" / "truth.csv").to_pandas()
+    best: tuple[float, Any, Any] | None = None
+    for _, track in table[table["class"] == "car"].groupby("track_id"):
+        merged = track.merge(truth, on="frame", suffixes=("", "_true"))
+        centre = (merged.x1 + merged.x2 - merged.x1_px - merged.x2_px).abs() / 2
+        merged = merged[centre < 8].groupby("frame").first()
+        if len(merged) < 25 or merged.distance_m.max() > 60:
+            continue
+        length = float(np.isfinite(merged[["mono_m", "ground_m", "lane_m", "stereo_m"]]).all(axis=1).sum())
+        length += float(np.ptp(merged.distance_m))
+        if best is None or length > best[0]:
+            best = length, merged, merged.distance_m.to_numpy()
+    assert best is not None  # noqa: S101 - a drive without cars would be another demo
+    rows = {name: best[1][name].to_numpy() for name in table.columns if name in best[1]}
+    return rows | {"true_closing_mps": best[1]["closing_mps_true"].to_numpy()}, best[2]
+
+
+def _by_size(height_px: Any, class_id: int, aspect: float) -> tuple[Any, Any]:
+    camera = tr.PinholeCamera(FOCAL_PX, FOCAL_PX, 620.0, 173.0, width_px=1240, height_px=376)
+    frame = tr.Frame(index=0, time_s=0.0, left=np.zeros((376, 1240, 3), np.uint8), right=None)
+    distance_m, sigma_m = [], []
+    for height in height_px:
+        box = np.array([[620 - aspect * height / 2, 173 - height / 3, 620 + aspect * height / 2, 173 + height / 1.5]])
+        tracks = tr.Tracks(np.array([1]), box, np.array([class_id]), np.ones(1), np.ones(1, np.bool_))
+        ranges = tr.SizeRanger(camera).measure(tracks, frame)
+        distance_m.append(ranges.distance_m[0])
+        sigma_m.append(ranges.sigma_m[0])
+    return np.array(distance_m), np.array(sigma_m)
+
+
+def _side_view(axes: Axes) -> None:
+    """A camera at the left, 1.2 units above a road."""
+    axes.set(xlim=(-1.0, 9.0), ylim=(-0.85, 2.0))
+    axes.axis("off")
+    axes.plot([-1, 9], [0, 0], color=FAINT, lw=2)
+    axes.plot([0], [1.2], "s", color=INK, ms=8)
+    axes.text(0, 1.42, "camera", ha="center")
+
+
+def _car(axes: Axes, x: float, y: float) -> None:
+    axes.add_patch(Polygon([(x, y), (x, y + 1.5), (x + 1.6, y + 1.5), (x + 2, y + 0.8), (x + 2, y)], color=ROAD))
+
+
+def _arrow(
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str, at: tuple[float, float]
+) -> None:
+    axes.annotate("", end, start, arrowprops={"arrowstyle": "<->", "color": INK, "lw": 1})
+    axes.text(*at, text, ha="center", color=INK)
+
+
+def _frame(video: Path, index: int) -> Any:
+    capture = cv2.VideoCapture(str(video))
+    for _ in range(index + 1):
+        is_read, image = capture.read()
+        assert is_read, f"{video}: fewer than {index + 1} frames"  # noqa: S101
+    return image
+
+
+def _save(figure: Figure, name: str) -> None:
+    figure.tight_layout()
+    figure.savefig(IMAGES / name, metadata={"Date": None}, facecolor="white")
+
+
+def _save_jpeg(image: Any, path: Path, quality: int = 85) -> None:
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+PICTURES: dict[str, Callable[[], None]] = {
+    draw.__name__: draw
+    for draw in (mono, ground, lane, stereo, alignment, fused, filtered, overlay, disparity, scenarios, report)
+}
+
+if __name__ == "__main__":
+    IMAGES.mkdir(exist_ok=True)
+    for chosen in sys.argv[1:] or PICTURES:
+        PICTURES[chosen]()
