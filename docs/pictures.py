@@ -215,8 +215,8 @@ def overlay() -> None:
     image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
     _save_jpeg(image, README_PICTURE, quality=88)
     _save_jpeg(image, IMAGES / "overlay.jpg", quality=88)
-    inset = image[-226:, :200]
-    cv2.imwrite(str(IMAGES / "birds_eye.png"), cv2.resize(inset, None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC))
+    inset = image[-226:, :230]
+    cv2.imwrite(str(IMAGES / "from_above.png"), cv2.resize(inset, None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC))
 
 
 def disparity() -> None:
