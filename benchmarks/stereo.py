@@ -104,7 +104,7 @@ def _rendered(n: int, *, width_px: int, height_px: int) -> list[SpeedScene]:
         own = labels.xyxy_px[seen & (labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1] >= SMALLEST_BOX_PX)]
         known = rig.left.fx_px * rig.baseline_m / renderer.depth_m(1.0)
         boxes, true_px = _boxes(own, known, seed=seed)
-        left, right = renderer.render(1.0), renderer.render(1.0, eye="right")
+        left, right = renderer.render(1.0), renderer.render(1.0, side="right")
         scenes.append(SpeedScene(left, right, boxes, true_px, rig))
     return scenes
 

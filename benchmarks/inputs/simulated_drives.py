@@ -55,7 +55,7 @@ class SimulatedDrive:
 
     def _frame(self, index: int) -> Frame:
         time_s = float(self.times_s[index])
-        return Frame(index, time_s, *(self.renderer.render(time_s, eye=eye) for eye in ("left", "right")))
+        return Frame(index, time_s, *(self.renderer.render(time_s, side=side) for side in ("left", "right")))
 
     def lane_px(self, y_px: FloatArray) -> FloatArray:
         """(F, 2, K) columns of the own lane's left and right edge in rows (K,) of each frame; NaN where not seen."""

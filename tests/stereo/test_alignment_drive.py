@@ -27,7 +27,7 @@ N_RENDERED = 13
 @cache
 def rendered() -> tuple[tuple[Image, Image], ...]:
     renderer = Renderer(make_scene(0, seconds=2.0), RIG)
-    return tuple((renderer.render(i / 10), renderer.render(i / 10, eye="right")) for i in range(N_RENDERED))
+    return tuple((renderer.render(i / 10), renderer.render(i / 10, side="right")) for i in range(N_RENDERED))
 
 
 def moved(image: Image, x_px: float, y_px: float) -> Image:

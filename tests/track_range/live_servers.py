@@ -1,4 +1,4 @@
-"""Cameras made up: streams over TCP on this machine whose images are levels of grey, each its number's."""
+"""Simulated cameras: local TCP streams of grey images with a level that encodes the image's number."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def number_of(image: np.ndarray) -> int:
 
 
 class Camera:
-    """Sends an image each 10 ms to whoever connects first, until it is unplugged, or has sent `n_images`.
+    """Sends an image every 10 ms to the first client until it is unplugged or has sent `n_images`.
 
     Attributes:
-        url: where it is.
-        interval_s: from image to image.
-        is_torn: whether the connection is broken off at the end, not closed.
+        url: address of the stream.
+        interval_s: time between images.
+        is_torn: whether the connection is reset at the end instead of closed.
     """
 
     def __init__(self, n_images: int = 10_000, *, is_torn: bool = False) -> None:
@@ -79,7 +79,7 @@ class Camera:
 
 @contextmanager
 def cameras(n: int, n_images: int = 10_000, *, is_torn: bool = False) -> Iterator[list[Camera]]:
-    """Some cameras, unplugged in the end."""
+    """`n` cameras, unplugged at the end."""
     opened = [Camera(n_images, is_torn=is_torn) for _ in range(n)]
     try:
         yield opened
@@ -90,7 +90,7 @@ def cameras(n: int, n_images: int = 10_000, *, is_torn: bool = False) -> Iterato
 
 @contextmanager
 def served(content: bytes, *, stays: bool = False) -> Iterator[str]:
-    """The address of a server that sends this, then closes, or falls silent."""
+    """The address of a server that sends `content`, then closes the connection or, with `stays`, sends nothing more."""
     over = threading.Event()
     server = socket.create_server(("127.0.0.1", 0))
 
@@ -113,7 +113,7 @@ def served(content: bytes, *, stays: bool = False) -> Iterator[str]:
 
 
 def sound() -> bytes:
-    """A file that holds no video."""
+    """Content of a WAV file, which contains no video."""
     file = BytesIO()
     with wave.open(file, "wb") as written:
         written.setnchannels(1)

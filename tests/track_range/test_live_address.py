@@ -1,4 +1,4 @@
-"""What on the command line is a camera or a stream, and what a file."""
+"""Tests of the recognition of cameras and streams by name."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from track_range.video.live.address import LiveAddress, live_address
     ],
 )
 def test_cameras_and_streams(name: str, url: str) -> None:
-    found = live_address(name)
-    assert found is not None
-    assert found.url == url
+    address = live_address(name)
+    assert address is not None
+    assert address.url == url
 
 
 @pytest.mark.parametrize(
@@ -33,14 +33,14 @@ def test_files_and_folders(name: str) -> None:
     assert live_address(name) is None
 
 
-def test_a_folder_whose_name_is_a_number_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_with_a_number_as_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "0").mkdir()
     assert live_address("0") is None
     assert live_address("1") is not None
 
 
-def test_names_and_passwords_are_not_shown() -> None:
+def test_credentials_are_hidden() -> None:
     address = LiveAddress("rtsp://me:secret@10.0.0.7:554/a/b?c=d")
     assert str(address) == "rtsp://10.0.0.7:554/a/b?c=d"
     assert "secret" not in address.stem
@@ -51,17 +51,17 @@ def test_names_and_passwords_are_not_shown() -> None:
     ("url", "stem"),
     [("/dev/video0", "video0"), ("rtsp://u:p@10.0.0.7/stream1", "10-0-0-7-stream1"), ("tcp://", "live")],
 )
-def test_results_are_named_after_it(url: str, stem: str) -> None:
+def test_stem(url: str, stem: str) -> None:
     assert LiveAddress(url).stem == stem
 
 
-def test_an_address_that_is_none_can_be_told_all_the_same() -> None:
+def test_invalid_addresses_hide_credentials() -> None:
     for url in ("http://[::1/x", "rtsp://me:secret@[", "tcp://@"):
         assert "secret" not in str(LiveAddress(url))
         assert LiveAddress(url).stem
 
 
-def test_how_ffmpeg_is_to_read_it() -> None:
+def test_ffmpeg_format_and_options() -> None:
     assert (LiveAddress("/dev/video0").format, LiveAddress("/dev/video0").options) == ("v4l2", {})
     assert LiveAddress("rtsps://h/s").options["rtsp_transport"] == "tcp"
     assert "rtsp_transport" not in LiveAddress("http://h/s").options
@@ -77,6 +77,6 @@ def test_how_ffmpeg_is_to_read_it() -> None:
         "rtsp://h/s?a=b&password=secret",
     ],
 )
-def test_no_secret_is_shown_wherever_it_stands(url):
+def test_credentials_with_special_characters_are_hidden(url):
     assert "secret" not in str(LiveAddress(url))
     assert str(LiveAddress(url)).startswith("rtsp://h")

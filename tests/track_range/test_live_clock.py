@@ -1,4 +1,4 @@
-"""Times of live images: strictly later each, on this machine's clock, without the jitter of a network."""
+"""Tests of the clock of live streams: increasing times of this machine's clock, without network jitter."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from track_range.video.live.clock import StreamClock
 
 
-def test_stamps_of_this_machines_clock_are_taken_as_they_are() -> None:
+def test_timestamps_of_this_machines_clock() -> None:
     clock = StreamClock()
     assert [clock.time_s(stamp_s, stamp_s + 0.03) for stamp_s in (1000.0, 1000.1, 1000.2)] == [1000.0, 1000.1, 1000.2]
     assert clock.is_shared
 
 
-def test_a_clock_of_its_own_is_placed_by_the_image_that_was_least_late() -> None:
+def test_offset_is_that_of_the_shortest_delay() -> None:
     clock = StreamClock()
     # Sent at 5000 + stamp, arriving 80, 20 and 60 ms later.
     arrivals = [(1.0, 5001.08), (1.1, 5001.12), (1.2, 5001.26)]
@@ -24,18 +24,18 @@ def test_a_clock_of_its_own_is_placed_by_the_image_that_was_least_late() -> None
     assert clock.is_shared is False
 
 
-def test_images_without_stamps_have_the_times_at_which_they_arrive() -> None:
+def test_frames_without_timestamps_get_arrival_times() -> None:
     clock = StreamClock()
     assert [clock.time_s(None, arrived_s) for arrived_s in (7.0, 7.4)] == [7.0, 7.4]
 
 
-def test_a_repeated_or_backward_stamp_has_no_time() -> None:
+def test_repeated_and_backward_timestamps() -> None:
     clock = StreamClock()
     assert [clock.time_s(stamp_s, 5000.0) for stamp_s in (1.0, 1.0, 0.9, 1.1)][1:3] == [None, None]
 
 
-def test_a_clock_that_runs_slow_is_followed() -> None:
-    """A thousandth slow, for an hour of 10 Hz: 3.6 s if it were not followed."""
+def test_clock_drift_is_followed() -> None:
+    """A clock slow by 0.1 % for an hour at 10 Hz: 3.6 s without correction."""
     clock = StreamClock()
     stamps_s = np.arange(36_000) * 0.1
     times_s = [clock.time_s(stamp_s, 9000.0 + 1.001 * stamp_s) for stamp_s in stamps_s.tolist()]

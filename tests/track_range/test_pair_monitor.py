@@ -1,4 +1,4 @@
-"""Checks of pairs: swapped, row offset, synchronisation."""
+"""Tests of the checks of pairs: swapped videos, vertical offset, synchronisation."""
 
 import cv2
 import numpy as np
@@ -12,12 +12,12 @@ SIZE_PX = (480, 260)
 
 
 def wall(number, *, shift_px, row_px=0, zoom=1.05):
-    """A textured wall that the vehicle drives towards, as one camera sees it."""
+    """Image of a textured wall that the vehicle approaches."""
     noise = np.random.default_rng(7).normal(size=(320, 700))
     texture = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    grown = zoom**number
-    towards = np.array([[grown, 0, 250 - grown * 350 - shift_px], [0, grown, 130 - grown * 160 + row_px]])
-    return cv2.warpAffine(texture, towards, SIZE_PX)
+    scale = zoom**number
+    transform = np.array([[scale, 0, 250 - scale * 350 - shift_px], [0, scale, 130 - scale * 160 + row_px]])
+    return cv2.warpAffine(texture, transform, SIZE_PX)
 
 
 def frames(n, *, late=0, shift_px=10, **more):
@@ -26,8 +26,8 @@ def frames(n, *, late=0, shift_px=10, **more):
         yield Frame(number, number / 10, left, wall(number - late, shift_px=shift_px, **more))
 
 
-def notes_of(passing, *monitors):
-    for frame in passing:
+def notes_of(frames, *monitors):
+    for frame in frames:
         for monitor in monitors:
             monitor.add(frame)
     return tuple(note for monitor in monitors for note in monitor.notes)
@@ -47,7 +47,7 @@ def test_sync_static_scene_is_unknown():
     assert notes_of(frames(24, late=1, zoom=1.0), SyncMonitor()) == ()
 
 
-def test_row_offset_is_noted_unless_corrected():
+def test_row_offset_is_reported_unless_corrected():
     monitor = PairMonitor()
     (note,) = notes_of(frames(3, row_px=5), monitor)
     assert "+5.0 px" in note
@@ -55,13 +55,13 @@ def test_row_offset_is_noted_unless_corrected():
     assert monitor.notes == ()
 
 
-def test_swapped_pair_is_refused():
+def test_swapped_pair_is_an_error():
     with pytest.raises(RigError, match="swapped"):
         notes_of(frames(3, shift_px=-10), PairMonitor())
 
 
 @pytest.mark.parametrize("n_conclusive", [1, 3])
-def test_pairs_are_checked_until_enough_are_conclusive(n_conclusive):
+def test_number_of_conclusive_pairs(n_conclusive):
     monitor = PairMonitor(n_conclusive=n_conclusive)
     notes_of(frames(n_conclusive), monitor)
     assert monitor.is_done
@@ -75,24 +75,24 @@ def test_ten_pairs_are_checked():
     swapped = Frame(10, 1.0, wall(0, shift_px=0), wall(0, shift_px=-10))
     assert len(blank) == MAX_CHECKED_PAIRS
     (note,) = notes_of([*blank, swapped], PairMonitor())
-    assert "too few points" in note
+    assert "too few" in note
     with pytest.raises(RigError):
         notes_of([*blank[:9], swapped], PairMonitor())
 
 
-def test_a_frame_is_checked_once():
+def test_each_frame_is_checked_once():
     monitor = PairMonitor()
     blank = Frame(3, 0.3, np.zeros((260, 480), np.uint8), np.zeros((260, 480), np.uint8))
     assert notes_of([blank] * 20, monitor) == ()
     assert not monitor.is_done
 
 
-def test_pairs_without_common_points_are_noted():
+def test_pairs_without_common_points_are_reported():
     rng = np.random.default_rng(1)
     images = rng.integers(0, 255, (13, 2, 120, 160), np.uint8)
     pairs = (Frame(i, i / 10, left, right) for i, (left, right) in enumerate(images))
     (note,) = notes_of(pairs, PairMonitor(), SyncMonitor())
-    assert "too few points" in note
+    assert "too few" in note
 
 
 def test_one_camera_is_not_checked():

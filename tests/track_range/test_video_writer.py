@@ -27,7 +27,7 @@ def write(path: Path, images: list[np.ndarray], times_s: list[float], **options:
             writer.write(image, time_s)
 
 
-def test_images_and_their_times_come_back(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
+def test_round_trip_of_images_and_times(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     write(tmp_path / "out.mp4", [level(number) for number in range(10)], UNEVEN_S)
     frames = list(VideoReader(tmp_path / "out.mp4"))
     assert [frame.time_s for frame in frames] == pytest.approx(UNEVEN_S, abs=1e-5)
@@ -40,7 +40,7 @@ def test_times_count_from_the_first_image(tmp_path: Path, level: Callable[..., n
     assert [frame.time_s for frame in VideoReader(tmp_path / "out.mp4")] == pytest.approx([0.0, 0.1], abs=1e-5)
 
 
-def test_colours_are_those_written(tmp_path: Path) -> None:
+def test_round_trip_of_colours(tmp_path: Path) -> None:
     colours = [(0, 0, 255), (0, 255, 0), (255, 0, 0), (0, 255, 255), (30, 120, 200)]
     images = [np.full((32, 32, 3), colour, np.uint8) for colour in colours]
     write(tmp_path / "out.mp4", images, [number / 10 for number in range(5)], crf=1)
@@ -49,7 +49,7 @@ def test_colours_are_those_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("width_px", "height_px"), [(63, 48), (64, 47), (63, 47)])
-def test_odd_sizes_get_a_pixel_more(tmp_path: Path, width_px: int, height_px: int) -> None:
+def test_odd_sizes_are_extended(tmp_path: Path, width_px: int, height_px: int) -> None:
     image = np.zeros((height_px, width_px, 3), np.uint8)
     image[:, -1], image[-1] = 200, 200
     write(tmp_path / "out.mp4", [image, image], [0.0, 0.1], crf=1)
@@ -60,7 +60,7 @@ def test_odd_sizes_get_a_pixel_more(tmp_path: Path, width_px: int, height_px: in
     assert frame.image[-1].min() > 190 or height_px == 48
 
 
-def test_one_quantizer_for_all_frames_is_coarser_when_it_is_larger(tmp_path: Path) -> None:
+def test_larger_quantizer_gives_smaller_files(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     images = [rng.integers(0, 255, (64, 64, 3), np.uint8) for _ in range(3)]
     sizes = []
@@ -70,9 +70,7 @@ def test_one_quantizer_for_all_frames_is_coarser_when_it_is_larger(tmp_path: Pat
     assert sizes[0] > 1.5 * sizes[1] > 3 * sizes[2]
 
 
-def test_the_file_is_h264_with_a_keyframe_each_second_and_no_delay(
-    tmp_path: Path, level: Callable[..., np.ndarray]
-) -> None:
+def test_h264_with_a_keyframe_every_second(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     write(tmp_path / "out.mp4", [level(number) for number in range(40)], [number / 10 for number in range(40)])
     with av.open(str(tmp_path / "out.mp4")) as container:
         stream = container.streams.video[0]
@@ -84,7 +82,7 @@ def test_the_file_is_h264_with_a_keyframe_each_second_and_no_delay(
     assert keys_s == pytest.approx([0.0, 1.0, 2.0, 3.0])
 
 
-def test_slow_films_get_their_keyframes_by_time(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
+def test_keyframes_at_low_frame_rates(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     times_s = [0.0, 0.4, 1.1, 1.5, 5.0, 5.5]
     write(tmp_path / "out.mp4", [level(number) for number in range(6)], times_s)
     with av.open(str(tmp_path / "out.mp4")) as container:
@@ -104,7 +102,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_a_killed_run_leaves_a_film_that_plays(tmp_path: Path, number_in: Callable[[np.ndarray], int]) -> None:
+def test_killed_process_leaves_a_playable_file(tmp_path: Path, number_in: Callable[[np.ndarray], int]) -> None:
     path = tmp_path / "out.mp4"
     project = Path(video_writer.__file__).parents[1]
     ended = subprocess.run(
@@ -112,11 +110,11 @@ def test_a_killed_run_leaves_a_film_that_plays(tmp_path: Path, number_in: Callab
     )
     assert ended.returncode == -signal.SIGKILL
     frames = [(frame.index, round(frame.time_s, 3), number_in(frame.image)) for frame in VideoReader(path)]
-    assert len(frames) >= 32  # all but the fragment it was in
+    assert len(frames) >= 32  # all but the last fragment
     assert frames == [(number, number / 10, number) for number in range(len(frames))]
 
 
-def test_frames_land_while_the_film_is_being_written(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
+def test_file_is_readable_while_written(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     path = tmp_path / "out.mp4"
     with VideoWriter(path, width_px=64, height_px=48, fps=10.0) as writer:
         for number in range(21):
@@ -125,7 +123,7 @@ def test_frames_land_while_the_film_is_being_written(tmp_path: Path, level: Call
     assert len(list(VideoReader(path))) == 21
 
 
-def test_nothing_written_is_a_closed_file_all_the_same(tmp_path: Path) -> None:
+def test_close_without_images(tmp_path: Path) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
     writer.close()
     writer.close()
@@ -136,7 +134,7 @@ def test_times_must_increase(tmp_path: Path, level: Callable[..., np.ndarray]) -
     with VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0) as writer:
         writer.write(level(0), 5.0)
         for time_s in (5.0, 4.9):
-            with pytest.raises(ValueError, match=rf"time_s.* got {time_s}"):
+            with pytest.raises(ValueError, match=r"time_s"):
                 writer.write(level(1), time_s)
         writer.write(level(1), 5.1)
     assert len(list(VideoReader(tmp_path / "out.mp4"))) == 2
@@ -149,38 +147,38 @@ def test_times_closer_than_a_tick_still_increase(tmp_path: Path, level: Callable
     assert stamps == [Fraction(number, 90_000) for number in range(3)]
 
 
-def test_another_shape_is_refused(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
+def test_another_shape_is_an_error(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
-    with writer, pytest.raises(ValueError, match=r"image: expected shape \(48, 64, 3\), got \(48, 60, 3\)"):
+    with writer, pytest.raises(ValueError, match=r"image: expected shape"):
         writer.write(level(0, width_px=60), 0.0)
 
 
-def test_a_closed_writer_takes_no_images(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
+def test_write_after_close_is_an_error(tmp_path: Path, level: Callable[..., np.ndarray]) -> None:
     writer = VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
     writer.close()
-    with pytest.raises(ValueError, match="closed, but an image came"):
+    with pytest.raises(ValueError, match=r"out.mp4: .*closed"):
         writer.write(level(0), 0.0)
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(VideoError, match=r"nowhere/out.mp4: the video cannot be written \(No such file or directory\)"):
+def test_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(VideoError, match=r"nowhere/out.mp4: .*written"):
         VideoWriter(tmp_path / "nowhere" / "out.mp4", width_px=64, height_px=48, fps=10.0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_a_full_disk() -> None:
+def test_full_disk() -> None:
     images = list(np.random.default_rng(1).integers(0, 256, (30, 48, 64, 3), np.uint8))
-    with pytest.raises(VideoError, match=r"/dev/full: the video cannot be written \(No space left on device\)"):
+    with pytest.raises(VideoError, match=r"/dev/full: .*written"):
         write(Path("/dev/full"), images, [number / 10 for number in range(30)])
 
 
-def test_a_missing_encoder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video_writer, "_ENCODER", "libx264_of_another_build")
-    with pytest.raises(VideoError, match=r"libx264_of_another_build: PyAV's FFmpeg lacks this encoder"):
+    with pytest.raises(VideoError, match=r"libx264_of_another_build: .*encoder"):
         VideoWriter(tmp_path / "out.mp4", width_px=64, height_px=48, fps=10.0)
 
 
-def test_real_frames_keep_their_looks(shared_data: Path, tmp_path: Path) -> None:
+def test_psnr_of_real_frames(shared_data: Path, tmp_path: Path) -> None:
     images = [frame.image for frame in VideoReader(shared_data / "kitti_stereo" / "0003" / "left.mp4")]
     write(tmp_path / "out.mp4", images, [number / 10 for number in range(16)])
     errors = [

@@ -161,7 +161,7 @@ class Run:
         recording = open_input(settings, partial(step_progress, self._console))
         opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
         calibration = recording.calibration
-        opened_s -= calibration.alignment.look_s if calibration.alignment else 0.0
+        opened_s -= calibration.alignment.estimation_s if calibration.alignment else 0.0
         with ExitStack() as on_error:
             on_error.callback(recording.close)
             boxes = self._boxes(recording)

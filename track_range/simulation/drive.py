@@ -26,9 +26,9 @@ from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_text
 from track_range.simulation.camera.drive_files import (
-    EyeWriter,
+    ImageWriter,
     disparity_map,
-    eye_writer,
+    image_writer,
     object_map,
     with_even_size,
     write_png,
@@ -141,8 +141,8 @@ def write_drive(
     writing = _Writing(renderer, times_s, folder if options.has_disparity else None)
     camera = rig.left
     with (
-        closing(eye_writer(drive.left, camera, fps)) as left,
-        closing(eye_writer(drive.right, camera, fps)) as right,
+        closing(image_writer(drive.left, camera, fps)) as left,
+        closing(image_writer(drive.right, camera, fps)) as right,
         ThreadPoolExecutor(N_DRAWING) as drawing,
         one_thread(),  # OpenCV's own threads would only be in the way of these
     ):
@@ -183,8 +183,8 @@ class _Writing:
 
     def both(
         self,
-        left: EyeWriter,
-        right: EyeWriter,
+        left: ImageWriter,
+        right: ImageWriter,
         drawing: ThreadPoolExecutor,
         progress: Callable[[int, int], None] | None,
     ) -> None:
@@ -209,10 +209,10 @@ class _Writing:
         for number, time_s in enumerate(self.times_s.tolist()):
             left = drawing.submit(renderer.render_with_depth, time_s) if number in kept_left else None
             right_s = time_s + faults.late_s
-            right = drawing.submit(renderer.render, right_s, eye="right") if number in kept_right else None
+            right = drawing.submit(renderer.render, right_s, side="right") if number in kept_right else None
             yield _Frame(number, time_s, left, right)
 
-    def _left(self, writer: EyeWriter, frame: _Frame, image: Image, inverse_depth: FloatArray) -> None:
+    def _left(self, writer: ImageWriter, frame: _Frame, image: Image, inverse_depth: FloatArray) -> None:
         writer.write(image, frame.time_s)
         scene, camera = self.renderer.scene, self.renderer.rig.left
         seen = seen_at(scene, frame.time_s, frame=len(self.labels), camera=camera, inverse_depth=inverse_depth)
@@ -225,7 +225,7 @@ class _Writing:
             objects = object_map(inverse_depth, self.renderer.rig, seen, scene.turns(frame.time_s))
             write_png(_in_kitti(self.disparity_folder, "obj_map", frame.number), objects)
 
-    def _right(self, writer: EyeWriter, frame: _Frame, image: Image) -> None:
+    def _right(self, writer: ImageWriter, frame: _Frame, image: Image) -> None:
         writer.write(image, frame.time_s)  # the time that the camera tells
         if self.disparity_folder is not None:
             write_png(_in_kitti(self.disparity_folder, "image_3", frame.number), image)

@@ -1,4 +1,4 @@
-"""The alignment of a calibrated pair: estimated from its first frames, read from a file, given, or none."""
+"""The alignment of a calibrated pair: estimated from its first frames, read from a file, given, or off."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 
-MAX_LOOK_S = 8.0
-"""Duration of the part of a drive that the alignment is estimated from."""
+ESTIMATION_SPAN_S = 8.0
+"""Length, in s, of the part of a drive from which the alignment is estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FoundAlignment:
+class PairAlignment:
     """An alignment and whether it is applied.
 
     Attributes:
         measured: as estimated or read.
         is_applied: whether disparities are corrected by it.
-        look_s: time that the estimate took, with the reading of the first frames.
+        estimation_s: time that the estimation took, including reading the first frames.
     """
 
     measured: Alignment
     is_applied: bool
-    look_s: float = 0.0
+    estimation_s: float = 0.0
 
     @property
     def applied(self) -> Alignment:
-        """The correction that disparities get."""
+        """The correction that is applied to disparities."""
         return self.measured if self.is_applied else self.measured.withheld()
 
     @property
@@ -59,7 +59,7 @@ class FoundAlignment:
             "residual_px": round(self.applied.residual_px, 4),
             "source": measured.source,
             "is_applied": self.is_applied,
-            "look_s": round(self.look_s, 3),
+            "look_s": round(self.estimation_s, 3),
         }
 
 
@@ -68,32 +68,33 @@ def find_alignment(
     rig: StereoRig,
     frames: Generator[Frame, None, None],
     progress: StepProgress = no_progress,
-) -> FoundAlignment:
+) -> PairAlignment:
     """The alignment of a calibrated pair.
 
     Args:
         align: "auto" = estimated from the drive's first frames; "off" = none; an alignment file; or an alignment.
         rig: the rectified pair.
-        frames: the first `MAX_LOOK_S` of the drive, rectified; as many are taken as the estimate needs.
-        progress: opens a progress bar for the estimate.
+        frames: the rectified frames of the first `ESTIMATION_SPAN_S`; as many are read as the estimation needs.
+        progress: shows the progress of the estimation.
 
     Raises:
-        RigError: the file cannot be used. Whatever `frames` raises.
+        RigError: the file cannot be used.
+        Errors of `frames`.
     """
     if isinstance(align, Alignment):
-        return FoundAlignment(measured=align, is_applied=True)
+        return PairAlignment(measured=align, is_applied=True)
     if align == "off":
-        return FoundAlignment(measured=Alignment(source="off, as asked"), is_applied=False)
+        return PairAlignment(measured=Alignment(source="off, as asked"), is_applied=False)
     if align != "auto":
-        return FoundAlignment(measured=load_alignment(Path(align)), is_applied=True)
+        return PairAlignment(measured=load_alignment(Path(align)), is_applied=True)
     began_s = time.perf_counter()
     drive, first_s = DriveAlignment(rig), math.nan
     with progress("estimating the alignment") as advance:
         for frame in frames:
             first_s = frame.time_s if math.isnan(first_s) else first_s
-            advance(round(10 * (frame.time_s - first_s)), round(10 * MAX_LOOK_S))
+            advance(round(10 * (frame.time_s - first_s)), round(10 * ESTIMATION_SPAN_S))
             drive.add(frame)
             if drive.is_full:
                 break
         measured = drive.estimate()
-    return FoundAlignment(measured=measured, is_applied=measured.is_clear, look_s=time.perf_counter() - began_s)
+    return PairAlignment(measured=measured, is_applied=measured.is_clear, estimation_s=time.perf_counter() - began_s)

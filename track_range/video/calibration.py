@@ -1,4 +1,4 @@
-"""Calibration: the cameras of a recording, found, loaded and checked, and how its images are rectified."""
+"""Calibration: the camera models of a recording, and the rectification of its images."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
-from track_range.video.auto_alignment import FoundAlignment
+from track_range.video.auto_alignment import PairAlignment
 from track_range.video.inputs import Inputs
 from track_range.video.live.address import VideoName
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
-"""Where metres come from: a file, a focal length that was given, or the sizes of road users."""
+"""Source of the metric scale: a file, a given focal length, or the sizes of road users."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
-    """The cameras that a recording's rectified images seem to come from.
+    """The camera models of a recording's rectified images.
 
     Attributes:
-        kind: where metres come from.
+        kind: source of the metric scale.
         camera: the left or only camera.
-        rectifier: makes the rectified (one camera: undistorted) images.
+        rectifier: computes the rectified (one camera: undistorted) images.
         rig: the rectified pair; None = one camera, or a pair without calibration.
         raw_rig: the pair as loaded.
         path: the calibration file; None = a focal length.
-        left_from_reference_m: (3,) shift that takes labels of the rig's reference camera into the left one's frame.
-        file_notes: sentences for the user on the file.
-        search_notes: the sentence on where the file was found, if it was not given.
-        alignment: correction of the disparities, of a calibrated pair.
-        uncalibrated: assumptions on a pair without calibration.
+        left_from_reference_m: (3,) translation of labels from the rig's reference camera to the left camera's frame.
+        file_notes: sentences for the user about the file.
+        search_notes: the sentence that names the file if it was not given but found.
+        alignment: disparity correction of a calibrated pair.
+        uncalibrated: assumptions about a pair without calibration.
     """
 
     kind: CalibrationKind
@@ -52,7 +52,7 @@ class Calibration:
     left_from_reference_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     file_notes: tuple[str, ...] = ()
     search_notes: tuple[str, ...] = ()
-    alignment: FoundAlignment | None = None
+    alignment: PairAlignment | None = None
     uncalibrated: UncalibratedPair | None = None
 
     @property
@@ -64,44 +64,44 @@ class Calibration:
 
     @property
     def rectified_boxes(self) -> Callable[[FloatArray], FloatArray]:
-        """Boxes (N, 4) of the left video's own pixels -> of its rectified images."""
+        """Function from boxes (N, 4) in pixels of the left video to boxes in pixels of its rectified images."""
         return self.rectifier.boxes if isinstance(self.rectifier, Undistorter) else self.rectifier.left_boxes
 
     def rectified(self, left: Image, right: Image | None) -> tuple[Image, ImageView | None]:
-        """The images of one instant, (H, W, 3) uint8 as the cameras took them -> rectified."""
+        """Rectify (one camera: undistort) the images of one time, (H, W, 3) uint8 as recorded."""
         if isinstance(self.rectifier, Undistorter):
             return self.rectifier.undistort(left), None
         if right is None:
             raise ValueError("right: the rectifier of a pair expects two images")
         return self.rectifier.rectify(left, right)
 
-    def with_alignment(self, alignment: FoundAlignment) -> Calibration:
-        """The calibration of a pair with its alignment; rows are moved if it has a row offset."""
+    def with_alignment(self, alignment: PairAlignment) -> Calibration:
+        """A copy with the alignment of the pair; its row offset, if any, becomes part of the rectification."""
         rectifier, rows_px = self.rectifier, alignment.measured.rows_to_move_px
         if rows_px and self.raw_rig is not None:
             rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px)
         return replace(self, rectifier=rectifier, alignment=alignment)
 
-    def with_rows(self, row_offsets_px: list[float]) -> Calibration:
-        """The calibration of an uncalibrated pair with the row offsets of its first frames; none = unknown."""
+    def with_row_offsets(self, row_offsets_px: list[float]) -> Calibration:
+        """A copy with the row offsets of the first frames of an uncalibrated pair; an empty list = unknown."""
         if self.uncalibrated is None:
             return self
-        pair = self.uncalibrated.with_rows(row_offsets_px)
+        pair = self.uncalibrated.with_row_offsets(row_offsets_px)
         rectifier = Rectifier(_assumed_rig(self.camera), row_offset_px=pair.row_offset_px)
         return replace(self, rectifier=rectifier, uncalibrated=pair)
 
 
 def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None) -> Calibration:
-    """The calibration of opened videos: of the file given, else of the focal length, else of the file beside `left`.
+    """The calibration of opened videos: from the file `rig`, the focal length, or a file next to `left`, in this order.
 
-    A pair without any gets assumptions.
+    A pair without any of these is uncalibrated.
 
     Raises:
-        RigError: a file that cannot be used or does not fit the images; one camera without file and focal length.
+        RigError: the file cannot be used or does not fit the images; or one camera has neither file nor focal length.
     """
-    found = find_rig(left) if rig is None and focal_px is None and isinstance(left, Path) else None
-    search_notes = () if found is None else (f"Using calibration {found} found next to the left video.",)
-    path = found if rig is None else rig
+    neighbour = find_rig(left) if rig is None and focal_px is None and isinstance(left, Path) else None
+    search_notes = () if neighbour is None else (f"Using calibration {neighbour} found next to the left video.",)
+    path = neighbour if rig is None else rig
     if path is not None:
         loaded = _loaded_pair(path, inputs) if inputs.pairs is not None else _loaded_camera(path, inputs)
         return replace(loaded, search_notes=search_notes)
@@ -112,8 +112,8 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
         return Calibration(kind="estimated", camera=pair.camera, rectifier=rectifier, uncalibrated=pair)
     if focal_px is None:
         raise RigError(
-            f"{left}: no focal length, so no metres: give --focal-px F or --rig FILE "
-            "(or put a rig.yaml or calib.txt beside the video)."
+            f"{left}: distances need the focal length; give --focal-px F or --rig FILE, or put a rig.yaml or calib.txt "
+            "next to the video."
         )
     camera = camera_of_focal_length(focal_px, inputs.size_px)
     check_camera(camera, "--focal-px")
@@ -151,5 +151,5 @@ def _loaded_camera(path: Path, inputs: Inputs) -> Calibration:
 
 
 def _assumed_rig(camera: PinholeCamera) -> StereoRig:
-    """Two such cameras: a rectifier needs a baseline, and makes no use of it."""
+    """Two cameras of this model at an assumed baseline, which does not affect the rectification."""
     return StereoRig.rectified(camera, ASSUMED_BASELINE_M)

@@ -1,4 +1,4 @@
-"""DecodeLog: what one reading of a video file has met: the number of each frame, and which could not be used."""
+"""DecodeLog: frame numbers and counts of unusable frames of one reading of a video file."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import heapq
 
 from track_range.video.frame import counted
 
-_GAP_INTERVALS = 2.5  # a step so much longer than the nominal one is noted; the jitter of phones stays below
+_GAP_INTERVALS = 2.5
+"""Time step, in nominal frame intervals, from which a gap is reported; the jitter of phone cameras is smaller."""
 
 
 class DecodeLog:
-    """Counts of one reading of one file.
+    """Frame numbers and counts of one reading of one file.
 
     Attributes:
-        n_used: frames handed on.
-        n_damaged: frames left out because they, or what they are built on, are damaged.
-        n_backward: frames left out because their timestamp repeats or precedes the last one.
-        last_s: time of the last frame that decoded; None = none yet.
-        end_s: where that frame ends.
-        stopped_by: why the file could not be read on; empty = it could.
+        n_used: frames passed on.
+        n_damaged: frames skipped because they, or frames that they depend on, are damaged.
+        n_backward: frames skipped because their timestamp equals or precedes the last one.
+        last_s: time of the last decoded frame; None = none yet.
+        end_s: time at which that frame ends.
+        stopped_by: reason why reading stopped early; empty = it did not.
     """
 
     def __init__(self) -> None:
@@ -27,27 +28,28 @@ class DecodeLog:
         self.end_s = 0.0
         self.stopped_by = ""
         self._n_gaps, self._longest_gap_s, self._longest_gap_at_s = 0, 0.0, 0.0
-        self._stamps: list[int] = []  # heap of the packets' timestamps that no frame has passed yet
+        self._stamps: list[int] = []  # heap of packet timestamps not yet passed by a frame
         self._n_passed = 0
         self._index = -1
         self._corrupt: set[int] = set()
 
     def restart(self) -> None:
-        """Reading goes on at a later keyframe: forget the frames decoded so far, but not how many packets came."""
+        """Continue at a later keyframe: reset the counts of decoded frames, but not the number of packets."""
         self.n_damaged = self.n_backward = self._n_gaps = 0
         self.last_s, self._longest_gap_s = None, 0.0
 
     def packet(self, stamp: int | None, *, is_corrupt: bool) -> None:
-        """A packet that holds a frame was met, decoded or not; packets come in the decoder's order."""
+        """Register a packet that contains a frame, decoded or not; packets come in decoding order."""
         if stamp is not None:
             heapq.heappush(self._stamps, stamp)
             if is_corrupt:
                 self._corrupt.add(stamp)
 
     def frame_index(self, stamp: int | None) -> int:
-        """Number of frames before the one of this timestamp; frames come in order of time, each once.
+        """Index of the frame with this timestamp, from 0; to be called once per frame in order of time.
 
-        Packets give it even where frames were skipped or did not decode; without timestamps frames are counted.
+        It is the number of earlier packets, so that skipped and undecodable frames count; without timestamps decoded
+        frames are counted.
         """
         while stamp is not None and self._stamps and self._stamps[0] < stamp:
             heapq.heappop(self._stamps)
@@ -56,11 +58,11 @@ class DecodeLog:
         return self._index
 
     def is_corrupt(self, stamp: int | None) -> bool:
-        """Whether the frame's own packet was damaged in the file."""
+        """Whether the packet of the frame with this timestamp is damaged."""
         return stamp in self._corrupt
 
     def decoded(self, time_s: float, *, duration_s: float, interval_s: float) -> None:
-        """A frame of this time was decoded; times increase."""
+        """Register a decoded frame; times increase."""
         step_s = 0.0 if self.last_s is None else time_s - self.last_s
         if step_s > _GAP_INTERVALS * interval_s:
             self._n_gaps += 1
@@ -69,9 +71,9 @@ class DecodeLog:
         self.last_s, self.end_s = time_s, time_s + duration_s
 
     def note_shortfall(self, declared_end_s: float, *, tolerance_s: float) -> None:
-        """Reading is over: note it if the file's header promised more."""
+        """Report a file that ends more than `tolerance_s` before the end stated by its header."""
         if not self.stopped_by and self.end_s < declared_end_s - tolerance_s:
-            self.stopped_by = f"{declared_end_s - self.end_s:.1f} s less than its header promises"
+            self.stopped_by = f"{declared_end_s - self.end_s:.1f} s shorter than its header states"
 
     @property
     def notes(self) -> list[str]:
@@ -79,16 +81,16 @@ class DecodeLog:
         notes = []
         if self.stopped_by:
             notes.append(
-                f"reading ended after {counted(self.n_used, 'frame')}, at {self.end_s:.2f} s: the file is damaged or "
-                f"cut short there ({self.stopped_by})."
+                f"reading stopped after {counted(self.n_used, 'frame')}, at {self.end_s:.2f} s: the file is damaged or "
+                f"truncated there ({self.stopped_by})."
             )
         if self._n_gaps:
             notes.append(
-                f"{counted(self._n_gaps, 'gap')} in its times, the longest of {self._longest_gap_s:.2f} s after "
+                f"{counted(self._n_gaps, 'gap')} in the timestamps, the longest {self._longest_gap_s:.2f} s, after "
                 f"{self._longest_gap_at_s:.2f} s: frames are missing there."
             )
         if self.n_damaged:
-            notes.append(f"{counted(self.n_damaged, 'damaged frame')} left out.")
+            notes.append(f"{counted(self.n_damaged, 'damaged frame')} skipped.")
         if self.n_backward:
-            notes.append(f"{counted(self.n_backward, 'frame')} with a repeated or backward timestamp left out.")
+            notes.append(f"{counted(self.n_backward, 'frame')} with a repeated or backward timestamp skipped.")
         return notes

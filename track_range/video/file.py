@@ -1,10 +1,10 @@
-"""VideoFile: the frames of a video file by its timestamps; with `writer.py` all that uses PyAV (FFmpeg).
+"""VideoFile: the frames of a video file with their timestamps, decoded with PyAV (FFmpeg).
 
-    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> leave out damaged ones
+    open -> demux -> skip to the last keyframe before the start -> decode -> index and time -> skip damaged frames
 
-    time_s = pts * time_base,    with the stream's start offset, since left and right of a pair may start apart
+    time_s = pts * time_base,    including the stream's start offset, since the videos of a pair may start apart
 
-Time increases strictly, indices count every frame of the file, and images are upright.
+Times increase strictly, indices count every frame of the file, and images are upright.
 """
 
 from __future__ import annotations
@@ -33,19 +33,26 @@ from track_range.video.decode_log import DecodeLog
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 from track_range.video.threads import DECODER_THREADS
 
-_FALLBACK_RATE_HZ = 25.0  # where a file states no rate at all
-_SHORTFALL_FRAMES = 2.5  # a file that ends so much before its header's duration was cut short
+_FALLBACK_RATE_HZ = 25.0
+"""Frame rate of a file that states none."""
+
+_SHORTFALL_FRAMES = 2.5
+"""Number of missing frames at the end, relative to the header's duration, from which a file counts as truncated."""
+
 _UPRIGHT = (1, 0, 0, 1)
-_STILL_FORMATS = ("image2", "_pipe")  # FFmpeg's names for single images end so
+"""Result of `_display_axes` for an image that needs no rotation."""
+
+_STILL_FORMATS = ("image2", "_pipe")
+"""Endings of FFmpeg's format names of single images."""
 
 
 class VideoFile:
-    """A video file. It is opened once for its properties and the first reading; each later reading opens it anew.
+    """A video file, opened once for its properties and the first reading, and again for each later reading.
 
-    Attributes: as of `VideoReader`.
+    Attributes: see `VideoReader`.
 
     Raises:
-        VideoError: it cannot be read, holds no video, or nothing in it decodes.
+        VideoError: the file cannot be read, contains no video, or nothing can be decoded.
     """
 
     def __init__(self, path: Path) -> None:
@@ -56,13 +63,11 @@ class VideoFile:
         self.fps = self._reading.fps
         self._file_notes: list[str] = []
         if stream.sample_aspect_ratio not in (None, 0, 1):
-            self._file_notes.append(f"{path}: its pixels are not square; the images are used as they are stored.")
+            self._file_notes.append(f"{path}: pixels are not square; the images are used as stored.")
 
         self._first = next(self._reading, None)
         if self._first is None:
-            raise VideoError(
-                f"{path}: no frame of this video can be decoded: it is damaged or cut short, record again."
-            )
+            raise VideoError(f"{path}: no frame can be decoded; the video is damaged or truncated, record it again.")
         self.first_time_s = self._first.time_s
 
         declared_s, is_end = _declared_duration_s(container, stream)
@@ -73,29 +78,29 @@ class VideoFile:
 
         self._axes = _display_axes(self._first.frame)
         if self._axes != _UPRIGHT:
-            self._file_notes.append(f"{path}: rotated upright, as its metadata requires.")
+            self._file_notes.append(f"{path}: rotated upright according to its metadata.")
         image = _YuvImage(self._first.frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user, with what the latest reading has met."""
+        """Sentences for the user, including the problems of the latest reading."""
         return [*self._file_notes, *(f"{self.path}: {note}" for note in self._log.notes)]
 
     def close(self) -> None:
-        """Close the file, if its first reading has not begun."""
+        """Close the file if its first reading has not started."""
         if self._reading is not None:
             self._reading.close()
             self._reading = self._first = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The frames of the times from `from_s` up to, not including, `until_s`.
+        """The frames with times in [from_s, until_s).
 
-        Damaged frames are left out, and reading ends where the file cannot be read on; see `notes`.
+        Damaged frames are skipped, and reading ends where the file becomes unreadable; see `notes`.
 
         Raises:
-            VideoError: a frame has another size than the first, or the file cannot be opened again.
+            VideoError: a frame differs in size from the first, or the file cannot be opened again.
         """
         reading, first = self._reading or _Reading(self.path), self._first
         self._reading = self._first = None
@@ -116,8 +121,8 @@ class VideoFile:
         width_px, height_px = image.size_px
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
-                f"{self.path}: its images change from {self.width_px}x{self.height_px} to {width_px}x{height_px} after "
-                f"{counted(self._log.n_used - 1, 'frame')}: cut the video there, or use --duration."
+                f"{self.path}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px} "
+                f"after {counted(self._log.n_used - 1, 'frame')}; cut the video there, or use --duration."
             )
 
 
@@ -134,9 +139,9 @@ class _Reading:
     """One reading of a file from its start; iterating gives the intact frames in order of time.
 
     Attributes:
-        container, stream: FFmpeg's.
-        fps: nominal rate.
-        log: what could not be used.
+        container, stream: PyAV's container and its video stream.
+        fps: nominal frame rate.
+        log: frame numbers and unusable frames.
     """
 
     def __init__(self, path: Path) -> None:
@@ -144,19 +149,19 @@ class _Reading:
         self.log = DecodeLog()
         rate_hz = self.stream.average_rate or self.stream.guessed_rate
         self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
-        # AVI knows no timestamps, and with B-frames those that FFmpeg guesses are in disorder.
+        # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
         self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
         self._time_base = self.stream.time_base or Fraction(1, 90_000)
         self._packets = self._demuxed()
         self._decoded: deque[av.VideoFrame] = deque()
-        self._from_s = math.inf  # damaged frames before the part asked for do not count
+        self._from_s = math.inf  # damaged frames before the requested part do not count
 
     def close(self) -> None:
         """Close the file."""
         self.container.close()
 
     def skip_to(self, from_s: float) -> None:
-        """Leave out packets that no frame from `from_s` on is built from: those before the last keyframe."""
+        """Skip the packets before the last keyframe at or before `from_s`; later frames do not depend on them."""
         self._from_s = from_s
         if not self._is_stamped:
             return
@@ -196,7 +201,7 @@ class _Reading:
                 log.n_damaged += 1
 
     def _next_decoded(self) -> av.VideoFrame:
-        """The next frame that decodes; None and an empty packet flush the decoder."""
+        """The next frame that can be decoded; None and an empty packet flush the decoder."""
         while not self._decoded:
             packet = next(self._packets)
             try:
@@ -206,7 +211,7 @@ class _Reading:
         return self._decoded.popleft()
 
     def _demuxed(self) -> Iterator[Packet[VideoStream] | None]:
-        """The stream's packets, then None if the file cannot be read to its end."""
+        """The stream's packets, followed by None if the file cannot be read to its end."""
         packets = self.container.demux(self.stream)
         while True:
             try:
@@ -224,14 +229,14 @@ class _Reading:
 
 @dataclass(frozen=True, slots=True)
 class _YuvImage:
-    """A frame in the decoder's format, and how it is turned upright (see `_display_axes`)."""
+    """A frame in the decoder's native format, with the rotation that makes it upright (see `_display_axes`)."""
 
     frame: av.VideoFrame
     axes: tuple[int, int, int, int]
 
     @property
     def n_bytes(self) -> int:
-        """Memory that it takes."""
+        """Size in memory."""
         return sum(plane.buffer_size for plane in self.frame.planes)
 
     @property
@@ -241,7 +246,7 @@ class _YuvImage:
         return size_px[::-1] if self.axes[1] else size_px
 
     def to_bgr(self) -> Image:
-        """(H, W, 3) uint8, upright."""
+        """The image as (H, W, 3) uint8 BGR, upright."""
         image = self.frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
         if self.axes == _UPRIGHT:
             return image
@@ -252,9 +257,9 @@ class _YuvImage:
 
 
 def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
-    """Signs (a, b, c, d) of x' = a x + c y, y' = b x + d y that turn the stored image upright, as players do."""
+    """Signs (a, b, c, d) of x' = a x + c y, y' = b x + d y, which rotate the stored image upright as players do."""
     try:
-        side = cast(SideDataContainer, frame.side_data)[SideDataType.DISPLAYMATRIX]  # PyAV's own hint is too narrow
+        side = cast(SideDataContainer, frame.side_data)[SideDataType.DISPLAYMATRIX]  # PyAV's type hint is too narrow
     except KeyError:
         return _UPRIGHT
     a, b, _, c, d = (int(sign) for sign in np.sign(np.frombuffer(bytes(side), np.int32)[:5]))
@@ -265,15 +270,19 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
 def _open(path: Path) -> tuple[InputContainer, VideoStream]:
     """The file and its video stream, ready to decode."""
     try:
-        container = av.open(f"file:{path}", mode="r", metadata_errors="replace")  # a name may look like a protocol
+        container = av.open(
+            f"file:{path}", mode="r", metadata_errors="replace"
+        )  # "file:", since a name may look like a URL
     except av.FFmpegError as error:
-        raise VideoError(f"{path}: {_why_unreadable(path)}") from error
+        raise VideoError(f"{path}: {_unreadable_reason(path)}") from error
     try:
         if container.format.name.endswith(_STILL_FORMATS):
-            raise VideoError(f"{path}: a single image; name a video, or the folder that holds the numbered images.")
+            raise VideoError(
+                f"{path}: expected a video, got a single image; give a video file or a folder of numbered images."
+            )
         stream = _video_stream(container)
-        if stream is None or container.format.name == "tty":  # FFmpeg takes any text for terminal art
-            raise VideoError(f"{path}: holds no video: name a video file, or a folder of numbered images.")
+        if stream is None or container.format.name == "tty":  # FFmpeg reads any text as ANSI art
+            raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
     except VideoError:
         container.close()
         raise
@@ -282,31 +291,31 @@ def _open(path: Path) -> tuple[InputContainer, VideoStream]:
     return container, stream
 
 
-def _why_unreadable(path: Path) -> str:
+def _unreadable_reason(path: Path) -> str:
     try:
         with path.open("rb") as file:
             start = file.read(12)
     except OSError as error:
-        return f"cannot be read ({error.strerror}): check it and its permissions."
+        return f"cannot be read ({error.strerror}); check its permissions."
     if not start:
-        return "the file is empty: copy or record it again."
+        return "the file is empty; copy or record it again."
     if start[4:8] == b"ftyp":
-        return "an MP4 without its index, so cut short while recording or copying: copy it again, or repair it."
-    return "not a video, or damaged from its start: name a video file, or a folder of numbered images."
+        return "MP4 file without an index, truncated while recording or copying; copy it again, or repair it."
+    return "not a video, or damaged at its start; give a video file or a folder of numbered images."
 
 
 def _video_stream(container: InputContainer) -> VideoStream | None:
-    """The first stream that is a video, not a cover picture, and that this FFmpeg can decode."""
+    """The first video stream that is not a cover picture and that FFmpeg can decode; None if there is none."""
     videos = (stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic)
     return next((stream for stream in videos if stream.codec_context is not None), None)
 
 
 def _declared_duration_s(container: InputContainer, stream: VideoStream) -> tuple[float, bool]:
-    """Duration stated by the header, 0 = none; and whether it counts from time 0."""
+    """Duration stated by the header in s, 0 = none; and whether it counts from time 0 instead of the first frame."""
     if container.format.name == "avi" and stream.frames and stream.average_rate:
-        return float(stream.frames / stream.average_rate), False  # its duration is what FFmpeg found, not the promise
+        return float(stream.frames / stream.average_rate), False  # FFmpeg's duration is not the header's
     is_matroska = container.format.name.startswith("matroska")
     if stream.duration and stream.time_base and not is_matroska:
         return float(stream.duration * stream.time_base), False
-    is_alone = len(container.streams) == 1  # else it may be the sound that lasts so long
+    is_alone = len(container.streams) == 1  # otherwise the duration may be that of an audio stream
     return (container.duration or 0) / av.time_base if is_alone else 0.0, is_matroska

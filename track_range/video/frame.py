@@ -1,4 +1,4 @@
-"""VideoFrame: one image with its place in the file and its time, and the clock that makes those times increase."""
+"""VideoFrame: one image with its frame number and time; and helpers that all video sources share."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UserError
 
 TIME_EPSILON_S = 1e-6
-"""Times closer than this are one: far below any frame interval, far above the rounding of a float64."""
+"""Times closer than this, s, are equal: far below any frame interval, far above the rounding of a float64."""
 
-_NEUTRAL_DIFFERENCE = 8  # grey levels between channels; lossy chroma of a grey video differs by 1 to 3
+_NEUTRAL_DIFFERENCE = 8
+"""Largest difference between the channels of a grey pixel, in grey levels; lossy chroma of grey videos differs by 1 to
+3."""
+
 _NEUTRAL_SHARE = 0.999
+"""Smallest share of grey pixels in an image without colour; assumed."""
 
 
 class VideoError(UserError):
@@ -23,15 +27,15 @@ class VideoError(UserError):
 
 
 class DecodedImage(Protocol):
-    """An image in the decoder's own format, smaller than as BGR."""
+    """An image in the decoder's native format, which takes less memory than BGR."""
 
     @property
     def n_bytes(self) -> int:
-        """Memory that it takes."""
+        """Size in memory."""
         ...
 
     def to_bgr(self) -> Image:
-        """(H, W, 3) uint8 BGR, upright; the same at each call."""
+        """The image as (H, W, 3) uint8 BGR, upright; every call gives the same pixels."""
         ...
 
 
@@ -40,10 +44,10 @@ class VideoFrame:
     """One image of a video.
 
     Attributes:
-        index: number of the frame in its file, from 0, counting also frames that were skipped, dropped or missing.
-        time_s: the file's own time of the frame, with the stream's start offset; strictly increasing.
+        index: number of the frame in its file, from 0; skipped, dropped and missing frames are counted too.
+        time_s: timestamp in the file, including the stream's start offset; strictly increasing.
         image: (H, W, 3) uint8 BGR, upright.
-        decoded: the same image in the decoder's format; None = there is no other format.
+        decoded: the same image in the decoder's native format; None = not available.
     """
 
     index: int
@@ -53,11 +57,11 @@ class VideoFrame:
 
     @property
     def n_packed_bytes(self) -> int:
-        """Memory of the image once packed."""
+        """Size in memory of the image in the smaller format."""
         return self.image.nbytes if self.decoded is None else self.decoded.n_bytes
 
     def packed(self) -> Callable[[], VideoFrame]:
-        """A function that returns this frame and holds its image in the smaller format only."""
+        """A function that returns this frame but stores its image only in the smaller format."""
         decoded, index, time_s = self.decoded, self.index, self.time_s
         if decoded is None:
             return lambda: self
@@ -65,15 +69,15 @@ class VideoFrame:
 
 
 def is_neutral(image: Image) -> bool:
-    """Whether a BGR image has no colour: its channels are equal but for a codec's noise."""
+    """Whether a BGR image has no colour: its channels are equal except for compression noise."""
     sample = image[::4, ::4].astype(np.int16)
     return bool((np.ptp(sample, axis=2) <= _NEUTRAL_DIFFERENCE).mean() >= _NEUTRAL_SHARE)
 
 
 def strictly_later(stamp_s: float | None, last_s: float | None, *, interval_s: float) -> float | None:
-    """The time of a frame stamped `stamp_s` after one at `last_s`; None = a repeated or backward stamp.
+    """The time of a frame with timestamp `stamp_s` that follows one at `last_s`; None = repeated or backward timestamp.
 
-    A frame without a stamp comes one nominal interval after the last, or at 0 when it is the first.
+    A frame without a timestamp gets the last time plus one nominal interval, or 0 if it is the first.
     """
     if stamp_s is None:
         return 0.0 if last_s is None else last_s + interval_s
@@ -81,5 +85,5 @@ def strictly_later(stamp_s: float | None, last_s: float | None, *, interval_s: f
 
 
 def counted(n: int, noun: str, plural: str | None = None) -> str:
-    """`1 frame`, `2 frames`."""
+    """A number with its noun: `1 frame`, `2 frames`; the default plural appends an s."""
     return f"{n} {noun if n == 1 else plural or noun + 's'}"

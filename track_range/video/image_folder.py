@@ -1,8 +1,8 @@
 """ImageFolder: a folder of numbered images as a video.
 
-The last number in a name is the frame's number: time = number / fps, so that a number that is not there is a frame that
-was dropped, and left and right of a pair stay in step. KITTI's timestamps.txt, one `2011-09-26 13:10:51.168593664` per
-image in the folder or beside it, takes the place of that where it fits.
+The last number in a file name is the frame number, and time = number / fps: a missing number is a dropped frame, and
+left and right of a pair stay synchronised. If the folder or its parent contains KITTI's timestamps.txt, with one line
+such as `2011-09-26 13:10:51.168593664` per image, the times are read from it instead.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
+"""Suffixes of image files, in lower case."""
+
 _TIMESTAMPS_NAME = "timestamps.txt"
-_DATED = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
+_TIMESTAMP = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
 
 
 class ImageFolder:
@@ -28,14 +30,14 @@ class ImageFolder:
 
     Attributes:
         width_px, height_px: size of every image.
-        is_grey: the first image has no colour.
-        fps: nominal rate: the one given, or the median one of timestamps.txt.
+        is_grey: whether the first image has no colour.
+        fps: nominal frame rate: the argument, or the median rate of timestamps.txt.
         first_time_s: time of the first image; seconds since 1970 with timestamps.txt.
         n_frames: images in the folder.
         notes: sentences for the user.
 
     Raises:
-        VideoError: no numbered images, two of one number, or the first cannot be decoded.
+        VideoError: no numbered images, two with the same number, or the first cannot be decoded.
     """
 
     def __init__(self, path: Path, *, fps: float) -> None:
@@ -44,12 +46,12 @@ class ImageFolder:
         self.n_frames = len(self._images)
         first, last = self._images[0][0], self._images[-1][0]
         stamps_s, self._folder_notes = _stamps_of(path, self.n_frames)
-        self.fps = fps if stamps_s is None else _median_rate_hz(stamps_s, otherwise=fps)
+        self.fps = fps if stamps_s is None else _median_rate_hz(stamps_s, default_hz=fps)
         self._times_s = [number / fps for number, _ in self._images] if stamps_s is None else stamps_s.tolist()
         if n_missing := last - first + 1 - self.n_frames:
             self._folder_notes.append(
                 f"{path}: {counted(n_missing, 'number is', 'numbers are')} missing between "
-                f"{self._images[0][1].name} and {self._images[-1][1].name}; taken as dropped frames."
+                f"{self._images[0][1].name} and {self._images[-1][1].name}; treated as dropped frames."
             )
         self.first_time_s: float = self._times_s[0]
         self._first_image: Image | None = _decoded(self._images[0][1])
@@ -59,21 +61,21 @@ class ImageFolder:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user, with what the latest reading has met."""
+        """Sentences for the user, including the problems of the latest reading."""
         if not self._n_backward:
             return list(self._folder_notes)
-        dropped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp left out."
-        return [*self._folder_notes, f"{self.path}: {dropped}"]
+        skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
+        return [*self._folder_notes, f"{self.path}: {skipped}"]
 
     def close(self) -> None:
-        """Free the first image, if it has not been read."""
+        """Free the first image if it has not been used."""
         self._first_image = None
 
     def frames(self, from_s: float, until_s: float) -> Generator[VideoFrame, None, None]:
-        """The images of the times from `from_s` up to, not including, `until_s`.
+        """The images with times in [from_s, until_s).
 
         Raises:
-            VideoError: an image cannot be decoded or has another size than the first.
+            VideoError: an image cannot be decoded or differs in size from the first.
         """
         self._n_backward, last_s, first_number = 0, None, self._images[0][0]
         for (number, path), stamp_s in zip(self._images, self._times_s, strict=True):
@@ -91,44 +93,44 @@ class ImageFolder:
         height_px, width_px = image.shape[:2]
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
-                f"{path}: {width_px}x{height_px} pixels, but the first image has {self.width_px}x{self.height_px}: "
-                "keep images of one camera and one size in the folder."
+                f"{path}: expected {self.width_px}x{self.height_px} px like the first image, got "
+                f"{width_px}x{height_px}; a folder must contain the images of one camera."
             )
         return image
 
 
 def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
-    """(number, path) of the folder's images by number; the last digits of a name are its number."""
-    found = [entry for entry in folder.iterdir() if entry.suffix.lower() in IMAGE_SUFFIXES and entry.name[0] != "."]
-    numbers = ((re.findall(r"\d+", entry.stem), entry) for entry in found)
+    """(number, path) of a folder's images, sorted by number; the number is the last one in the file name."""
+    entries = [entry for entry in folder.iterdir() if entry.suffix.lower() in IMAGE_SUFFIXES and entry.name[0] != "."]
+    numbers = ((re.findall(r"\d+", entry.stem), entry) for entry in entries)
     images = sorted((int(digits[-1]), entry) for digits, entry in numbers if digits)
     if not images:
         raise VideoError(
-            f"{folder}: no numbered images in this folder (000000.png, 000001.png, ...): name the folder that holds "
-            "them, or a video file."
+            f"{folder}: expected numbered images (000000.png, 000001.png, ...), found none; give the folder that "
+            "contains them, or a video file."
         )
     for (number, path), (next_number, next_path) in itertools.pairwise(images):
         if number == next_number:
             raise VideoError(
-                f"{folder}: {path.name} and {next_path.name} both have the number {number}: keep one camera's images "
-                "in a separate folder."
+                f"{folder}: {path.name} and {next_path.name} have the same number {number}; put the images of each "
+                "camera in a separate folder."
             )
     return images
 
 
 def _decoded(path: Path) -> Image:
-    """(H, W, 3) uint8 BGR; 16 bits lose the lower 8, grey is repeated, EXIF orientation is followed."""
+    """The image of a file as (H, W, 3) uint8 BGR, upright by EXIF; 16-bit images are reduced to their upper 8 bits."""
     stored = np.frombuffer(_bytes_of(path), np.uint8)
     image = cv2.imdecode(stored, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH) if stored.size else None
     if image is None:
         raise VideoError(
-            f"{path}: this image is damaged or of an unknown kind: replace it, or delete it to have its frame skipped."
+            f"{path}: the image is damaged or of an unknown format; replace it, or delete it to skip its frame."
         )
     if image.dtype == np.uint16:
         image = image.astype(np.uint16, copy=False) >> 8
         return image.astype(np.uint8)
     if image.dtype != np.uint8:
-        raise VideoError(f"{path}: pixels of type {image.dtype}: convert the images to 8 or 16 bits.")
+        raise VideoError(f"{path}: expected pixels of 8 or 16 bits, got {image.dtype}; convert the images.")
     return image.astype(np.uint8, copy=False)
 
 
@@ -136,12 +138,12 @@ def _bytes_of(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise VideoError(f"{path}: cannot be read ({error.strerror}): check the file and its permissions.") from error
+        raise VideoError(f"{path}: cannot be read ({error.strerror}); check its permissions.") from error
 
 
 def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str]]:
-    """(n_images,) seconds since 1970 from timestamps.txt, None without a usable one; and sentences for the user."""
-    candidates = (place / _TIMESTAMPS_NAME for place in (folder, folder.absolute().parent))
+    """(n_images,) seconds since 1970 from timestamps.txt, None if there is no usable one; and notes for the user."""
+    candidates = (parent / _TIMESTAMPS_NAME for parent in (folder, folder.absolute().parent))
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:
         return None, []
@@ -149,16 +151,17 @@ def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str
     stamps = [line.strip() for line in lines if line.strip()]
     if len(stamps) != n_images:
         n_lines = counted(len(stamps), "line")
-        return None, [f"{file}: not used, since it has {n_lines} for {counted(n_images, 'image')}."]
+        return None, [f"{file}: not used; it has {n_lines} for {counted(n_images, 'image')}."]
     try:
-        dated = [_DATED.sub(r"\1T\2", stamp) if _DATED.fullmatch(stamp) else "undated" for stamp in stamps]
-        stamps_s = np.array(dated, "datetime64[ns]").astype(np.int64) / 1e9
+        dates = [_TIMESTAMP.sub(r"\1T\2", stamp) if _TIMESTAMP.fullmatch(stamp) else "invalid" for stamp in stamps]
+        stamps_s = np.array(dates, "datetime64[ns]").astype(np.int64) / 1e9
     except ValueError:
-        return None, [f"{file}: not used, since its lines are not all dates with times."]
-    return stamps_s, [f"{file}: the times of {folder} are taken from it."]
+        return None, [f"{file}: not used; not all of its lines are dates with times."]
+    return stamps_s, [f"{file}: used for the frame times of {folder}."]
 
 
-def _median_rate_hz(stamps_s: FloatArray, *, otherwise: float) -> float:
+def _median_rate_hz(stamps_s: FloatArray, *, default_hz: float) -> float:
+    """The inverse of the median positive step of (N,) timestamps; `default_hz` if there is none."""
     steps_s = np.diff(stamps_s)
-    later_s = steps_s[steps_s > TIME_EPSILON_S]
-    return float(1 / np.median(later_s)) if later_s.size else otherwise
+    positive_s = steps_s[steps_s > TIME_EPSILON_S]
+    return float(1 / np.median(positive_s)) if positive_s.size else default_hz

@@ -1,4 +1,4 @@
-"""Inputs: one or two videos (files, folders, cameras, streams), opened; of two, the pairs of one instant."""
+"""Inputs: one or two opened videos (files, folders, cameras, streams); two are paired by time."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from track_range.video.threads import MAX_LOOK_AHEAD_BYTES
 Reader = VideoReader | LiveReader
 
 Images = tuple[VideoFrame, VideoFrame | None]
-"""Left and right of one instant; one video: no right one."""
+"""Left and right frame of one time; the right one is None if there is one video."""
 
-_CODEC_CROP_PX = 2  # video codecs need even sizes, so one of two videos may have lost a row or a column
+_CODEC_CROP_PX = 2
+"""Tolerated difference in size between left and right, px: codecs need even sizes, so one may lack a row or column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class Inputs:
     Attributes:
         left: the left or only video.
         pairs: left and right, paired by time; None = one video.
-        size_px: width and height that both have.
+        size_px: common width and height.
     """
 
     left: Reader
@@ -54,12 +55,12 @@ class Inputs:
         Args:
             left: a file, a folder of numbered images, a camera or a stream.
             right: the same; None = one video.
-            start_s: where to start, in seconds after the left video's first frame.
-            duration_s: how much to read from there; None = all.
-            folder_fps: rate of folders without timestamps.txt.
+            start_s: start of the part to read, in seconds after the left video's first frame.
+            duration_s: length of the part to read; None = to the end.
+            folder_fps: frame rate of folders without timestamps.txt.
 
         Raises:
-            VideoError: one cannot be used, their sizes differ, or one is live and the other recorded.
+            VideoError: a video cannot be used, their sizes differ, or one is live and the other recorded.
         """
 
         def reader(name: VideoName, origin_s: float | None = None) -> Reader:
@@ -81,7 +82,7 @@ class Inputs:
         return cls(first, LookAhead(pairs, max_bytes=0 if is_live else MAX_LOOK_AHEAD_BYTES), size_px)
 
     def read_ahead(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
-        """The first pairs, before the iteration; see `LookAhead.read_ahead`. Nothing of one video."""
+        """The first pairs, before the iteration; see `LookAhead.read_ahead`. Empty for one video."""
         if self.pairs is not None:
             yield from self.pairs.read_ahead()
 
@@ -94,13 +95,13 @@ class Inputs:
                 yield image, None
 
     def cut(self, frame: VideoFrame) -> Image:
-        """The frame's image, cut to the common size."""
+        """The frame's image, cropped to the common size."""
         width_px, height_px = self.size_px
         return frame.image[:height_px, :width_px]
 
     @property
     def readers(self) -> tuple[Reader, ...]:
-        """One or two."""
+        """The readers of the one or two videos, left first."""
         return (self.left,) if self.pairs is None else (self.left, self.pairs.pairs.right)
 
     @property
@@ -110,17 +111,17 @@ class Inputs:
 
     @property
     def n_frames(self) -> int | None:
-        """Frames to expect; None = unknown."""
+        """Estimated number of frames; None = unknown."""
         return self.left.n_frames
 
     @property
     def live(self) -> LiveReader | None:
-        """The left video, where it is a camera or a stream."""
+        """The left video if it is a camera or a stream, else None."""
         return self.left if isinstance(self.left, LiveReader) else None
 
     @property
     def busy_s(self) -> float:
-        """Time spent reading and decoding so far, of both videos together."""
+        """Time spent reading and decoding so far, s, summed over both videos."""
         return sum(reader.busy_s for reader in self.readers)
 
     @property
@@ -130,7 +131,7 @@ class Inputs:
         return (*itertools.chain.from_iterable(reader.notes for reader in self.readers), *paired)
 
     def close(self) -> None:
-        """End the reading: close files, and the connections of live streams."""
+        """Close the files and the connections of live streams."""
         if self.pairs is not None:
             self.pairs.close()
         self.left.close()
@@ -141,7 +142,10 @@ def _paired(left: Reader, right: Reader) -> StereoVideo | LivePair:
         return LivePair(left, right)
     if isinstance(left, VideoReader) and isinstance(right, VideoReader):
         return StereoVideo(left, right)
-    raise VideoError(f"{left.path} and {right.path}: expected two files or two live streams, got one of each.")
+    raise VideoError(
+        f"{left.path} and {right.path}: expected two recorded videos or two live streams, got one of each; "
+        "both must be of the same kind."
+    )
 
 
 def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:

@@ -1,7 +1,9 @@
-r"""LookAhead: the first pairs of two videos are seen before the pass that uses them, and decoded once.
+r"""LookAhead: reads the first pairs of two videos before the main pass, and buffers them so that they are decoded once.
 
-pairs -> read_ahead() -> alignment, checks          live: nothing is kept, and the pass starts with the newest
-               \-> kept, packed, at most `max_bytes` -> iteration: kept ones first (freed as they go), then the rest
+pairs -> read_ahead() -> alignment, checks
+               \-> buffer of at most `max_bytes` -> iteration: buffered pairs first (freed one by one), then the rest
+
+Live streams are not buffered: the iteration starts with the newest pair.
 """
 
 from __future__ import annotations
@@ -18,37 +20,37 @@ Pair = tuple[VideoFrame, VideoFrame]
 
 
 class LookAhead:
-    """Pairs of two videos, of which the first may be read ahead once before they are iterated.
+    """Pairs of two videos, the first of which may be read once before the iteration.
 
     Args:
         pairs: the two videos.
-        max_bytes: memory for the pairs read ahead. If they are more than one and need more, none is kept, and the
-            iteration starts anew: recorded videos from their start, live ones with what comes then.
+        max_bytes: size of the buffer, which always holds one pair. If more pairs do not fit, the buffer is dropped and
+            the iteration restarts: recorded videos from their start, live ones with the next pair.
     """
 
     def __init__(self, pairs: StereoVideo | LivePair, *, max_bytes: int) -> None:
         self.pairs = pairs
         self._max_bytes = max_bytes
         self._unread: Generator[Pair, None, None] | None = None
-        self._kept: deque[tuple[Callable[[], VideoFrame], Callable[[], VideoFrame]]] = deque()
+        self._buffer: deque[tuple[Callable[[], VideoFrame], Callable[[], VideoFrame]]] = deque()
         self._n_bytes = 0
         self._is_full = False
 
     @property
-    def n_kept(self) -> int:
-        """Pairs that have been read ahead and wait for the iteration."""
-        return len(self._kept)
+    def n_buffered(self) -> int:
+        """Number of pairs in the buffer."""
+        return len(self._buffer)
 
     def read_ahead(self) -> Generator[Pair, None, None]:
-        """The first pairs, as many as the caller takes; to be called at most once, before the iteration."""
+        """The first pairs, until the caller stops; to be called at most once, before the iteration."""
         self._unread = iter(self.pairs)
         for left, right in self._unread:
             self._n_bytes += left.n_packed_bytes + right.n_packed_bytes
-            self._is_full |= bool(self._kept) and self._n_bytes > self._max_bytes
+            self._is_full |= bool(self._buffer) and self._n_bytes > self._max_bytes
             if self._is_full:
-                self._kept.clear()
+                self._buffer.clear()
             else:
-                self._kept.append((left.packed(), right.packed()))
+                self._buffer.append((left.packed(), right.packed()))
             yield left, right
 
     def __iter__(self) -> Generator[Pair, None, None]:
@@ -57,14 +59,14 @@ class LookAhead:
             unread.close()
             unread = None
         with closing(unread or iter(self.pairs)) as unread:
-            while self._kept:
-                left, right = self._kept.popleft()
+            while self._buffer:
+                left, right = self._buffer.popleft()
                 yield left(), right()
             yield from unread
 
     def close(self) -> None:
-        """End the reading and free what is kept."""
-        self._kept.clear()
+        """Stop reading and free the buffer."""
+        self._buffer.clear()
         if self._unread is not None:
             self._unread.close()
         self.pairs.close()

@@ -1,4 +1,4 @@
-"""Checks of a pair while its frames pass: are left and right swapped, do rows agree, are both of one instant?"""
+"""Checks of a stereo pair during a run: swapped videos, vertical offset, synchronisation."""
 
 from __future__ import annotations
 
@@ -12,25 +12,29 @@ from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import RigError
 
 MAX_CHECKED_PAIRS = 10
-"""Pairs that are checked for swapped cameras until enough are conclusive."""
+"""Largest number of pairs that are checked for swapped cameras; fewer if enough are conclusive."""
 
 _MAX_ROW_OFFSET_PX = 1.5
-"""A larger offset is noted; features lie on whole pixels, so a single pair cannot show a smaller one."""
+"""Vertical offset from which the user is warned; features have whole-pixel positions, so one pair shows no smaller
+one."""
 
 _UNMATCHED = (
-    f"In the first {MAX_CHECKED_PAIRS} pairs left and right share too few points in equal rows to check the rig: "
-    "do the two videos and the rig belong together?"
+    f"The rig could not be checked: left and right have too few matching points in equal rows in the first "
+    f"{MAX_CHECKED_PAIRS} pairs; check that the two videos and the rig belong together."
 )
 
 _SYNC_EVERY = 5
-"""Synchronisation is checked in every fifth frame, until three checks agree or twelve have been made."""
+"""Interval between synchronisation checks, in frames."""
 
 _MAX_SYNC_CHECKS = 12
+"""Largest number of synchronisation checks."""
+
 _N_AGREEING_CHECKS = 3
+"""Number of equal results after which the synchronisation is decided."""
 
 
 class Monitor(Protocol):
-    """A check of frames, each of which it sees once, in order of time."""
+    """A check that receives each frame once, in order of time."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -50,7 +54,7 @@ class PairMonitor:
 
     Attributes:
         row_offsets_px: mean of y_right - y_left of matching points, one per conclusive pair.
-        corrected_px: row offset that is taken out of the frames after the check.
+        corrected_px: row offset that is corrected in the frames after the check.
     """
 
     def __init__(self, *, n_conclusive: int = 1) -> None:
@@ -62,11 +66,11 @@ class PairMonitor:
 
     @property
     def is_done(self) -> bool:
-        """Whether no further pair will be checked."""
+        """Whether the check has ended."""
         return len(self.row_offsets_px) >= self._n_conclusive or self._n_checked >= MAX_CHECKED_PAIRS
 
     def add(self, frame: Frame) -> None:
-        """Check a frame, if more are to be checked; a frame that was added before is ignored.
+        """Check a frame unless the check has ended; a frame that was added before is ignored.
 
         Raises:
             RigError: left and right are swapped.
@@ -82,7 +86,7 @@ class PairMonitor:
         if check.is_swapped:
             raise RigError(
                 f"left and right are swapped: {100 * check.negative_share:.0f} % of {check.n_matches} matched points "
-                "lie further right in the right image; swap the two videos."
+                "have a negative disparity; swap the two videos."
             )
         if check.is_conclusive:
             self.row_offsets_px.append(check.row_offset_px)
@@ -102,7 +106,7 @@ class PairMonitor:
 
 
 class SyncMonitor:
-    """Finds that one of two videos lags by a frame, once the vehicle moves."""
+    """Detects a lag of one frame between the two videos while the vehicle moves."""
 
     def __init__(self) -> None:
         self._last: deque[Frame] = deque(maxlen=3)
@@ -129,12 +133,12 @@ class SyncMonitor:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The sentence for the user, once it is certain that one video lags."""
+        """The sentence for the user if one video lags."""
         sync = self._votes.most_common(1)[0][0] if self._is_settled else "synchronised"
         if sync == "synchronised":
             return ()
         late = "right" if sync == "right lags" else "left"
         return (
-            f"Left and right are not synchronised: the {late} video lags by one frame (from the rows of matched points "
+            f"Left and right are not synchronised: the {late} video lags by one frame (detected from vertical offsets "
             f"while the vehicle moves), so stereo distances are wrong; cut the first frame off the {late} video.",
         )

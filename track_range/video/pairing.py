@@ -1,10 +1,10 @@
-"""StereoVideo: left and right frames of two videos, paired by time.
+"""StereoVideo: the frames of two videos, paired by time.
 
-Each frame is paired with the nearest of the other video, never by its number: cameras drop frames, start apart and run
-at different rates.
+Each frame is paired with the frame of the other video that is nearest in time, not by its number: cameras drop frames,
+start at different times and run at different rates.
 
     left   |  a     b     c     d                pairs: (b, B) (d, D)
-    right           B           D     E          a, c and E have no partner
+    right           B           D     E          a, c and E are unpaired
 """
 
 from __future__ import annotations
@@ -19,10 +19,15 @@ from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, coun
 from track_range.video.reader import VideoReader
 from track_range.video.threads import FRAMES_AHEAD
 
-# A quarter of the shorter frame interval: half would pair every frame with some other; at 30 Hz a quarter is 8 ms, in
-# which a car that closes at 30 m/s comes 0.25 m nearer: 1 % at 25 m.
 _TOLERANCE_INTERVALS = 0.25
-_RATE_DIFFERENCE = 0.01  # nominal rates that differ by less are the same, say 29.97 and 30
+"""Largest time difference within a pair, in intervals of the faster video.
+
+At 30 Hz this is 8 ms; a car closing at 30 m/s then moves 0.25 m, 1 % of 25 m. With half an interval every frame would
+find a partner.
+"""
+
+_RATE_DIFFERENCE = 0.01
+"""Relative difference up to which nominal rates count as equal, such as 29.97 and 30."""
 
 
 @dataclass(slots=True)
@@ -33,8 +38,11 @@ class _Side:
         name: "left" or "right".
         reader: the video.
         frames: its frames, decoded ahead in a thread.
-        current: the frame that has no partner yet; None = not begun, or over.
-        n_before, n_between, n_after: frames without partner before the first pair, between pairs, since the last pair.
+        current: the frame to be paired next; None = not started, or ended.
+        n_read: frames read so far.
+        n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
+        first_s, last_s: times of the first and the last frame read.
+        is_over: whether the video has ended.
     """
 
     name: str
@@ -51,12 +59,12 @@ class _Side:
 
     @property
     def n_unread(self) -> int:
-        """Frames still to come; a damaged file announces more than it has."""
+        """Estimated number of frames not yet read; too large for a damaged file."""
         return 0 if self.is_over else max(0, (self.reader.n_frames or 0) - self.n_read)
 
     @property
     def end_s(self) -> float:
-        """Where the part asked for ends, as far as known."""
+        """Estimated end of the part to read, s."""
         return self.last_s + self.n_unread / self.reader.fps
 
     def advance(self) -> None:
@@ -70,7 +78,7 @@ class _Side:
         self.last_s = self.current.time_s
 
     def count_pair(self, *, is_first: bool) -> None:
-        """The frames since the last pair have no partner."""
+        """Count the frames read since the last pair as unpaired."""
         if is_first:
             self.n_before = self.n_after
         else:
@@ -79,16 +87,16 @@ class _Side:
 
 
 class StereoVideo:
-    """Pairs of frames of two videos whose times differ by at most a quarter of the shorter nominal frame interval.
+    """Pairs of frames of two videos with times that differ by at most a quarter of the shorter nominal frame interval.
 
-    Both are decoded ahead, in a thread each. Iterating again starts anew.
+    Each video is decoded ahead in a thread. Each iteration starts from the beginning.
 
     Attributes:
         left, right: the readers.
-        tolerance_s: the largest difference of time within a pair.
+        tolerance_s: largest time difference within a pair.
 
     Raises:
-        VideoError: while iterating: no pair at all, or whatever the readers raise.
+        VideoError: while iterating: no pair at all, or an error of the readers.
     """
 
     def __init__(self, left: VideoReader, right: VideoReader) -> None:
@@ -103,17 +111,17 @@ class StereoVideo:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user on frames that were not used; complete only after the last pair."""
+        """Sentences for the user about unpaired frames; complete only after the last pair."""
         left, right = self._sides
         return (*self._rate_notes(), *self._unpaired_notes(left, right), *self._unpaired_notes(right, left))
 
     def close(self) -> None:
-        """Close both files, if they have not been read."""
+        """Close both files if they have not been read."""
         self.left.close()
         self.right.close()
 
     def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
-        """The earlier of two frames is paired with the other, unless its successor is nearer to that one."""
+        """Pair the earlier of two frames with the other one unless its successor is nearer to that."""
         self._n_pairs, self._nearest_s = 0, math.inf
         self._sides = left, right = self._new_sides()
         with closing(left.frames), closing(right.frames):
@@ -138,47 +146,46 @@ class StereoVideo:
             for side in self._sides:
                 side.n_after += 0 if side.current is None else 1 + side.n_unread
         if not self._n_pairs:
-            raise VideoError(self._why_nothing_pairs())
+            raise VideoError(self._no_pairs_message())
 
     def _rate_notes(self) -> list[str]:
         left_hz, right_hz = self.left.fps, self.right.fps
         if abs(left_hz - right_hz) <= _RATE_DIFFERENCE * max(left_hz, right_hz):
             return []
         return [
-            f"The left video runs at {left_hz:.2f} and the right one at {right_hz:.2f} frames per second: only frames "
-            f"within {1000 * self.tolerance_s:.1f} ms of each other are paired."
+            f"The left video has {left_hz:.2f} and the right one {right_hz:.2f} frames per second: only frames within "
+            f"{1000 * self.tolerance_s:.1f} ms of each other are paired."
         ]
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
-        """Frames of one side that were not used, before, after and between the pairs."""
+        """Sentences about the unpaired frames of one side before, after and between the pairs."""
         later_s = (other.first_s or 0.0) - (side.first_s or 0.0)
         earlier_s = side.end_s - other.end_s
         n_between, notes = side.n_between, []
         if side.n_before and later_s > self.tolerance_s:
             notes.append(
                 f"The {other.name} video starts {later_s:.2f} s later than the {side.name} one: "
-                f"{counted(side.n_before, 'frame')} of the {side.name} one before that not used."
+                f"{counted(side.n_before, f'{side.name} frame')} before it skipped."
             )
         else:
             n_between += side.n_before
         if side.n_after and earlier_s > self.tolerance_s:
             notes.append(
                 f"The {other.name} video ends {earlier_s:.2f} s earlier than the {side.name} one: "
-                f"{counted(side.n_after, 'frame')} of the {side.name} one after that not used."
+                f"{counted(side.n_after, f'{side.name} frame')} after it skipped."
             )
         else:
             n_between += side.n_after
         if n_between:
             notes.append(
-                f"{counted(n_between, 'frame')} of the {side.name} video without a {other.name} one within "
-                f"{1000 * self.tolerance_s:.1f} ms not used."
+                f"{counted(n_between, f'{side.name} frame')} without a {other.name} frame within "
+                f"{1000 * self.tolerance_s:.1f} ms skipped."
             )
         return notes
 
-    def _why_nothing_pairs(self) -> str:
+    def _no_pairs_message(self) -> str:
         spans = [f"{side.reader.path} ({side.first_s or 0.0:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
-        apart = f"their nearest frames are {self._nearest_s:.3f} s apart, and {self.tolerance_s:.3f} s is the most"
         return (
-            f"{spans[0]} and {spans[1]} have no frames of one instant: {apart}; give two videos of one recording whose "
-            "clocks agree."
+            f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
+            f"{self._nearest_s:.3f} s apart; give two videos of one recording with synchronised clocks."
         )

@@ -1,4 +1,4 @@
-"""VideoReader: a video file, or a folder of numbered images, as frames with times."""
+"""VideoReader: iterates over the frames of a video file or of a folder of numbered images."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
 
 class VideoReader:
-    """A video file, or a folder of numbered images, as frames with times.
+    """The frames of a video file, or of a folder of numbered images.
 
-    It is opened once for its properties and the first iteration; each later iteration opens it anew.
+    The file is opened once for its properties and the first iteration, and again for each later iteration.
 
     Args:
         path: the file or folder.
-        folder_fps: rate of a folder without timestamps.txt.
-        start_s: where to start, in seconds after `origin_s`; frames before it are skipped, mostly without decoding.
-        duration_s: how much to read from there; None = all.
-        origin_s: the file time that `start_s` counts from; None = the first frame. For the right video of a pair:
-            the left one's `first_time_s`.
+        folder_fps: frame rate of a folder without timestamps.txt.
+        start_s: start of the part to read, in seconds after `origin_s`; most frames before it are not decoded.
+        duration_s: length of the part to read; None = to the end.
+        origin_s: file time from which `start_s` counts; None = that of the first frame. For the right video of a pair:
+            `first_time_s` of the left one.
 
     Attributes:
         width_px, height_px: size of the upright images.
-        is_grey: the first frame has no colour.
-        fps: nominal rate.
-        first_time_s: time of the file's first frame (whatever `start_s` is).
-        n_frames: frames to expect; an estimate; None = unknown.
-        busy_s: time spent reading and decoding so far: processor time, or time by the wall where FFmpeg decodes in
-            threads of its own.
+        is_grey: whether the first frame has no colour.
+        fps: nominal frame rate.
+        first_time_s: time of the file's first frame, independent of `start_s`.
+        n_frames: estimated number of frames in the part to read; None = unknown.
+        busy_s: time spent reading and decoding so far: CPU time of this thread, or wall time where FFmpeg decodes in
+            several threads.
 
     Raises:
-        VideoError: missing, no video, nothing decodes. While iterating: no frame in the part asked for, an image that
-            cannot be decoded in a folder, an image of another size.
+        VideoError: the path does not exist, is no video, or nothing can be decoded. While iterating: no frame in the
+            part to read, an image of a folder cannot be decoded, or an image has another size.
     """
 
     def __init__(
@@ -78,10 +78,10 @@ class VideoReader:
                 is_empty = False
                 yield frame
         if is_empty:
-            part = "on" if math.isinf(self._until_s) else f"to {self._until_s:.2f} s"
+            part = "" if math.isinf(self._until_s) else f" to {self._until_s:.2f} s"
             raise VideoError(
-                f"{self.path}: no frame from {self._from_s:.2f} s {part}, where its own time starts at "
-                f"{self.first_time_s:.2f} s: choose another start or duration."
+                f"{self.path}: no frame from {self._from_s:.2f} s{part}; the video starts at "
+                f"{self.first_time_s:.2f} s, choose another start or duration."
             )
 
     def _timed(self, frames: Iterator[VideoFrame]) -> VideoFrame | None:
@@ -103,6 +103,6 @@ def _source(path: Path, folder_fps: float) -> VideoFile | ImageFolder:
         path.stat()
         return ImageFolder(path, fps=folder_fps) if path.is_dir() else VideoFile(path)
     except FileNotFoundError as error:
-        raise VideoError(f"{path}: there is no such file or folder: check the name.") from error
+        raise VideoError(f"{path}: no such file or folder; check the name.") from error
     except OSError as error:
-        raise VideoError(f"{path}: cannot be read ({error.strerror}): check it and its permissions.") from error
+        raise VideoError(f"{path}: cannot be read ({error.strerror}); check its permissions.") from error

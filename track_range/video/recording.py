@@ -1,6 +1,6 @@
-"""open_recording: one video or a pair -> rectified frames; each video is opened and decoded once.
+"""open_recording: one video or a pair as rectified frames; each video is opened and decoded once.
 
-open the videos -> find and check the calibration -> check and align by the first frames -> rectified frames
+open the videos -> find and check the calibration -> check and align with the first frames -> rectified frames
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.auto_alignment import MAX_LOOK_S, find_alignment
+from track_range.video.auto_alignment import ESTIMATION_SPAN_S, find_alignment
 from track_range.video.calibration import Calibration, find_calibration
 from track_range.video.inputs import Images, Inputs
 from track_range.video.live.address import VideoName, video_name
 from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
 
-_N_ROW_PAIRS = 3  # pairs of which the row offset of an uncalibrated pair is the median
+_N_ROW_PAIRS = 3
+"""Number of conclusive image pairs from which the row offset of an uncalibrated pair is estimated, as their median."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +35,8 @@ class Recording:
     Attributes:
         frames: rectified (one camera: undistorted) frames, to be iterated once; closing it closes the videos.
         inputs: the opened videos.
-        calibration: the cameras.
-        monitors: the checks of a pair that go on while its frames pass.
+        calibration: the camera models.
+        monitors: the checks of a pair that continue while its frames are iterated.
     """
 
     frames: Generator[Frame, None, None]
@@ -45,7 +46,7 @@ class Recording:
 
     @property
     def camera(self) -> PinholeCamera:
-        """The left or only camera that the frames seem to come from."""
+        """Model of the left or only camera of the rectified frames."""
         return self.calibration.camera
 
     @property
@@ -65,12 +66,12 @@ class Recording:
 
     @property
     def n_frames(self) -> int | None:
-        """Frames to expect; None = unknown."""
+        """Estimated number of frames; None = unknown."""
         return self.inputs.n_frames
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user on the recording; complete only after the last frame."""
+        """Sentences for the user about the recording; complete only after the last frame."""
         checks = (note for monitor in self.monitors for note in monitor.notes)
         return (*self.calibration.notes, *self.inputs.notes, *checks)
 
@@ -98,18 +99,18 @@ def open_recording(
     Args:
         left: video file, folder of numbered images, camera (0, /dev/video0) or stream (rtsp://...).
         right: the same; None = one camera.
-        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = the one beside `left`, if any.
-        focal_px: focal length of cameras without such a file.
-        align: correction of a calibrated pair's disparities: "auto" = estimated from its first frames (8 s at most),
+        rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = one next to `left`, if any.
+        focal_px: focal length of cameras without a calibration file.
+        align: disparity correction of a calibrated pair: "auto" = estimated from its first frames (at most 8 s),
             "off", an alignment file, or an alignment.
-        start_s: where to start, in seconds after the left video's first frame.
-        duration_s: how much to read from there; None = all.
+        start_s: start of the part to read, in seconds after the left video's first frame.
+        duration_s: length of the part to read; None = to the end.
         folder_fps: frame rate of folders of images without timestamps.txt.
         has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos.
-        progress: opens a progress bar for the estimate of the alignment.
+        progress: shows the progress of the alignment's estimation.
 
     Raises:
-        VideoError: a video cannot be used, or the two do not fit each other.
+        VideoError: a video cannot be used, or the two do not match.
         RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
 
     Example:
@@ -123,7 +124,7 @@ def open_recording(
         calibration = find_calibration(left, inputs, rig=None if rig is None else Path(rig), focal_px=focal_px)
         monitors: tuple[Monitor, ...] = ()
         if calibration.uncalibrated is not None:
-            calibration, monitors = _with_equal_rows(calibration, inputs)
+            calibration, monitors = _with_row_correction(calibration, inputs)
         elif calibration.rig is not None:
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
             calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
@@ -139,7 +140,7 @@ def _aligned(
     checks: tuple[PairMonitor, ...],
     progress: StepProgress,
 ) -> Calibration:
-    """A calibrated pair with its alignment; the first pair is checked even where no alignment is estimated."""
+    """A calibrated pair with its alignment; the first image pair is checked even if no alignment is estimated."""
     with closing(_first_frames(calibration, inputs, checks)) as first_frames:
         alignment = find_alignment(align, rig, first_frames, progress)
         if align != "auto" and checks:
@@ -149,21 +150,21 @@ def _aligned(
     return calibration.with_alignment(alignment)
 
 
-def _with_equal_rows(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:
-    """A pair without calibration, with the row offset of its first pairs taken out."""
+def _with_row_correction(calibration: Calibration, inputs: Inputs) -> tuple[Calibration, tuple[Monitor, ...]]:
+    """An uncalibrated pair with the row offset of its first image pairs corrected, and its monitors."""
     monitor = PairMonitor(n_conclusive=_N_ROW_PAIRS)
     with closing(inputs.read_ahead()) as pairs:
         for pair in islice(pairs, MAX_CHECKED_PAIRS):
             monitor.add(_frame(pair, calibration, inputs))
             if monitor.is_done:
                 break
-    return calibration.with_rows(monitor.row_offsets_px), (SyncMonitor(),) if monitor.row_offsets_px else ()
+    return calibration.with_row_offsets(monitor.row_offsets_px), (SyncMonitor(),) if monitor.row_offsets_px else ()
 
 
 def _first_frames(
     calibration: Calibration, inputs: Inputs, checks: tuple[PairMonitor, ...]
 ) -> Generator[Frame, None, None]:
-    """Frames of the first seconds, as far apart as the alignment needs them; `checks` get each that they need."""
+    """Frames of the first seconds at the interval that the alignment needs; `checks` also receive those in between."""
     first_s, last_s = math.nan, -math.inf
     with closing(inputs.read_ahead()) as pairs:
         for pair in pairs:
@@ -177,12 +178,12 @@ def _first_frames(
                 if is_due:
                     last_s = time_s
                     yield frame
-            if time_s - first_s > MAX_LOOK_S:
+            if time_s - first_s > ESTIMATION_SPAN_S:
                 return
 
 
 def _frames(inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, ...]) -> Generator[Frame, None, None]:
-    """All frames, checked as they pass; closing closes the videos."""
+    """All frames, each passed to the monitors; closing the generator closes the videos."""
     with closing(inputs), closing(iter(inputs)) as images:
         for left_and_right in images:
             frame = _frame(left_and_right, calibration, inputs)
@@ -192,7 +193,7 @@ def _frames(inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, .
 
 
 def _frame(images: Images, calibration: Calibration, inputs: Inputs) -> Frame:
-    """The images of one instant, cut to their common size and rectified."""
+    """The images of one time, cropped to their common size and rectified."""
     left, right = images
     left_image, right_image = calibration.rectified(inputs.cut(left), None if right is None else inputs.cut(right))
     return Frame(left.index, left.time_s - inputs.left.first_time_s, left_image, right_image)

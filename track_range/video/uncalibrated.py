@@ -1,7 +1,7 @@
-"""A pair without a rig: a focal length given or assumed, and the vertical offset of its first frames.
+"""UncalibratedPair: a pair without a rig, with a given or assumed focal length and the vertical offset.
 
-Without the focal length f an image determines no distances: an object twice as far and twice as large gives the same
-image. So f is taken from the usual field of view of dash cameras, and its uncertainty is that of all distances.
+Distances need the focal length f in pixels. If it is not given, it is computed from the usual field of view of road
+cameras, and its relative uncertainty is part of that of all distances.
 """
 
 from __future__ import annotations
@@ -15,32 +15,34 @@ from track_range.stereo.alignment.model import MAX_ROW_OFFSET_PX
 from track_range.stereo.geometry.camera import PinholeCamera
 
 _ASSUMED_FIELD_DEG = 75.0
-"""Horizontal field of view; road cameras have 60 to 90 degrees (KITTI's 81), some wider."""
+"""Assumed horizontal field of view; most road cameras have 60 to 90 degrees (KITTI's 81), some more."""
 
 _ASSUMED_FOCAL_SIGMA = 0.25
-"""Relative standard deviation of a focal length taken from it."""
+"""Relative standard deviation of a focal length computed from the assumed field of view."""
 
 _GIVEN_FOCAL_SIGMA = 0.02
+"""Relative standard deviation of a focal length given by the user; assumed."""
 
 ASSUMED_BASELINE_M = 0.5
-"""Sets the range of disparities that is searched, and nothing else."""
+"""Baseline of an uncalibrated pair; it only sets the range of disparities that is searched."""
 
 HOW_TO_CALIBRATE = (
-    "for true metres photograph a chessboard with both cameras, run `track-range calibrate --stereo LEFT RIGHT "
+    "for calibrated distances record a chessboard with both cameras, run `track-range calibrate --stereo LEFT RIGHT "
     "--board 9x6 --square-mm MM --out rig.yaml`, and give --rig rig.yaml"
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UncalibratedPair:
-    """Assumptions on a pair without calibration.
+    """Assumptions about a pair without calibration.
 
     Attributes:
-        camera: either camera, approximately.
-        focal_sigma: relative standard deviation of its focal length.
-        is_assumed: whether the focal length is assumed, not given.
+        camera: approximate model of both cameras.
+        focal_sigma: relative standard deviation of the focal length.
+        is_assumed: whether the focal length is assumed instead of given.
         row_offset_px: y_right - y_left of matching points.
-        has_equal_rows: whether rows of left and right agree once it is taken out; else the pair cannot be matched.
+        has_equal_rows: whether matching points have equal rows after that correction; otherwise the pair cannot be
+            matched.
     """
 
     camera: PinholeCamera
@@ -51,7 +53,7 @@ class UncalibratedPair:
 
     @classmethod
     def of(cls, size_px: tuple[int, int], focal_px: float | None) -> UncalibratedPair:
-        """The pair before its images are read: size_px (width, height); focal_px None = unknown."""
+        """The pair before images are read; `size_px` is (width, height), `focal_px` None = unknown."""
         assumed_px = size_px[0] / 2 / math.tan(math.radians(_ASSUMED_FIELD_DEG / 2))
         return cls(
             camera=camera_of_focal_length(focal_px or assumed_px, size_px),
@@ -59,8 +61,8 @@ class UncalibratedPair:
             is_assumed=focal_px is None,
         )
 
-    def with_rows(self, row_offsets_px: list[float]) -> UncalibratedPair:
-        """This pair with the row offsets that its first pairs show; none = rows do not agree."""
+    def with_row_offsets(self, row_offsets_px: list[float]) -> UncalibratedPair:
+        """A copy with the median of the row offsets of the first image pairs; an empty list = rows do not match."""
         if not row_offsets_px:
             return self
         row_px = float(np.median(row_offsets_px))
@@ -71,7 +73,7 @@ class UncalibratedPair:
         """Sentences for the user."""
         focal = (
             f"a horizontal field of view of {_ASSUMED_FIELD_DEG:.0f} degrees is assumed (focal length "
-            f"{self.camera.fx_px:.0f} px; give --focal-px if you know it)"
+            f"{self.camera.fx_px:.0f} px; give --focal-px if it is known)"
             if self.is_assumed
             else f"the focal length is {self.camera.fx_px:.0f} px as given"
         )
@@ -82,8 +84,8 @@ class UncalibratedPair:
         if not self.has_equal_rows:
             return (
                 f"No rig, so distances are uncalibrated: {focal}; {HOW_TO_CALIBRATE}.",
-                "Rows of left and right do not agree, so without a rig stereo cannot be used: distances come from the "
-                "left video alone.",
+                "Matching points of left and right are not in equal rows, so stereo matching needs a rig: distances "
+                "come from the left video alone.",
             )
         rows = (
             f" Vertical offset of {self.row_offset_px:+.1f} px between left and right; corrected."
@@ -94,6 +96,6 @@ class UncalibratedPair:
 
 
 def camera_of_focal_length(focal_px: float, size_px: tuple[int, int]) -> PinholeCamera:
-    """A camera whose principal point is the centre of its image; size_px (width, height)."""
+    """A camera with its principal point at the image centre; `size_px` is (width, height)."""
     width_px, height_px = size_px
     return PinholeCamera(focal_px, focal_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)

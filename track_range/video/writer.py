@@ -1,7 +1,7 @@
-"""VideoWriter: H.264 in a fragmented MP4, which plays up to its last fragment however the program ends.
+"""VideoWriter: H.264 in a fragmented MP4, which is playable up to its last fragment however the program ends.
 
-A fragment is closed, and handed to the system, after a fifth of a second of film; a keyframe, to which players can
-jump, comes once a second. Times are kept: pts = (time_s - first time_s) * 90 kHz.
+A fragment is written every 0.2 s of video, and a keyframe, to which players can seek, every second. Frame times are
+preserved: pts = (time_s - first time_s) * 90 kHz.
 """
 
 from __future__ import annotations
@@ -24,35 +24,42 @@ from track_range.foundation.arrays import Image, check_shape
 from track_range.video.frame import VideoError
 
 _ENCODER = "libx264"
-_TICKS_HZ = 90_000  # MPEG's clock: every common frame rate is a whole number of its ticks
+_TICKS_HZ = 90_000
+"""MPEG's clock rate; the frame interval of every common rate is a whole number of its ticks."""
+
 _KEYFRAME_INTERVAL_S = 1.0
-_FRAGMENT_US = 200_000  # what a killed run can lose
+_FRAGMENT_US = 200_000
+"""Duration of a fragment in microseconds, which is what a killed run can lose."""
+
 _MUXER_OPTIONS = {
     "movflags": "empty_moov+default_base_moof",
     "frag_duration": str(_FRAGMENT_US),
     "flush_packets": "1",
 }
-_BT601 = 5  # AVCOL_SPC_BT470BG; what cv2's I420 conversion computes, so players need it in the header
-_LIMITED_RANGE = 1  # AVCOL_RANGE_MPEG: 16..235
+_BT601 = 5
+"""FFmpeg's AVCOL_SPC_BT470BG, the colour space of OpenCV's I420 conversion; players need it in the header."""
+
+_LIMITED_RANGE = 1
+"""FFmpeg's AVCOL_RANGE_MPEG: luma from 16 to 235."""
 
 
 class VideoWriter:
-    """An MP4 file (H.264, yuv420p) that grows frame by frame; a context manager.
+    """Writes an MP4 file (H.264, yuv420p) frame by frame; a context manager.
 
-    Odd sizes get one more column or row, the last one repeated, since the codec wants even ones.
+    Images with an odd size are extended by a copy of the last column or row, since the codec needs even sizes.
 
     Args:
-        path: replaced if it exists.
+        path: the file; replaced if it exists.
         width_px, height_px: size of the images.
-        fps: nominal rate, for the length of the last frame.
-        crf: x264's constant quality, 0 (lossless) to 51; 23 is its own default.
-        quantizer: the same for every frame, 0 to 51, in place of `crf`: x264 need not analyse each image beforehand.
-        preset: x264's speed; at crf 23 on a core, 1242x374 frames of KITTI 0003 take: ultrafast 4.2 ms and 73 kB at
-            32.4 dB, superfast 9 ms and 49 kB at 31.0 dB, veryfast 12 ms and 37 kB at 30.1 dB.
-        n_threads: the encoder's threads.
+        fps: nominal frame rate, for the duration of the last frame.
+        crf: x264's constant rate factor, 0 (lossless) to 51; x264's default is 23.
+        quantizer: constant quantizer, 0 to 51, instead of `crf`; faster, since x264 need not analyse each image first.
+        preset: x264's speed preset. A frame of 1242x374 px of KITTI 0003 at crf 23 takes on one core: ultrafast 4.2 ms
+            and 73 kB at 32.4 dB, superfast 9 ms and 49 kB at 31.0 dB, veryfast 12 ms and 37 kB at 30.1 dB.
+        n_threads: number of encoder threads.
 
     Raises:
-        VideoError: the file cannot be written (also from `write` and `close`), or FFmpeg lacks x264.
+        VideoError: the file cannot be written (also raised by `write` and `close`), or FFmpeg lacks x264.
     """
 
     def __init__(
@@ -73,10 +80,10 @@ class VideoWriter:
         self._first_s = self._last_s = 0.0
         self._last_tick = self._keyframe_tick = -1
         self._is_open = True
-        # Zero latency: no frame waits for look-ahead, so what was handed over is in the file and not in the encoder.
+        # Zero latency disables the encoder's look-ahead, so that every frame is in the file as soon as it is written.
         options = {"preset": preset, "tune": "zerolatency", "forced-idr": "1"}
         options |= {"crf": str(crf)} if quantizer is None else {"qp": str(quantizer)}
-        with self._faults_named():
+        with self._video_errors():
             self._container = av.open(f"file:{path}", mode="w", format="mp4", options=_MUXER_OPTIONS)
             stream = self._container.add_stream(_encoder(), rate=Fraction(fps).limit_denominator(1001), options=options)
         self._stream = cast(VideoStream, stream)
@@ -84,41 +91,41 @@ class VideoWriter:
         codec.width, codec.height, codec.pix_fmt = width_px + width_px % 2, height_px + height_px % 2, "yuv420p"
         codec.time_base, codec.thread_count = Fraction(1, _TICKS_HZ), n_threads
         codec.colorspace, codec.color_range = _BT601, _LIMITED_RANGE
-        with self._faults_named():
-            self._container.start_encoding()  # opens the file: a folder that cannot be written is found at once
+        with self._video_errors():
+            self._container.start_encoding()  # opens the file, so that an unwritable folder is reported at once
 
     def write(self, image: Image, time_s: float) -> None:
-        """Append an image; its time counts from the first one's.
+        """Append an image; times in the file count from the first one.
 
         Args:
             image: (height_px, width_px, 3) uint8 BGR.
-            time_s: later than the one before.
+            time_s: time of the image, later than that of the previous one.
 
         Raises:
-            ValueError: another shape, a time that does not increase, or a writer that was closed.
-            VideoError: the file cannot be written to.
+            ValueError: another shape, a time that does not increase, or a closed writer.
+            VideoError: the file cannot be written.
         """
         check_shape("image", image, self._shape)
         if not self._is_open:
-            raise ValueError(f"{self.path}: closed, but an image came")
+            raise ValueError(f"{self.path}: the writer is closed")
         tick = self._tick(time_s)
         frame = av.VideoFrame.from_ndarray(_i420(image), format="yuv420p")
         frame.pts, frame.time_base, frame.duration = tick, Fraction(1, _TICKS_HZ), self._frame_ticks
         if self._keyframe_tick < 0 or tick - self._keyframe_tick >= _KEYFRAME_INTERVAL_S * _TICKS_HZ:
             frame.pict_type, self._keyframe_tick = PictureType.I, tick
-        with self._faults_named():
+        with self._video_errors():
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        """Finish the file; does nothing when it is finished.
+        """Finish the file; a second call does nothing.
 
         Raises:
-            VideoError: the file cannot be written to.
+            VideoError: the file cannot be written.
         """
         if not self._is_open:
             return
         self._is_open = False
-        with self._faults_named():
+        with self._video_errors():
             try:
                 if self._last_tick >= 0:
                     self._container.mux(self._stream.encode(None))
@@ -139,19 +146,19 @@ class VideoWriter:
         elif time_s <= self._last_s:
             raise ValueError(f"time_s: expected later than {self._last_s}, got {time_s}")
         self._last_s = time_s
-        # Times less than a tick apart still get ticks of their own.
+        # Times less than a tick apart still get different ticks.
         self._last_tick = max(self._last_tick + 1, round((time_s - self._first_s) * _TICKS_HZ))
         return self._last_tick
 
     @contextmanager
-    def _faults_named(self) -> Iterator[None]:
+    def _video_errors(self) -> Iterator[None]:
         try:
             yield
         except (av.FFmpegError, OSError) as error:
             reason = error.strerror or str(error)
             raise VideoError(
-                f"{self.path}: the video cannot be written ({reason}): choose a folder that exists, may be written to "
-                "and has room."
+                f"{self.path}: the video cannot be written ({reason}); choose an existing, writable folder with free "
+                "space."
             ) from error
 
 
@@ -160,14 +167,14 @@ def _encoder() -> str:
         av.Codec(_ENCODER, "w")
     except av.codec.codec.UnknownCodecError as error:
         raise VideoError(
-            f"{_ENCODER}: PyAV's FFmpeg lacks this encoder, so no video can be written: install the `av` wheel of its "
-            "makers, or run without the overlay."
+            f"{_ENCODER}: PyAV's FFmpeg lacks this encoder, which writing videos needs; install the official `av` "
+            "wheel, or run without the overlay."
         ) from error
     return _ENCODER
 
 
 def _i420(image: Image) -> Image:
-    """(3/2 H, W) uint8 planes Y, U, V of a BGR image made even in size; eight times as fast as FFmpeg's scaler."""
+    """(3/2 H, W) uint8 planes Y, U, V of a BGR image extended to an even size; 8 times as fast as FFmpeg's scaler."""
     height_px, width_px = image.shape[:2]
     even: npt.NDArray[Any] = image
     if height_px % 2 or width_px % 2:

@@ -37,11 +37,11 @@ def test_progress_counts_every_frame(drive):
 
 def test_the_videos_show_the_scene(drive):
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
-    for path, eye in ((drive[0].left, "left"), (drive[0].right, "right")):
+    for path, side in ((drive[0].left, "left"), (drive[0].right, "right")):
         frames = list(VideoReader(path))
         np.testing.assert_allclose([frame.time_s for frame in frames], [0.0, 0.1, 0.2, 0.3], atol=1e-4)
         image = frames[3].image.astype(float)
-        wanted = renderer.render(0.3, eye=eye)
+        wanted = renderer.render(0.3, side=side)
         # Compared in grey: the codec halves the colours' resolution.
         assert np.abs(image.mean(axis=2) - wanted.mean(axis=2)).mean() < 3.0
 
@@ -118,10 +118,10 @@ def test_lossless_folders_hold_the_very_pixels_drawn(tmp_path):
     (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")
     written = write_drive(tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(is_lossless=True))
     renderer = Renderer(make_scene(3, seconds=0.2), SMALL)
-    for folder, eye in ((written.left, "left"), (written.right, "right")):
+    for folder, side in ((written.left, "left"), (written.right, "right")):
         assert sorted(path.name for path in folder.iterdir()) == ["000000.png", "000001.png"]
         image = cv2.imread(str(folder / "000001.png"))
-        np.testing.assert_array_equal(image, renderer.render(0.1, eye=eye))
+        np.testing.assert_array_equal(image, renderer.render(0.1, side=side))
 
 
 def test_disparity_maps_tell_the_depth_of_the_road_and_leave_sky_and_edges_out(tmp_path):

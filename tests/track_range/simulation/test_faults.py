@@ -21,7 +21,7 @@ def scene():
 
 
 def right(scene, rig=SMALL, **faults):
-    return Renderer(scene, rig, noise_grey=0, faults=Faults(**faults)).render(0.2, eye="right").astype(np.float64)
+    return Renderer(scene, rig, noise_grey=0, faults=Faults(**faults)).render(0.2, side="right").astype(np.float64)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,10 @@ def test_blur_takes_detail_away(scene):
 
 def test_rain_falls_in_streaks_at_their_own_disparity(scene):
     dry, wet = (
-        [Renderer(scene, RIG, noise_grey=0, faults=Faults(rain=rain)).render(0.2, eye=eye) for eye in ("left", "right")]
+        [
+            Renderer(scene, RIG, noise_grey=0, faults=Faults(rain=rain)).render(0.2, side=side)
+            for side in ("left", "right")
+        ]
         for rain in (0.0, 0.6)
     )
     streaks = [np.abs(w.astype(int) - d).max(axis=2) > 6 for w, d in zip(wet, dry, strict=True)]
@@ -83,7 +86,7 @@ def test_a_late_right_eye_in_a_drive_keeps_its_times_and_shows_the_future(tmp_pa
     assert [frame.time_s for frame in frames] == pytest.approx([0.0, 0.1], abs=1e-4)
     renderer = Renderer(make_scenario("highway", seconds=0.2), SMALL, noise_grey=0)
     grey = frames[0].image.astype(float).mean(axis=2)
-    later, now = (np.abs(grey - renderer.render(t, eye="right").mean(axis=2)).mean() for t in (0.5, 0.0))
+    later, now = (np.abs(grey - renderer.render(t, side="right").mean(axis=2)).mean() for t in (0.5, 0.0))
     assert later < 0.5 * now
 
 

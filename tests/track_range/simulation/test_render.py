@@ -49,7 +49,7 @@ def backs():
         road_user(2, "Truck", x=9.0, back_z=50.0, size=(3.3, 2.5, 9.0)),
     )
     renderer = Renderer(Scene(seed=3, road_users=users), RIG)
-    return users, renderer.render(0.0, eye="left"), renderer.render(0.0, eye="right")
+    return users, renderer.render(0.0, side="left"), renderer.render(0.0, side="right")
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
@@ -76,7 +76,7 @@ def test_a_wrong_depth_would_be_noticed(backs):
 def test_the_road_has_the_disparity_of_its_depth():
     # Row by row, as depth changes with the row; without noise, since a row of road holds little to match.
     renderer = Renderer(Scene(seed=3, road_users=()), RIG, noise_grey=0)
-    left, right = renderer.render(0.0, eye="left"), renderer.render(0.0, eye="right")
+    left, right = renderer.render(0.0, side="left"), renderer.render(0.0, side="right")
     for row in range(200, 360, 16):  # 43 m to 6.4 m
         wanted = F * 0.54 / (F * 1.65 / (row - CY))
         measured = disparity_px(left, right, (500, row, 800, row + 1), near_px=round(wanted) + 0.3)
@@ -162,7 +162,9 @@ def test_the_eyes_do_not_share_their_noise():
     small = kitti_like_rig(width_px=310, height_px=94)
     scene = Scene(seed=2, road_users=())
     clean, noisy = Renderer(scene, small, noise_grey=0), Renderer(scene, small)
-    left, right = (noisy.render(0.0, eye=eye).astype(float) - clean.render(0.0, eye=eye) for eye in ("left", "right"))
+    left, right = (
+        noisy.render(0.0, side=side).astype(float) - clean.render(0.0, side=side) for side in ("left", "right")
+    )
     assert abs(np.corrcoef(left.ravel(), right.ravel())[0, 1]) < 0.03
 
 

@@ -34,7 +34,7 @@ def test_a_scenario_is_drawn_and_labelled(name):
         image, inverse_depth = renderer.render_with_depth(time_s)
         assert image.shape == (94, 310, 3)
         assert image.std() > 8
-        assert renderer.render(time_s, eye="right").shape == image.shape
+        assert renderer.render(time_s, side="right").shape == image.shape
         seen += seen_at(
             scene, time_s, frame=0, camera=SMALL.left, inverse_depth=inverse_depth
         ).labels.kitti_type.tolist()

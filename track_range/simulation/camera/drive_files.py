@@ -31,7 +31,7 @@ SKIN_M = 0.04
 """How far outside of its 3-D box a drawn point may lie, and how far above the road it must."""
 
 
-class EyeWriter(Protocol):
+class ImageWriter(Protocol):
     """Takes one eye's images in the order of their times."""
 
     def write(self, image: Image, time_s: float) -> None:
@@ -59,7 +59,7 @@ class PngFolder:
         """Nothing is left to do."""
 
 
-def eye_writer(path: Path, camera: PinholeCamera, fps: float) -> EyeWriter:
+def image_writer(path: Path, camera: PinholeCamera, fps: float) -> ImageWriter:
     """A video where `path` ends in .mp4, else a folder of PNGs."""
     if path.suffix == ".mp4":
         return VideoWriter(path, width_px=camera.width_px, height_px=camera.height_px, fps=fps, crf=NEAR_LOSSLESS_CRF)

@@ -95,12 +95,14 @@ def rained(image: Image, rig: StereoRig, seed: list[int], rain: tuple[float, str
         seed: of the drops of this frame.
         rain: how much, and the eye.
     """
-    share, eye = rain
+    share, side = rain
     camera = rig.left
     rng = np.random.default_rng(seed)
     n_drops = rng.poisson(share * DROPS_PER_M3 * 900)
     z = 1.5 + 10.5 * np.sqrt(rng.uniform(size=n_drops))  # the view widens with z
-    x = rng.uniform(-0.5, 0.5, n_drops) * z * camera.width_px / camera.fx_px - (rig.baseline_m if eye == "right" else 0)
+    x = rng.uniform(-0.5, 0.5, n_drops) * z * camera.width_px / camera.fx_px - (
+        rig.baseline_m if side == "right" else 0
+    )
     y = rng.uniform(-0.5, 0.5, n_drops) * z * camera.height_px / camera.fy_px
     wind = rng.normal(0.05, 0.02, n_drops)
     fall_m = DROP_SPEED_MPS * EXPOSURE_S

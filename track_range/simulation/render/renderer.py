@@ -31,7 +31,7 @@ from track_range.simulation.world.truth import corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
-Eye = Literal["left", "right"]
+Side = Literal["left", "right"]
 
 SAMPLES = 2
 """Per pixel and axis."""
@@ -97,18 +97,18 @@ class Renderer:
         self._turns = not scene.road.is_straight or scene.wobble.pitch_rad > 0 or scene.wobble.roll_rad > 0
         self._sky = self._sky_picture(rng)
 
-    def render(self, time_s: float, *, eye: Eye = "left") -> Image:
+    def render(self, time_s: float, *, side: Side = "left") -> Image:
         """(H, W, 3) uint8 BGR; the same scene, time and eye give the same pixels."""
-        return self._exposed(self._drawn(time_s, eye), time_s, eye)
+        return self._exposed(self._drawn(time_s, side), time_s, side)
 
     def render_with_depth(self, time_s: float) -> tuple[Image, FloatArray]:
         """The left eye's image, and (2 H, 2 W) the exact 1/z of its samples, 0 = sky, from one drawing."""
         canvas = self._drawn(time_s, "left")
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth)
 
-    def depth_m(self, time_s: float, *, eye: Eye = "left") -> FloatArray:
+    def depth_m(self, time_s: float, *, side: Side = "left") -> FloatArray:
         """(H, W) exact z of what each pixel shows, the mean in 1/z over its samples; NaN = sky."""
-        inverse = self._in_pixels(self._drawn(time_s, eye))
+        inverse = self._in_pixels(self._drawn(time_s, side))
         return np.asarray(1.0 / np.where(inverse > 0, inverse, np.nan), np.float64)
 
     def surface(self, row: int) -> Surface:
@@ -125,24 +125,24 @@ class Renderer:
         """(H, W) mean 1/z of each pixel's samples."""
         return np.asarray(cv2.resize(canvas.inverse_depth, self._size_px, interpolation=cv2.INTER_AREA))
 
-    def _exposed(self, canvas: Canvas, time_s: float, eye: Eye) -> Image:
+    def _exposed(self, canvas: Canvas, time_s: float, side: Side) -> Image:
         """What lens, sensor and their faults make of a drawing."""
         lens = cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES)
         small = cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)
         image = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGRA2BGR), np.uint8)
         if self.scene.is_night:
-            camera = self.rig.left if eye == "left" else self.faults.right_camera(self.rig.left)
+            camera = self.rig.left if side == "left" else self.faults.right_camera(self.rig.left)
             lamps = lamps_of(self.scene, time_s, lamp_heads_m=self._street.lamp_heads_m(self.scene.ego_z_m(time_s)))
-            shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
+            shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
             image = lit(image, self._in_pixels(canvas), camera, lamps.moved(shift_m))
         if self.faults.rain > 0:
-            image = rained(image, self.rig, [self.scene.seed, 7, round(time_s * 1e6) % 2**32], (self.faults.rain, eye))
-        return self._with_noise(self.faults.seen(image, is_right=eye == "right"), time_s, eye)
+            image = rained(image, self.rig, [self.scene.seed, 7, round(time_s * 1e6) % 2**32], (self.faults.rain, side))
+        return self._with_noise(self.faults.seen(image, is_right=side == "right"), time_s, side)
 
-    def _drawn(self, time_s: float, eye: Eye) -> Canvas:
+    def _drawn(self, time_s: float, side: Side) -> Canvas:
         pose = self.scene.pose(time_s)
-        canvas = Canvas(self._cameras[eye], self._store)
-        shift_m = np.array([-self.rig.baseline_m if eye == "right" else 0.0, 0.0, 0.0])
+        canvas = Canvas(self._cameras[side], self._store)
+        shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
         turn = pose.camera_from_world
         street = self._street.faces(self.scene.ego_z_m(time_s))
         canvas.draw(street.turned(turn).moved(shift_m - turn @ pose.place_m))
@@ -184,10 +184,10 @@ class Renderer:
         whole = cv2.resize(turned, (2 * size_px[0], 2 * size_px[1]), interpolation=cv2.INTER_LINEAR)
         return np.asarray(whole[:n_rows], np.uint8)
 
-    def _with_noise(self, image: Image, time_s: float, eye: Eye) -> Image:
+    def _with_noise(self, image: Image, time_s: float, side: Side) -> Image:
         if self.noise_grey <= 0:
             return image
-        stream = [self.scene.seed, 4, round(time_s * 1e6) % 2**32, int(eye == "right")]
+        stream = [self.scene.seed, 4, round(time_s * 1e6) % 2**32, int(side == "right")]
         drawn = np.frombuffer(np.random.default_rng(stream).bytes(image.size), np.uint8).reshape(image.shape)
         steps = noise_steps(self.noise_grey).astype(np.int16)
         lighter, darker = (np.clip(sign * steps, 0, 128).astype(np.uint8) for sign in (1, -1))
@@ -202,9 +202,9 @@ def noise_steps(sigma_grey: float) -> npt.NDArray[np.int8]:
     return np.asarray(np.clip(np.rint(steps), -128, 127), np.int8)
 
 
-def render(scene: Scene, time_s: float, *, rig: StereoRig, eye: Eye = "left") -> Image:
+def render(scene: Scene, time_s: float, *, rig: StereoRig, side: Side = "left") -> Image:
     """(H, W, 3) uint8 BGR image of one eye; for more than one, a `Renderer` makes the textures only once."""
-    return Renderer(scene, rig).render(time_s, eye=eye)
+    return Renderer(scene, rig).render(time_s, side=side)
 
 
 def _finer(camera: PinholeCamera) -> PinholeCamera:

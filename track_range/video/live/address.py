@@ -1,4 +1,4 @@
-"""LiveAddress: a camera or a stream in place of a file: `0`, `/dev/video0`, `rtsp://...`, `http://...`."""
+"""LiveAddress: the address of a camera or a network stream: `0`, `/dev/video0`, `rtsp://...`, `http://...`."""
 
 from __future__ import annotations
 
@@ -7,51 +7,51 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _SCHEMES = frozenset("http https mms rtmp rtmps rtp rtsp rtsps srt tcp udp".split())
-_SECRETS = re.compile(r"://\S*@")
+_CREDENTIALS = re.compile(r"://\S*@")
 _PASSWORD = re.compile(r"(?<=[?&])((?:user|username|usr|password|pass|passwd|pwd)=)[^&#]*", re.IGNORECASE)
 _NUMBER = re.compile(r"\d{1,3}")
 
-_SOON = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
-"""FFmpeg: hand images on as they come, and probe a stream for two seconds at most."""
+_LOW_LATENCY = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
+"""FFmpeg options that disable buffering and limit the probing of a stream to 2 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveAddress:
-    """Where live images come from; as text it is shown without name and password.
+    """The address of a camera or stream; its text form omits the user name and password.
 
     Attributes:
-        url: an address, or the path of a camera's device.
+        url: URL of a stream, or path of a camera device.
     """
 
     url: str
 
     def __str__(self) -> str:
-        return self.url if self.is_camera else _PASSWORD.sub(r"\1...", _SECRETS.sub("://", self.url, count=1))
+        return self.url if self.is_camera else _PASSWORD.sub(r"\1...", _CREDENTIALS.sub("://", self.url, count=1))
 
     @property
     def is_camera(self) -> bool:
-        """Whether it is a device of this machine."""
+        """Whether it is a camera of this machine."""
         return "://" not in self.url
 
     @property
     def stem(self) -> str:
-        """A name for files: `video0`, `10-0-0-7-stream1`."""
+        """Stem of file names for this source: `video0`, `10-0-0-7-stream1`."""
         name = Path(self.url).name if self.is_camera else str(self).partition("://")[2]
         return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")[:60] or "live"
 
     @property
     def format(self) -> str | None:
-        """FFmpeg's name of how it is read; None = it finds out."""
+        """FFmpeg's input format; None = detected."""
         return "v4l2" if self.is_camera else None
 
     @property
     def options(self) -> dict[str, str]:
-        """FFmpeg's options for it."""
+        """FFmpeg's options for opening it."""
         if self.is_camera:
             return {}
-        # Lost packets of UDP, RTSP's default, are images that are half grey.
+        # With UDP, RTSP's default, lost packets leave parts of an image grey.
         is_rtsp = self.url.lower().startswith("rtsp")
-        return {**_SOON, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
+        return {**_LOW_LATENCY, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
 
 
 VideoName = Path | LiveAddress
@@ -59,14 +59,14 @@ VideoName = Path | LiveAddress
 
 
 def video_name(name: str | VideoName) -> VideoName:
-    """The camera, stream, file or folder that a name means."""
+    """The camera, stream, file or folder with this name."""
     return (live_address(name) or Path(name)) if isinstance(name, str) else name
 
 
 def live_address(name: str) -> LiveAddress | None:
-    """The camera or stream that a name on the command line means; None = a file or folder.
+    """The camera or stream with this name on the command line; None = a file or folder.
 
-    A number is a camera's unless there is a file or folder of that name.
+    A number is a camera unless a file or folder has that name.
     """
     scheme, colon, _ = name.partition("://")
     if colon and scheme.lower() in _SCHEMES:

@@ -1,9 +1,9 @@
-"""StreamClock: one clock for the images of several live streams: this machine's, `time.monotonic`.
+"""StreamClock: converts the timestamps of live streams to one clock, `time.monotonic` of this machine.
 
-A camera's stamps are that clock already (Linux), and are taken as they are. A network stream counts from a time of its
-own, and its images arrive with varying delay; the one with the least delay gives the offset of its clock:
+Timestamps of cameras (Linux) already use that clock and stay as they are. Those of a network stream have an arbitrary
+origin, and its frames arrive with varying delay; the frame with the shortest delay gives the offset of the clock:
 
-    time_s = stamp_s + min(arrived_s - stamp_s)         over the last images, so that a drifting clock is followed
+    time_s = stamp_s + min(arrived_s - stamp_s)         over the most recent frames, to follow clock drift
 """
 
 from __future__ import annotations
@@ -11,26 +11,31 @@ from __future__ import annotations
 from collections import deque
 
 SAME_CLOCK_S = 10.0
-"""Stamps so near to the time at which their images arrive are of this machine's own clock."""
+"""Largest difference, s, between timestamp and arrival time of a stream that uses this machine's clock."""
 
-_REMEMBERED = 300  # images: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by half a millisecond
+_N_OFFSETS = 300
+"""Number of recent frames for the offset: 10 s at 30 Hz, in which clocks that differ by 50 ppm drift by 0.5 ms."""
 
 
 class StreamClock:
-    """The times of one stream's images; they increase strictly.
+    """Converts the timestamps of one stream to strictly increasing times.
 
     Attributes:
-        is_shared: whether the stamps are this machine's own clock's; None = no image yet.
+        is_shared: whether the timestamps use this machine's clock; None = no frame yet.
     """
 
     def __init__(self) -> None:
-        """No image yet."""
         self.is_shared: bool | None = None
-        self._offsets_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._offsets_s: deque[float] = deque(maxlen=_N_OFFSETS)
         self._last_s = float("-inf")
 
     def time_s(self, stamp_s: float | None, arrived_s: float) -> float | None:
-        """The time of an image with this stamp (None = it has none); None = not later than the one before."""
+        """The time of a frame; None if it is not later than the previous one.
+
+        Args:
+            stamp_s: timestamp of the frame; None = none.
+            arrived_s: arrival time of the frame.
+        """
         if stamp_s is None:
             time_s = arrived_s
         else:

@@ -1,7 +1,7 @@
-"""LivePair: two live streams paired by time: always the newest two images of one instant.
+"""LivePair: two live streams, paired by time; gives the newest pair of frames.
 
-left   |  a    b    c    d   |    each left image that waits is paired with the nearest right one; the newest
-right  |    A    B    C      |    pair that is near enough is taken, here (c, C), and all before it is dropped
+left   |  a    b    c    d   |    each waiting left frame is paired with the nearest right frame; the newest pair
+right  |    A    B    C      |    within the tolerance is used, here (c, C), and all earlier frames are dropped
 """
 
 from __future__ import annotations
@@ -15,20 +15,23 @@ from track_range.video.frame import VideoError, VideoFrame, counted
 from track_range.video.live.reader import LiveReader
 from track_range.video.live.stream import SILENCE_S
 
-_SHARED_CLOCK_INTERVALS, _ARRIVAL_INTERVALS = 0.25, 0.5
-"""The largest difference of time within a pair, in frame intervals: where stamps can be compared, and where only
-arrival times are known, which lets every image find a partner."""
+_SHARED_CLOCK_INTERVALS = 0.25
+"""Largest time difference within a pair, in frame intervals, if both streams use the same clock."""
+
+_ARRIVAL_INTERVALS = 0.5
+"""Largest time difference within a pair, in frame intervals, if only arrival times are known; every frame then finds a
+partner."""
 
 
 class LivePair:
-    """Pairs of images of two live streams; iterating starts with what comes now.
+    """Pairs of frames of two live streams; the iteration starts with the newest frames.
 
     Attributes:
         left, right: the readers.
-        tolerance_s: the largest difference of time within a pair.
+        tolerance_s: largest time difference within a pair.
 
     Raises:
-        VideoError: while iterating: one broke off, or their images come at different times.
+        VideoError: while iterating: a connection is lost, or no frames are close enough in time.
     """
 
     def __init__(self, left: LiveReader, right: LiveReader) -> None:
@@ -36,46 +39,50 @@ class LivePair:
         self._is_shared = all(reader.stream.clock.is_shared for reader in (left, right))
         intervals = _SHARED_CLOCK_INTERVALS if self._is_shared else _ARRIVAL_INTERVALS
         self.tolerance_s = intervals / max(left.fps, right.fps)
-        self._apart_s: list[float] = []
+        self._differences_s: list[float] = []
         self._n_pairs = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user, once it is over."""
-        if not self.left.is_closed or not self._apart_s or self._is_shared:
+        """Sentences for the user; empty until the reading has ended."""
+        if not self.left.is_closed or not self._differences_s or self._is_shared:
             return ()
+        median_ms = 1000 * np.median(self._differences_s)
         return (
-            f"Left and right come over a network and are paired by when they arrive, {counted(self._n_pairs, 'pair')} "
-            f"a median of {1000 * np.median(self._apart_s):.0f} ms apart: what moves is ranged wrongly by as much.",
+            f"Left and right frames of the network streams are paired by arrival time, "
+            f"{counted(self._n_pairs, 'pair')} with a median difference of {median_ms:.0f} ms: stereo distances of "
+            "moving objects are less accurate.",
         )
 
     def close(self) -> None:
-        """End both connections."""
+        """Close both connections."""
         for reader in (self.left, self.right):
             reader.close()
 
     def __iter__(self) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         self.left.begin()
-        news = threading.Event()
+        arrival = threading.Event()
         readers = (self.left, self.right)
         for reader in readers:
-            reader.stream.listen(news)
+            reader.stream.notify(arrival)
         while True:
-            news.clear()  # cleared first: a frame that arrives meanwhile sets it again
+            arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
             is_over = any(reader.stream.is_over for reader in readers)
-            found = self._newest()
-            if found is not None and self.left.is_past(found[1]):
+            newest = self._newest()
+            if newest is not None and self.left.is_after_end(newest[1]):
                 return
-            if found is not None:
-                yield from self._taken(*found)
+            if newest is not None:
+                yield from self._read_pair(*newest)
             elif is_over:
                 self._check()
                 return
-            elif not news.wait(SILENCE_S):
-                raise VideoError(f"{self.left.path} and {self.right.path}: no images for {SILENCE_S:.0f} s.")
+            elif not arrival.wait(SILENCE_S):
+                raise VideoError(
+                    f"{self.left.path} and {self.right.path}: no frame for {SILENCE_S:.0f} s; check the cameras."
+                )
 
     def _newest(self) -> tuple[int, float, int, float] | None:
-        """Index and time of the left and the right image of the newest pair that waits."""
+        """Index and time of the left frame, then of the right frame, of the newest waiting pair; None = no pair."""
         left, right = self.left.stream.waiting_s(), self.right.stream.waiting_s()
         if not left or not right:
             return None
@@ -86,14 +93,14 @@ class LivePair:
                 return index, time_s, *right[nearest]
         return None
 
-    def _taken(
+    def _read_pair(
         self, left_index: int, left_s: float, right_index: int, right_s: float
     ) -> Generator[tuple[VideoFrame, VideoFrame], None, None]:
         left, right = self.left.take(left_index), self.right.take(right_index)
-        if left is None or right is None or not self.left.is_wanted(left_s):
+        if left is None or right is None or not self.left.is_after_start(left_s):
             return
         self._n_pairs += 1
-        self._apart_s.append(abs(right_s - left_s))
+        self._differences_s.append(abs(right_s - left_s))
         yield left, right
 
     def _check(self) -> None:
@@ -101,6 +108,6 @@ class LivePair:
             reader.stream.check()
         if not self._n_pairs:
             raise VideoError(
-                f"{self.left.path} and {self.right.path}: no images of one instant, "
-                f"{1000 * self.tolerance_s:.0f} ms apart at most."
+                f"{self.left.path} and {self.right.path}: expected pairs of frames at most "
+                f"{1000 * self.tolerance_s:.0f} ms apart, found none; synchronise the cameras."
             )

@@ -1,8 +1,9 @@
-"""LiveReader: a camera or a stream read as a video is, but as it happens: always the newest image."""
+"""LiveReader: iterates over the frames of a camera or stream; gives the newest frame and drops older ones."""
 
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Generator
 
@@ -12,23 +13,23 @@ from track_range.video.live.stream import SILENCE_S, LiveStream
 
 
 class LiveReader:
-    """Read as a `VideoReader` is, but once: iterating starts at what comes now, and ends the connection in the end.
+    """Frames of a camera or stream, read once: the iteration starts with the newest frame and closes the connection.
 
     Args:
         address: the camera or stream.
-        start_s: so much is let pass first.
-        duration_s: how much is read then; None = until it ends, or the run is stopped.
+        start_s: time in s to skip at the beginning.
+        duration_s: length of the part to read; None = until the stream ends or the run is stopped.
 
     Attributes:
         path: the address.
-        width_px, height_px, is_grey, fps: as of `VideoReader`.
-        first_time_s: time at which the present reading began, of `time.monotonic`.
-        n_frames: None: unknown.
-        busy_s: processor time spent on handing images on.
-        is_closed: whether the connection has been ended.
+        width_px, height_px, is_grey, fps: see `VideoReader`.
+        first_time_s: time of `time.monotonic` at which the reading started.
+        n_frames: None = unknown.
+        busy_s: CPU time spent on converting frames.
+        is_closed: whether the connection has been closed.
 
     Raises:
-        VideoError: it cannot be opened. While iterating: it broke off, or its images change their size.
+        VideoError: the source cannot be opened. While iterating: the connection is lost, or the image size changes.
     """
 
     n_frames: int | None = None
@@ -45,13 +46,13 @@ class LiveReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user, once it is over."""
+        """Sentences for the user; empty until the reading has ended."""
         stream = self.stream
         if not self.is_closed:
             return ()
         n_dropped = stream.n_received - stream.n_taken
         received = counted(stream.n_received, "frame")
-        ended = (f"{self.path}: the stream ended by itself after {received}.",) if stream.has_ended else ()
+        ended = (f"{self.path}: the source ended the stream after {received}.",) if stream.has_ended else ()
         if not n_dropped:
             return ended
         return (
@@ -60,27 +61,27 @@ class LiveReader:
         )
 
     def begin(self) -> None:
-        """Start a reading: times count from the newest image that waits."""
+        """Start reading: times count from the newest waiting frame."""
         waiting = self.stream.waiting_s()
         self.first_time_s = waiting[-1][1] if waiting else time.monotonic()
 
-    def is_wanted(self, time_s: float) -> bool:
-        """Whether a frame of this time is in the part to be read, which may yet begin."""
+    def is_after_start(self, time_s: float) -> bool:
+        """Whether a time is at or after the start of the part to read."""
         return time_s - self.first_time_s >= self._start_s - TIME_EPSILON_S
 
-    def is_past(self, time_s: float) -> bool:
-        """Whether a frame of this time comes after the part to be read."""
+    def is_after_end(self, time_s: float) -> bool:
+        """Whether a time is at or after the end of the part to read."""
         return time_s - self.first_time_s >= self._start_s + self._duration_s - TIME_EPSILON_S
 
     def take(self, index: int) -> VideoFrame | None:
-        """The image of this index; None = it has been dropped meanwhile."""
+        """The frame with this index; None = it has been dropped meanwhile."""
         began_s = time.thread_time()
         frame = self.stream.take(index)
         self.busy_s += time.thread_time() - began_s
         return frame
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self.stream.close()
         self.is_closed = True
 
@@ -92,18 +93,19 @@ class LiveReader:
             self.close()
 
     def _newest(self) -> Generator[VideoFrame, None, None]:
-        news = self.stream.news()
+        arrival = threading.Event()
+        self.stream.notify(arrival)
         while True:
-            news.clear()  # cleared first: a frame that arrives meanwhile sets it again
+            arrival.clear()  # cleared first: a frame that arrives meanwhile sets it again
             is_over, newest = self.stream.is_over, self.stream.waiting_s()[-1:]
             if not newest and is_over:
                 self.stream.check()
                 return
-            if not newest and not news.wait(SILENCE_S):
-                raise VideoError(f"{self.path}: broke off: no image for {SILENCE_S:.0f} s.")
+            if not newest and not arrival.wait(SILENCE_S):
+                raise VideoError(f"{self.path}: connection lost, no frame for {SILENCE_S:.0f} s; check the camera.")
             for index, time_s in newest:
-                if self.is_past(time_s):
+                if self.is_after_end(time_s):
                     return
                 frame = self.take(index)
-                if frame is not None and self.is_wanted(time_s):
+                if frame is not None and self.is_after_start(time_s):
                     yield frame

@@ -1,6 +1,6 @@
-"""LiveStream: the newest images of a camera or a network stream, read in a thread that never waits for the run.
+"""LiveStream: the newest frames of a camera or a network stream, read in a thread that never waits for the consumer.
 
-camera --> thread: demux, decode --> [ the last few images ] --> whoever takes one; older ones are dropped and counted
+camera --> thread: demux, decode --> queue of the newest frames --> consumer; older frames are dropped and counted
 """
 
 from __future__ import annotations
@@ -22,15 +22,19 @@ from track_range.video.live.address import LiveAddress
 from track_range.video.live.clock import StreamClock
 from track_range.video.threads import LIVE_FRAMES
 
-_OPEN_S, SILENCE_S = 10.0, 5.0
-"""So long may a stream take to open, and be silent; then it is given up."""
+_OPEN_S = 10.0
+"""Timeout for opening a stream, s."""
+
+SILENCE_S = 5.0
+"""Timeout for the next frame of a stream, s."""
 
 _FALLBACK_RATE_HZ = 25.0
+"""Frame rate of a stream that states none."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Held:
-    """An image that waits, not yet converted: most conversions of a slow run would be for nothing."""
+class _WaitingFrame:
+    """A frame in the queue, converted to BGR only when it is used, since a slow consumer drops most of them."""
 
     index: int
     time_s: float
@@ -41,18 +45,18 @@ class LiveStream:
     """An open camera or stream.
 
     Attributes:
-        address: what was opened.
-        fps: nominal rate.
-        clock: where the images' times come from.
+        address: address of the camera or stream.
+        fps: nominal frame rate.
+        clock: converts timestamps to times.
         width_px, height_px: size of the images.
-        is_grey: the first one has no colour.
-        n_received: images decoded so far.
-        n_taken: images handed on.
-        ended_by: why the stream is over, in FFmpeg's words; empty = it ended as a file does, or runs still.
-        has_ended: whether it ended as a file does, and was not closed.
+        is_grey: whether the first image has no colour.
+        n_received: frames decoded so far.
+        n_taken: frames passed to the consumer.
+        ended_by: FFmpeg's error message if the connection was lost; empty = it is open, or was ended normally.
+        has_ended: whether the source ended the stream normally.
 
     Raises:
-        VideoError: it cannot be opened, holds no video, or no image comes.
+        VideoError: the source cannot be opened, contains no video, or sends no frame.
     """
 
     def __init__(self, address: LiveAddress) -> None:
@@ -60,77 +64,74 @@ class LiveStream:
         self.clock = StreamClock()
         self.n_received = self.n_taken = 0
         self.ended_by, self.has_ended, self._is_over = "", False, False
-        self._held: deque[_Held] = deque(maxlen=LIVE_FRAMES)
+        self._waiting: deque[_WaitingFrame] = deque(maxlen=LIVE_FRAMES)
         self._lock = threading.Lock()
-        self._news: list[threading.Event] = []
-        self._is_unwanted = threading.Event()
+        self._arrivals: list[threading.Event] = []
+        self._is_closing = threading.Event()
         container = _opened(address)
         stream = container.streams.video[0]
         rate_hz = stream.average_rate or stream.guessed_rate
         self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
-        first = self.news()
+        first = threading.Event()
+        self.notify(first)
         self._thread = threading.Thread(target=self._read, args=(container, stream), name="live", daemon=True)
         self._thread.start()
-        if not (first.wait(_OPEN_S) and self._held):
+        if not (first.wait(_OPEN_S) and self._waiting):
             self.close()
-            raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}): check the camera.")
-        image = self._held[-1].frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
+            raise VideoError(f"{address}: no frame received ({self.ended_by or 'timeout'}); check the camera.")
+        image = self._waiting[-1].frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
 
     @property
     def is_over(self) -> bool:
-        """Whether no more images will come."""
+        """Whether no more frames will arrive."""
         return self._is_over
 
-    def news(self) -> threading.Event:
-        """A new event that is set whenever an image has come, or the stream is over."""
-        event = threading.Event()
-        self.listen(event)
-        return event
-
-    def listen(self, event: threading.Event) -> None:
-        """Set this event, too, from now on."""
-        self._news.append(event)
+    def notify(self, event: threading.Event) -> None:
+        """Set this event whenever a frame arrives, and when the stream ends."""
+        self._arrivals.append(event)
 
     def waiting_s(self) -> list[tuple[int, float]]:
-        """(index, time) of the images that wait, oldest first."""
+        """(index, time) of the waiting frames, oldest first."""
         with self._lock:
-            return [(held.index, held.time_s) for held in self._held]
+            return [(waiting.index, waiting.time_s) for waiting in self._waiting]
 
     def take(self, index: int) -> VideoFrame | None:
-        """The image of this index, converted; those before it are dropped. None = it has been dropped itself.
+        """The frame with this index, converted to BGR; earlier frames are dropped. None = it has been dropped already.
 
         Raises:
-            VideoError: its size is not the first one's.
+            VideoError: its size differs from that of the first frame.
         """
         with self._lock:
-            while self._held and self._held[0].index < index:
-                self._held.popleft()
-            held = self._held.popleft() if self._held and self._held[0].index == index else None
-        if held is None:
+            while self._waiting and self._waiting[0].index < index:
+                self._waiting.popleft()
+            waiting = self._waiting.popleft() if self._waiting and self._waiting[0].index == index else None
+        if waiting is None:
             return None
         self.n_taken += 1
-        if (held.frame.width, held.frame.height) != (self.width_px, self.height_px):
+        width_px, height_px = waiting.frame.width, waiting.frame.height
+        if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
-                f"{self.address}: its images change from {self.width_px}x{self.height_px} to "
-                f"{held.frame.width}x{held.frame.height}: let the camera keep one size."
+                f"{self.address}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
+                "set the camera to one image size."
             )
-        image = held.frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
-        return VideoFrame(held.index, held.time_s, image)
+        image = waiting.frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
+        return VideoFrame(waiting.index, waiting.time_s, image)
 
     def check(self) -> None:
-        """Whether the stream ended as it should, once it is over.
+        """Raise an error if the stream has not ended normally.
 
         Raises:
-            VideoError: it broke off.
+            VideoError: the connection was lost.
         """
         if self.ended_by:
-            raise VideoError(f"{self.address}: broke off after {counted(self.n_received, 'frame')} ({self.ended_by}).")
+            received = counted(self.n_received, "frame")
+            raise VideoError(f"{self.address}: connection lost after {received} ({self.ended_by}); check the camera.")
 
     def close(self) -> None:
-        """End the thread, and with it the connection."""
-        self._is_unwanted.set()
+        """Stop the thread and close the connection."""
+        self._is_closing.set()
         self._thread.join(_OPEN_S + SILENCE_S)
 
     def _read(self, container: InputContainer, stream: VideoStream) -> None:
@@ -138,33 +139,33 @@ class LiveStream:
         try:
             with container:
                 self._receive(container, stream)
-            self.has_ended = not self._is_unwanted.is_set()
+            self.has_ended = not self._is_closing.is_set()
         except av.FFmpegError as error:
-            self.ended_by = "" if self._is_unwanted.is_set() else _reason(error)
+            self.ended_by = "" if self._is_closing.is_set() else _reason(error)
         self._is_over = True
-        self._tell()
+        self._set_events()
 
     def _receive(self, container: InputContainer, stream: VideoStream) -> None:
-        stream.thread_type = "SLICE"  # threads by frame would hold images back
+        stream.thread_type = "SLICE"  # frame threading would delay frames
         for packet in container.demux(stream):
-            if self._is_unwanted.is_set():
+            if self._is_closing.is_set():
                 return
-            with suppress(av.error.InvalidDataError):  # whoever joins a stream meets images whose start was before
+            with suppress(av.error.InvalidDataError):  # the first packets may depend on a keyframe before the start
                 for frame in packet.decode():
-                    self._keep(frame)
+                    self._enqueue(frame)
 
-    def _keep(self, frame: av.VideoFrame) -> None:
+    def _enqueue(self, frame: av.VideoFrame) -> None:
         stamp_s = None if frame.pts is None or frame.time_base is None else float(frame.pts * frame.time_base)
         index, self.n_received = self.n_received, self.n_received + 1
         time_s = self.clock.time_s(stamp_s, time.monotonic())
         if time_s is None or frame.is_corrupt:
             return
         with self._lock:
-            self._held.append(_Held(index, time_s, frame))
-        self._tell()
+            self._waiting.append(_WaitingFrame(index, time_s, frame))
+        self._set_events()
 
-    def _tell(self) -> None:
-        for event in self._news:
+    def _set_events(self) -> None:
+        for event in self._arrivals:
             event.set()
 
 
@@ -174,16 +175,16 @@ def _opened(address: LiveAddress) -> InputContainer:
             address.url, mode="r", format=address.format, options=address.options, timeout=(_OPEN_S, SILENCE_S)
         )
     except (av.FFmpegError, ValueError) as error:
-        what = "camera" if address.is_camera else "stream"
-        reason = _reason(error, silence_s=_OPEN_S)
-        raise VideoError(f"{address}: this {what} cannot be opened ({reason}).") from error
+        kind = "camera" if address.is_camera else "stream"
+        reason = _reason(error, timeout_s=_OPEN_S)
+        raise VideoError(f"{address}: the {kind} cannot be opened ({reason}); check the address.") from error
     if not container.streams.video:
         container.close()
-        raise VideoError(f"{address}: holds no video.")
+        raise VideoError(f"{address}: the stream contains no video; check the address.")
     return container
 
 
-def _reason(error: Exception, *, silence_s: float = SILENCE_S) -> str:
+def _reason(error: Exception, *, timeout_s: float = SILENCE_S) -> str:
     if isinstance(error, av.error.ExitError):
-        return f"no answer for {silence_s:.0f} s"
+        return f"no answer for {timeout_s:.0f} s"
     return getattr(error, "strerror", None) or str(error)
