@@ -35,7 +35,7 @@ from track_range.detection.darknet.layers import (
 from track_range.detection.darknet.network import read_network
 from track_range.detection.darknet.weights import read_convolutions
 from track_range.detection.models.onnx_session import ModelError
-from track_range.detection.models.writing import silent_conversion, written_whole
+from track_range.detection.models.writing import atomic_output, silent_conversion
 
 _OPSET = 13
 _IR_VERSION = 8
@@ -86,7 +86,7 @@ def import_darknet(cfg: Path, weights: Path, out: Path, *, names: Sequence[str])
         raise ModelError(f"{cfg}: {n_classes} classes, but {len(names)} names; give all, in the network's order.")
     family = _family(network)
     model = _model(network, weights, {"family": family, **_facts(network, names)})
-    with written_whole(out) as folder, silent_conversion(cfg, "written as ONNX"):
+    with atomic_output(out) as folder, silent_conversion(cfg, "written as ONNX"):
         onnx.checker.check_model(model, full_check=True)
         onnx.save(model, folder / out.name)
     return ImportedModel(

@@ -1,9 +1,8 @@
-"""The catalogue: detectors by name, where each comes from, under which licence, and with which published checksum.
+"""The catalogue of detectors that can be downloaded: names, addresses, licences and published checksums.
 
-Nothing of it is part of track-range: `detection/models/download.py` fetches a model from its own project's release
-into the user's cache folder. A model is listed only if every one of its files has a checksum that somebody published
-(OpenCV's opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects), never one we made
-up.
+The models are not part of track-range: `detection/models/download.py` downloads a model from the release of its project
+into the user's cache folder. A model is listed only if the checksums of all its files are published elsewhere (OpenCV's
+opencv_extra and opencv_zoo, OpenVINO's Open Model Zoo, or several independent projects).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from track_range.detection.classes import COCO_CLASSES
 
 @dataclass(frozen=True, slots=True)
 class Licence:
-    """A licence's name, and in one sentence what it asks of whoever uses the model."""
+    """A licence: its name, and in one sentence what it requires from users of the model."""
 
     name: str
     meaning: str
@@ -26,10 +25,10 @@ class ModelFile:
     """One file of a release.
 
     Attributes:
-        name: what it is called in the cache folder.
-        url: its http(s) address.
-        checksum: algorithm and hexadecimal digest, `sha256:...`, as published.
-        size_bytes: as published; None = not published.
+        name: file name in the cache folder.
+        url: http(s) address.
+        checksum: published checksum, algorithm and hexadecimal digest, such as `sha256:...`.
+        size_bytes: published size; None = not published.
     """
 
     name: str
@@ -43,12 +42,12 @@ class CatalogueEntry:
     """One model that can be downloaded.
 
     Attributes:
-        name: what users call it; `NAME.onnx` in the cache folder is the model ready to run.
-        family: its layout of outputs, as `track-range models info` names it.
-        input: size and number type of the network's input, for people.
+        name: the model's name; `NAME.onnx` in the cache folder is the model ready to run.
+        family: family of the network, as shown by `track-range models info`.
+        input: size and number type of the network's input, for display.
         files: an ONNX file, or Darknet's cfg and weights, which are imported after the download.
-        licence: under which its project publishes it.
-        project, release: whose it is, and which of their releases.
+        licence: licence of the model.
+        project, release: project and release that publish the model.
         classes: class names in the network's order.
     """
 
@@ -63,30 +62,32 @@ class CatalogueEntry:
 
     @property
     def is_darknet(self) -> bool:
-        """Whether the files are Darknet's, to be imported before use."""
+        """Whether the files are Darknet's, which are imported before use."""
         return any(file.name.endswith(".weights") for file in self.files)
 
     @property
     def size_bytes(self) -> int:
-        """What a download comes to; files of unpublished size (a few kB of text) are left out."""
+        """Total size of the download, without files of unpublished size (a few kB of text)."""
         return sum(file.size_bytes or 0 for file in self.files)
 
     @property
     def notice(self) -> str:
-        """What to tell the user before downloading: size, whose model it is, its licence and what that means."""
+        """Notice for the user before the download: size, project, licence and what the licence requires."""
         return (
             f"{self.name}: {self.size_bytes / 1e6:.1f} MB from {self.project} ({self.release}), "
             f"licence {self.licence.name}: {self.licence.meaning}"
         )
 
 
-APACHE = Licence("Apache-2.0", "free to use, change and pass on, also commercially, if its notices are kept.")
+APACHE = Licence(
+    "Apache-2.0", "may be used, modified and redistributed, also commercially, if the licence notices are preserved."
+)
 AGPL = Licence(
     "AGPL-3.0",
-    "GNU Affero General Public License: whoever passes on software with this model in it, or lets others use it over a "
-    "network, must offer them that software's source under the same licence; its owner sells other terms.",
+    "GNU Affero General Public License: software that contains this model and is distributed, or used by others over a "
+    "network, must be offered with its source code under the same licence; the owner sells other licences.",
 )
-PUBLIC_DOMAIN = Licence("public domain", "Darknet's own licence: 'Do whatever you want with it.'")
+PUBLIC_DOMAIN = Licence("public domain", "Darknet's licence permits any use.")
 
 _YOLOX = "https://github.com/Megvii-BaseDetection/YOLOX/releases/download/0.1.1rc0"
 _DARKNET = "https://github.com/AlexeyAB/darknet/releases/download"
@@ -173,7 +174,7 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
 
 
 def entry_named(name: str) -> CatalogueEntry | None:
-    """The catalogue's entry; capitals do not matter, nor does - instead of _."""
+    """The catalogue entry with this name, in any case and with - or _; None if there is none."""
     return next((entry for entry in CATALOGUE if _key(entry.name) == _key(name)), None)
 
 

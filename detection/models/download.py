@@ -1,7 +1,7 @@
-"""Fetching a catalogue model: resumed where it broke off, checked against its published checksum, whole or not at all.
+"""Download of a catalogue model: resumed after an interruption and verified with its published checksum.
 
-A download grows as NAME.part in the cache folder and gets its name only when its checksum is right, so a file of the
-right name is a good one, however the program ended, and two programs at once cannot make a bad one.
+A download is written to NAME.part in the cache folder and renamed to NAME once its checksum is correct. A file NAME is
+therefore always complete, even if the program was killed or two programs download the same file at once.
 """
 
 from __future__ import annotations
@@ -22,33 +22,40 @@ from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
 from track_range.foundation.errors import UserError
 
 Progress = Callable[[int, int | None], None]
-"""Called with the bytes there so far, and all that are to come where the server says so."""
+"""Called with the number of bytes downloaded so far, and the total if the server reports it."""
 
 _CHUNK_BYTES = 1 << 18
+"""Bytes per read; progress is reported after each."""
+
 _TIMEOUT_S = 30.0
+"""Longest wait for the server."""
+
 _RANGE_NOT_SATISFIABLE = 416
+"""HTTP status: the requested range starts at or after the end of the file."""
+
 _PARTIAL_CONTENT = 206
+"""HTTP status: the answer contains only the requested range."""
 
 
 class DownloadError(UserError):
-    """A model that cannot be fetched; the message says why, and where to put the file if it is fetched otherwise."""
+    """Failed download of a model; the message gives the reason, and where to put a file downloaded by other means."""
 
 
 def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -> Path:
-    """The entry's ONNX file in the cache folder, fetched and converted unless it is there already.
+    """Path of the entry's ONNX file in the cache folder, downloaded and converted if it is not there yet.
 
     Raises:
-        DownloadError: it cannot be fetched or kept.
-        ModelError: Darknet files that cannot be imported.
+        DownloadError: the download failed, or the cache folder cannot be written.
+        ModelError: the Darknet files cannot be imported.
     """
     model = cache / f"{entry.name}.onnx"
-    if model.is_file() and (entry.is_darknet or _is_right(model, entry.files[0].checksum)):
+    if model.is_file() and (entry.is_darknet or _has_checksum(model, entry.files[0].checksum)):
         return model
     try:
         cache.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DownloadError(
-            f"{cache}: no models can be kept there ({error.strerror}); set TRACK_RANGE_CACHE to another folder."
+            f"{cache}: cannot create this folder for models ({error.strerror}); set TRACK_RANGE_CACHE to another one."
         ) from error
     paths = {Path(file.name).suffix: fetch(file, cache / file.name, progress) for file in entry.files}
     if entry.is_darknet:
@@ -58,82 +65,84 @@ def pull(entry: CatalogueEntry, cache: Path, progress: Progress | None = None) -
 
 
 def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Path:
-    """One file under its name, unless it is there already and its checksum right; an earlier part is resumed.
+    """Download one file to `target` and return that path; an earlier partial download is resumed.
+
+    Nothing is downloaded if `target` exists and has the correct checksum.
 
     Raises:
-        DownloadError: it cannot be fetched, is not what was published, or cannot be written.
+        DownloadError: the file cannot be downloaded or written, or its checksum is wrong.
     """
-    if target.is_file() and _is_right(target, file.checksum):
+    if target.is_file() and _has_checksum(target, file.checksum):
         return target
     if urlparse(file.url).scheme not in ("http", "https"):
-        raise DownloadError(f"{file.url}: only http and https addresses are fetched.")
+        raise DownloadError(f"{file.url}: expected an http or https address.")
     part = target.with_name(target.name + ".part")
-    otherwise = f"Try again later (what came is kept), or fetch it by other means and put it as {target}."
+    advice = f"try again later to resume the download, or save the file as {target} by other means."
     try:
-        _append(file.url, part, progress or _unheard)
+        _append(file.url, part, progress or _no_progress)
     except urllib.error.HTTPError as error:
-        raise DownloadError(f"{file.url}: the server answers {error.code} {error.reason}. {otherwise}") from error
+        raise DownloadError(f"{file.url}: the server responded {error.code} {error.reason}; {advice}") from error
     except urllib.error.URLError as error:
-        raise DownloadError(f"{file.url}: cannot be reached ({error.reason}). {otherwise}") from error
+        raise DownloadError(f"{file.url}: cannot connect ({error.reason}); {advice}") from error
     except (http.client.HTTPException, ConnectionError, TimeoutError) as error:
         reason = str(error) or type(error).__name__
-        raise DownloadError(f"{file.url}: the connection broke off ({reason}). {otherwise}") from error
+        raise DownloadError(f"{file.url}: connection lost ({reason}); {advice}") from error
     except OSError as error:
         raise DownloadError(f"{part}: cannot be written ({error.strerror or error}).") from error
-    found = _digest(part, file.checksum)
-    if found != file.checksum:
+    checksum = _digest(part, file.checksum)
+    if checksum != file.checksum:
         part.unlink()
         raise DownloadError(
-            f"{file.url}: what came is not the published file (checksum {found}, {file.checksum} wanted) and was "
-            f"removed; try again, or put the right file as {target}."
+            f"{file.url}: expected checksum {file.checksum}, got {checksum}; the download was removed: try again, or "
+            f"save the correct file as {target}."
         )
     os.replace(part, target)
     return target
 
 
-def _unheard(done_bytes: int, total_bytes: int | None) -> None:
-    """Progress that nobody wants."""
+def _no_progress(done_bytes: int, total_bytes: int | None) -> None:
+    """Progress callback that does nothing."""
 
 
 def _append(url: str, part: Path, progress: Progress) -> None:
-    """Add to `part` what is missing of it; begin anew where the server does not resume."""
-    there = part.stat().st_size if part.is_file() else 0
+    """Append the missing bytes to `part`; restart the download if the server cannot resume it."""
+    present_bytes = part.stat().st_size if part.is_file() else 0
     request = urllib.request.Request(url, headers={"User-Agent": "track-range"})  # noqa: S310 (http or https: checked)
-    if there:
-        request.add_header("Range", f"bytes={there}-")
+    if present_bytes:
+        request.add_header("Range", f"bytes={present_bytes}-")
     try:
-        answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)  # noqa: S310 (as above)
+        response = urllib.request.urlopen(request, timeout=_TIMEOUT_S)  # noqa: S310 (as above)
     except urllib.error.HTTPError as error:
-        if error.code != _RANGE_NOT_SATISFIABLE or not there:
+        if error.code != _RANGE_NOT_SATISFIABLE or not present_bytes:
             raise
         error.close()
-        return  # it is all there: the checksum tells
-    with answer:
-        is_rest = answer.status == _PARTIAL_CONTENT
-        done = there if is_rest else 0
-        length = answer.headers.get("Content-Length")
-        total = done + int(length) if length else None
-        with part.open("ab" if is_rest else "wb") as file:
-            _copy(answer, file, done, total, progress)
+        return  # `part` has all bytes; its checksum is verified by the caller
+    with response:
+        is_resumed = response.status == _PARTIAL_CONTENT
+        done_bytes = present_bytes if is_resumed else 0
+        length = response.headers.get("Content-Length")
+        total_bytes = done_bytes + int(length) if length else None
+        with part.open("ab" if is_resumed else "wb") as file:
+            _copy(response, file, done_bytes, total_bytes, progress)
 
 
-def _copy(answer: Any, file: Any, done: int, total: int | None, progress: Progress) -> None:
-    while chunk := answer.read(_CHUNK_BYTES):
+def _copy(response: Any, file: Any, done_bytes: int, total_bytes: int | None, progress: Progress) -> None:
+    while chunk := response.read(_CHUNK_BYTES):
         file.write(chunk)
-        done += len(chunk)
-        progress(done, total)
-    if total is not None and done < total:
-        raise http.client.HTTPException(f"{done} of {total} bytes came")
+        done_bytes += len(chunk)
+        progress(done_bytes, total_bytes)
+    if total_bytes is not None and done_bytes < total_bytes:
+        raise http.client.HTTPException(f"received {done_bytes} of {total_bytes} bytes")
 
 
-def _is_right(path: Path, checksum: str) -> bool:
+def _has_checksum(path: Path, checksum: str) -> bool:
     with suppress(OSError):
         return _digest(path, checksum) == checksum
     return False
 
 
 def _digest(path: Path, checksum: str) -> str:
-    """The file's checksum in the algorithm of `checksum`, such as `sha256:...`."""
+    """Checksum of a file by the algorithm of `checksum`, such as `sha256:...`."""
     algorithm = checksum.partition(":")[0]
     with path.open("rb") as file:
         return f"{algorithm}:{hashlib.file_digest(file, algorithm).hexdigest()}"

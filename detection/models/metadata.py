@@ -1,13 +1,13 @@
-"""What is known of a model besides its weights: class names, anchors, letterbox, and who says so.
+"""Metadata of a model: class names, anchors, letterbox and other attributes, each with its source.
 
-Many ONNX files say nothing of themselves. What is wanted comes from the first of: the user's options, the file's own
-metadata (Ultralytics' exports and `track-range models import` write it), `MODEL.yaml` beside the file, the family's
-default. All use the same keys:
+Many ONNX files contain no metadata. Each attribute is read from the first of: the user's options, the file's metadata
+(written by Ultralytics' exporter and `track-range models import`), `MODEL.yaml` next to the file; otherwise the
+family's default is used. All sources use the same keys:
 
-    family     the network's name, for people            names      class names, in the network's order
-    anchors    per output head, [width, height] pixels   scale_x_y  per output head, Darknet's stretch of the centres
+    family     name of the family, for display           names      class names, in the network's order
+    anchors    per output head, [width, height] pixels   scale_x_y  per output head, Darknet's scale of the centres
     letterbox  such as centred-114                       colours    rgb or bgr          divisor  255 or 1
-    size       longer side of the input in pixels, where it is open
+    size       longer side in pixels of an input of variable size
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.input_format import placement_and_grey
 
 Anchors = tuple[tuple[tuple[float, float], ...], ...]
-"""Per output head, coarsest grid first as a rule, (width, height) of each anchor in input pixels."""
+"""For each output head, usually the coarsest grid first, (width, height) of its anchors in input pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelOptions:
-    """Attributes of a model that the user gives; None = not given.
+    """Attributes of a model that the user specifies; None = not specified.
 
     Attributes:
         names: class names in the network's order.
-        anchors: `81,82 135,169 344,319 / 23,27 37,58 81,82`: width,height pairs, one group per head in output order.
-        letterbox: such as `top-left-114`.
+        anchors: width,height pairs in input pixels, one group per head in the order of the outputs, such as
+            `81,82 135,169 344,319 / 23,27 37,58 81,82`.
+        letterbox: placement and grey level of the padding, such as `top-left-114`.
     """
 
     names: tuple[str, ...] | None = None
@@ -45,66 +46,65 @@ class ModelOptions:
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """One thing known of a model, and in words who says so."""
+    """One attribute of a model: its value, and a description of its source for display."""
 
     value: Any
     source: str
 
 
 class ModelMetadata:
-    """The attributes of one model, by key."""
+    """The explicit attributes of one model, by key."""
 
     def __init__(self, attributes: Mapping[str, Attribute]) -> None:
         self._attributes = attributes
 
-    def of(self, key: str, default: Any, source: str) -> Attribute:
-        """The attribute `key`, else the default."""
+    def get(self, key: str, default: Any, source: str) -> Attribute:
+        """The attribute `key`; without it, `default` with its `source`."""
         return self._attributes.get(key) or Attribute(default, source)
 
 
 def read_metadata(path: Path, metadata: Mapping[str, str], options: ModelOptions) -> ModelMetadata:
-    """The attributes of the model at `path`, from options, else from its metadata, else from `MODEL.yaml`.
+    """The attributes of the model at `path`, from the options, else its metadata, else `MODEL.yaml`.
 
     Raises:
-        ModelError: a value cannot be used.
+        ModelError: a value is invalid, or `MODEL.yaml` cannot be read.
     """
-    given = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
+    option_values = {key: getattr(options, key) for key in ModelOptions.__dataclass_fields__}
     sidecar = path.with_suffix(".yaml")
-    beside = _read_yaml(sidecar) if sidecar.is_file() else {}
+    sidecar_values = _read_yaml(sidecar) if sidecar.is_file() else {}
     attributes: dict[str, Attribute] = {}
     for key, parse in _PARSERS.items():
-        if given.get(key) is not None:
-            attributes[key] = Attribute(_parsed(parse, given[key], f"--{key}"), "as given")
+        if option_values.get(key) is not None:
+            attributes[key] = Attribute(_parsed(parse, option_values[key], f"--{key}"), "as specified")
         elif key in metadata:
-            where = f"{path}: its metadata '{key}'"
-            attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), where), "from the model's metadata")
-        elif key in beside:
-            source = f"from {sidecar.name} beside it"
-            attributes[key] = Attribute(_parsed(parse, beside[key], f"{sidecar}: '{key}'"), source)
+            place = f"{path}: metadata '{key}'"
+            attributes[key] = Attribute(_parsed(parse, _literal(metadata[key]), place), "from the model's metadata")
+        elif key in sidecar_values:
+            source = f"from {sidecar.name}"
+            attributes[key] = Attribute(_parsed(parse, sidecar_values[key], f"{sidecar}: '{key}'"), source)
     return ModelMetadata(attributes)
 
 
-def _parsed(parse: Callable[[Any], Any], value: object, where: str) -> Any:
+def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
+    """`parse(value)`; errors name the `place` of the value."""
     try:
         return parse(value)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise ModelError(f"{where} cannot be used: {error}.") from error
+        raise ModelError(f"{place}: {error}.") from error
 
 
 def _read_yaml(sidecar: Path) -> dict[str, Any]:
     try:
         document = yaml.safe_load(sidecar.read_text(encoding="utf-8-sig"))
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ModelError(f"{sidecar}: not readable as YAML ({type(error).__name__}).") from error
+        raise ModelError(f"{sidecar}: not a readable YAML file ({type(error).__name__}).") from error
     if not isinstance(document, dict) or not document.keys() & _PARSERS.keys():
-        raise ModelError(
-            f"{sidecar}: none of the keys {', '.join(_PARSERS)}; write 'names: [a, b, ...]', or remove it."
-        )
+        raise ModelError(f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add them or remove the file.")
     return document
 
 
 def _literal(text: str) -> object:
-    """A metadata value: JSON, a Python literal (Ultralytics writes names so), else the text itself."""
+    """The value of a metadata text: JSON, a Python literal (Ultralytics' format of names), else the text itself."""
     for read in (json.loads, ast.literal_eval):
         try:
             return read(text)
@@ -114,20 +114,24 @@ def _literal(text: str) -> object:
 
 
 def names_of(value: object) -> tuple[str, ...]:
-    """Names from a list, or from a mapping number -> name, 0 and on, as YOLO's tools write it."""
+    """Names from a list, or from a mapping of numbers from 0 to names, as in Ultralytics' files.
+
+    Raises:
+        ValueError: another type, an empty list, or numbers with gaps.
+    """
     if isinstance(value, Mapping):
         numbers = {int(key): name for key, name in value.items()}
         if sorted(numbers) != list(range(len(numbers))):
             raise ValueError(
-                f"names are numbered from 0 on without gaps, not {', '.join(map(str, sorted(numbers)))[:40]}"
+                f"expected names numbered from 0 without gaps, got {', '.join(map(str, sorted(numbers)))[:40]}"
             )
         value = [numbers[key] for key in sorted(numbers)]
     if isinstance(value, Sequence) and not isinstance(value, str) and value:
         return tuple(str(name) for name in value)
-    raise ValueError(f"a list of names wanted, not {str(value)[:40]!r}; give them with --names")
+    raise ValueError(f"expected a list of names, got {str(value)[:40]!r}; specify them with --names")
 
 
-_ANCHORS_WANTED = "positive width,height pairs wanted for every head, such as '81,82 135,169 / 23,27 37,58'"
+_ANCHORS_EXPECTED = "expected positive width,height pairs for every head, such as '81,82 135,169 / 23,27 37,58'"
 
 
 def _anchors(value: Any) -> Anchors:
@@ -137,9 +141,9 @@ def _anchors(value: Any) -> Anchors:
     try:
         anchors = tuple(tuple((float(w), float(h)) for w, h in head) for head in value)
     except (ValueError, TypeError) as error:
-        raise ValueError(_ANCHORS_WANTED) from error
+        raise ValueError(_ANCHORS_EXPECTED) from error
     if not anchors or not all(head and all(0 < side < 1e5 for pair in head for side in pair) for head in anchors):
-        raise ValueError(_ANCHORS_WANTED)
+        raise ValueError(_ANCHORS_EXPECTED)
     return anchors
 
 
@@ -147,7 +151,7 @@ def _scales(value: Any) -> tuple[float, ...]:
     values: Sequence[Any] = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
     scales = tuple(float(scale) for scale in values)
     if not all(1 <= scale <= 2 for scale in scales):
-        raise ValueError(f"numbers from 1 to 2 wanted, not {list(scales)}")
+        raise ValueError(f"expected numbers from 1 to 2, got {list(scales)}")
     return scales
 
 
@@ -158,19 +162,19 @@ def _letterbox(value: object) -> str:
 
 def _colours(value: object) -> str:
     if str(value).lower() not in ("rgb", "bgr"):
-        raise ValueError(f"rgb or bgr wanted, not {value!r}")
+        raise ValueError(f"expected rgb or bgr, got {value!r}")
     return str(value).lower()
 
 
 def _divisor(value: Any) -> float:
     if not 0 < float(value) <= 65535:
-        raise ValueError(f"a positive number wanted, such as 255, not {value!r}")
+        raise ValueError(f"expected a positive number such as 255, got {value!r}")
     return float(value)
 
 
 def _size(value: Any) -> int:
     if not 32 <= int(value) <= 4096:
-        raise ValueError(f"pixels from 32 to 4096 wanted, not {value!r}")
+        raise ValueError(f"expected 32 to 4096 pixels, got {value!r}")
     return int(value)
 
 

@@ -1,6 +1,6 @@
-"""OnnxSession: one ONNX network loaded by onnxruntime, with its device, threads and errors in plain words.
+"""OnnxSession: one ONNX network loaded by onnxruntime on a device, with errors as one sentence.
 
-Thread spinning is off: on a shared machine two spinning threads are slower than one that sleeps.
+Thread spinning is disabled because it slows down other work on a shared machine.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ _PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tenso
 
 
 class ModelError(UserError):
-    """A model that cannot be used; the message says why and what to do."""
+    """Unusable model; the message gives the reason and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Runtime:
-    """What a network runs on.
+    """Device and threads that a network runs on.
 
     Attributes:
-        device: "auto" = CUDA where it is to be had, else the CPU.
-        n_threads: of the CPU; 0 = one per core.
-        engine_folder: where TensorRT keeps the engines that it takes minutes to build; None = it builds them anew.
+        device: "auto" = CUDA if available, else the CPU.
+        n_threads: number of CPU threads; 0 = one per core.
+        engine_folder: folder in which TensorRT caches its engines, which take minutes to build; None = no cache.
     """
 
     device: Device = "auto"
@@ -47,17 +47,17 @@ class OnnxSession:
 
     Attributes:
         path: the model's file.
-        input_shape: the image input's shape; a dimension that the model leaves open is None.
-        metadata: what the exporter wrote into the file; often nothing.
-        device: "cpu", "cuda" or "tensorrt", what it runs on in the end.
-        notes: sentences for the user, such as a device that was not to be had.
+        input_shape: shape of the image input; None for dimensions of variable size.
+        metadata: metadata that the exporter wrote into the file; often empty.
+        device: "cpu", "cuda" or "tensorrt", the device in use.
+        notes: notes for the user, such as that the requested device is not available.
     """
 
     def __init__(self, path: Path, runtime: Runtime | None = None) -> None:
         """Load the model.
 
         Raises:
-            ModelError: there is no such file, or it is no ONNX network with an image input.
+            ModelError: the file does not exist, or is not an ONNX network with one image input.
         """
         self.path = path
         self.notes: tuple[str, ...] = ()
@@ -67,13 +67,13 @@ class OnnxSession:
         self.device = _device_of(self._session.get_providers())
         if device in ("cuda", "tensorrt") and self.device != device:
             self.notes = (
-                f"--device {device} is not to be had here (not built in, or its libraries are missing): "
-                f"running on {self.device}.",
+                f"--device {device} is not available on this machine (not part of this onnxruntime, or its libraries "
+                f"are missing); using {self.device}.",
             )
         inputs = self._session.get_inputs()
         if len(inputs) != 1 or len(inputs[0].shape) != 4:
             shapes = ", ".join(f"{i.name} {i.shape}" for i in inputs)
-            raise ModelError(f"{path}: one input [batch, 3, height, width] wanted, found: {shapes}.")
+            raise ModelError(f"{path}: expected one input [batch, 3, height, width], got {shapes}.")
         self._input = inputs[0]
         self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
@@ -84,7 +84,7 @@ class OnnxSession:
         options = ort.SessionOptions()
         options.intra_op_num_threads = runtime.n_threads
         options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # a failure is told once, by us
+        options.log_severity_level = 4  # failures are reported by our exception
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
             return ort.InferenceSession(str(self.path), options, providers=_providers(runtime))
@@ -94,14 +94,14 @@ class OnnxSession:
 
     @property
     def input_dtype(self) -> type[np.floating[Any]]:
-        """The image input's number type."""
+        """Number type of the image input."""
         return np.float16 if self._input.type == "tensor(float16)" else np.float32
 
     def run(self, blob: FloatArray32) -> list[FloatArray32]:
-        """The outputs, as float32, in the file's order, for one input blob (batch, 3, height, width).
+        """The outputs as float32, in the file's order, for one input blob (batch, 3, height, width).
 
         Raises:
-            ModelError: the network fails on this input.
+            ModelError: onnxruntime fails on this input.
         """
         try:
             outputs = self._session.run(None, {self._input.name: blob.astype(self.input_dtype, copy=False)})
@@ -110,28 +110,28 @@ class OnnxSession:
         return [np.asarray(output, np.float32) for output in outputs]
 
     def bound(self, input_hw: tuple[int, int]) -> BoundNetwork:
-        """The network with buffers for one image of this size; one trial run tells the outputs' true shapes.
+        """The network with buffers for one image of this size; one trial run determines the outputs' shapes.
 
         Raises:
-            ModelError: the network does not take this size.
+            ModelError: onnxruntime fails on this size.
         """
         return BoundNetwork(self, input_hw)
 
     def _failure(self, error: Exception) -> ModelError:
-        return ModelError(f"{self.path}: the network failed ({str(error).splitlines()[0]}).")
+        return ModelError(f"{self.path}: running the network failed ({str(error).splitlines()[0]}).")
 
     def sha256(self) -> str:
-        """The model file's checksum, so that a run can be repeated with the very same weights."""
+        """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same weights."""
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class BoundNetwork:
-    """A network bound to buffers of its own (onnxruntime's io binding): a run copies and allocates nothing.
+    """A network with bound buffers (onnxruntime's IOBinding), so that a run neither copies nor allocates arrays.
 
     Attributes:
-        blob: (1, 3, height, width) the input, float32 or float16 as the network wants; fill it, then `run`.
-        output_shapes: names and shapes of the outputs, in the file's order.
+        blob: (1, 3, height, width) input of the next `run`, float32 or float16 as the network requires.
+        output_shapes: shapes of the outputs by name, in the file's order.
     """
 
     def __init__(self, session: OnnxSession, input_hw: tuple[int, int]) -> None:
@@ -151,10 +151,10 @@ class BoundNetwork:
             self._binding.bind_output(key, "cpu", 0, buffer.dtype, buffer.shape, buffer.ctypes.data)
 
     def run(self) -> list[FloatArray32]:
-        """The outputs for what `blob` holds, as float32, in the file's order; overwritten by the next run.
+        """The outputs for `blob` as float32, in the file's order; the next run overwrites them.
 
         Raises:
-            ModelError: the network fails on this input.
+            ModelError: onnxruntime fails on this input.
         """
         try:
             self._owner._session.run_with_iobinding(self._binding)
@@ -164,21 +164,23 @@ class BoundNetwork:
 
 
 def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
-    """Onnxruntime's providers with their options, the best first; only those that this build has."""
-    wanted = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
-    there = ort.get_available_providers()
+    """Available onnxruntime providers for the device with their options, the preferred one first, the CPU last."""
+    preferred = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
+    available = ort.get_available_providers()
     options = {_TENSORRT: _tensorrt_options(runtime.engine_folder)}
-    return [*((name, options.get(name, {})) for name in wanted if name in there), ("CPUExecutionProvider", {})]
+    names = [name for name in preferred if name in available]
+    return [*((name, options.get(name, {})) for name in names), ("CPUExecutionProvider", {})]
 
 
 def _tensorrt_options(engine_folder: Path | None) -> dict[str, Any]:
-    """Half precision, and engines kept between runs."""
+    """TensorRT's options: half precision, and cached engines if there is a folder for them."""
     if engine_folder is None:
         return {"trt_fp16_enable": True}
-    kept = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(engine_folder)}
-    return {"trt_fp16_enable": True, "trt_timing_cache_enable": True, **kept}
+    cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": str(engine_folder)}
+    return {"trt_fp16_enable": True, "trt_timing_cache_enable": True, **cache}
 
 
 def _device_of(providers: list[str]) -> str:
+    """Name of the device of the first provider."""
     first = providers[0]
     return {_TENSORRT: "tensorrt", _CUDA: "cuda"}.get(first, "cpu")

@@ -1,21 +1,22 @@
-"""Smaller and faster networks: static INT8 (QDQ) and FP16 copies of an ONNX detector.
+"""Quantization of ONNX detectors: static INT8 (QDQ) and FP16 copies.
 
-    q = clip(round(x / scale) + zero, 0, 255)        x ~ (q - zero) * scale
+    q = clip(round(x / scale) + zero_point, 0, 255)        x ~ (q - zero_point) * scale
 
-Weights have one scale per output channel (signed bytes), activations one per tensor (unsigned bytes: signed ones took
-1.6 to 2.7 times as long). It spans from the mean of the images' smallest values to the mean of their largest: rare
-extremes are clipped and the rest is finer, which took away 30 to 60 % of the disagreement with the float network that
-the smallest and largest of all leave. (A percentile did as well on YOLOX-nano, in eight times the time.)
+Weights are signed bytes with one scale per output channel, activations unsigned bytes with one scale per tensor (signed
+ones took 1.6 to 2.7 times as long). The range of an activation extends from the mean of the images' minima to the mean
+of their maxima. Clipping the extremes reduces the disagreement with the float network by 30 to 60 %, compared with the
+range of all values. (A percentile was equally accurate on YOLOX-nano, but took eight times as long.)
 
-What stays in float decides the accuracy:
+These parts stay in float, which determines the accuracy:
 
-- the last convolutions and all that follows: one tensor there holds pixels (0..640) beside scores (0..1);
-- convolutions beside a tensor whose channels differ so much in range that one scale drowns the quiet ones in rounding
-  (YOLOX-nano's stem and the depthwise convolution after it: these two, quantised, halve its average precision);
-- what comes before the first quantised convolution.
+- the last convolutions and everything after them, where one tensor contains both pixels (0..640) and scores (0..1);
+- convolutions with an input or output whose channels differ so much in range that the rounding of a common scale
+  exceeds the values of the smaller ones (YOLOX-nano's stem and the depthwise convolution after it: quantising these two
+  halves its average precision);
+- everything before the first quantised convolution.
 
-INT8 wants a CPU with VNNI (or ARM's dot product): older ones add pairs of products in 16 bits, which is less of a gain
-and saturates. FP16 is for GPUs: a CPU computes in float32 between conversions.
+INT8 requires a CPU with VNNI (or ARM's dot product): older CPUs add pairs of products in 16 bits, which saturates and
+is hardly faster. FP16 is for GPUs; a CPU converts to float32 and back.
 """
 
 from __future__ import annotations
@@ -33,45 +34,50 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 from onnxruntime.transformers.float16 import convert_float_to_float16
 
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
-from track_range.detection.models.writing import silent_conversion, written_whole
+from track_range.detection.models.writing import atomic_output, silent_conversion
 from track_range.foundation.arrays import FloatArray32
 
 _PER_CHANNEL_OPSET = 13
-"""The first ONNX operator set whose DequantizeLinear knows one scale per channel."""
+"""First ONNX operator set in which DequantizeLinear supports one scale per channel."""
 
 _N_NOISE_BLOBS = 4
-"""Images on which the rounding noise of every tensor is measured before calibration."""
+"""Number of images on which the rounding noise of every tensor is measured before the calibration."""
 
-_MAX_NOISE_SHARE = 0.1
-"""Rounding noise over a channel's variance, mean of the channels, above which a convolution stays in float. At most
-0.05 in every tensor of YOLOv5n, YOLOv4-tiny and YOLOX-nano but the two that ruin the last: 0.21 and 0.26."""
+_MAX_NOISE_RATIO = 0.1
+"""Largest `_noise_ratio` of the inputs and outputs of a quantised convolution. The ratio is at most 0.05 for all
+tensors of YOLOv5n, YOLOv4-tiny and YOLOX-nano, except two of YOLOX-nano (0.21 and 0.26) whose quantization halves its
+average precision."""
 
 _BETWEEN = frozenset("Add Concat LeakyRelu MaxPool Mul Resize Sigmoid Slice".split())
-"""Operators that are quantised too where they lie between quantised convolutions, so that bytes flow through."""
+"""Operators that are quantised if they lie between quantised convolutions, to avoid conversions to float and back."""
 
 _QUANTISED = frozenset("ConvInteger DequantizeLinear DynamicQuantizeLinear QLinearConv QuantizeLinear".split())
+"""Operators that only quantised networks contain."""
 
 
 def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> None:
-    """Write an INT8 copy of the network at `path`, calibrated on `blobs`: (1, 3, H, W) each, as the network wants them.
+    """Write an INT8 copy of the network at `path`, with the same inputs, outputs and metadata.
 
-    Inputs, outputs and metadata stay as they are. The blobs are read once, one by one: 30 to 100 images such as the
-    network will see, in mixed order, since the first few also tell which layers stay in float.
+    Args:
+        path: the float32 network.
+        out: the file to write.
+        blobs: calibration inputs (1, 3, H, W), 30 to 100 images typical of the network's use in random order; the
+            first ones also determine which layers stay in float. They are read once, one by one.
 
     Raises:
-        ModelError: no usable float network with convolutions to quantise, or no blobs, or blobs that it does not take.
+        ModelError: not a usable float32 network with convolutions to quantise, no blobs, or blobs of the wrong shape.
     """
     model = _float_model(path)
     stream = iter(blobs)
     first = list(itertools.islice(stream, _N_NOISE_BLOBS))
     _check_blobs(path, first)
-    with written_whole(out) as folder:
+    with atomic_output(out) as folder:
         with silent_conversion(path, "quantised"):
             prepared = _prepared(model, folder)
-        wide = _wide_tensors(prepared, first, folder)
-        names = _quantisable(prepared.graph, wide)
+        noisy = _noisy_tensors(prepared, first, folder)
+        names = _quantisable(prepared.graph, noisy)
         if not names:
-            raise ModelError(f"{path}: no convolution but the last ones could be quantised; try FP16 instead.")
+            raise ModelError(f"{path}: no convolution can be quantised without losing accuracy; try FP16 instead.")
         reader = _BlobReader(_input_name(prepared.graph), itertools.chain(first, stream))
         with silent_conversion(path, "quantised"):
             result = _quantised(prepared, names, reader, folder)
@@ -81,97 +87,98 @@ def quantize_int8(path: Path, out: Path, *, blobs: Iterable[FloatArray32]) -> No
 def convert_fp16(path: Path, out: Path) -> None:
     """Write a copy of the network at `path` with weights and arithmetic in FP16, which halves its size.
 
-    Inputs and outputs stay float32, as does all after the last convolutions: FP16 counts pixels above 512 by halves.
+    Inputs, outputs and everything after the last convolutions stay float32, because FP16 has a resolution of only half
+    a pixel above 512.
 
     Raises:
-        ModelError: no usable float network with convolutions.
+        ModelError: not a usable float32 network with convolutions.
     """
     model = _float_model(path)
     half = _copy(model)
     _name_nodes(half.graph)
-    inner = _before(half.graph, _layers(half.graph)) | _layers(half.graph)
+    inner = _before(half.graph, _convolutions(half.graph)) | _convolutions(half.graph)
     tail = [node.name for node in half.graph.node if node.name not in inner]
-    with written_whole(out) as folder:
+    with atomic_output(out) as folder:
         with silent_conversion(path, "converted to FP16"):
             half = convert_float_to_float16(half, keep_io_types=True, node_block_list=tail)
-            half = _without_roundings(half)
+            half = _without_redundant_casts(half)
         _save(half, model, folder / out.name)
 
 
 def _float_model(path: Path) -> onnx.ModelProto:
-    """The network, if onnxruntime takes it and it computes in float32."""
-    OnnxSession(path, Runtime(device="cpu"))  # tells in plain words what is wrong with a file
+    """The network at `path`, after a check that onnxruntime can load it and that it computes in float32."""
+    OnnxSession(path, Runtime(device="cpu"))  # raises a ModelError if the file is not a usable network
     model = onnx.load(path)
     types = {tensor.data_type for tensor in model.graph.initializer}
     types |= {value.type.tensor_type.elem_type for value in model.graph.input}
     operators = {node.op_type for node in model.graph.node}
     if operators & _QUANTISED:
-        raise ModelError(f"{path}: already quantised; start from the float32 network.")
+        raise ModelError(f"{path}: expected a float32 network, got a quantised one.")
     if types & {onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16}:
-        raise ModelError(f"{path}: already in 16-bit floats; start from the float32 network.")
+        raise ModelError(f"{path}: expected a float32 network, got one with 16-bit floats.")
     if "Conv" not in operators:
-        raise ModelError(f"{path}: no convolutions, so nothing would become smaller or faster.")
+        raise ModelError(f"{path}: expected a network with convolutions, found none; there is nothing to quantise.")
     return model
 
 
 def _check_blobs(path: Path, blobs: list[FloatArray32]) -> None:
     if not blobs:
-        raise ModelError(f"{path}: no images to calibrate on; give some such as the network will see.")
+        raise ModelError(f"{path}: no calibration images; specify images that are typical of the network's use.")
     session = OnnxSession(path, Runtime(device="cpu"))
     for blob in blobs:
         session.run(blob)
 
 
 def _input_name(graph: onnx.GraphProto) -> str:
-    """The image input's name; files of before 2019 list the weights among the inputs too."""
+    """Name of the image input; files written before 2019 also list the weights as inputs."""
     weights = {tensor.name for tensor in graph.initializer}
     return str(next(value.name for value in graph.input if value.name not in weights))
 
 
 def _name_nodes(graph: onnx.GraphProto) -> None:
-    """Give every node a name of its own; exporters may leave them empty, but the converters go by them."""
+    """Give every node a unique name: the converters identify nodes by name, but exporters may omit it."""
     for index, node in enumerate(graph.node):
         node.name = f"{node.op_type}_{index}"
 
 
-def _layers(graph: onnx.GraphProto) -> set[str]:
-    """Names of the convolutions, less those of one 1x1 output channel such as the weighted mean in YOLOv8's decoder."""
+def _convolutions(graph: onnx.GraphProto) -> set[str]:
+    """Names of the convolutions, except 1x1 ones with one output channel (the weighted mean in YOLOv8's decoder)."""
     weights = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
-    lone = {name for name, dims in weights.items() if dims[:1] == (1,) and set(dims[2:]) == {1}}
-    return {node.name for node in graph.node if node.op_type == "Conv" and node.input[1] not in lone}
+    excluded = {name for name, dims in weights.items() if dims[:1] == (1,) and set(dims[2:]) == {1}}
+    return {node.name for node in graph.node if node.op_type == "Conv" and node.input[1] not in excluded}
 
 
-def _inner_layers(graph: onnx.GraphProto) -> set[str]:
-    """The convolutions that others follow."""
-    return _layers(graph) & _before(graph, _layers(graph))
+def _inner_convolutions(graph: onnx.GraphProto) -> set[str]:
+    """Names of the convolutions that are followed by other convolutions."""
+    return _convolutions(graph) & _before(graph, _convolutions(graph))
 
 
-def _before(graph: onnx.GraphProto, marks: set[str]) -> set[str]:
-    """Names of the nodes whose results reach a marked one; the graph is in order, as ONNX asks."""
+def _before(graph: onnx.GraphProto, names: set[str]) -> set[str]:
+    """Names of the nodes from which a node in `names` can be reached; ONNX graphs are in topological order."""
     needed: set[str] = set()
-    found: set[str] = set()
+    predecessors: set[str] = set()
     for node in reversed(graph.node):
         if needed.intersection(node.output):
-            found.add(node.name)
-        if node.name in found or node.name in marks:
+            predecessors.add(node.name)
+        if node.name in predecessors or node.name in names:
             needed.update(node.input)
-    return found
+    return predecessors
 
 
-def _after(graph: onnx.GraphProto, marks: set[str]) -> set[str]:
-    """Names of the nodes that a marked one's result reaches, sizes computed from its shape left out."""
+def _after(graph: onnx.GraphProto, names: set[str]) -> set[str]:
+    """Names of the nodes that can be reached from a node in `names`, not through the shape of a tensor."""
     reached: set[str] = set()
-    found: set[str] = set()
+    successors: set[str] = set()
     for node in graph.node:
         if reached.intersection(node.input) and node.op_type not in ("Shape", "Size"):
-            found.add(node.name)
-        if node.name in found or node.name in marks:
+            successors.add(node.name)
+        if node.name in successors or node.name in names:
             reached.update(node.output)
-    return found
+    return successors
 
 
 def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
-    """The network with batch norms folded, shapes inferred and an operator set that knows scales per channel."""
+    """The network with folded batch norms, inferred shapes and an operator set that supports scales per channel."""
     if max(entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")) < _PER_CHANNEL_OPSET:
         model = onnx.version_converter.convert_version(model, _PER_CHANNEL_OPSET)
     source, target = folder / "source.onnx", folder / "prepared.onnx"
@@ -182,10 +189,10 @@ def _prepared(model: onnx.ModelProto, folder: Path) -> onnx.ModelProto:
     return prepared
 
 
-def _wide_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> set[str]:
-    """Names of the convolutions' inputs and outputs that one scale per tensor would drown in rounding noise."""
-    layers = _inner_layers(model.graph)
-    nodes = [node for node in model.graph.node if node.name in layers]
+def _noisy_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Path) -> set[str]:
+    """Names of the convolutions' inputs and outputs that one scale per tensor would give too much rounding noise."""
+    convolutions = _inner_convolutions(model.graph)
+    nodes = [node for node in model.graph.node if node.name in convolutions]
     tensors = list(dict.fromkeys(name for node in nodes for name in (node.input[0], node.output[0])))
     if not tensors:
         return set()
@@ -195,36 +202,38 @@ def _wide_tensors(model: onnx.ModelProto, blobs: list[FloatArray32], folder: Pat
     probe.graph.output.extend(onnx.helper.make_tensor_value_info(name, float32, None) for name in tensors)
     onnx.save(probe, folder / "probe.onnx")
     session = OnnxSession(folder / "probe.onnx", Runtime(device="cpu"))
-    noise = np.mean([[_noise_share(values) for values in session.run(blob)] for blob in blobs], axis=0)
-    return {name for name, share in zip(tensors, noise, strict=True) if share > _MAX_NOISE_SHARE}
+    noise = np.mean([[_noise_ratio(values) for values in session.run(blob)] for blob in blobs], axis=0)
+    return {name for name, ratio in zip(tensors, noise, strict=True) if ratio > _MAX_NOISE_RATIO}
 
 
-def _noise_share(values: FloatArray32) -> float:
-    """Rounding noise of one byte per value over each channel's variance, at most 1; the mean of the channels.
+def _noise_ratio(values: FloatArray32) -> float:
+    """Ratio of rounding noise to signal of `values` (N, C, ...) at 8 bits, in [0, 1].
 
-    `values` is (N, C, ...). The noise of a scale s is s^2 / 12, but never more than the variance of what it drowns.
+    mean over channels c of min(s^2 / 12 / var(c), 1), with the scale s = (max - min) / 255 of the whole tensor
     """
     scale = (max(float(values.max()), 0.0) - min(float(values.min()), 0.0)) / 255
     variance = values.var(axis=(0, *range(2, values.ndim)), dtype=np.float64)
     return float(np.minimum(scale**2 / 12 / np.maximum(variance, 1e-12), 1.0).mean())
 
 
-def _quantisable(graph: onnx.GraphProto, wide: set[str]) -> list[str]:
-    """Names of the convolutions to quantise, and of the operators between them that let bytes through.
+def _quantisable(graph: onnx.GraphProto, noisy: set[str]) -> list[str]:
+    """Names of the convolutions to quantise and of the operators between them that can be quantised.
 
-    None of them touches a wide tensor: a float convolution between bytes would be quantised after all, by onnxruntime
-    while it loads the network, and with one scale for all its weights.
+    None of them has a noisy tensor as input or output: a float convolution between quantised tensors would be quantised
+    by onnxruntime when it loads the network, with one scale for all its weights.
     """
-    free = {node.name for node in graph.node if not wide.intersection([*node.input, *node.output])}
-    layers = _inner_layers(graph) & free
-    between = _before(graph, _layers(graph)) & _after(graph, layers) & free
+    quiet = {node.name for node in graph.node if not noisy.intersection([*node.input, *node.output])}
+    convolutions = _inner_convolutions(graph) & quiet
+    between = _before(graph, _convolutions(graph)) & _after(graph, convolutions) & quiet
     return [
-        node.name for node in graph.node if node.name in layers or (node.op_type in _BETWEEN and node.name in between)
+        node.name
+        for node in graph.node
+        if node.name in convolutions or (node.op_type in _BETWEEN and node.name in between)
     ]
 
 
 class _BlobReader(CalibrationDataReader):  # type: ignore[misc]  # onnxruntime ships no types
-    """Hands blobs to onnxruntime's calibration one by one."""
+    """Adapter from an iterator of blobs to onnxruntime's calibration."""
 
     def __init__(self, name: str, blobs: Iterator[FloatArray32]) -> None:
         self._name, self._blobs = name, blobs
@@ -249,15 +258,16 @@ def _quantised(model: onnx.ModelProto, names: list[str], reader: _BlobReader, fo
         activation_type=QuantType.QUInt8,
         weight_type=QuantType.QInt8,
         calibrate_method=CalibrationMethod.MinMax,
-        extra_options={"CalibMovingAverage": True},  # over all blobs at once: their plain mean
+        extra_options={"CalibMovingAverage": True},  # all blobs are one batch, so this is their mean
     )
     return onnx.load(target)
 
 
-def _without_roundings(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The converter's network without its casts to FP16 and straight back, and with each cast once.
+def _without_redundant_casts(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The converted network without pairs of casts to FP16 and back, and without duplicated casts.
 
-    Between nodes that stay in float32 it puts such a pair, and one of the same name for each reader of a tensor.
+    The converter inserts such pairs between nodes that stay in float32, and one cast per consumer of a tensor, all
+    with the same name.
     """
     half, full = onnx.TensorProto.FLOAT16, onnx.TensorProto.FLOAT
     halved = {node.output[0]: node.input[0] for node in model.graph.node if _is_cast(node, half)}

@@ -1,4 +1,4 @@
-"""Writing model files: whole or not at all, and without the chatter of the libraries that convert them."""
+"""Writing of model files: atomically, and without the output of the libraries that convert them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from track_range.foundation.atomic_files import atomic_folder, describe
 
 @contextlib.contextmanager
 def silent_conversion(path: Path, verb: str) -> Iterator[None]:
-    """Run a converter of the model at `path` without its prints, warnings and log lines.
+    """Context in which a converter of the model at `path` runs without prints, warnings and log lines.
 
     Raises:
-        ModelError: whatever it raises, as one sentence: `path` cannot be `verb`, and why.
+        ModelError: the converter raised an exception; the message is "`path`: cannot be `verb`" with the reason.
     """
     handler, disabled = logging.NullHandler(), logging.root.manager.disable
-    logging.root.addHandler(handler)  # else logging's own functions would install one that prints
+    logging.root.addHandler(handler)  # otherwise logging.warning() would install a handler that prints
     logging.disable(logging.CRITICAL)
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
@@ -36,14 +36,14 @@ def silent_conversion(path: Path, verb: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def written_whole(out: Path) -> Iterator[Path]:
-    """A folder beside `out` to work in; the file of the same name left in it takes the place of `out` at the end.
+def atomic_output(out: Path) -> Iterator[Path]:
+    """Context that yields a temporary folder; at the end its file with the name of `out` replaces `out`.
 
     Raises:
-        ModelError: there is no folder to write `out` into, or it cannot be written to.
+        ModelError: the folder of `out` does not exist or cannot be written.
     """
     if not out.parent.is_dir():
-        raise ModelError(f"{out}: no such folder to write into.")
+        raise ModelError(f"{out}: expected an existing folder, {out.parent} does not exist.")
     try:
         with atomic_folder(out) as folder:
             yield folder

@@ -66,7 +66,7 @@ class Teacher:
         """
         network = yolov5_of_export(path)
         metadata = OnnxSession(path).metadata
-        names = read_metadata(path, metadata, ModelOptions()).of("names", COCO_CLASSES, "default").value
+        names = read_metadata(path, metadata, ModelOptions()).get("names", COCO_CLASSES, "default").value
         if "trained_anchors" in metadata:
             network.anchors_px.copy_(torch.tensor(json.loads(metadata["trained_anchors"])))
         mine = map_to_road_classes(names)

@@ -1,1 +1,1 @@
-"""The YOLO detector: output layouts and their decoders, letterbox and input format."""
+"""YOLO detectors: output layouts, decoders, letterbox and input format."""

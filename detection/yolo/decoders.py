@@ -1,9 +1,9 @@
-"""Decoders: a YOLO network's raw outputs -> candidate boxes, one class per known layout of outputs.
+"""Decoders of YOLO networks' outputs into candidate boxes, one class for each known output layout.
 
 Boxes are in the network's corner coordinates (pixel i of the input covers [i, i + 1)); scores are probabilities. Each
-decoder first drops what cannot reach its class's threshold, by one comparison per box, and decodes only what is left,
-a few per cent. NaN passes that comparison on purpose: it is dropped after it, and counted, as are numbers that overflow
-(their callers silence numpy's warnings).
+decoder first drops the boxes whose score cannot reach the smallest threshold, with one comparison per box, and decodes
+the remaining few per cent. NaN deliberately passes this comparison, so that boxes with NaN or overflowing numbers are
+counted when they are dropped. Callers silence numpy's overflow warnings.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Boxes of one image before suppression; N = 0 where nothing reached its threshold.
+    """The N boxes of one image that reach their class's threshold, before non-maximum suppression.
 
     Attributes:
         xyxy_net: (N, 4) in the network's corner coordinates, finite.
-        score: (N,) in [0, 1].
-        class_index: (N,) index into the network's own classes.
-        n_invalid: boxes dropped because a number in them was NaN or infinite.
+        score: (N,) confidence in [0, 1].
+        class_index: (N,) index into the network's class names.
+        n_invalid: number of boxes dropped because of NaN or infinite numbers.
     """
 
     xyxy_net: FloatArray
@@ -36,27 +36,41 @@ class Candidates:
 
     @classmethod
     def of(cls, xyxy_net: FloatArray, class_score: FloatArray32, min_score: FloatArray) -> Candidates:
-        """The boxes (N, 4) whose best class of `class_score` (N, C) reaches that class's `min_score` (C,)."""
+        """The boxes (N, 4) whose best class in `class_score` (N, C) reaches the `min_score` (C,) of that class."""
         class_index = class_score.argmax(axis=1) if len(class_score) else np.zeros(0, np.int64)
         score = class_score[np.arange(len(class_score)), class_index].astype(np.float64)
-        sound = np.isfinite(score) & np.isfinite(xyxy_net).all(axis=1)
-        keep = sound & (score >= min_score[class_index])
-        return cls(xyxy_net[keep], np.minimum(score[keep], 1.0), class_index[keep], int(np.count_nonzero(~sound)))
+        is_finite = np.isfinite(score) & np.isfinite(xyxy_net).all(axis=1)
+        is_candidate = is_finite & (score >= min_score[class_index])
+        return cls(
+            xyxy_net[is_candidate],
+            np.minimum(score[is_candidate], 1.0),
+            class_index[is_candidate],
+            int(np.count_nonzero(~is_finite)),
+        )
 
 
 class Decoder(Protocol):
-    """Knows one layout of outputs."""
+    """Decoder of one output layout."""
 
     def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
-        """Candidates of one image; `min_score` (C,) per class of the network, above 1 for one that is not wanted."""
+        """The candidates of one image.
+
+        Args:
+            outputs: the network's outputs, in its order.
+            min_score: (C,) threshold of each of the network's classes, above 1 for classes to leave out.
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RowDecoder:
-    """[1, N, 5 + C]: centre x, centre y, width, height in input pixels, objectness, class scores; all decoded.
+    """Decoder of one output [1, N, 5 + C]: centre x, y, width, height in input pixels, objectness, class scores.
 
-    YOLOv5's official export, and exports of the YOLOv3/v4 kinds made with the same tools.
+    Layout of YOLOv5's official export, and of YOLOv3 and YOLOv4 exports made with the same tools.
+    score = objectness * class score.
+
+    Attributes:
+        output: index of the output.
     """
 
     output: int
@@ -64,22 +78,22 @@ class RowDecoder:
     def decode(self, outputs: Sequence[FloatArray32], min_score: FloatArray) -> Candidates:
         """See `Decoder`."""
         rows = outputs[self.output][0]
-        rows = rows[~(rows[:, 4] < min_score.min())]  # a score cannot exceed its objectness
+        rows = rows[~(rows[:, 4] < min_score.min())]  # the score cannot exceed the objectness
         return Candidates.of(xyxy_from_cxcywh(rows[:, :4].astype(np.float64)), rows[:, 4:5] * rows[:, 5:], min_score)
 
 
 @dataclass(frozen=True, slots=True)
 class GridRowDecoder:
-    """[1, N, 5 + C] as YOLOX's export gives it: x, y as cells from the cell's corner, log sizes in strides.
+    """Decoder of YOLOX's output [1, N, 5 + C]: offset from the cell in cells, log size in strides, scores.
 
         centre = (xy + cell) * stride        size = exp(wh) * stride        score = objectness * class score
 
-    (Ge et al., "YOLOX", 2021; one box per cell, strides 8, 16, 32 in this order, row by row.)
+    There is one box per cell, row by row, for strides 8, 16, 32 in this order. (Ge et al., "YOLOX", 2021.)
 
     Attributes:
-        output: which output.
+        output: index of the output.
         cell_xy: (N, 2) column and row of each box's cell.
-        stride_px: (N,) of its grid.
+        stride_px: (N,) stride of each box's grid.
     """
 
     output: int
@@ -88,7 +102,7 @@ class GridRowDecoder:
 
     @classmethod
     def for_input(cls, output: int, input_hw: tuple[int, int], strides_px: Sequence[int]) -> GridRowDecoder:
-        """For an input of whole strides."""
+        """The decoder for an input size (height, width) that is divisible by all strides."""
         grids = [(stride, *(side // stride for side in input_hw)) for stride in strides_px]
         cells = [np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 2) for _, h, w in grids]
         strides = [np.full(h * w, stride) for stride, h, w in grids]
@@ -98,15 +112,21 @@ class GridRowDecoder:
         """See `Decoder`."""
         rows = outputs[self.output][0]
         kept = np.flatnonzero(~(rows[:, 4] < min_score.min()))
-        rows, stride = rows[kept], self.stride_px[kept, None]
-        boxes = rows[:, :4].astype(np.float64)
-        cxcywh = np.concatenate([boxes[:, :2] + self.cell_xy[kept], np.exp(boxes[:, 2:])], axis=1) * stride
+        rows, cell, stride = rows[kept], self.cell_xy[kept], self.stride_px[kept, None]
+        xy, wh = rows[:, :2].astype(np.float64), rows[:, 2:4].astype(np.float64)
+        cxcywh = np.concatenate([xy + cell, np.exp(wh)], axis=1) * stride
         return Candidates.of(xyxy_from_cxcywh(cxcywh), rows[:, 4:5] * rows[:, 5:], min_score)
 
 
 @dataclass(frozen=True, slots=True)
 class ColumnDecoder:
-    """[1, 4 + C, N] as YOLOv8's and YOLO11's exports give it: centre and size in input pixels, class scores."""
+    """Decoder of one output [1, 4 + C, N]: centre x, y, width, height in input pixels, class scores.
+
+    Layout of the exports of YOLOv8 and YOLO11, which have no objectness.
+
+    Attributes:
+        output: index of the output.
+    """
 
     output: int
 
@@ -120,9 +140,14 @@ class ColumnDecoder:
 
 @dataclass(frozen=True, slots=True)
 class CornerDecoder:
-    """Boxes [1, N, 1, 4] or [1, N, 4], left, top, right, bottom as shares of the input, and class scores [1, N, C].
+    """Decoder of two outputs: boxes [1, N, 1, 4] or [1, N, 4] and class scores [1, N, C].
 
-    Decoded exports of YOLOv4 and YOLOv4-tiny; the scores have the objectness in them.
+    Boxes are left, top, right, bottom as fractions of the input size; scores include the objectness. Layout of decoded
+    exports of YOLOv4 and YOLOv4-tiny.
+
+    Attributes:
+        boxes_output, scores_output: indices of the outputs.
+        input_hw: (height, width) of the network's input in pixels.
     """
 
     boxes_output: int
@@ -134,19 +159,19 @@ class CornerDecoder:
         scores = outputs[self.scores_output][0]
         kept = np.flatnonzero(~(scores.max(axis=1) < min_score.min()))
         height, width = self.input_hw
-        shares = outputs[self.boxes_output].reshape(-1, 4)[kept].astype(np.float64)
-        return Candidates.of(shares * np.array([width, height, width, height], np.float64), scores[kept], min_score)
+        fractions = outputs[self.boxes_output].reshape(-1, 4)[kept].astype(np.float64)
+        return Candidates.of(fractions * np.array([width, height, width, height], np.float64), scores[kept], min_score)
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """One raw Darknet head: [1, A (5 + C), rows, columns], anchor by anchor tx, ty, tw, th, objectness, classes.
+    """One raw Darknet head [1, A (5 + C), rows, columns]: tx, ty, tw, th, objectness, C classes for each of A anchors.
 
     Attributes:
-        output: which output.
+        output: index of the output.
         anchors_px: (A, 2) width and height in input pixels.
-        stride_px: (2,) x, y size of a cell.
-        scale_x_y: Darknet's stretch of the centres; 1 = none.
+        stride_px: (2,) size of a cell in x and y.
+        scale_x_y: Darknet's factor s on the range of the centre offsets; 1 = no scaling.
     """
 
     output: int
@@ -157,12 +182,15 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class HeadDecoder:
-    """Darknet's [yolo] layers, from the linear outputs before them.
+    """Decoder of the linear outputs in front of Darknet's [yolo] layers.
 
-        centre = (s * sigmoid(txy) - (s - 1) / 2 + cell) * stride, s = scale_x_y
-        size   = anchor * exp(twh)           score = sigmoid(objectness) * sigmoid(class)
+        centre = (s * sigmoid(t_xy) - (s - 1) / 2 + cell) * stride        s = scale_x_y
+        size   = anchor * exp(t_wh)          score = sigmoid(t_o) * sigmoid(t_c)
 
     (Redmon & Farhadi, "YOLOv3", 2018; Bochkovskiy et al., "YOLOv4", 2020, section 3.4 for s.)
+
+    Attributes:
+        heads: the heads, one for each output.
     """
 
     heads: tuple[Head, ...]
@@ -175,16 +203,16 @@ class HeadDecoder:
 
 
 def _boxes_of_head(head: Head, raw: FloatArray32, min_objectness: float) -> tuple[FloatArray, FloatArray32]:
-    """Boxes (K, 4) and class scores (K, C) of the cells of `raw` (A (5 + C), rows, columns) that may matter."""
+    """Boxes (K, 4) and class scores (K, C) of the cells of `raw` (A (5 + C), rows, columns) above `min_objectness`."""
     n_rows, n_columns = raw.shape[1:]
     cells = raw.reshape(len(head.anchors_px), -1, n_rows, n_columns)
-    least = np.float32(_logit(min_objectness))
-    anchor, row, column = np.nonzero(~(cells[:, 4] < least))
-    told = cells[anchor, :, row, column].astype(np.float64)
-    cell_xy = np.stack([column, row], axis=1)
-    centre = (head.scale_x_y * _sigmoid(told[:, :2]) - (head.scale_x_y - 1) / 2 + cell_xy) * head.stride_px
-    size = head.anchors_px[anchor] * np.exp(told[:, 2:4])
-    scores = _sigmoid(told[:, 4:5]) * _sigmoid(told[:, 5:])
+    min_logit = np.float32(_logit(min_objectness))
+    anchor, row, column = np.nonzero(~(cells[:, 4] < min_logit))
+    t = cells[anchor, :, row, column].astype(np.float64)
+    s, cell = head.scale_x_y, np.stack([column, row], axis=1)
+    centre = (s * _sigmoid(t[:, :2]) - (s - 1) / 2 + cell) * head.stride_px
+    size = head.anchors_px[anchor] * np.exp(t[:, 2:4])
+    scores = _sigmoid(t[:, 4:5]) * _sigmoid(t[:, 5:])
     return xyxy_from_cxcywh(np.concatenate([centre, size], axis=1)), scores.astype(np.float32)
 
 
@@ -193,7 +221,7 @@ def _sigmoid(x: FloatArray) -> FloatArray:
 
 
 def _logit(probability: float) -> float:
-    """Inverse of the sigmoid; -inf for 0, +inf from 1 on."""
+    """log(p / (1 - p)), the inverse of the sigmoid; -inf for p <= 0, +inf for p >= 1."""
     if probability >= 1:
         return np.inf
     return -np.inf if probability <= 0 else float(np.log(probability / (1 - probability)))

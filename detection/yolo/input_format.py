@@ -1,7 +1,7 @@
-"""InputFormat: what a network wants to see (placement, padding, channel order, divisor), and writing an image that way.
+"""InputFormat: a network's input format (placement, padding, channel order, divisor) and the conversion of images.
 
-An image goes into the network's own buffer in one resize and one multiplication per channel, with nothing allocated
-between: a third of the time of OpenCV's blobFromImage, which the padding would have to be copied around besides.
+An image is written into the network's buffer with one resize and one multiplication per channel and without temporary
+arrays: a third of the time of OpenCV's blobFromImage, whose result would also have to be copied into the padding.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from track_range.foundation.arrays import Image
 Colours = Literal["rgb", "bgr"]
 
 LETTERBOXES = "centred-114, centred-128, top-left-114, stretch"
-"""What users write most: a placement, and the grey (0..255) of the padding."""
+"""Common values of `--letterbox`: a placement and the grey level (0..255) of the padding."""
 
 _LETTERBOX = re.compile(r"(centred|top-left|stretch)(?:-(\d{1,3}))?")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputFormat:
-    """How an image becomes a network's input.
+    """Format of a network's input image.
 
     Attributes:
-        placement: where the image lies in the input.
-        pad_grey: 0..255, what surrounds it.
-        colours: the channels' order.
-        divisor: pixel values 0..255 are divided by it.
+        placement: position of the scaled image in the input.
+        pad_grey: grey level of the padding, 0..255.
+        colours: channel order.
+        divisor: number by which pixel values 0..255 are divided.
     """
 
     placement: Placement = "centred"
@@ -42,17 +42,21 @@ class InputFormat:
 
     @property
     def letterbox(self) -> str:
-        """Placement and padding as `--letterbox` takes them."""
+        """Placement and padding in the format of `--letterbox`, such as `centred-114`."""
         return self.placement if self.placement == "stretch" else f"{self.placement}-{self.pad_grey}"
 
     def fill_padding(self, buffer: npt.NDArray[Any]) -> None:
-        """Fill a network's input with the padding's grey."""
+        """Fill a network's input with the grey of the padding."""
         buffer[:] = self.pad_grey / self.divisor
 
     def write(self, image: Image, letterbox: Letterbox, buffer: npt.NDArray[Any], *, scaled: Image) -> None:
-        """Write an image, (H, W, 3) uint8 BGR, into its place in `buffer` (1, 3, H, W); the padding stays as it is.
+        """Write a scaled image into a network's input without changing the padding.
 
-        `scaled` is scratch of the letterbox's resized size.
+        Args:
+            image: (H, W, 3) uint8 BGR.
+            letterbox: placement of the image in the input.
+            buffer: (1, 3, height, width) the network's input.
+            scaled: (*resized_hw, 3) uint8 scratch buffer.
         """
         pixels = letterbox.scaled(image, buffer=scaled)
         rows, columns = letterbox.inside
@@ -63,14 +67,14 @@ class InputFormat:
 
 
 def placement_and_grey(text: object) -> tuple[Placement, int]:
-    """Placement and padding of a word such as `centred-114`.
+    """Placement and grey level 0..255 from text such as `centred-114`.
 
     Raises:
-        ValueError: it is no such word; the message lists some.
+        ValueError: the text has another format; the message lists valid values.
     """
     match = _LETTERBOX.fullmatch(str(text).strip().lower())
     grey = int(match[2] or 114) if match else 256
     if match is None or grey > 255:
-        raise ValueError(f"'{text}' is no letterbox; known are {LETTERBOXES} (the number is the padding's grey)")
-    placement: Placement = next(word for word in get_args(Placement) if word == match[1])
+        raise ValueError(f"expected a letterbox such as {LETTERBOXES} (the number is the grey level), got '{text}'")
+    placement: Placement = next(value for value in get_args(Placement) if value == match[1])
     return placement, grey

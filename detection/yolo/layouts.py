@@ -1,6 +1,6 @@
-"""Layouts of YOLO networks' outputs, and the family, decoder, input and class names that follow from them.
+"""Output layouts of YOLO networks, and the family, decoder, input format and class names that follow from them.
 
-    outputs, for an input of h x w with n = sum of (h / s)(w / s) cells       family by default
+    outputs, for an input of h x w with n = sum of (h / s)(w / s) cells       default family
     [1, 3 n, 5 + C]              strides 8, 16, 32 (or 8 .. 64)                 YOLOv5
     [1, 3 n, 5 + C]              strides 16, 32                                 YOLOv4-tiny, decoded
     [1, n, 5 + C]                strides 8, 16, 32                              YOLOX
@@ -9,7 +9,8 @@
     [1, A (5 + C), h/s, w/s]     three of them                                  YOLOv4, raw heads
     [1, N, 1, 4] or [1, N, 4] with [1, N, C]                                    YOLOv4, decoded
 
-The shapes decide how outputs are decoded; the family's other defaults can be overridden (`detection.models.metadata`).
+s = stride, A = anchors per cell, C = classes. The shapes determine the decoder; the family's other defaults can be
+overridden (`detection.models.metadata`).
 """
 
 from __future__ import annotations
@@ -34,40 +35,50 @@ from track_range.detection.yolo.decoders import (
 )
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
 
-_EXPORT_HINT = "n = cells of strides 8, 16, 32 (export with the batch fixed to 1, NMS left out)"
+_EXPORT_HINT = "n = number of cells of strides 8, 16, 32; export with batch size 1 and without NMS"
+"""Advice at the end of the message on unknown outputs."""
 
 _STRIDES_PX = (8, 16, 32)
+"""Strides of the grids of YOLOX, YOLOv8 and YOLO11."""
+
 _ANCHOR_STRIDES_PX = {(8, 16, 32): "YOLOv5", (8, 16, 32, 64): "YOLOv5", (16, 32): "YOLOv4-tiny"}
+"""Default family by the strides of the grids, for networks with anchors."""
+
 _ANCHORS_PER_CELL = 3
+"""Anchors per cell of YOLOv3, v4 and v5."""
+
 _DEFAULT_NAMES = {80: ("COCO", COCO_CLASSES), 20: ("VOC", VOC_CLASSES)}
+"""Class list by number of classes, for networks without class names."""
 
 YOLOV4_TINY_ANCHORS: Anchors = (((81, 82), (135, 169), (344, 319)), ((23, 27), (37, 58), (81, 82)))
-"""Strides 32, 16: masks 3,4,5 and 1,2,3 of 10,14 23,27 37,58 81,82 135,169 344,319 (AlexeyAB's yolov4-tiny.cfg)."""
+"""Anchors in input pixels at strides 32 and 16: masks 3,4,5 and 1,2,3 of AlexeyAB's yolov4-tiny.cfg."""
 
 YOLOV4_ANCHORS: Anchors = (
     ((12, 16), (19, 36), (40, 28)),
     ((36, 75), (76, 55), (72, 146)),
     ((142, 110), (192, 243), (459, 401)),
 )
-"""Strides 8, 16, 32, each with its scale_x_y of `_YOLOV4_SCALES` (AlexeyAB's yolov4.cfg)."""
+"""Anchors in input pixels at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)."""
 
 _YOLOV4_SCALES = (1.2, 1.1, 1.05)
-_PLAIN = InputFormat()
+"""scale_x_y at strides 8, 16 and 32 (AlexeyAB's yolov4.cfg)."""
+
+_PLAIN_INPUT = InputFormat()
 _DARKNET_INPUT = InputFormat(pad_grey=128)
 _YOLOX_INPUT = InputFormat(placement="top-left", colours="bgr", divisor=1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YoloModel:
-    """A network as it is to be used.
+    """What is needed to run a YOLO network on images and decode its outputs.
 
     Attributes:
-        family: the name for people.
-        layout: its outputs, in words.
-        decoder: reads them.
-        input_format: how an image becomes the network's input.
+        family: name of the family, for display.
+        layout: description of the outputs, for display.
+        decoder: decoder of the outputs.
+        input_format: format of the input image.
         names: class names in the network's order.
-        facts: explicit and default attributes, for `models info`, by key.
+        attributes: explicit and default attributes by key, for `models info`.
     """
 
     family: str
@@ -75,20 +86,20 @@ class YoloModel:
     decoder: Decoder
     input_format: InputFormat
     names: tuple[str, ...]
-    facts: Mapping[str, Attribute]
+    attributes: Mapping[str, Attribute]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchedLayout:
-    """What a layout means for one network.
+    """What follows from a network's output layout.
 
     Attributes:
-        family: the family of networks that the layout belongs to, by default.
-        text: the outputs, in words.
-        n_classes: number of the network's classes.
-        input_format: the family's default input.
-        decoder: reads the outputs.
-        attributes: further attributes that the decoder was made from, by key, for `models info`.
+        family: default family of networks with this layout.
+        text: description of the outputs, for display.
+        n_classes: number of classes.
+        input_format: default input format of the family.
+        decoder: decoder of the outputs.
+        attributes: attributes used by the decoder, by key, for `models info`.
     """
 
     family: str
@@ -101,26 +112,26 @@ class MatchedLayout:
 
 @dataclass(frozen=True, slots=True)
 class NetworkOutputs:
-    """What a layout is recognised from.
+    """A network's input size, output shapes and metadata, from which its layout is identified.
 
     Attributes:
         path: the model's file, for messages.
-        input_hw: (height, width) of the network's input.
+        input_hw: (height, width) of the network's input in pixels.
         shapes: shape of each output, in the network's order.
-        facts: explicit attributes of the model, such as its anchors.
+        metadata: explicit attributes of the model, such as its anchors.
     """
 
     path: Path
     input_hw: tuple[int, int]
     shapes: tuple[tuple[int, ...], ...]
-    facts: ModelMetadata
+    metadata: ModelMetadata
 
     def n_cells(self, strides_px: Sequence[int]) -> int:
-        """Number of grid cells of the input at these strides, together."""
+        """Total number of grid cells of the input at these strides."""
         return sum((self.input_hw[0] // stride) * (self.input_hw[1] // stride) for stride in strides_px)
 
-    def rows(self) -> Iterator[tuple[int, int, int]]:
-        """Number, second and third side of each output [1, ., .]; older YOLOv5 exports have raw grids beside it."""
+    def matrices(self) -> Iterator[tuple[int, int, int]]:
+        """Index, rows and columns of each output [1, rows, columns]; older YOLOv5 exports also have raw grids."""
         for i, shape in enumerate(self.shapes):
             if len(shape) == 3 and shape[0] == 1:
                 yield i, shape[1], shape[2]
@@ -128,11 +139,11 @@ class NetworkOutputs:
 
 @dataclass(frozen=True, slots=True)
 class DetectorLayout:
-    """One layout of a detector's outputs.
+    """One known output layout of detectors.
 
     Attributes:
-        name: the layout, for messages that list the known ones.
-        match: what the layout means for a network with these outputs; None = the outputs are of another layout.
+        name: description of the layout, for messages that list the known ones.
+        match: function that returns the matched layout of a network's outputs, None if they have another layout.
     """
 
     name: str
@@ -140,35 +151,35 @@ class DetectorLayout:
 
 
 def identify_layout(
-    path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], facts: ModelMetadata
+    path: Path, input_hw: tuple[int, int], outputs: Mapping[str, tuple[int, ...]], metadata: ModelMetadata
 ) -> YoloModel:
-    """The model that outputs of these shapes mean.
+    """The YOLO model with outputs of these shapes, by output name.
 
     Raises:
-        ModelError: no known layout, or explicit attributes of the model do not fit it.
+        ModelError: the layout is unknown, or explicit attributes of the model do not fit it.
     """
-    network = NetworkOutputs(path, input_hw, tuple(outputs.values()), facts)
+    network = NetworkOutputs(path, input_hw, tuple(outputs.values()), metadata)
     matches = (layout.match(network) for layout in DETECTOR_LAYOUTS)
     matched = next((match for match in matches if match is not None), None)
     if matched is None:
-        found = ", ".join(f"{name} {list(shape)}" for name, shape in outputs.items())
+        shapes = ", ".join(f"{name} {list(shape)}" for name, shape in outputs.items())
         known = ", ".join(layout.name for layout in DETECTOR_LAYOUTS)
-        raise ModelError(f"{path}: unknown outputs {found}; known layouts: {known}; {_EXPORT_HINT}.")
-    used = {"family": facts.of("family", matched.family, "by its outputs")}
-    used["names"] = _names(path, matched.n_classes, facts)
-    input_format = _input_format(matched.input_format, matched.family, facts, used)
+        raise ModelError(f"{path}: unknown outputs {shapes}; known layouts: {known}; {_EXPORT_HINT}.")
+    used = {"family": metadata.get("family", matched.family, "from its outputs")}
+    used["names"] = _names(path, matched.n_classes, metadata)
+    input_format = _input_format(matched.input_format, matched.family, metadata, used)
     return YoloModel(
         family=str(used["family"].value),
         layout=matched.text,
         decoder=matched.decoder,
         input_format=input_format,
         names=used["names"].value,
-        facts={**used, **matched.attributes},
+        attributes={**used, **matched.attributes},
     )
 
 
 def _boxes_and_scores(network: NetworkOutputs) -> MatchedLayout | None:
-    """Two outputs, boxes [1, N, 1, 4] or [1, N, 4] and scores [1, N, C], in any order."""
+    """Match of two outputs in any order: boxes [1, N, 1, 4] or [1, N, 4], and scores [1, N, C]."""
     if len(network.shapes) != 2:
         return None
     for boxes, scores in ((0, 1), (1, 0)):
@@ -186,23 +197,23 @@ def _boxes_and_scores(network: NetworkOutputs) -> MatchedLayout | None:
 
 
 def _anchor_rows(network: NetworkOutputs) -> MatchedLayout | None:
-    """[1, 3 n, 5 + C]: three decoded boxes per cell."""
-    for i, n_rows, n_columns in network.rows():
+    """Match of [1, 3 n, 5 + C]: three decoded boxes per cell."""
+    for i, n_rows, n_columns in network.matrices():
         for strides, family in _ANCHOR_STRIDES_PX.items():
             if n_rows == _ANCHORS_PER_CELL * network.n_cells(strides) and n_columns > 5:
                 return MatchedLayout(
                     family=family,
                     text=f"decoded rows {[1, n_rows, n_columns]}: box, objectness, classes",
                     n_classes=n_columns - 5,
-                    input_format=_PLAIN if family == "YOLOv5" else _DARKNET_INPUT,
+                    input_format=_PLAIN_INPUT if family == "YOLOv5" else _DARKNET_INPUT,
                     decoder=RowDecoder(i),
                 )
     return None
 
 
 def _cell_rows(network: NetworkOutputs) -> MatchedLayout | None:
-    """[1, n, 5 + C]: one box per cell, relative to the cell."""
-    for i, n_rows, n_columns in network.rows():
+    """Match of [1, n, 5 + C]: one box per cell, relative to the cell."""
+    for i, n_rows, n_columns in network.matrices():
         if n_rows == network.n_cells(_STRIDES_PX) and n_columns > 5:
             return MatchedLayout(
                 family="YOLOX",
@@ -215,25 +226,25 @@ def _cell_rows(network: NetworkOutputs) -> MatchedLayout | None:
 
 
 def _cell_columns(network: NetworkOutputs) -> MatchedLayout | None:
-    """[1, 4 + C, n]: one decoded box per cell, without objectness."""
-    for i, n_rows, n_columns in network.rows():
+    """Match of [1, 4 + C, n]: one decoded box per cell, without objectness."""
+    for i, n_rows, n_columns in network.matrices():
         if n_columns == network.n_cells(_STRIDES_PX) and n_rows > 4:
             return MatchedLayout(
                 family="YOLOv8/YOLO11",
                 text=f"decoded columns {[1, n_rows, n_columns]}: box, classes",
                 n_classes=n_rows - 4,
-                input_format=_PLAIN,
+                input_format=_PLAIN_INPUT,
                 decoder=ColumnDecoder(i),
             )
     return None
 
 
 def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
-    """Two or three outputs [1, A (5 + C), rows, columns] of one number of channels."""
-    shapes, facts = network.shapes, network.facts
+    """Match of two or three outputs [1, A (5 + C), rows, columns] with the same number of channels."""
+    shapes, metadata = network.shapes, network.metadata
     if len(shapes) not in (2, 3) or any(len(shape) != 4 or shape[0] != 1 for shape in shapes):
         return None
-    anchors = facts.of("anchors", None, "")
+    anchors = metadata.get("anchors", None, "")
     if anchors.value:
         _check_anchors(network.path, anchors, len(shapes))
     n_anchors = len(anchors.value[0]) if anchors.value else _ANCHORS_PER_CELL
@@ -245,11 +256,11 @@ def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
     default_anchors = YOLOV4_TINY_ANCHORS if is_tiny else YOLOV4_ANCHORS
     default_scales = (1.0, 1.0) if is_tiny else _YOLOV4_SCALES
     first_width, last_width = shapes[0][3], shapes[-1][3]
-    if first_width > last_width if is_tiny else first_width < last_width:  # the defaults are in the other order
+    if first_width > last_width if is_tiny else first_width < last_width:  # opposite order of the defaults
         default_anchors, default_scales = default_anchors[::-1], default_scales[::-1]
     used = {
-        "anchors": facts.of("anchors", default_anchors, f"default of {family}"),
-        "scale_x_y": facts.of("scale_x_y", default_scales, f"default of {family}"),
+        "anchors": metadata.get("anchors", default_anchors, f"default of {family}"),
+        "scale_x_y": metadata.get("scale_x_y", default_scales, f"default of {family}"),
     }
     scales = used["scale_x_y"].value
     if len(scales) not in (1, len(shapes)):
@@ -277,33 +288,38 @@ def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
 def _check_anchors(path: Path, anchors: Attribute, n_heads: int) -> None:
     if len(anchors.value) != n_heads or len({len(head) for head in anchors.value}) != 1:
         raise ModelError(
-            f"{path}: expected a group of anchors for each of {n_heads} output heads, all of one size; got groups of "
+            f"{path}: expected the same number of anchors for each of {n_heads} output heads, got "
             f"{', '.join(str(len(head)) for head in anchors.value)} ({anchors.source}); "
             "give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the outputs."
         )
 
 
-def _names(path: Path, n_classes: int, facts: ModelMetadata) -> Attribute:
-    said = facts.of("names", None, "")
-    if said.value is None:
+def _names(path: Path, n_classes: int, metadata: ModelMetadata) -> Attribute:
+    """The network's class names: explicit, or the names of COCO or VOC if the number of classes matches."""
+    explicit = metadata.get("names", None, "")
+    if explicit.value is None:
         if n_classes not in _DEFAULT_NAMES:
             raise ModelError(
-                f"{path}: it has {n_classes} classes without names; give them with --names a,b,c or --names FILE."
+                f"{path}: {n_classes} classes without names; specify them with --names a,b,c or --names FILE."
             )
         list_name, names = _DEFAULT_NAMES[n_classes]
-        return Attribute(names, f"it has none; {n_classes} classes, so {list_name}'s {n_classes}")
-    if len(said.value) != n_classes:
+        return Attribute(names, f"not in the model; {list_name}'s, because it has {n_classes} classes")
+    if len(explicit.value) != n_classes:
         raise ModelError(
-            f"{path}: it has {n_classes} classes, but {len(said.value)} names ({said.source}); give all, in order."
+            f"{path}: expected {n_classes} class names, got {len(explicit.value)} ({explicit.source}); "
+            "specify all names in the network's order."
         )
-    return said
+    return explicit
 
 
-def _input_format(default: InputFormat, family: str, facts: ModelMetadata, used: dict[str, Attribute]) -> InputFormat:
+def _input_format(
+    default: InputFormat, family: str, metadata: ModelMetadata, used: dict[str, Attribute]
+) -> InputFormat:
+    """The network's input format; the attributes that it consists of are added to `used`."""
     source = f"default of {family}"
-    used["letterbox"] = facts.of("letterbox", default.letterbox, source)
-    used["colours"] = facts.of("colours", default.colours, source)
-    used["divisor"] = facts.of("divisor", default.divisor, source)
+    used["letterbox"] = metadata.get("letterbox", default.letterbox, source)
+    used["colours"] = metadata.get("colours", default.colours, source)
+    used["divisor"] = metadata.get("divisor", default.divisor, source)
     placement, pad_grey = placement_and_grey(used["letterbox"].value)
     return replace(
         default,
@@ -321,4 +337,4 @@ DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (
     DetectorLayout("YOLOv8/YOLO11 [1, 4 + classes, n]", _cell_columns),
     DetectorLayout("raw Darknet heads [1, anchors x (5 + classes), rows, columns] (two or three)", _raw_heads),
 )
-"""The known layouts, in the order in which they are tried; n = cells of strides 8, 16, 32. A new one is a row here."""
+"""The known layouts, in the order in which they are tried; n = number of cells of strides 8, 16, 32."""

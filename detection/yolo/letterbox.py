@@ -1,13 +1,12 @@
-"""Letterbox: scale an image into a network's input with its aspect kept, pad the rest; and the exact inverse for boxes.
+"""Letterbox: an image scaled into a network's input with its aspect ratio preserved, and the exact inverse for boxes.
 
-    corner_net = (x + 0.5) * scale + pad          x: our pixel, centres at whole numbers
-    x          = (corner_net - pad) / scale - 0.5  corner_net: the network's, pixel i covers [i, i + 1)
+    x_net = (x + 0.5) * scale + pad          x:     image pixels, pixel centres at integers
+    x     = (x_net - pad) / scale - 0.5      x_net: corner coordinates of the input, pixel i covers [i, i + 1)
 
-This file alone converts between the two conventions: half a pixel is 3-4 % of the distance at 100 m on a ground plane.
-The resize itself (OpenCV's) maps pixel areas onto pixel areas, so the equations hold exactly, each axis with its own
-scale, since the resized size is a whole number of pixels. (YOLOv5's and YOLOX's own inverses divide both axes by the
-scale before that rounding, and YOLOv5's subtracts the padding before its rounding: up to 0.7 px of the network's input
-away from where the pixels went, at the far edge.)
+Each axis has its own scale, resized size / image size, because the resized size is a whole number of pixels. OpenCV's
+resize maps pixel areas onto pixel areas, so these equations are exact. (YOLOv5 and YOLOX divide both axes by the scale
+before rounding, and YOLOv5 subtracts the padding before rounding, which is wrong by up to 0.7 px of the network's input
+at the far edge.) The half pixel matters: it is 3-4 % of the distance at 100 m on a ground plane.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ Placement = Literal["centred", "top-left", "stretch"]
 
 @dataclass(frozen=True, slots=True)
 class Letterbox:
-    """Where an image lies inside a network's input.
+    """Scale and position of an image inside a network's input, all in pixels.
 
     Attributes:
         image_hw: (height, width) of the image.
         input_hw: (height, width) of the network's input.
         resized_hw: (height, width) of the scaled image inside the input.
-        pad_yx: rows above and columns left of the scaled image.
+        pad_yx: number of padding rows above and padding columns left of the scaled image.
     """
 
     image_hw: tuple[int, int]
@@ -40,13 +39,13 @@ class Letterbox:
     pad_yx: tuple[int, int]
 
     @classmethod
-    def placed(cls, placement: Placement, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The image in the input by a placement's name."""
-        return _PLACED[placement](image_hw, input_hw)
+    def of_placement(cls, placement: Placement, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
+        """The letterbox with the named placement."""
+        return _PLACEMENTS[placement](image_hw, input_hw)
 
     @classmethod
     def centred(cls, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The image as large as fits, in the middle (YOLOv5's way; an odd pad has its smaller half first)."""
+        """The largest image that fits, in the middle, as in YOLOv5; odd padding has its smaller half top and left."""
         scale = min(input_hw[0] / image_hw[0], input_hw[1] / image_hw[1])
         resized_hw = (max(round(image_hw[0] * scale), 1), max(round(image_hw[1] * scale), 1))
         pad_yx = ((input_hw[0] - resized_hw[0]) // 2, (input_hw[1] - resized_hw[1]) // 2)
@@ -54,13 +53,13 @@ class Letterbox:
 
     @classmethod
     def top_left(cls, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The image as large as fits, in the upper left corner (YOLOX's way: sizes are cut off, not rounded)."""
+        """The largest image that fits, in the upper left corner, as in YOLOX; sizes are rounded down."""
         scale = min(input_hw[0] / image_hw[0], input_hw[1] / image_hw[1])
         return cls(image_hw, input_hw, (max(int(image_hw[0] * scale), 1), max(int(image_hw[1] * scale), 1)), (0, 0))
 
     @classmethod
     def stretched(cls, image_hw: tuple[int, int], input_hw: tuple[int, int]) -> Letterbox:
-        """The image over the whole input, its aspect lost (what Darknet itself does unless told letter_box=1)."""
+        """The image resized to the whole input regardless of its aspect ratio, as Darknet does without letter_box=1."""
         return cls(image_hw, input_hw, input_hw, (0, 0))
 
     @property
@@ -74,7 +73,7 @@ class Letterbox:
         return np.array([x, y, x, y], np.float64)
 
     def scaled(self, image: Image, *, buffer: Image | None = None) -> Image:
-        """The image at `resized_hw`, in `buffer` where one is given; the same array where that is its size."""
+        """The image resized to `resized_hw`, in `buffer` if given; `image` itself if it already has that size."""
         if self.resized_hw == self.image_hw:
             return image
         height, width = self.resized_hw
@@ -82,26 +81,26 @@ class Letterbox:
 
     @property
     def inside(self) -> tuple[slice, slice]:
-        """Rows and columns of the input that the scaled image takes."""
+        """Rows and columns of the input that the scaled image occupies."""
         (y, x), (height, width) = self.pad_yx, self.resized_hw
         return slice(y, y + height), slice(x, x + width)
 
     def to_image(self, xyxy_net: FloatArray) -> FloatArray:
-        """(N, 4) boxes in the network's corner coordinates -> in the image's pixels, not clipped."""
+        """(N, 4) boxes in image pixels, not clipped, from boxes in the network's corner coordinates."""
         return (xyxy_net - self._pad_xyxy) / self._scale_xyxy - 0.5
 
     def to_image_clipped(self, xyxy_net: FloatArray) -> FloatArray:
-        """As `to_image`, with the edges kept inside the image's outer borders (-0.5 .. size - 0.5)."""
+        """(N, 4) boxes in image pixels, clipped to the image's outer borders (-0.5 .. size - 0.5)."""
         h, w = self.image_hw
         limit = np.array([w, h, w, h]) - 0.5
         return np.clip(self.to_image(xyxy_net), -0.5, limit)
 
 
-_PLACED = {"centred": Letterbox.centred, "top-left": Letterbox.top_left, "stretch": Letterbox.stretched}
+_PLACEMENTS = {"centred": Letterbox.centred, "top-left": Letterbox.top_left, "stretch": Letterbox.stretched}
 
 
 def rectangular_input_hw(image_hw: tuple[int, int], *, size_px: int, stride_px: int = 32) -> tuple[int, int]:
-    """The smallest input (height, width), in whole strides, for the image scaled to a longer side of `size_px`."""
+    """The smallest input (height, width), divisible by `stride_px`, for an image scaled to a longer side `size_px`."""
     scale = size_px / max(image_hw)
     height, width = (max(-(-round(side * scale) // stride_px) * stride_px, stride_px) for side in image_hw)
     return height, width

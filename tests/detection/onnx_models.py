@@ -1,4 +1,4 @@
-"""Small ONNX networks that the tests write: constant ones, and one that sees a bright rectangle and boxes it."""
+"""Small ONNX networks for tests: networks with constant outputs, and a detector of a bright rectangle."""
 
 import numpy as np
 import onnx
@@ -6,18 +6,18 @@ from onnx import TensorProto, helper, numpy_helper
 
 
 def write_model(path, *outputs, metadata=None, input_shape=(1, 3, 64, 64), is_half=False):
-    """A network whose outputs are the given arrays whatever it sees."""
+    """Write a network that outputs the given arrays for any input."""
     number = TensorProto.FLOAT16 if is_half else TensorProto.FLOAT
     dtype = np.float16 if is_half else np.float32
     image = helper.make_tensor_value_info("images", number, input_shape)
     nodes = [
         helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Mul", ["mean", "zero"], ["zeros"]),
     ]
     weights = [numpy_helper.from_array(np.zeros(1, dtype), "zero")]
     infos = []
     for i, array in enumerate(outputs):
-        nodes.append(helper.make_node("Add", [f"rows{i}", "nothing"], [f"output{i}"]))
+        nodes.append(helper.make_node("Add", [f"rows{i}", "zeros"], [f"output{i}"]))
         weights.append(numpy_helper.from_array(array.astype(dtype), f"rows{i}"))
         infos.append(helper.make_tensor_value_info(f"output{i}", number, array.shape))
     graph = helper.make_graph(nodes, "constant", [image], infos, weights)
@@ -25,9 +25,10 @@ def write_model(path, *outputs, metadata=None, input_shape=(1, 3, 64, 64), is_ha
 
 
 def write_rectangle_finder(path, *, side_px, grey, metadata=None):
-    """A YOLOv5-like network of one class whose first row boxes what is brighter than `grey` (0..1, the padding).
+    """Write a YOLOv5-like network of one class: its first row is the box of what is brighter than `grey` (0..1).
 
-    Brightness above grey is how much of a pixel the rectangle covers, so sums of it are widths, and centroids centres.
+    The brightness above the padding's grey is the fraction of a pixel that the rectangle covers, so that its sums are
+    width and height, and its centroid is the centre.
     """
     n_rows = 3 * sum((side_px // stride) ** 2 for stride in (8, 16, 32))
     centres = np.arange(side_px, dtype=np.float32) + 0.5
@@ -36,8 +37,8 @@ def write_rectangle_finder(path, *, side_px, grey, metadata=None):
         "contrast": np.float32([1 - grey]),
         "x": centres.reshape(1, 1, 1, -1),
         "y": centres.reshape(1, 1, -1, 1),
-        "sure": np.ones((1, 1, 1, 2), np.float32),
-        "silence": np.zeros((1, n_rows - 1, 6), np.float32),
+        "score": np.ones((1, 1, 1, 2), np.float32),
+        "empty_rows": np.zeros((1, n_rows - 1, 6), np.float32),
         "row_shape": np.array([1, 1, 6]),
         "all_axes": np.array([1, 2, 3]),
     }
@@ -57,9 +58,9 @@ def write_rectangle_finder(path, *, side_px, grey, metadata=None):
             helper.make_node("Div", [f"moment_{axis}", f"size_{axis}"], [f"centre_{axis}"]),
         ]
     nodes += [
-        helper.make_node("Concat", ["centre_x", "centre_y", "size_x", "size_y", "sure"], ["found"], axis=3),
-        helper.make_node("Reshape", ["found", "row_shape"], ["row"]),
-        helper.make_node("Concat", ["row", "silence"], ["output0"], axis=1),
+        helper.make_node("Concat", ["centre_x", "centre_y", "size_x", "size_y", "score"], ["box"], axis=3),
+        helper.make_node("Reshape", ["box", "row_shape"], ["row"]),
+        helper.make_node("Concat", ["row", "empty_rows"], ["output0"], axis=1),
     ]
     image = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, side_px, side_px))
     output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, (1, n_rows, 6))

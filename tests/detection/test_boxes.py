@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from track_range.detection.boxes import are_valid_boxes, area_px2, iou, nms, share_inside, xyxy_from_cxcywh
 
-MAX_IOU = 0.4987  # no ratio that hypothesis draws hits it, so float32 against float64 cannot matter
+MAX_IOU = 0.4987  # not a ratio that hypothesis draws, so that float32 and float64 agree
 EDGE = st.floats(-50, 50, allow_nan=False)
 BOXES = st.lists(st.tuples(EDGE, EDGE, st.floats(0.5, 40), st.floats(0.5, 40)), min_size=1, max_size=12).map(
     lambda rows: np.array([[x, y, x + w, y + h] for x, y, w, h in rows])
@@ -47,13 +47,13 @@ def test_nms_keeps_classes_apart_left_of_the_image():
 def greedy(boxes, score, class_id):
     kept: list[int] = []
     for i in np.argsort(-score, kind="stable"):
-        rivals = [j for j in kept if class_id[j] == class_id[i]]
-        if not rivals or iou(boxes[[i]], boxes[rivals]).max() <= MAX_IOU:
+        competitors = [j for j in kept if class_id[j] == class_id[i]]
+        if not competitors or iou(boxes[[i]], boxes[competitors]).max() <= MAX_IOU:
             kept.append(int(i))
     return kept
 
 
-def test_layout_and_soundness():
+def test_layout_and_validity():
     np.testing.assert_allclose(xyxy_from_cxcywh(np.array([[5.0, 6.0, 4.0, 2.0]])), [[3, 5, 7, 7]])
     boxes = np.array([[0, 0, 1, 1], [0, 0, 0, 1], [3, 3, 1, 5], [0, np.nan, 1, 1], [0, 0, np.inf, 1]])
     assert are_valid_boxes(boxes).tolist() == [True, False, False, False, False]

@@ -1,4 +1,4 @@
-"""The table of models itself, where models live, and what a word on the command line means."""
+"""The catalogue of models, the folder of downloaded models, and the lookup of models by name."""
 
 import re
 from pathlib import Path
@@ -30,18 +30,18 @@ def test_every_entry_is_complete():
         assert entry.is_darknet or entry.files[0].name == f"{entry.name}.onnx"
 
 
-def test_a_copyleft_licence_is_told_in_words_before_a_download():
+def test_notice_explains_copyleft_licence():
     notice = entry_named("yolov5n").notice
     assert "AGPL-3.0: GNU Affero General Public License" in notice
     assert "4.0 MB from ultralytics/yolov5" in notice
 
 
-@pytest.mark.parametrize("word", ["YOLOv4-Tiny", "yolov4_tiny", " yolov4-tiny "])
-def test_names_are_found_however_they_are_written(word):
-    assert entry_named(word).name == "yolov4-tiny"
+@pytest.mark.parametrize("name", ["YOLOv4-Tiny", "yolov4_tiny", " yolov4-tiny "])
+def test_name_spelling_variants(name):
+    assert entry_named(name).name == "yolov4-tiny"
 
 
-def test_where_models_live():
+def test_models_folder():
     home = Path.home()
     assert models_folder({"TRACK_RANGE_CACHE": "/c"}, platform="linux") == Path("/c/models")
     assert models_folder({"XDG_CACHE_HOME": "/x"}, platform="linux") == Path("/x/track-range/models")
@@ -51,58 +51,62 @@ def test_where_models_live():
     assert models_folder({"LOCALAPPDATA": "/l"}, platform="win32") == Path("/l/track-range/models")
 
 
-def test_without_a_home_folder_the_cache_must_be_named(monkeypatch):
-    def nowhere():
+def test_models_folder_without_home(monkeypatch):
+    def no_home():
         raise RuntimeError("no home")
 
-    monkeypatch.setattr(Path, "home", nowhere)
+    monkeypatch.setattr(Path, "home", no_home)
     with pytest.raises(ModelError, match="set TRACK_RANGE_CACHE"):
         models_folder({}, platform="linux")
 
 
 @pytest.fixture
-def places(tmp_path):
-    """A packaged and a cache folder, as `find_model` takes them."""
+def model_folders(tmp_path):
+    """Arguments of `find_model`: a packaged and a cache folder."""
     folders = {"packaged": tmp_path / "packaged", "cache": tmp_path / "cache"}
     for folder in folders.values():
         folder.mkdir()
     return folders
 
 
-def test_a_word_is_a_file_then_packaged_then_cached_then_of_the_catalogue(places, tmp_path, monkeypatch):
+def test_lookup_order_of_models(model_folders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert find_model("yolov5n", **places).origin == "catalogue"
-    assert find_model("yolov5n", **places).path == places["cache"] / "yolov5n.onnx"
-    for folder, origin in ((places["cache"], "cached"), (places["packaged"], "packaged"), (tmp_path, "file")):
+    assert find_model("yolov5n", **model_folders).origin == "catalogue"
+    assert find_model("yolov5n", **model_folders).path == model_folders["cache"] / "yolov5n.onnx"
+    for folder, origin in (
+        (model_folders["cache"], "cached"),
+        (model_folders["packaged"], "packaged"),
+        (tmp_path, "file"),
+    ):
         (folder / "yolov5n.onnx").touch()
-        word = "yolov5n.onnx" if origin == "file" else "YOLOv5n"
-        found = find_model(word, **places)
-        assert (found.origin, found.path.resolve()) == (origin, folder / "yolov5n.onnx")
-    (places["cache"] / "mine.onnx").touch()
-    assert find_model("mine", **places).origin == "cached"
+        name = "yolov5n.onnx" if origin == "file" else "YOLOv5n"
+        model = find_model(name, **model_folders)
+        assert (model.origin, model.path.resolve()) == (origin, folder / "yolov5n.onnx")
+    (model_folders["cache"] / "custom.onnx").touch()
+    assert find_model("custom", **model_folders).origin == "cached"
 
 
 @pytest.mark.parametrize(
-    ("word", "message"),
+    ("name", "message"),
     [
-        ("none/yolov5n", "none/yolov5n: no such model file"),
-        ("none.onnx", r"none\.onnx: no such model file"),
-        ("yolov5m", "no model of that name: did you mean yolov5n"),
-        ("resnet", "known are .*yolov4-tiny"),
+        ("none/yolov5n", "none/yolov5n: no such"),
+        ("none.onnx", r"none\.onnx: no such"),
+        ("yolov5m", "yolov5m: .*did you mean yolov5n"),
+        ("resnet", "resnet: .*yolov4-tiny"),
     ],
 )
-def test_words_that_mean_nothing(places, word, message):
+def test_unknown_models(model_folders, name, message):
     with pytest.raises(ModelError, match=message):
-        find_model(word, **places)
+        find_model(name, **model_folders)
 
 
-def test_the_list_names_what_is_here_and_what_could_be(places):
-    (places["packaged"] / "road.onnx").touch()
-    for name in ("yolov5n", "mine"):
-        (places["cache"] / f"{name}.onnx").touch()
-    rows = {row.name: row for row in model_rows(**places)}
+def test_list_of_models(model_folders):
+    (model_folders["packaged"] / "road.onnx").touch()
+    for name in ("yolov5n", "custom"):
+        (model_folders["cache"] / f"{name}.onnx").touch()
+    rows = {row.name: row for row in model_rows(**model_folders)}
     assert rows["road"].state == "packaged"
-    assert (rows["yolov5n"].state, rows["yolov4-tiny"].state) == ("here", "to be fetched")
-    assert rows["mine"].state == "in the cache folder"
+    assert (rows["yolov5n"].state, rows["yolov4-tiny"].state) == ("downloaded", "not downloaded")
+    assert rows["custom"].state == "in the cache folder"
     assert rows["yolov5n"].licence == "AGPL-3.0"
     assert rows["yolov4-tiny"].size == "24.3 MB"

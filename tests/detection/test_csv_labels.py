@@ -15,7 +15,7 @@ def written(path, *lines):
     return path
 
 
-def test_columns_in_any_order_others_passed_over(tmp_path):
+def test_columns_in_any_order(tmp_path):
     file = written(
         tmp_path / "t.csv",
         "lane,Class, distance_m,y2,x2,y1,x1,ID,frame,time_s,closing_mps",
@@ -34,7 +34,7 @@ def test_columns_in_any_order_others_passed_over(tmp_path):
     assert labels.visible_share.tolist() == [1.0, 1.0]
 
 
-def test_what_is_not_known_may_be_empty_or_nan(tmp_path):
+def test_unknown_values_are_empty_or_nan(tmp_path):
     labels = read_csv_labels(written(tmp_path / "t.csv", FULL, "0,1,bus,1,2,3,4,NaN,,nan", "0,2,bus,1,2,3,4,9,0.5,0"))
     np.testing.assert_equal(labels.distance_m, [np.nan, 9.0])
     np.testing.assert_equal(labels.closing_mps, [np.nan, 0.0])
@@ -79,7 +79,7 @@ def test_regions_have_no_identity(tmp_path):
         ("0,9,car,10,20,30,40,5", r"line 3: id 9 twice in frame 0"),
     ],
 )
-def test_a_wrong_row_is_told_by_its_line(tmp_path, row, message):
+def test_invalid_row_names_its_line(tmp_path, row, message):
     file = written(tmp_path / "t.csv", HEADER, "0,9,car,10,20,30,40,5", row)
     with pytest.raises(LabelFileError, match=message):
         read_csv_labels(file)
@@ -94,7 +94,7 @@ def test_a_wrong_row_is_told_by_its_line(tmp_path, row, message):
         (",1e4", "for closing_mps, got '1e4'"),
     ],
 )
-def test_what_may_be_left_out_must_be_right_where_it_is(tmp_path, cells, message):
+def test_optional_columns_are_checked(tmp_path, cells, message):
     with pytest.raises(LabelFileError, match=message):
         read_csv_labels(written(tmp_path / "t.csv", FULL, f"0,1,car,10,20,30,40,5,{cells}"))
 
@@ -111,14 +111,14 @@ def test_what_may_be_left_out_must_be_right_where_it_is(tmp_path, cells, message
         (HEADER.replace(",", ";").encode(), "no header with commas between names"),
     ],
 )
-def test_what_is_no_file_of_labels_is_said(tmp_path, content, message):
+def test_invalid_label_files(tmp_path, content, message):
     file = tmp_path / "labels.csv"
     file.write_bytes(content)
     with pytest.raises(LabelFileError, match=message):
         read_csv_labels(file)
 
 
-def test_a_missing_file(tmp_path):
+def test_missing_file(tmp_path):
     with pytest.raises(LabelFileError, match=r"none.csv: cannot be read"):
         read_csv_labels(tmp_path / "none.csv")
 
@@ -135,17 +135,17 @@ def test_a_missing_file(tmp_path):
         ("empty.txt", "\n", False),
     ],
 )
-def test_a_csv_is_known_by_its_first_line(tmp_path, name, content, is_csv):
+def test_csv_is_recognised_by_its_header(tmp_path, name, content, is_csv):
     (tmp_path / name).write_text(content, encoding="utf-8")
     assert is_label_csv(tmp_path / name) == is_csv
 
 
-def test_folders_missing_files_and_binaries_are_no_csv(tmp_path):
+def test_is_csv_of_folder_missing_and_binary_file(tmp_path):
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
     assert [is_label_csv(tmp_path / name) for name in ("", "none.csv", "binary.csv")] == [False, False, False]
 
 
-def test_a_header_alone_says_that_nothing_was_there(tmp_path):
+def test_csv_with_header_only(tmp_path):
     path = tmp_path / "truth.csv"
     path.write_text(HEADER)
     labels = read_csv_labels(path)

@@ -70,7 +70,7 @@ def test_batch_norm_and_activations_by_hand(tmp_path, activation, expected):
         np.testing.assert_allclose(output[0, :, 1, 3], expected * np.arange(1, 7), atol=2e-6)
 
 
-def test_positive_values_pass_leaky_and_the_variance_may_be_nothing(tmp_path):
+def test_leaky_and_zero_variance(tmp_path):
     content = file_bytes([0], [1], [0], [0], [1, 0, 0], *LAST_VALUES, *LAST_VALUES)
     imported(tmp_path, small(TWO_HEADS.replace("{}", "leaky")), content)
     output = run(tmp_path / "net.onnx", np.full((1, 3, 2, 4), 0.25))[0]
@@ -107,7 +107,7 @@ def test_pools_upsampling_routes_and_shortcuts_by_hand(tmp_path):
     np.testing.assert_array_equal(second[0, 1], [[8, 8, 6, 6], [8, 8, 6, 6]])
 
 
-def test_strides_may_differ_and_a_shortcut_may_sum_three(tmp_path):
+def test_unequal_strides_and_triple_shortcut(tmp_path):
     text = small(
         section("convolutional", filters=1, stride_x=2, stride_y=1, activation="linear"),
         section("dropout", probability=0.3),
@@ -122,7 +122,7 @@ def test_strides_may_differ_and_a_shortcut_may_sum_three(tmp_path):
     np.testing.assert_array_equal(second[0, 1], [[2, -6], [10, 14]])
 
 
-def test_old_files_have_a_shorter_header(tmp_path):
+def test_short_header_of_old_files(tmp_path):
     values = ([1], [1], [0], [1], [1, 2, 3], *LAST_VALUES, *LAST_VALUES)
     outputs = []
     for version, seen in (((0, 1, 0), "<u4"), ((0, 2, 0), "<u8"), ((1, 0, 0), "<u8")):
@@ -146,7 +146,7 @@ def random_import(tmp_path, text):
     )
 
 
-def test_the_file_tells_all_that_the_detector_needs(tmp_path):
+def test_metadata_of_imported_file(tmp_path):
     told = random_import(tmp_path, darknet_networks.yolov4_tiny(size_px=(96, 64), n_classes=2, width=16))
     assert (told.family, told.input_hw, told.n_layers) == ("yolov4-tiny", (64, 96), 38)
     assert told.n_parameters == (len((tmp_path / "net.weights").read_bytes()) - 20) / 4
@@ -184,7 +184,7 @@ YOLOV4_SMALL = darknet_networks.yolov4(size_px=(32, 32), n_classes=1, width=64)
         (YOLOV4_SMALL.replace("mish", "leaky"), "yolov3"),
     ],
 )
-def test_families_are_told_by_structure(tmp_path, text, family):
+def test_family_from_structure(tmp_path, text, family):
     assert random_import(tmp_path, text).family == family
 
 
@@ -192,22 +192,22 @@ def test_families_are_told_by_structure(tmp_path, text, family):
     ("net", "letterbox", "n_notes"),
     [("", "centred-128", 1), ("letter_box=1", "centred-128", 0), ("letter_box=0", "stretch", 0)],
 )
-def test_the_letterbox_is_the_cfgs(tmp_path, net, letterbox, n_notes):
+def test_letterbox_of_the_cfg(tmp_path, net, letterbox, n_notes):
     text = darknet_networks.yolov3_tiny(size_px=(32, 32), n_classes=1, width=64, net=net)
     told = random_import(tmp_path, text)
-    assert YoloDetector(tmp_path / "net.onnx").model.facts["letterbox"].value == letterbox
+    assert YoloDetector(tmp_path / "net.onnx").model.attributes["letterbox"].value == letterbox
     assert len(told.notes) == n_notes
     assert all("--letterbox stretch" in note for note in told.notes)
 
 
-def test_heads_of_one_stride_have_names_of_their_own(tmp_path):
+def test_heads_of_equal_stride_have_unique_names(tmp_path):
     random_import(tmp_path, small(TWO_HEADS.replace("{}", "relu")))
     model = onnx.load(tmp_path / "net.onnx")
     assert [value.name for value in model.graph.output] == ["head_s1", "head_s1_1"]
 
 
 @pytest.mark.parametrize("name", ["yolov4-tiny", "yolov4"])
-def test_published_weights_have_the_size_that_our_cfgs_want(tmp_path, name):
+def test_size_of_published_weights(tmp_path, name):
     (tmp_path / "net.cfg").write_text(getattr(darknet_networks, name.replace("-", "_"))())
     files = next(entry.files for entry in CATALOGUE if entry.name == name)
     published = next(file.size_bytes for file in files if file.name.endswith(".weights"))
@@ -233,7 +233,7 @@ VALUES = ([1], [1], [0], [1], [1, 2, 3], *LAST_VALUES, *LAST_VALUES)  # 31 of th
         (file_bytes(*VALUES[:-1], [1, 2, 3, np.nan, 5, 6]), "weights of layer 4 are not finite"),
     ],
 )
-def test_weights_that_do_not_fit_leave_no_file(tmp_path, content, message):
+def test_mismatched_weights_leave_no_file(tmp_path, content, message):
     (tmp_path / "net.onnx").write_bytes(b"an older one")
     with pytest.raises(ModelError, match=message):
         imported(tmp_path, GOOD, content)
@@ -241,7 +241,7 @@ def test_weights_that_do_not_fit_leave_no_file(tmp_path, content, message):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["net.cfg", "net.onnx", "net.weights"]
 
 
-def test_missing_weights_wrong_names_and_no_folder_are_told(tmp_path):
+def test_import_with_missing_files(tmp_path):
     imported(tmp_path, GOOD, file_bytes(*VALUES))
     cfg, weights = tmp_path / "net.cfg", tmp_path / "net.weights"
     with pytest.raises(ModelError, match=r"none\.weights: cannot be read \(No such file"):

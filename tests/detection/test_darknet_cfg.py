@@ -35,7 +35,7 @@ def shape_of(layer_section, *, width=32, height=16):
     return read.layers[0].shape
 
 
-def test_blanks_comments_ends_of_lines_and_short_forms_mean_nothing():
+def test_cfg_whitespace_comments_and_aliases():
     dressed = GOOD.replace("[net]", "# a comment\n; another\n[network]").replace("[convolutional]", " [conv] ")
     dressed = dressed.replace("filters=6", "  filters = 6  # as many as wanted").replace("0\n", "0 ,\n", 1)
     assert network(dressed) == network(GOOD)
@@ -43,11 +43,11 @@ def test_blanks_comments_ends_of_lines_and_short_forms_mean_nothing():
     assert network(b"# \xb5\xc4\n" + GOOD.encode()) == network(GOOD)  # a comment in another encoding
 
 
-def test_an_option_given_twice_counts_as_it_stands_first():
+def test_first_of_duplicate_options_is_used():
     assert network(GOOD.replace("filters=6", "filters=6\nfilters=7")) == network(GOOD)
 
 
-def test_defaults_are_darknets():
+def test_defaults_equal_darknet():
     read = network(NET + "[convolutional]\n" + HEAD + TAIL)
     assert read.layers[0].operation == Convolution(
         n_filters=1,
@@ -66,7 +66,7 @@ def test_defaults_are_darknets():
     assert len(network(GOOD.replace("classes=1", "").replace("filters=6", "filters=25")).heads) == 2
 
 
-def test_anchors_are_those_of_the_mask_in_its_order():
+def test_anchors_in_the_order_of_the_mask():
     read = network(GOOD.replace("mask=0", "mask=1,0").replace("filters=6", "filters=12"))
     assert read.heads[0][1].anchors_px == ((4, 5), (2, 3))
 
@@ -88,7 +88,7 @@ def test_shapes_of_the_published_networks():
     width=st.integers(7, 40), height=st.integers(7, 40), size=st.integers(1, 7), stride=st.integers(1, 4),
     padding=st.integers(0, 3),
 )  # fmt: skip
-def test_windows_are_as_many_as_can_be_counted(width, height, size, stride, padding):
+def test_number_of_pooling_windows(width, height, size, stride, padding):
     def count(side, both_pads):
         return sum(1 for start in range(side + both_pads) if start * stride + size <= side + both_pads)
 
@@ -98,7 +98,7 @@ def test_windows_are_as_many_as_can_be_counted(width, height, size, stride, padd
     assert shape_of(pool, width=width, height=height) == (3, count(height, size - 1), count(width, size - 1))
 
 
-def test_pad_is_half_the_size_and_says_more_than_padding():
+def test_pad_takes_precedence_over_padding():
     assert shape_of(section("convolutional", filters=2, size=5, pad=1, padding=0, activation="linear")) == (2, 16, 32)
     assert shape_of(section("convolutional", filters=2, size=4, pad=1, activation="linear")) == (2, 17, 33)
     assert shape_of(section("upsample", stride=3)) == (3, 48, 96)
@@ -178,7 +178,7 @@ ERRORS = {
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_what_is_wrong_is_told_in_a_sentence(name):
+def test_messages_of_invalid_networks(name):
     text, message = ERRORS[name]
     with pytest.raises(ModelError, match=message) as caught:
         network(text)
@@ -186,10 +186,10 @@ def test_what_is_wrong_is_told_in_a_sentence(name):
     assert str(caught.value).endswith(".")
 
 
-def test_a_good_one_has_no_errors():
+def test_valid_data_set_has_no_errors():
     assert len(network(GOOD).layers) == 5
 
 
-def test_a_missing_cfg_is_told(tmp_path):
+def test_missing_cfg(tmp_path):
     with pytest.raises(ModelError, match=r"none\.cfg: cannot be read \(No such file"):
         read_network(tmp_path / "none.cfg")

@@ -54,7 +54,7 @@ def compared(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_outputs_are_opencvs(compared, name):
+def test_outputs_equal_opencv(compared, name):
     network, ours, theirs = compared[name]
     assert len(ours) == len(network.heads) == len(theirs) / 2
     for i, output in enumerate(ours):
@@ -64,7 +64,7 @@ def test_outputs_are_opencvs(compared, name):
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_outputs_decode_to_opencvs_boxes(compared, name):
+def test_decoded_boxes_equal_opencv(compared, name):
     network, ours, theirs = compared[name]
     for i, (raw, (_, head)) in enumerate(zip(ours, network.heads, strict=True)):
         boxes, objectness, scores = decoded(raw[0], head, network.input_shape[1:])

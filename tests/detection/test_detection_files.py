@@ -47,7 +47,7 @@ def test_plain_rows_and_our_own_tracks(tmp_path):
     assert [ROAD_CLASSES[i] for i in recorded.at(4).class_id] == ["truck"]
 
 
-def test_margins_become_probabilities_and_it_is_said(tmp_path):
+def test_margins_become_probabilities_with_note(tmp_path):
     file = tmp_path / "det.txt"
     file.write_text(KITTI.format(frame=0, kind="Car", score=-2) + KITTI.format(frame=0, kind="Car", score=2))
     recorded = read_detections(file)
@@ -66,14 +66,14 @@ def test_margins_become_probabilities_and_it_is_said(tmp_path):
         (b"hello world\n", "17 columns"),
     ],
 )
-def test_what_is_no_detection_file_is_said(tmp_path, content, message):
+def test_invalid_detection_files(tmp_path, content, message):
     file = tmp_path / "det.txt"
     file.write_bytes(content)
     with pytest.raises(LabelFileError, match=message):
         read_detections(file)
 
 
-def test_a_missing_file(tmp_path):
+def test_missing_file(tmp_path):
     with pytest.raises(LabelFileError, match="cannot be read"):
         read_detections(tmp_path / "none.txt")
 

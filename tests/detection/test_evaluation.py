@@ -42,13 +42,13 @@ def test_by_hand():
     assert car.best_score == 0.4
 
 
-def test_a_box_shifted_by_a_fifth_counts_up_to_iou_two_thirds():
+def test_shifted_box_matches_up_to_iou_two_thirds():
     truth = ImageTruth.of([square(0)], [CAR])
     car = scores([Detections.of([square(2)], [0.9], [CAR])], [truth]).by_class[CAR]  # IoU 80 / 120
     assert (car.ap50, car.ap50_95) == (1.0, pytest.approx(0.4))  # 0.50, 0.55, 0.60, 0.65
 
 
-def test_ignored_labels_and_regions_are_neither_right_nor_wrong():
+def test_ignored_labels_and_regions():
     truth = ImageTruth.of(
         [square(0), square(100), [200, 0, 300, 100], square(400)],
         [CAR, CAR, ANY_CLASS, ANY_CLASS],
@@ -63,7 +63,7 @@ def test_ignored_labels_and_regions_are_neither_right_nor_wrong():
     assert scores([twice], [truth]).by_class[CAR].precision == 0.5  # an ignored label is met once
 
 
-def test_images_where_a_class_is_not_completely_labelled_do_not_count_for_it():
+def test_incompletely_labelled_images_are_excluded():
     full, part = ImageTruth.of([square(0)], [CAR]), ImageTruth.of([], [])
     complete = np.arange(N) != CAR
     part = ImageTruth(part.xyxy_px, part.class_id, part.is_ignored, part.is_region, complete)
@@ -72,7 +72,7 @@ def test_images_where_a_class_is_not_completely_labelled_do_not_count_for_it():
     assert scores([found, found], [full, full]).by_class[CAR].n_images == 2
 
 
-def test_means_are_over_known_classes_with_enough_boxes():
+def test_means_over_known_classes():
     rare = MIN_BOXES - 1
     boxes = [square(20.0 * i) for i in range(MIN_BOXES)]
     person = 0
@@ -88,7 +88,7 @@ def test_means_are_over_known_classes_with_enough_boxes():
     assert not blind.by_class[CAR].is_known
 
 
-def test_nothing_found_nothing_there():
+def test_no_detections_and_no_labels():
     nothing = scores([Detections.empty()], [ImageTruth.of([], [])])
     assert nothing.by_class == {}
     assert nothing.as_dict()["ap50"] is None
@@ -105,7 +105,7 @@ def test_unequal_numbers_of_images():
         scores([], [ImageTruth.of([], [])])
 
 
-def test_arrays_of_other_lengths_are_refused():
+def test_arrays_of_unequal_length():
     with pytest.raises(ValueError, match="is_ignored: expected shape"):
         ImageTruth.of([square(0)], [CAR], is_ignored=[True, False])
 
@@ -164,7 +164,7 @@ def test_equals_pycocotools(seed):
         assert (mine.ap50_95, mine.ap50) == (pytest.approx(ap50_95, abs=1e-12), pytest.approx(ap50, abs=1e-12))
 
 
-def test_only_the_best_hundred_of_an_image_count_as_in_pycocotools():
+def test_hundred_detections_per_image():
     rng = np.random.default_rng(0)
     boxes = [square(20.0 * i) for i in range(150)]
     found = Detections.of(boxes, rng.permutation(150) / 150, [CAR] * 150)
@@ -174,7 +174,7 @@ def test_only_the_best_hundred_of_an_image_count_as_in_pycocotools():
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10_000))
-def test_truth_against_itself_is_perfect_and_order_does_not_matter(seed):
+def test_truth_against_itself_is_perfect(seed):
     rng = np.random.default_rng(seed)
     _, truth = random_scene(rng, n_images=5)
     found = [Detections.of(t.xyxy_px, rng.uniform(0.5, 1, len(t.class_id)), t.class_id) for t in truth]
@@ -198,7 +198,7 @@ def test_kitti_labels(shared_data):
             assert (one.class_id[0], one.is_ignored[0], one.is_region[0]) == wanted
 
 
-def test_recall_at_equal_precision_by_hand():
+def test_recall_at_precision_by_hand():
     # hit, miss, hit, miss: precision 1, 1/2, 2/3, 1/2 at recall 1/4, 1/4, 2/4, 2/4
     truth = ImageTruth.of([square(0), square(100), square(200), square(300)], [CAR] * 4)
     found = Detections.of([square(0), square(50), square(100), square(150)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
@@ -207,7 +207,7 @@ def test_recall_at_equal_precision_by_hand():
     assert told.as_dict()["classes"]["car"]["recall_at"]["0.6"] == 0.5
 
 
-def test_low_objects_are_neither_right_nor_wrong():
+def test_low_objects_are_ignored():
     # a car of 10 px and one of 30; found: both, a false alarm of 10 px and one of 30
     truth = ImageTruth.of([square(0), square(100, 30)], [CAR] * 2)
     found = Detections.of([square(0), square(100, 30), square(300), square(400, 30)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)

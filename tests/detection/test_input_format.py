@@ -6,7 +6,7 @@ from track_range.detection.yolo.letterbox import Letterbox
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "expected"),
     [
         ("centred-114", ("centred", 114)),
         ("Top-Left-0", ("top-left", 0)),
@@ -14,26 +14,26 @@ from track_range.detection.yolo.letterbox import Letterbox
         (" centred ", ("centred", 114)),
     ],
 )
-def test_letterbox_words(text, wanted):
-    assert placement_and_grey(text) == wanted
+def test_letterbox_words(text, expected):
+    assert placement_and_grey(text) == expected
 
 
 @pytest.mark.parametrize("text", ["", "middle", "centred-256", "centred-1.5", "centred114", None, 114])
-def test_words_that_are_no_letterbox(text):
-    with pytest.raises(ValueError, match="is no letterbox; known are centred-114"):
+def test_invalid_letterboxes(text):
+    with pytest.raises(ValueError, match="letterbox"):
         placement_and_grey(text)
 
 
-def test_an_image_is_written_by_hand():
+def test_image_is_written_by_hand():
     image = np.zeros((2, 4, 3), np.uint8)
     image[0, 0] = 255, 51, 102  # blue, green, red
-    for colours, wanted in (("rgb", [0.4, 0.2, 1.0]), ("bgr", [1.0, 0.2, 0.4])):
-        form = InputFormat(pad_grey=51, colours=colours)
-        letterbox = Letterbox.placed("centred", (2, 4), (4, 4))
+    for colours, expected in (("rgb", [0.4, 0.2, 1.0]), ("bgr", [1.0, 0.2, 0.4])):
+        input_format = InputFormat(pad_grey=51, colours=colours)
+        letterbox = Letterbox.of_placement("centred", (2, 4), (4, 4))
         blob = np.empty((1, 3, 4, 4), np.float32)
-        form.fill_padding(blob)
-        form.write(image, letterbox, blob, scaled=np.empty((2, 4, 3), np.uint8))
-        np.testing.assert_allclose(blob[0, :, 1, 0], wanted)
+        input_format.fill_padding(blob)
+        input_format.write(image, letterbox, blob, scaled=np.empty((2, 4, 3), np.uint8))
+        np.testing.assert_allclose(blob[0, :, 1, 0], expected)
         np.testing.assert_allclose(blob[0, :, 0], 0.2)
         np.testing.assert_allclose(blob[0, :, 2, 1:], 0.0)
-        assert form.letterbox == "centred-51"
+        assert input_format.letterbox == "centred-51"

@@ -7,7 +7,7 @@ CAR = "3 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1"
 DONT_CARE = "3 -1 DontCare -1 -1 -10 1 2 3 4 -1000 -1000 -1000 -10 -1 -1 -1"
 
 
-def test_a_tracking_file(tmp_path):
+def test_tracking_file(tmp_path):
     file = tmp_path / "label.txt"
     file.write_text(f"{CAR}\n\n{DONT_CARE}\n{CAR} 0.75\n")
     labels = read_kitti(file)
@@ -22,7 +22,7 @@ def test_a_tracking_file(tmp_path):
     np.testing.assert_equal(labels.score, [np.nan, np.nan, 0.75])
 
 
-def test_a_folder_of_object_files(tmp_path):
+def test_folder_of_kitti_object_files(tmp_path):
     for number, rest in (("000002", CAR[4:]), ("000010", DONT_CARE[5:])):
         (tmp_path / f"{number}.txt").write_text(rest + "\n")
     labels = read_kitti(tmp_path)
@@ -40,7 +40,7 @@ def test_a_folder_of_object_files(tmp_path):
         (CAR.replace("12.0", "nan").encode(), "line 1: finite numbers"),
     ],
 )
-def test_what_is_no_label_file_is_said(tmp_path, content, message):
+def test_invalid_label_files(tmp_path, content, message):
     file = tmp_path / "label.txt"
     file.write_bytes(content)
     with pytest.raises(LabelFileError, match=message):

@@ -37,7 +37,7 @@ def yolo(folder, text, **options):
     return read_labelled(folder / "images", folder / "labels", "yolo", **options)
 
 
-def test_yolo_boxes_are_shares_of_each_image(folder):
+def test_yolo_boxes_are_fractions_of_the_image(folder):
     (item,) = yolo(folder, "2 0.5 0.5 0.25 0.5 0.9\n\n7 0.1 0.1 0.1 0.1\n")
     truth = item.truth_in(read_image(item.path))
     np.testing.assert_allclose(truth.xyxy_px[0], [14.5, 4.5, 24.5, 14.5])  # corners 15 5 25 15, less half a pixel
@@ -45,7 +45,7 @@ def test_yolo_boxes_are_shares_of_each_image(folder):
     assert truth.is_complete.all()
 
 
-def test_yolo_names_come_from_the_option_else_from_beside(folder):
+def test_sources_of_yolo_names(folder):
     text = "0 0.5 0.5 0.2 0.2\n1 0.5 0.5 0.2 0.2\n"
     (item,) = yolo(folder, text, names=["dog", "car"])
     assert item.truth.class_id.tolist() == [CAR]  # a dog is no road user
@@ -69,12 +69,12 @@ def test_yolo_names_come_from_the_option_else_from_beside(folder):
         ("8 0.5 0.5 0.2 0.2", "class 8, but only 8 class names are known; give --label-names"),
     ],
 )
-def test_yolo_labels_that_are_wrong(folder, text, message):
+def test_invalid_yolo_labels(folder, text, message):
     with pytest.raises(LabelFileError, match=message):
         yolo(folder, text)
 
 
-def test_labels_that_are_no_text(folder):
+def test_labels_that_are_not_text(folder):
     (folder / "labels/a.txt").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(LabelFileError, match="not readable as text"):
         read_labelled(folder / "images", folder / "labels", "yolo")
@@ -145,7 +145,7 @@ def test_coco(folder):
         (json.dumps(coco_document(images=[])), "KeyError: 7"),
     ],
 )
-def test_coco_that_is_none(folder, text, message):
+def test_invalid_coco_file(folder, text, message):
     file = folder / "instances.json"
     file.write_text(text)
     with pytest.raises(LabelFileError, match=message):
@@ -154,7 +154,7 @@ def test_coco_that_is_none(folder, text, message):
         read_labelled(folder / "images", folder / "none.json", "coco")
 
 
-def test_a_manifest_picks_a_split_and_says_what_is_complete(folder):
+def test_manifest_split_and_completeness(folder):
     for name in ("a", "b"):
         (folder / f"labels/{name}.txt").write_text("")
     labelled = read_labelled(folder / "images", folder / "labels", "yolo")
@@ -175,7 +175,7 @@ def test_a_manifest_picks_a_split_and_says_what_is_complete(folder):
         ("file,split,labels_complete\na.png,val\n", "line 2: .*8 flags"),
     ],
 )
-def test_manifests_that_are_wrong(tmp_path, text, message):
+def test_invalid_manifests(tmp_path, text, message):
     file = tmp_path / "manifest.csv"
     file.write_text(text)
     with pytest.raises(LabelFileError, match=message):
@@ -184,7 +184,7 @@ def test_manifests_that_are_wrong(tmp_path, text, message):
         read_manifest(tmp_path / "none.csv")
 
 
-def test_images_of_any_depth_become_8_bit_colour(tmp_path):
+def test_image_depths_and_channels(tmp_path):
     grey, deep = tmp_path / "grey.png", tmp_path / "deep.png"
     cv2.imwrite(str(grey), np.full((4, 6), 77, np.uint8))
     cv2.imwrite(str(deep), np.full((4, 6, 3), 0x1234, np.uint16))
@@ -194,7 +194,7 @@ def test_images_of_any_depth_become_8_bit_colour(tmp_path):
     assert np.unique(read_image(deep)).tolist() == [0x12]
 
 
-def test_images_that_are_none(tmp_path):
+def test_unreadable_images(tmp_path):
     with pytest.raises(ImageFileError, match="cannot be read"):
         read_image(tmp_path / "none.png")
     for content in (b"", b"text"):

@@ -26,7 +26,7 @@ def row_anchor_tensor(n_cells, anchors, lines=LINES, *, width=800):
 
 
 @pytest.mark.parametrize(("n_cells", "n_rows"), [(200, 18), (100, 56)], ids=["CULane", "TuSimple"])
-def test_row_anchors_find_the_lines_they_were_made_from(n_cells, n_rows):
+def test_row_anchors_reproduce_their_lines(n_cells, n_rows):
     xy, line = row_anchor_points(row_anchor_tensor(n_cells, ROW_ANCHORS[n_rows]), (288, 800))
     half_cell_px = 799 / (n_cells - 1) / 2
     for number, x_of in enumerate(LINES):
@@ -38,7 +38,7 @@ def test_row_anchors_find_the_lines_they_were_made_from(n_cells, n_rows):
         assert abs((mine[:, 0] - x_of(y[inside])).mean()) < half_cell_px / 2  # no half cell to one side
 
 
-def test_row_anchors_between_two_cells():
+def test_row_anchor_between_two_cells():
     scores = np.full((201, 18, 4), -50.0, np.float32)
     scores[200] = 50.0
     scores[[100, 101], 3, 1] = 60.0  # both as likely: x is the border between them, 101 cell widths
@@ -47,7 +47,7 @@ def test_row_anchors_between_two_cells():
     assert xy[0] == pytest.approx([101 * 799 / 199, 150.0])
 
 
-def test_row_anchors_in_an_input_of_another_size():
+def test_row_anchors_in_another_input_size():
     xy, _ = row_anchor_points(row_anchor_tensor(200, ROW_ANCHORS[18], width=1640), (590, 1640))
     assert xy[:, 1].max() == pytest.approx(287 / 288 * 590)
 
@@ -72,7 +72,7 @@ def test_middles_of_the_runs_of_a_mask():
 
 
 @pytest.mark.parametrize(("road", "paint"), [(0.1, 0.9), (-4.0, 3.0)], ids=["probabilities", "logits"])
-def test_a_mask_of_one_channel(road, paint):
+def test_mask_with_one_channel(road, paint):
     scores = np.full((1, 64, 128), road, np.float32)
     scores[0, 8, 40:43] = paint
     assert mask_points(scores)[0].tolist() == [[41.0, 8.0]]
@@ -92,7 +92,7 @@ def test_curves_by_hand():
     assert v.min() > 0.4
 
 
-def test_curves_outside_the_image_and_at_their_pole_are_left_out():
+def test_curve_points_outside_are_dropped():
     curves = np.array([[0.2, 1.0, 0.0, 0.4, 0.1, 0.5, 0.0, 0.0], [0.2, 1.0, 0, 0, 0, 5.0, 0, 0]], np.float32)
     xy, line = curve_points(np.array([[0, 9], [0, 9]], np.float32), curves, (100, 100))
     assert set(line.tolist()) == {0}
@@ -100,7 +100,7 @@ def test_curves_outside_the_image_and_at_their_pole_are_left_out():
     assert np.isfinite(xy).all()
 
 
-def test_nothing_seen():
+def test_no_markings():
     assert mask_points(np.zeros((2, 64, 64), np.float32))[0].shape == (0, 2)
     assert curve_points(np.array([[9.0, 0.0]], np.float32), np.zeros((1, 8), np.float32), (9, 9))[0].shape == (0, 2)
     silent = np.zeros((101, 56, 4), np.float32)

@@ -27,14 +27,14 @@ def mask_of(*lines_m):
     return scores
 
 
-def test_a_segmentation_network(tmp_path):
+def test_segmentation_network(tmp_path):
     model = write_model(tmp_path / "m.onnx", mask_of(-1.75, 1.75, 5.25), input_shape=(1, 3, *HW))
     lines = NetLaneFinder(model).find(IMAGE, 0.0)
     assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=1.5)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=1.5)
 
 
-def test_of_two_masks_the_last_is_of_lines_and_images_of_other_sizes_are_mapped_back(tmp_path):
+def test_line_mask_of_two_is_mapped_back(tmp_path):
     drivable = mask_of(-3.0, 0.5)
     model = write_model(tmp_path / "m.onnx", drivable, mask_of(-1.75, 1.75), input_shape=(1, 3, *HW))
     lines = NetLaneFinder(model).find(np.zeros((720, 1280, 3), np.uint8), 0.0)
@@ -42,7 +42,7 @@ def test_of_two_masks_the_last_is_of_lines_and_images_of_other_sizes_are_mapped_
     assert lines.left.x_px(2 * ROWS + 0.5) == pytest.approx(2 * road_x_px(-1.75, ROWS) + 0.5, abs=3.0)
 
 
-def test_a_curve_network(tmp_path):
+def test_curve_network(tmp_path):
     """Lines that meet at the horizon that the network was trained on, x = 0.5 -+ 1.1 (y - 0.35): one look suffices."""
     curves = np.zeros((1, 7, 8))
     for row, slope in enumerate((-3.3, -1.1, 1.1)):
@@ -56,7 +56,7 @@ def test_a_curve_network(tmp_path):
 
 
 @pytest.mark.parametrize(("n_cells", "n_rows"), [(200, 18), (100, 56)], ids=["CULane", "TuSimple"])
-def test_a_row_anchor_network(tmp_path, n_cells, n_rows):
+def test_row_anchor_network(tmp_path, n_cells, n_rows):
     anchors = ROW_ANCHORS[n_rows]
     scores = np.zeros((1, n_cells + 1, n_rows, 4))
     cell_px = 799 / (n_cells - 1)
@@ -72,7 +72,7 @@ def test_a_row_anchor_network(tmp_path, n_cells, n_rows):
     assert lines.right.x_px(y) - lines.left.x_px(y) == pytest.approx(width_px(y), rel=0.04)
 
 
-def test_a_network_that_leaves_its_size_open(tmp_path):
+def test_network_of_variable_size(tmp_path):
     model = write_model(tmp_path / "m.onnx", mask_of(-1.75, 1.75), input_shape=(1, 3, None, None))
     assert NetLaneFinder(model).find(IMAGE, 0.0).left is not None
 
@@ -81,33 +81,33 @@ def test_a_network_that_leaves_its_size_open(tmp_path):
     ("output", "shown"),
     [(np.zeros((1, 25200, 85)), r"\[1, 25200, 85\]"), (np.zeros((1, 201, 17, 4)), r"\[1, 201, 17, 4\]")],
 )
-def test_other_networks_are_refused_by_their_shapes(tmp_path, output, shown):
+def test_networks_of_other_shapes(tmp_path, output, shown):
     with pytest.raises(ModelError, match=f"no lane network that is known here: outputs output0 {shown} found"):
         NetLaneFinder(write_model(tmp_path / "m.onnx", output))
 
 
-def test_inputs_that_are_no_image_are_refused(tmp_path):
+def test_inputs_that_are_not_images(tmp_path):
     with pytest.raises(ModelError, match=r"\[1, 3, height, width\] wanted, \[1, 1, 64, 64\] found"):
         NetLaneFinder(write_model(tmp_path / "m.onnx", np.zeros((1, 2, 64, 64)), input_shape=(1, 1, 64, 64)))
     with pytest.raises(ModelError, match="no such model file"):
         open_lane_finder(str(tmp_path / "none.onnx"))
 
 
-def test_images_that_are_none_are_refused(tmp_path):
+def test_unreadable_image_files(tmp_path):
     model = write_model(tmp_path / "m.onnx", mask_of(0.0), input_shape=(1, 3, *HW))
     for finder in (NetLaneFinder(model), EdgeLaneFinder()):
         with pytest.raises(ValueError, match="image"):
             finder.find(np.zeros(HW, np.uint8), 0.0)
 
 
-def test_a_network_that_sees_nothing(tmp_path):
+def test_network_without_detections(tmp_path):
     finder = NetLaneFinder(write_model(tmp_path / "m.onnx", np.zeros((1, 2, *HW)), input_shape=(1, 3, *HW)))
     lines = finder.find(IMAGE, 0.0)
     assert lines.left is None
     assert lines.right is None
 
 
-def test_the_word_for_no_network():
+def test_edges_instead_of_network():
     assert isinstance(open_lane_finder(CLASSICAL), EdgeLaneFinder)
 
 
@@ -121,7 +121,7 @@ def test_edges_find_painted_lines():
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.5, 2.0, 3.0])
-def test_edges_find_the_same_lane_in_images_of_any_size(factor):
+def test_edges_are_independent_of_image_size(factor):
     image = cv2.resize(picture(-1.75, 1.75), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     lines = EdgeLaneFinder().find(image, 0.0)
     y = (ROWS + 0.5) * factor - 0.5
@@ -142,13 +142,13 @@ TINY = [np.zeros((*hw, 3), np.uint8) for hw in ((8, 8), (1, 1), (3, 3), (1, 2000
 
 
 @pytest.mark.parametrize("image", [IMAGE, np.full((*HW, 3), 255, np.uint8), *TINY])
-def test_edges_of_nothing(image):
+def test_edges_of_empty_image(image):
     lines = EdgeLaneFinder().find(image, 0.0)
     assert lines.left is None
     assert lines.right is None
 
 
-def test_edges_of_texture_are_no_lane():
+def test_texture_is_not_a_lane():
     noise = np.random.default_rng(5).integers(0, 255, (*HW, 3), dtype=np.uint8)
     lines = EdgeLaneFinder().find(noise, 0.0)
     assert lines.left is None
@@ -173,7 +173,7 @@ def widths_apart(one, other):
 
 
 @pytest.mark.parametrize("name", ["straight_lines1", "straight_lines2"])
-def test_the_networks_agree_on_straight_road(shared_data, name):
+def test_networks_agree_on_straight_road(shared_data, name):
     image = cv2.imread(str(shared_data / "dashcam" / "test_images" / f"{name}.jpg"))
     lines = [finder.find(image, 0.0) for finder in real_finders(shared_data)]
     lines.append(EdgeLaneFinder().find(image, 0.0))
@@ -182,7 +182,7 @@ def test_the_networks_agree_on_straight_road(shared_data, name):
     assert lines[0].vanishing_point_px()[1] == pytest.approx(420, abs=8)  # of 720, as the straight lines say by eye
 
 
-def test_the_networks_agree_on_a_country_road(shared_data):
+def test_networks_agree_on_country_road(shared_data):
     video = cv2.VideoCapture(str(shared_data / "kitti_stereo" / "0005" / "left.mp4"))
     finders = [*real_finders(shared_data), EdgeLaneFinder()]
     for i in range(3):
@@ -192,11 +192,11 @@ def test_the_networks_agree_on_a_country_road(shared_data):
     assert widths_apart(lines[0], lines[2])[:8].max() < 0.05
 
 
-def test_edges_keep_silent_in_the_shade_of_trees(shared_data):
+def test_no_edges_in_tree_shade(shared_data):
     image = cv2.VideoCapture(str(shared_data / "kitti_stereo" / "0003" / "left.mp4")).read()[1]
     assert EdgeLaneFinder().find(image, 0.0).left is None
 
 
-def test_other_real_networks_are_refused(shared_data):
+def test_other_real_networks(shared_data):
     with pytest.raises(ModelError, match="no lane network"):
         NetLaneFinder(shared_data / "models" / "yolox_nano_416.onnx")

@@ -8,7 +8,7 @@ def line(*coefficients, covariance=None, rows=(200.0, 350.0)):
     return LaneLine(np.array(coefficients), np.zeros((3, 3)) if covariance is None else covariance, *rows)
 
 
-def test_a_line_by_hand():
+def test_line_by_hand():
     bent = line(100.0, 2.0, 0.01)
     assert bent.x_px(np.array([0.0, 10.0])) == pytest.approx([100.0, 121.0])
     assert bent.slope(np.array([10.0])) == pytest.approx([2.2])
@@ -29,13 +29,13 @@ def test_lines_meet_at_the_vanishing_point():
     assert LaneLines().vanishing_point_px() is None
 
 
-def test_lines_that_bend_alike_meet_too():
+def test_parallel_curves_meet():
     left, right = line(490.0, -1.0, 0.002), line(150.0, 1.0, 0.002)
     assert LaneLines(left, right).vanishing_point_px() == pytest.approx((320 + 0.002 * 170**2, 170.0))
     assert LaneLines(left, line(150.0, 1.0, 0.003)).vanishing_point_px() is None
 
 
-def test_the_horizons_row_is_as_unsure_as_the_lines_are_where_they_meet():
+def test_sigma_of_the_horizon_row():
     """3 and 4 px where they meet, 5 together; two pixels per row they open by."""
     lines = [
         LaneLine(np.array([c0, c1, 0.0]), np.diag([sigma_px**2, 0.0, 0.0]), 200.0, 350.0)
@@ -51,7 +51,7 @@ def test_points_to_draw():
     assert drawn == pytest.approx(np.array([[210, 200], [260, 250], [310, 300], [360, 350]], float))
 
 
-def test_wrong_shapes_and_rows_are_refused():
+def test_invalid_shapes_and_rows():
     with pytest.raises(ValueError, match="coefficients"):
         LaneLine(np.zeros(2), np.zeros((3, 3)), 0.0, 1.0)
     with pytest.raises(ValueError, match="covariance"):

@@ -9,8 +9,8 @@ from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 SIDE = st.integers(1, 3000)
 
 
-def in_input(letterbox, xyxy_px):
-    """(N, 4) boxes in the image's pixels -> in the network's corner coordinates: input = (pixel + 0.5) scale + pad."""
+def to_input(letterbox, xyxy_px):
+    """(N, 4) boxes in the network's corner coordinates from image pixels: x_net = (x + 0.5) * scale + pad."""
     (image_h, image_w), (height, width), (pad_y, pad_x) = letterbox.image_hw, letterbox.resized_hw, letterbox.pad_yx
     scale = np.array([width / image_w, height / image_h] * 2)
     return (xyxy_px + 0.5) * scale + np.array([pad_x, pad_y] * 2)
@@ -18,24 +18,24 @@ def in_input(letterbox, xyxy_px):
 
 @settings(deadline=None)
 @given(SIDE, SIDE, st.sampled_from([(640, 640), (416, 416), (384, 640)]), st.integers(0, 99))
-def test_there_and_back_is_exact(height, width, input_hw, seed):
+def test_round_trip_is_exact(height, width, input_hw, seed):
     letterbox = Letterbox.centred((height, width), input_hw)
     boxes = np.random.default_rng(seed).uniform(-10, 3000, (5, 4))
-    np.testing.assert_allclose(letterbox.to_image(in_input(letterbox, boxes)), boxes, atol=1e-6)
+    np.testing.assert_allclose(letterbox.to_image(to_input(letterbox, boxes)), boxes, atol=1e-6)
 
 
 @settings(deadline=None)
 @given(SIDE, SIDE)
-def test_the_whole_image_fills_the_resized_part(height, width):
+def test_whole_image_fills_resized_part(height, width):
     letterbox = Letterbox.centred((height, width), (640, 640))
     whole = np.array([[-0.5, -0.5, width - 0.5, height - 0.5]])
-    (x1, y1, x2, y2) = in_input(letterbox, whole)[0]
+    (x1, y1, x2, y2) = to_input(letterbox, whole)[0]
     assert (y1, x1) == letterbox.pad_yx
     assert (y2 - y1, x2 - x1) == pytest.approx(letterbox.resized_hw)
 
 
 @pytest.mark.parametrize(("size_hw", "box"), [((375, 1242), (311, 83, 702, 241)), ((720, 1280), (400, 300, 900, 500))])
-def test_a_drawn_rectangle_keeps_its_edges_within_a_tenth_of_a_pixel(size_hw, box):
+def test_rectangle_edges_within_tenth_of_pixel(size_hw, box):
     x1, y1, x2, y2 = box  # pixels x1 .. x2 - 1 are white, so the edges are at x1 - 0.5 and x2 - 0.5
     image = np.zeros((*size_hw, 3), np.uint8)
     image[y1:y2, x1:x2] = 255
@@ -45,13 +45,13 @@ def test_a_drawn_rectangle_keeps_its_edges_within_a_tenth_of_a_pixel(size_hw, bo
     canvas[letterbox.inside] = letterbox.scaled(image)
     white = canvas[..., 0].astype(float) / 255
     row, column = white[:, white.sum(0).argmax()], white[white.sum(1).argmax()]
-    seen = [edge for line in (column, row) for edge in edges(line)]  # x1, x2, y1, y2 in corner coordinates
-    back = letterbox.to_image(np.array([[seen[0], seen[2], seen[1], seen[3]]]))[0]
+    x1, x2, y1, y2 = (edge for line in (column, row) for edge in edges(line))  # in corner coordinates
+    back = letterbox.to_image(np.array([[x1, y1, x2, y2]]))[0]
     np.testing.assert_allclose(back, np.array(box) - 0.5, atol=0.1)
 
 
 def edges(line):
-    """First and last edge of the bright run, from the light on either side of the middle."""
+    """First and last edge of the bright run, from the brightness on either side of the middle."""
     middle = int(np.average(np.arange(len(line)), weights=line))
     return middle - line[:middle].sum(), middle + line[middle:].sum()
 
@@ -65,7 +65,7 @@ def test_same_size_is_not_copied_and_padding_is_split():
 
 def test_boxes_are_clipped_to_the_outer_border():
     letterbox = Letterbox.centred((100, 200), (640, 640))
-    clipped = letterbox.to_image_clipped(in_input(letterbox, np.array([[-30.0, 10.0, 500.0, 120.0]])))
+    clipped = letterbox.to_image_clipped(to_input(letterbox, np.array([[-30.0, 10.0, 500.0, 120.0]])))
     np.testing.assert_allclose(clipped, [[-0.5, 10.0, 199.5, 99.5]])
 
 
@@ -77,7 +77,7 @@ def test_rectangular_input_of_kitti_and_hd():
 
 
 def test_resize_maps_areas_onto_areas():
-    # The equations hold only while OpenCV's linear resize has no half-pixel shift: a ramp must stay the same ramp.
+    # The equations require that OpenCV's linear resize has no half-pixel shift: a ramp must stay the same ramp.
     ramp = np.tile(np.arange(200, dtype=np.float32), (4, 1))
     small = cv2.resize(ramp, (100, 4), interpolation=cv2.INTER_LINEAR)
     np.testing.assert_allclose(small[0], (np.arange(100) + 0.5) * 2 - 0.5)

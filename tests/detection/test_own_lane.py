@@ -30,7 +30,7 @@ def followed(lane, times_s, seen):
 
 
 @pytest.mark.parametrize("numbered", [False, True])
-def test_the_two_lines_beside_the_camera_are_the_own_lane(numbered):
+def test_own_lane_is_next_to_the_camera(numbered):
     lines = OwnLane().update(markings(-5.25, -1.75, 1.75, 5.25, numbered=numbered), 0.0, HW)
     assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=0.5)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=0.5)
@@ -49,7 +49,7 @@ def test_width_of_any_lane_from_noisy_pixels(offset_m, lane_m, seed):
     assert (np.abs(width - width_px(ROWS, lane_m)) < 3 * sigma).all()
 
 
-def test_a_bend_moves_both_lines_alike_and_leaves_the_width():
+def test_bend_moves_both_lines_alike():
     straight = markings(-1.75, 1.75)
     bend_px = 0.004 * (straight.xy_px[:, 1] - 355) ** 2
     lines = OwnLane().update(
@@ -60,7 +60,7 @@ def test_a_bend_moves_both_lines_alike_and_leaves_the_width():
     assert lines.right.x_px(y) - lines.left.x_px(y) == pytest.approx(width_px(y), rel=0.03)
 
 
-def test_strays_do_not_move_the_lines():
+def test_outliers_do_not_move_the_lines():
     rng = np.random.default_rng(3)
     strays = rng.uniform([0, 200], [640, 355], (60, 2))
     xy = np.concatenate([markings(-1.75, 1.75).xy_px, strays])
@@ -68,14 +68,14 @@ def test_strays_do_not_move_the_lines():
     assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.03)
 
 
-def test_markings_all_over_the_road_are_no_lane():
+def test_markings_everywhere_are_not_a_lane():
     rng = np.random.default_rng(4)
     lines = OwnLane().update(Markings.unnumbered(rng.uniform([0, 200], [640, 355], (900, 2)), 1.0), 0.0, HW)
     assert lines.left is None
     assert lines.right is None
 
 
-def test_one_line_alone_is_no_lane_at_first_but_carries_one_on():
+def test_single_line_continues_but_starts_no_lane():
     lane = OwnLane()
     assert lane.update(markings(1.75), 0.0, HW).right is None
     followed(lane, [0.1, 0.2, 0.3], markings(-1.75, 1.75))
@@ -85,7 +85,7 @@ def test_one_line_alone_is_no_lane_at_first_but_carries_one_on():
     assert (lines.left.sigma_px(ROWS) > lines.right.sigma_px(ROWS)).all()
 
 
-def test_a_line_that_vanishes_is_none_after_half_a_second_of_real_time():
+def test_lost_line_expires_after_half_a_second():
     for step_s in (0.04, 0.2):
         lane = OwnLane()
         followed(lane, [0.0, step_s], markings(-1.75, 1.75))
@@ -107,13 +107,13 @@ def test_both_lines_vanish():
     assert lane.state is None
 
 
-def test_a_break_in_the_video_starts_anew():
+def test_gap_in_time_resets_the_lane():
     lane = OwnLane()
     followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
     assert lane.update(markings(1.75), 5.0, HW).right is None
 
 
-def test_lines_that_cross_are_no_lane():
+def test_crossing_lines_are_not_a_lane():
     y = np.arange(200.0, 355.0, 2.0)
     crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
     lines = OwnLane().update(Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0), 0.0, HW)
@@ -121,7 +121,7 @@ def test_lines_that_cross_are_no_lane():
     assert lines.right is None
 
 
-def test_lines_that_cross_later_do_not_move_the_lane_and_end_it():
+def test_lines_that_cross_later_end_the_lane():
     lane = OwnLane()
     followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
     y = np.arange(200.0, 355.0, 2.0)
@@ -146,7 +146,7 @@ def test_noise_is_smoothed_over_time():
     assert np.nanstd(over_time[5:], axis=0).max() < 0.75 * np.nanstd(alone[5:], axis=0).max()
 
 
-def test_a_change_of_lane_is_followed():
+def test_lane_change_is_followed():
     lane = OwnLane()
     four = (-5.25, -1.75, 1.75, 5.25)
     for i in range(60):  # 3.5 m to the right in three seconds
@@ -157,7 +157,7 @@ def test_a_change_of_lane_is_followed():
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
 
 
-def test_a_wrong_lane_is_left_soon_after_the_right_one_is_seen():
+def test_wrong_lane_is_corrected_soon():
     """The dashes at the left come into sight late; until then the line beyond them is all there is."""
     lane = OwnLane()
     without, whole = markings(-5.25, 1.75), markings(-5.25, -1.75, 1.75)
@@ -166,7 +166,7 @@ def test_a_wrong_lane_is_left_soon_after_the_right_one_is_seen():
     assert followed(lane, times_s + 0.5, whole).left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2)
 
 
-def test_a_kerb_far_outside_is_not_preferred_to_dashes():
+def test_dashes_preferred_to_distant_kerb():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 3 == 0]
     xy = np.concatenate([line_pixels(-1.75), dashes, line_pixels(5.25)])
@@ -174,13 +174,13 @@ def test_a_kerb_far_outside_is_not_preferred_to_dashes():
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
 
 
-def test_images_of_another_size_start_anew():
+def test_new_image_size_resets_the_lane():
     lane = OwnLane()
     followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
     assert lane.update(markings(1.75), 0.2, (720, 1280)).right is None
 
 
-def test_proposals_bridge_dashes_and_know_their_support():
+def test_proposals_bridge_dashes():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 2 == 0]
     found = proposals(Markings.unnumbered(np.concatenate([line_pixels(-1.75), dashes]), 1.0), HW)
@@ -192,14 +192,14 @@ def test_proposals_bridge_dashes_and_know_their_support():
 
 
 @pytest.mark.parametrize(("horizon_px", "is_lane"), [(170.0, True), (235.0, True), (285.0, False)])
-def test_two_lines_that_are_unlike_a_lane_in_several_ways_at_once_are_none(horizon_px, is_lane):
+def test_implausible_pair_is_not_a_lane(horizon_px, is_lane):
     """Alone, a vanishing point at the side is passable; with a horizon far down it is not."""
     slope = np.array([-0.9, 1.6])
     lines = Proposals(420.0 - slope * horizon_px, slope, np.array([0.9, 1.0]), np.array([-1, -1]))
     assert (own_pair(lines, HW, None) is not None) == is_lane
 
 
-def test_no_pair_of_nothing_or_of_one():
+def test_no_pair_of_fewer_than_two_lines():
     nothing = Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
     assert own_pair(nothing, HW, None) is None
     assert len(proposals(Markings.unnumbered(np.zeros((0, 2)), 1.0), HW)) == 0
@@ -226,7 +226,7 @@ def test_runs():
     assert run_middles(marked, widest_px=2)[0].tolist() == [2, 2]
 
 
-def test_wrong_shapes_are_refused():
+def test_invalid_shapes():
     with pytest.raises(ValueError, match="xy_px"):
         Markings(np.zeros((3, 3)), np.zeros(3, np.int64), 1.0)
     with pytest.raises(ValueError, match="line"):

@@ -1,4 +1,4 @@
-"""The detector on small ONNX files that the tests write, and on the real YOLOv5n where it is there."""
+"""The detector on small ONNX files written by the tests, and on the real YOLOv5n if available."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ CAR, TRUCK = 2, 7
 
 
 def rows_with(*boxes, n_classes=80):
-    """YOLOv5 rows: the given (cx, cy, w, h, objectness, {class: score}) first, silence after them."""
+    """YOLOv5 rows: the given (cx, cy, w, h, objectness, {class: score}) first, zeros after them."""
     rows = np.zeros((1, N_ROWS, 5 + n_classes))
     for i, (*cxcywh, objectness, scores) in enumerate(boxes):
         rows[0, i, :4] = cxcywh
@@ -28,18 +28,18 @@ def rows_with(*boxes, n_classes=80):
 
 def test_boxes_scores_and_classes_by_hand(tmp_path):
     model = write_model(tmp_path / "m.onnx", rows_with((32, 32, 16, 8, 0.8, {CAR: 0.5}), (8, 30, 4, 4, 0.9, {0: 1.0})))
-    found = YoloDetector(model).detect(np.zeros((128, 256, 3), np.uint8))
+    detections = YoloDetector(model).detect(np.zeros((128, 256, 3), np.uint8))
     # 256 x 128 fits as 64 x 32 (scale 1/4) under 16 rows of padding: corner 24 -> 96, minus half a pixel
-    assert [ROAD_CLASSES[c] for c in found.class_id] == ["person", "car"]
-    np.testing.assert_allclose(found.score, [0.9, 0.4], atol=1e-6)
-    np.testing.assert_allclose(found.xyxy_px[1], [95.5, 47.5, 159.5, 79.5])
+    assert [ROAD_CLASSES[c] for c in detections.class_id] == ["person", "car"]
+    np.testing.assert_allclose(detections.score, [0.9, 0.4], atol=1e-6)
+    np.testing.assert_allclose(detections.xyxy_px[1], [95.5, 47.5, 159.5, 79.5])
 
 
-def test_weak_foreign_duplicate_and_nan_boxes_are_dropped(tmp_path):
+def test_boxes_that_are_dropped(tmp_path):
     rows = rows_with(
         (32, 32, 16, 8, 0.8, {CAR: 0.9}),
-        (32, 32, 16, 8, 0.8, {TRUCK: 0.8}),  # the same object, by another name
-        (12, 32, 8, 8, 0.05, {CAR: 1.0}),  # weak
+        (32, 32, 16, 8, 0.8, {TRUCK: 0.8}),  # the same object as another class
+        (12, 32, 8, 8, 0.05, {CAR: 1.0}),  # low score
         (50, 32, 8, 8, 0.9, {14: 1.0}),  # a bird
         (50, 32, np.nan, 8, 0.9, {CAR: 1.0}),
         (50, 32, 8, 8, np.nan, {CAR: 1.0}),
@@ -47,26 +47,24 @@ def test_weak_foreign_duplicate_and_nan_boxes_are_dropped(tmp_path):
     )
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows))
     assert not any("NaN" in note for note in detector.notes)
-    found = detector.detect(np.zeros((64, 64, 3), np.uint8))
-    assert [ROAD_CLASSES[c] for c in found.class_id] == ["car"]
-    assert [note for note in detector.notes if "NaN" in note] == [
-        "The network gave NaN or infinite numbers: 2 boxes dropped."
-    ]
+    detections = detector.detect(np.zeros((64, 64, 3), np.uint8))
+    assert [ROAD_CLASSES[c] for c in detections.class_id] == ["car"]
+    assert [note for note in detector.notes if "NaN" in note and "2 boxes" in note]
     detector.detect(np.zeros((64, 64, 3), np.uint8))
     assert detector.n_invalid == 4
 
 
-def test_classes_wanted(tmp_path):
+def test_selected_classes(tmp_path):
     rows = rows_with((32, 32, 16, 8, 0.8, {CAR: 0.9}), (12, 32, 8, 8, 0.9, {0: 1.0}))
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows), YoloSettings(class_id=(0,)))
     assert [ROAD_CLASSES[c] for c in detector.detect(np.zeros((64, 64, 3), np.uint8)).class_id] == ["person"]
 
 
-def test_a_class_may_have_a_threshold_of_its_own(tmp_path):
+def test_threshold_per_class(tmp_path):
     rows = rows_with((32, 32, 16, 8, 1.0, {CAR: 0.4}), (12, 32, 8, 8, 1.0, {0: 0.4}), (50, 32, 8, 8, 1.0, {0: 0.6}))
     settings = YoloSettings(min_score=0.3, class_min_score=((0, 0.5),))
-    found = YoloDetector(write_model(tmp_path / "m.onnx", rows), settings).detect(np.zeros((64, 64, 3), np.uint8))
-    assert [ROAD_CLASSES[c] for c in found.class_id] == ["person", "car"]
+    detections = YoloDetector(write_model(tmp_path / "m.onnx", rows), settings).detect(np.zeros((64, 64, 3), np.uint8))
+    assert [ROAD_CLASSES[c] for c in detections.class_id] == ["person", "car"]
 
 
 @pytest.mark.parametrize(
@@ -78,79 +76,79 @@ def test_a_class_may_have_a_threshold_of_its_own(tmp_path):
         np.zeros((8, 8, 4), np.uint8),
     ],
 )
-def test_what_is_no_colour_image_is_refused(tmp_path, image):
+def test_images_of_wrong_format(tmp_path, image):
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()))
-    with pytest.raises(ValueError, match=r"image: shape \(\*, \*, 3\) of uint8 wanted"):
+    with pytest.raises(ValueError, match=r"image: .*uint8"):
         detector.detect(image)
 
 
-def test_the_smallest_and_very_large_images_pass(tmp_path):
+def test_smallest_and_very_large_images(tmp_path):
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with((32, 32, 16, 8, 0.8, {CAR: 0.9}))))
     assert detector.detect(np.zeros((1, 1, 3), np.uint8)).xyxy_px.tolist() == [[-0.125, -0.0625, 0.125, 0.0625]]
     (huge,) = detector.detect(np.zeros((6000, 8000, 3), np.uint8)).xyxy_px
     np.testing.assert_allclose(huge, [2999.5, 2499.5, 4999.5, 3499.5])
 
 
-def test_images_of_changing_sizes_get_the_boxes_that_each_gets_alone(shared_data):
+def test_changing_image_sizes(shared_data):
     import cv2
 
     image = cv2.VideoCapture(str(shared_data / "kitti_stereo/0005/left.mp4")).read()[1]
     crops = [image[:, :w] for w in range(1242, 300, -90)]
     crops += [np.ascontiguousarray(crop.transpose(1, 0, 2)) for crop in crops]
     path, settings = shared_data / "models/yolov5n_coco_dyn.onnx", YoloSettings(size_px=320)
-    wandering = YoloDetector(path, settings)
+    detector = YoloDetector(path, settings)
     for crop in [*crops, *crops]:
-        found, alone = wandering.detect(crop), YoloDetector(path, settings).detect(crop)
-        np.testing.assert_array_equal(found.xyxy_px, alone.xyxy_px)
+        detections, expected = detector.detect(crop), YoloDetector(path, settings).detect(crop)
+        np.testing.assert_array_equal(detections.xyxy_px, expected.xyxy_px)
     sizes = {rectangular_input_hw(crop.shape[:2], size_px=320) for crop in crops}
-    assert len(sizes) > 8  # more than are kept
+    assert len(sizes) > 8  # more than are cached
 
 
-def test_a_network_that_wants_half_precision(tmp_path):
+def test_half_precision_input(tmp_path):
     rows = rows_with((32, 32, 16, 8, 0.8, {CAR: 0.5}))
     model = write_model(tmp_path / "m.onnx", rows, is_half=True)
-    found = YoloDetector(model).detect(np.zeros((64, 64, 3), np.uint8))
-    np.testing.assert_allclose(found.score, [0.4], atol=1e-3)
+    detections = YoloDetector(model).detect(np.zeros((64, 64, 3), np.uint8))
+    np.testing.assert_allclose(detections.score, [0.4], atol=1e-3)
 
 
-def test_networks_of_another_task_are_refused(tmp_path):
+def test_networks_of_other_tasks(tmp_path):
     model = write_model(tmp_path / "m.onnx", rows_with(), metadata={"task": "segment"})
-    with pytest.raises(ModelError, match="a 'segment' network, not a detector"):
+    with pytest.raises(ModelError, match=r"m\.onnx: .*segment"):
         YoloDetector(model)
 
 
-def test_no_wanted_class(tmp_path):
-    with pytest.raises(ModelError, match=r"none of its classes \(cat, dog, \.\.\.\) is a wanted road class"):
+def test_no_selected_class(tmp_path):
+    with pytest.raises(ModelError, match=r"m\.onnx: none of its classes"):
         YoloDetector(
             write_model(tmp_path / "m.onnx", rows_with(n_classes=2)), options=ModelOptions(names=("cat", "dog"))
         )
 
 
-def test_files_that_are_no_model(tmp_path):
-    with pytest.raises(ModelError, match="no such model file"):
+def test_unreadable_models(tmp_path):
+    with pytest.raises(ModelError, match=r"none\.onnx: no such"):
         YoloDetector(tmp_path / "none.onnx")
     text = tmp_path / "text.onnx"
     text.write_text("not a model")
-    with pytest.raises(ModelError, match="not a usable ONNX model"):
+    with pytest.raises(ModelError, match=r"text\.onnx: not a usable"):
         YoloDetector(text)
     whole = write_model(tmp_path / "whole.onnx", rows_with()).read_bytes()
     text.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ModelError, match="not a usable ONNX model"):
+    with pytest.raises(ModelError, match=r"text\.onnx: not a usable"):
         YoloDetector(text)
     flat = write_model(tmp_path / "flat.onnx", rows_with(), input_shape=(1, 64))
-    with pytest.raises(ModelError, match=r"one input \[batch, 3, height, width\] wanted"):
+    with pytest.raises(ModelError, match=r"flat\.onnx: expected one input"):
         YoloDetector(flat)
 
 
-def test_a_device_that_is_not_here_falls_back_with_one_note(tmp_path):
+def test_unavailable_device_falls_back_with_note(tmp_path):
     detector = YoloDetector(write_model(tmp_path / "m.onnx", rows_with()), runtime=Runtime(device="tensorrt"))
     if detector.session.device == "tensorrt":
-        pytest.skip("TensorRT is here")
+        pytest.skip("TensorRT is available")
     assert sum("--device tensorrt" in note for note in detector.notes) == 1
 
 
 @pytest.mark.parametrize("model", ["yolov5n_coco_640.onnx", "yolov5n_coco_dyn.onnx"])
-def test_real_network_finds_the_near_car_wherever_the_image_is_padded(shared_data, model):
+def test_near_car_in_padded_images(shared_data, model):
     import cv2
 
     capture = cv2.VideoCapture(str(shared_data / "kitti_stereo/0003/left.mp4"))

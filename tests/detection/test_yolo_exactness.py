@@ -1,7 +1,7 @@
-"""Boxes to the pixel: a drawn rectangle comes back where it was, and the references' own arithmetic agrees.
+"""Exact boxes: drawn rectangles are located to a tenth of a pixel, and outputs equal the reference arithmetic.
 
-The references are written out here as their authors' code does it, step by step, with nothing of ours:
-YOLOv5 (letterbox, non_max_suppression), YOLOX (preproc, demo_postprocess), YOLOv4-tiny (letterbox_image, DecodeBox).
+The references below follow the original implementations step by step, without code of track-range: YOLOv5 (letterbox,
+non_max_suppression), YOLOX (preproc, demo_postprocess), YOLOv4-tiny (letterbox_image, DecodeBox).
 """
 
 import math
@@ -19,15 +19,15 @@ from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.detection.yolo.input_format import InputFormat
 from track_range.detection.yolo.letterbox import Letterbox
 
-ABOVE = 0.1
+MIN_SCORE = 0.1
 
 
 @pytest.mark.parametrize("letterbox", ["centred-0", "centred-114", "top-left-114", "stretch"])
 @pytest.mark.parametrize("size_hw", [(96, 160), (211, 97), (256, 256), (200, 256)])
-def test_a_drawn_rectangle_comes_back_within_a_tenth_of_a_pixel(tmp_path, letterbox, size_hw):
+def test_rectangle_within_tenth_of_pixel(tmp_path, letterbox, size_hw):
     grey = {"centred-0": 0, "stretch": 0}.get(letterbox, 114)
-    told = {"letterbox": letterbox, "names": "['car']"}
-    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=grey / 255, metadata=told)
+    metadata = {"letterbox": letterbox, "names": "['car']"}
+    path = write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=grey / 255, metadata=metadata)
     detector = YoloDetector(path, runtime=Runtime(n_threads=1))
     rng = np.random.default_rng(0)
     for _ in range(20):
@@ -36,17 +36,17 @@ def test_a_drawn_rectangle_comes_back_within_a_tenth_of_a_pixel(tmp_path, letter
 
 
 @pytest.mark.parametrize("size_hw", [(375, 1242), (720, 1280), (1080, 1920)])
-def test_no_half_pixel_is_lost_where_images_shrink(tmp_path, size_hw):
-    # Taking every second or fifth pixel finds a hard edge only to within that step; a shift would show in the mean.
-    told = {"letterbox": "centred-114", "names": "['car']"}
-    detector = YoloDetector(write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=114 / 255, metadata=told))
+def test_no_half_pixel_shift_on_downscaling(tmp_path, size_hw):
+    # Downscaling locates a sharp edge only to within the sampling step; a systematic shift would show in the mean.
+    metadata = {"letterbox": "centred-114", "names": "['car']"}
+    detector = YoloDetector(write_rectangle_finder(tmp_path / "m.onnx", side_px=256, grey=114 / 255, metadata=metadata))
     rng = np.random.default_rng(1)
     boxes = [drawn_box(rng, size_hw) for _ in range(60)]
     errors = [detector.detect(picture(size_hw, box, 114)).xyxy_px[0] - (box - 0.5) for box in boxes]
     step_px = size_hw[1] / 256
-    spread_of_mean_px = step_px / math.sqrt(12 * len(boxes))
-    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=3 * spread_of_mean_px)
-    assert spread_of_mean_px < step_px / 4  # half a network pixel would be far outside
+    sigma_of_mean_px = step_px / math.sqrt(12 * len(boxes))
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=3 * sigma_of_mean_px)
+    assert sigma_of_mean_px < step_px / 4  # half a network pixel would be far outside
 
 
 def drawn_box(rng, size_hw):
@@ -97,7 +97,7 @@ def sigmoid(x):
 
 
 def yolov5_rows(outputs, _):
-    """The rows as non_max_suppression() of YOLOv5 makes them, with the best class only."""
+    """The rows of YOLOv5's non_max_suppression(), with the best class only."""
     for cx, cy, w, h, objectness, *classes in outputs[0][0].tolist():
         best = int(np.argmax(classes))
         yield cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, objectness * classes[best], best
@@ -116,7 +116,7 @@ def yolox_rows(outputs, hw):
 
 
 def yolov4_tiny_rows(outputs, hw):
-    """The usual DecodeBox of YOLOv4-tiny ports: anchors, masks 3,4,5 and 1,2,3."""
+    """DecodeBox of common YOLOv4-tiny ports: anchors, masks 3,4,5 and 1,2,3."""
     anchors = [(10, 14), (23, 27), (37, 58), (81, 82), (135, 169), (344, 319)]
     for head, mask in zip(outputs, ((3, 4, 5), (1, 2, 3)), strict=True):
         n_rows, n_columns = head.shape[2:]
@@ -151,7 +151,7 @@ def images(shared_data):
 def test_candidates_equal_the_reference(shared_data, images, model, name):
     image = images[name.split()[0]]
     path = shared_data / "models" / f"{model}.onnx"
-    detector = YoloDetector(path, YoloSettings(min_score=ABOVE), runtime=Runtime(n_threads=1))
+    detector = YoloDetector(path, YoloSettings(min_score=MIN_SCORE), runtime=Runtime(n_threads=1))
     detector.fill(image)
     blob_of, rows_of, hw = FAMILIES[model]
     hw = hw or detector.input_hw
@@ -159,22 +159,22 @@ def test_candidates_equal_the_reference(shared_data, images, model, name):
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     outputs = session.run(None, {session.get_inputs()[0].name: blob})
     road = map_to_road_classes(detector.model.names)
-    wanted = np.array([row for row in rows_of(outputs, hw) if row[4] >= ABOVE and road[row[5]] >= 0])
-    assert len(wanted) >= 5
+    expected = np.array([row for row in rows_of(outputs, hw) if row[4] >= MIN_SCORE and road[row[5]] >= 0])
+    assert len(expected) >= 5
 
     candidates = detector.model.decoder.decode(detector.infer(), detector._min_score)
     n = len(candidates.score)
-    assert n == len(wanted)
-    found = np.column_stack([candidates.xyxy_net, candidates.score, candidates.class_index])
-    order = [int(np.abs(found[:, :5] - row[:5]).max(axis=1).argmin()) for row in wanted]
+    assert n == len(expected)
+    candidate_rows = np.column_stack([candidates.xyxy_net, candidates.score, candidates.class_index])
+    order = [int(np.abs(candidate_rows[:, :5] - row[:5]).max(axis=1).argmin()) for row in expected]
     assert sorted(order) == list(range(n))
-    np.testing.assert_allclose(found[order, :4], wanted[:, :4], atol=1e-3)
-    np.testing.assert_allclose(found[order, 4:], wanted[:, 4:], atol=1e-5)
+    np.testing.assert_allclose(candidate_rows[order, :4], expected[:, :4], atol=1e-3)
+    np.testing.assert_allclose(candidate_rows[order, 4:], expected[:, 4:], atol=1e-5)
 
-    class_id = road[wanted[:, 5].astype(int)]
-    kept = wanted[nms(wanted[:, :4], wanted[:, 4], SAME_OBJECT_GROUP[class_id], max_iou=0.5)]
-    # Where the resized image is whole pixels, the references' inverse is exact too, but for the half pixel between
-    # corners and centres; elsewhere (KITTI) theirs is up to 0.7 network pixels off at the far edge.
+    class_id = road[expected[:, 5].astype(int)]
+    kept = expected[nms(expected[:, :4], expected[:, 4], SAME_OBJECT_GROUP[class_id], max_iou=0.5)]
+    # If the exact resized size is a whole number of pixels, the references' inverse is exact except for the half pixel
+    # between corners and centres; otherwise (KITTI) it is wrong by up to 0.7 network pixels at the far edge.
     exact = all((side * ratio) % 1 == 0 for side in image.shape[:2])
     back = ((kept[:, :4] - [*pad, *pad]) / ratio).clip(0, [*image.shape[1::-1]] * 2) - 0.5
     final = detector.detect(image)
@@ -184,16 +184,16 @@ def test_candidates_equal_the_reference(shared_data, images, model, name):
 
 
 @pytest.mark.parametrize("size_hw", [(375, 1242), (720, 1280), (31, 17)])
-def test_inputs_equal_the_references(size_hw):
+def test_inputs_equal_references(size_hw):
     image = np.random.default_rng(0).integers(0, 256, (*size_hw, 3), np.uint8)
-    forms = {
+    input_formats = {
         yolov5_blob: InputFormat(),
         yolox_blob: InputFormat(placement="top-left", colours="bgr", divisor=1.0),
         yolov4_tiny_blob: InputFormat(pad_grey=128),
     }
-    for blob_of, form in forms.items():
-        letterbox = Letterbox.placed(form.placement, size_hw, (416, 416))
+    for blob_of, input_format in input_formats.items():
+        letterbox = Letterbox.of_placement(input_format.placement, size_hw, (416, 416))
         blob = np.empty((1, 3, 416, 416), np.float32)
-        form.fill_padding(blob)
-        form.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
+        input_format.fill_padding(blob)
+        input_format.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
         np.testing.assert_allclose(blob, blob_of(image, (416, 416))[0], rtol=1e-6)

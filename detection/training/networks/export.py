@@ -15,7 +15,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from track_range.detection.models.writing import silent_conversion, written_whole
+from track_range.detection.models.writing import atomic_output, silent_conversion
 from track_range.detection.training.networks.network import AnchorNetwork
 
 _OPSET = 17
@@ -40,7 +40,7 @@ def export_onnx(network: AnchorNetwork, out: Path, metadata: Mapping[str, object
         ModelError: it cannot be converted or written.
     """
     decoded = _Decoded(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays where it is
-    with written_whole(out) as folder:
+    with atomic_output(out) as folder:
         path = folder / out.name
         with silent_conversion(out, "exported"):
             torch.onnx.export(

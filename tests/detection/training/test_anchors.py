@@ -19,7 +19,7 @@ def test_clusters_of_boxes_are_found():
     assert mean_best_iou(sizes, found) > 0.93
 
 
-def test_more_anchors_fit_better_and_the_seed_decides():
+def test_more_anchors_fit_better():
     rng = np.random.default_rng(2)
     sizes = np.exp(rng.normal(3.5, 0.8, (500, 2)))
     fits = [mean_best_iou(sizes, kmeans_anchors(sizes, k, np.random.default_rng(0))) for k in (2, 4, 9)]
@@ -33,7 +33,7 @@ def test_fewer_boxes_than_anchors():
         kmeans_anchors(np.ones((40, 2)), 9, np.random.default_rng(0))
 
 
-def test_heads_share_anchors_and_text_is_what_the_detector_takes():
+def test_anchor_groups_and_their_text():
     anchors = by_head(np.array([[1.0, 2], [3, 4], [5, 6], [7.5, 8]]), 2)
     assert anchors == (((1.0, 2.0), (3.0, 4.0)), ((5.0, 6.0), (7.5, 8.0)))
     assert as_text(anchors) == "1,2 3,4 / 5,6 7.5,8"

@@ -15,7 +15,7 @@ def cells(found):
     return sorted(zip(found.row.tolist(), found.column.tolist(), found.anchor.tolist(), strict=True))
 
 
-def test_the_cell_of_the_centre_and_the_two_nearest_neighbours():
+def test_centre_cell_and_two_neighbours():
     network = make_network("yolov5n", 2)
     # stride 8: the centre (27, 43) lies in column 3 at 0.375 and row 5 at 0.375: left and upper neighbours too.
     # 16 x 30 is the second anchor itself, 1.6 and 3 times the first, and 2.06 and 1.3 times the third
@@ -24,7 +24,7 @@ def test_the_cell_of_the_centre_and_the_two_nearest_neighbours():
     assert found.of.tolist() == [0] * 9
 
 
-def test_at_the_border_there_are_no_neighbours_outside():
+def test_no_neighbour_cells_outside_the_grid():
     network = make_network("yolov5n", 2)
     found = assign(objects((0, 1, 79, 16, 30)), network, 0, (10, 10))
     assert {(row, column) for row, column, _ in cells(found)} == {(9, 0)}
@@ -35,20 +35,20 @@ def test_at_the_border_there_are_no_neighbours_outside():
     }
 
 
-def test_anchors_four_times_smaller_or_larger_are_not_responsible():
+def test_anchors_of_four_times_the_size_are_excluded():
     network = make_network("yolov5n", 2)
     large = objects((1, 40, 40, 150, 150))
     assert [len(assign(large, network, head, (20, 20)).of) > 0 for head in range(3)] == [False, True, True]
     assert len(assign(objects((0, 40, 40, 2.4, 30)), network, 0, (10, 10)).of) == 0
 
 
-def test_centres_that_cannot_leave_their_cell_have_no_neighbours():
+def test_no_neighbours_without_centre_scaling():
     network = make_network("yolov4-tiny", 2)
     found = assign(objects((0, 17, 17, 30, 40)), network, 0, (8, 8))
     assert {(row, column) for row, column, _ in cells(found)} == {(1, 1)}
 
 
-def test_what_is_assigned_can_be_said():
+def test_assigned_targets_are_reachable():
     """Every cell can place its box's centre and size where the object has them."""
     generator = torch.Generator().manual_seed(3)
     for name in ("yolov5n", "yolov4-tiny"):

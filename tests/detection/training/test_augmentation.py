@@ -37,7 +37,7 @@ def red_boxes(image):
     return np.array([[x, y, x + w, y + h] for x, y, w, h, area in stats[1:] if area > 12], np.float64).reshape(-1, 4)
 
 
-def test_nothing_but_the_letterbox():
+def test_letterbox_without_augmentation():
     told = single(scene(100, 50, (10, 20, 30, 40)), 200, PLAIN, np.random.default_rng(0))
     assert told.image.shape == (200, 200, 3)
     assert told.image[10, 100].tolist() == [114, 114, 114]
@@ -47,7 +47,7 @@ def test_nothing_but_the_letterbox():
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_boxes_go_where_the_pixels_go(seed):
+def test_boxes_follow_the_pixels(seed):
     strong = AugmentationSettings(min_gain=0.6, max_gain=2.5, **COLOURLESS)
     rng = np.random.default_rng(seed)
     for source in (scene(120, 90, (50, 30, 90, 60)), scene(60, 140, (10, 50, 50, 90))):
@@ -61,7 +61,7 @@ def test_boxes_go_where_the_pixels_go(seed):
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000))
-def test_a_mosaic_has_the_boxes_of_all_four(seed):
+def test_mosaic_has_boxes_of_all_four(seed):
     strong = AugmentationSettings(min_gain=0.4, max_gain=1.5, **COLOURLESS)
     sources = [scene(120, 90, (50, 30, 90, 60), class_index=i) for i in range(4)]
     told = mosaic(sources, 160, strong, np.random.default_rng(seed))
@@ -76,7 +76,7 @@ def test_a_mosaic_has_the_boxes_of_all_four(seed):
     assert told.is_complete.tolist() == [[[True, True], [True, False]]] * 2
 
 
-def test_a_large_image_shows_a_part_with_an_object():
+def test_crop_of_large_image_has_an_object():
     enlarged = AugmentationSettings(min_gain=4.0, max_gain=4.0, **COLOURLESS)
     seen = [
         len(single(scene(400, 300, (30, 40, 50, 60)), 100, enlarged, np.random.default_rng(seed)).xyxy)
@@ -94,7 +94,7 @@ def test_rotation_keeps_the_object_inside_its_box():
         assert (red[:, 2:] <= told.xyxy[:, 2:] + 1.5).all()
 
 
-def test_of_a_cut_object_too_little_is_left_to_learn_from():
+def test_cut_objects_are_dropped():
     from track_range.detection.training.data.augmentation import _moved, _Part
 
     source = scene(100, 100, (0, 0, 100, 20), (40, 40, 60, 60), (99, 0, 100, 2))

@@ -18,21 +18,21 @@ def changed(path, **changes):
     return path
 
 
-def test_a_data_set_of_yolo(tmp_path):
+def test_yolo_data_set(tmp_path):
     data = read_data_yaml(write_data_set(tmp_path, n_train=5, n_val=2))
     assert (len(data.train), len(data.val), data.notes) == (5, 2, ())
     assert data.road_class_id.tolist() == [CAR, PERSON]
     assert {int(i) for item in data.train for i in item.truth.class_id} == {CAR, PERSON}
 
 
-def test_names_that_are_no_road_classes_are_left_out_and_it_is_said(tmp_path):
+def test_other_classes_are_left_out_with_note(tmp_path):
     path = changed(write_data_set(tmp_path), names=["zebra", "person"])
     data = read_data_yaml(path)
     assert data.road_class_id.tolist() == [PERSON]
     assert "zebra" in data.notes[0]
 
 
-def test_images_without_label_files_are_background(tmp_path):
+def test_images_without_labels_are_background(tmp_path):
     path = write_data_set(tmp_path, n_train=4, n_val=1)
     (tmp_path / "labels/train/002.txt").unlink()
     (tmp_path / "labels/train/001.txt").write_text("")
@@ -42,13 +42,13 @@ def test_images_without_label_files_are_background(tmp_path):
     assert "1 images have no label file" in data.notes[0]
 
 
-def test_a_list_of_images(tmp_path):
+def test_list_of_images(tmp_path):
     path = changed(write_data_set(tmp_path, n_train=4), train="some.txt")
     (tmp_path / "some.txt").write_text("./images/train/003.png\nimages/train/000.png\n")
     assert [item.path.name for item in read_data_yaml(path).train] == ["000.png", "003.png"]
 
 
-def test_boxes_out_of_their_image_are_cut_and_told_with_file_and_line(tmp_path):
+def test_boxes_outside_the_image_are_clipped(tmp_path):
     path = write_data_set(tmp_path, n_train=2, n_val=1)
     (tmp_path / "labels/train/000.txt").write_text("0 0.5 0.5 0.2 0.2\n0 0.95 0.5 0.3 0.2\n1 1.5 0.5 0.2 0.2\n")
     data = read_data_yaml(path)
@@ -71,14 +71,14 @@ def test_boxes_out_of_their_image_are_cut_and_told_with_file_and_line(tmp_path):
         ("-1 0.5 0.5 0.2 0.2", "line 1: class -1, but only 2"),
     ],
 )
-def test_wrong_labels_are_refused_with_file_and_line(tmp_path, line, said):
+def test_invalid_labels_name_file_and_line(tmp_path, line, said):
     path = write_data_set(tmp_path)
     (tmp_path / "labels/train/003.txt").write_text(line + "\n")
     with pytest.raises(LabelFileError, match="003.txt, " + said):
         read_data_yaml(path)
 
 
-def test_outlines_become_boxes(tmp_path):
+def test_polygons_become_boxes(tmp_path):
     path = write_data_set(tmp_path, n_train=1, n_val=1)
     (tmp_path / "labels/train/000.txt").write_text("0 0.1 0.2 0.5 0.1 0.4 0.6\n")
     assert read_data_yaml(path).train[0].truth.xyxy_px[0] == pytest.approx([0.1, 0.1, 0.5, 0.6])
@@ -105,7 +105,7 @@ def test_outlines_become_boxes(tmp_path):
         ({"train": "images/list.txt"}, "not readable as a list"),
     ],
 )
-def test_a_wrong_data_yaml_is_told(tmp_path, changes, said):
+def test_invalid_data_yaml(tmp_path, changes, said):
     path = changed(write_data_set(tmp_path), **changes)
     with pytest.raises((LabelFileError, ImageFileError), match=said):
         read_data_yaml(path)
@@ -121,7 +121,7 @@ def test_no_data_yaml(tmp_path, text):
         read_data_yaml(tmp_path / "other.yaml")
 
 
-def test_pseudo_labels_fill_what_is_not_complete_and_are_ignored_elsewhere(tmp_path):
+def test_pseudo_labels_of_incomplete_classes(tmp_path):
     path = write_data_set(tmp_path, n_train=2)
     for name, flags in (("000", "11011111"), ("001", "11111111")):
         with (tmp_path / "manifest.csv").open("a") as file:
@@ -170,7 +170,7 @@ def test_kitti_labels(tmp_path):
     assert told.xyxy[0] == pytest.approx([5.25, 10.25, 30.25, 25.25])
 
 
-def test_damaged_images_are_named_counted_and_left_out(tmp_path):
+def test_damaged_images_are_left_out(tmp_path):
     path = write_data_set(tmp_path, n_train=4)
     (tmp_path / "images/train/001.png").write_bytes(b"not an image")
     (tmp_path / "images/train/002.png").write_bytes(b"")
@@ -184,7 +184,7 @@ def test_damaged_images_are_named_counted_and_left_out(tmp_path):
         CachedImages(data.train, data.road_class_id)
 
 
-def test_images_that_do_not_fit_into_memory_are_read_again(tmp_path):
+def test_image_cache_limit(tmp_path):
     data = read_data_yaml(write_data_set(tmp_path, n_train=4))
     one_image = 160 * 120 * 3
     images = CachedImages(data.train, data.road_class_id, max_bytes=2 * one_image)
@@ -193,7 +193,7 @@ def test_images_that_do_not_fit_into_memory_are_read_again(tmp_path):
     assert all(np.array_equal(images.load(i).image, everything.load(i).image) for i in range(4))
 
 
-def test_another_data_set_can_be_a_part(tmp_path):
+def test_nested_data_set(tmp_path):
     for name in ("mine", "drawn"):
         (tmp_path / name).mkdir()
     other = write_data_set(tmp_path / "drawn", n_train=3)
@@ -212,14 +212,14 @@ def test_another_data_set_can_be_a_part(tmp_path):
         read_data_yaml(path)
 
 
-def test_images_of_a_list_that_are_not_there_are_named(tmp_path):
+def test_missing_images_of_a_list(tmp_path):
     path = changed(write_data_set(tmp_path, n_train=2), train="some.txt")
     (tmp_path / "some.txt").write_text("images/train/000.png\nimages/train/gone.png\n")
     with pytest.raises(LabelFileError, match=r"1 of its images are not there, the first: images/train/gone\.png"):
         read_data_yaml(path)
 
 
-def test_kitti_boxes_inside_out_are_refused(tmp_path):
+def test_kitti_boxes_of_negative_size(tmp_path):
     for folder in ("images", "labels"):
         (tmp_path / folder).mkdir()
     cv2.imwrite(str(tmp_path / "images/000000.png"), np.zeros((100, 300, 3), np.uint8))

@@ -65,14 +65,14 @@ def network():
     return make_network("yolov5n", 2)
 
 
-def test_who_says_the_truth_loses_nothing(network):
+def test_loss_of_perfect_predictions_is_zero(network):
     objects = one(27, 43, 16, 30)
     losses = DetectionLoss(network)(perfect(network, objects), batch(objects))
     assert losses.numbers() == pytest.approx((0, 0, 0), abs=1e-3)
     assert DetectionLoss(network)(silent(network), batch(nobody())).numbers() == pytest.approx((0, 0, 0), abs=1e-3)
 
 
-def test_each_part_sees_its_own_mistake(network):
+def test_loss_parts_are_independent(network):
     objects = one(27, 43, 16, 30)
     loss = DetectionLoss(network)
     truth = perfect(network, objects)
@@ -86,14 +86,14 @@ def test_each_part_sees_its_own_mistake(network):
     assert missed.objectness > 1e-3
 
 
-def test_a_false_alarm_costs_by_hand(network):
+def test_false_positive_by_hand(network):
     raw = silent(network)
     raw[0][0, 0, 0, 0, 4] = 0.0  # says 0.5 where nothing is: ln 2, in 1 of 3 * 64 cells, balance 4
     losses = DetectionLoss(network)(raw, batch(nobody()))
     assert float(losses.objectness) == pytest.approx(4.0 * math.log(2) / (3 * 64) * (SIDE / 640) ** 2, rel=0.01)
 
 
-def test_inside_an_ignored_box_nothing_is_a_false_alarm(network):
+def test_no_false_positives_in_ignored_boxes(network):
     raw = silent(network)
     raw[0][0, :, 2:4, 2:4, 4] = SURE  # pixels 16..32
     loud = DetectionLoss(network)(raw, batch(nobody()))
@@ -116,7 +116,7 @@ def answers(network, *, row=5, column=3, sure=0.9, box=(27, 43, 16, 30), scores=
     return told
 
 
-def test_a_teacher_is_believed_where_labels_are_not_complete(network):
+def test_teacher_used_where_labels_incomplete(network):
     loss = DetectionLoss(network)
     incomplete = batch(nobody(), answers=answers(network), is_complete=(False, True))
     agreeing = silent(network)
@@ -129,13 +129,13 @@ def test_a_teacher_is_believed_where_labels_are_not_complete(network):
     assert silence.box > 1e-3
 
 
-def test_a_teacher_is_not_believed_where_complete_labels_know_of_nothing(network):
+def test_teacher_ignored_where_labels_complete(network):
     loss = DetectionLoss(network)
     complete = batch(nobody(), answers=answers(network), is_complete=(True, True))
     assert loss(silent(network), complete).numbers() == pytest.approx((0, 0, 0), abs=1e-3)
 
 
-def test_where_they_meet_the_label_says_where_the_box_is(network):
+def test_label_box_overrides_teacher_box(network):
     objects = one(27, 43, 16, 30)
     shifted = batch(objects, answers=answers(network, box=(29, 45, 16, 30)))
     exact = batch(objects, answers=answers(network))
@@ -144,7 +144,7 @@ def test_where_they_meet_the_label_says_where_the_box_is(network):
     assert float(loss(raw, shifted).box) == pytest.approx(float(loss(raw, exact).box), abs=1e-6)
 
 
-def test_eiou_is_another_loss(network):
+def test_eiou_differs_from_ciou(network):
     objects = one(27, 43, 16, 30)
     raw = perfect(network, objects)
     raw[0][..., 2] += 1.0
@@ -152,7 +152,7 @@ def test_eiou_is_another_loss(network):
     assert eiou != pytest.approx(ciou, rel=0.01)
 
 
-def test_the_class_of_a_label_is_learnt_from_the_teachers_cell_too(network):
+def test_class_is_distilled_at_label_cells(network):
     objects = one(27, 43, 16, 30, class_index=0)
     raw = perfect(network, objects)
     loss = DetectionLoss(network)
@@ -160,7 +160,7 @@ def test_the_class_of_a_label_is_learnt_from_the_teachers_cell_too(network):
     assert float(loss(raw, differing).class_score) == pytest.approx(float(loss(raw, agreeing).class_score), abs=1e-6)
 
 
-def test_an_ignored_box_does_not_stand_in_a_labels_way(network):
+def test_ignored_box_does_not_block_a_label(network):
     label = one(27, 43, 16, 30)
     both = Objects(
         *(
@@ -174,7 +174,7 @@ def test_an_ignored_box_does_not_stand_in_a_labels_way(network):
     assert float(shifted.box) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_labels_are_believed_in_the_part_of_a_mosaic_where_they_are_complete(network):
+def test_labels_used_where_mosaic_is_complete(network):
     """A class complete on the right alone: the teacher's car on the left is learnt, the one on the right is not."""
     flags = torch.zeros(1, 2, 2, 2, dtype=torch.bool)
     flags[0, :, 1] = True

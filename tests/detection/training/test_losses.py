@@ -36,7 +36,7 @@ def by_hand(a, b, kind):
 
 @pytest.mark.parametrize("i", range(3))
 @pytest.mark.parametrize("j", range(3))
-def test_ciou_of_squares_is_what_torchvision_says(i, j):
+def test_ciou_of_squares_equals_torchvision(i, j):
     assert ciou(cxcywh(SQUARES[i]), cxcywh(SQUARES[j])).item() == pytest.approx(DISTANCE_IOU[i][j], abs=1e-4)
 
 
@@ -55,14 +55,14 @@ boxes = st.tuples(places, places, sides, sides)
 
 @given(a=boxes, b=boxes)
 @pytest.mark.parametrize(("kind", "loss"), [("ciou", ciou), ("eiou", eiou)])
-def test_equal_to_the_equations_one_by_one(kind, loss, a, b):
+def test_equals_the_equations(kind, loss, a, b):
     told = loss(torch.tensor([a], dtype=torch.float64), torch.tensor([b], dtype=torch.float64)).item()
     assert told == pytest.approx(by_hand(a, b, kind), abs=1e-5)
     assert told <= 1 + 1e-6
 
 
 @pytest.mark.parametrize("loss", [ciou, eiou])
-def test_the_same_box_loses_nothing_and_a_gradient_leads_to_it(loss):
+def test_loss_is_zero_at_target_and_decreases(loss):
     wanted = torch.tensor([[50.0, 40.0, 30.0, 20.0]])
     assert loss(wanted, wanted).item() == pytest.approx(1.0, abs=1e-5)
     guess = torch.tensor([[30.0, 70.0, 60.0, 10.0]], requires_grad=True)
@@ -75,7 +75,7 @@ def test_the_same_box_loses_nothing_and_a_gradient_leads_to_it(loss):
 
 
 @pytest.mark.parametrize("loss", [ciou, eiou])
-def test_boxes_without_extent_are_no_trouble(loss):
+def test_empty_boxes(loss):
     nothing = torch.zeros(1, 4, requires_grad=True)
     told = loss(nothing, torch.zeros(1, 4))
     torch.autograd.backward(told.sum())

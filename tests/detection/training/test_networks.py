@@ -33,18 +33,18 @@ def trained_looking(name, **options):
 
 
 @pytest.mark.parametrize(("name", "n"), [("yolov5n", 1_872_157), ("yolov5s", 7_235_389)])
-def test_as_many_weights_as_the_official_ones_for_coco(name, n):
+def test_parameter_counts_equal_official_ones(name, n):
     # Ultralytics' YOLOv5 v6 prints these for yolov5n.yaml and yolov5s.yaml (with the anchors, which are no weights)
     assert n_weights(make_network(name, 80)) == n
 
 
-def test_yolov4_tiny_has_as_many_weights_as_darknets_for_coco():
+def test_parameter_count_of_yolov4_tiny():
     # 6.06 million, 24.25 MB: the size of AlexeyAB's yolov4-tiny.weights without its batch statistics
     assert n_weights(make_network("yolov4-tiny", 80)) * 4 / 1e6 == pytest.approx(24.2, abs=0.1)
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_attention_costs_few_weights_and_keeps_the_shapes(name):
+def test_attention_preserves_shapes(name):
     plain, attentive = make_network(name, 8), make_network(name, 8, has_cbam=True)
     assert 1.0 < n_weights(attentive) / n_weights(plain) < 1.02
     images = torch.rand(1, 3, 64, 96)
@@ -53,7 +53,7 @@ def test_attention_costs_few_weights_and_keeps_the_shapes(name):
 
 @pytest.mark.parametrize("has_cbam", [False, True])
 @pytest.mark.parametrize("name", NETWORKS)
-def test_the_export_says_what_the_network_says(tmp_path, name, has_cbam):
+def test_export_equals_network(tmp_path, name, has_cbam):
     network = trained_looking(name, has_cbam=has_cbam)
     path = tmp_path / "model.onnx"
     export_onnx(network, path, {"names": ROAD, "letterbox": "centred-114"})
@@ -67,7 +67,7 @@ def test_the_export_says_what_the_network_says(tmp_path, name, has_cbam):
 
 
 @pytest.mark.parametrize("name", NETWORKS)
-def test_the_ordinary_detector_takes_the_export_without_being_told_anything(tmp_path, name):
+def test_detector_loads_export_without_options(tmp_path, name):
     network = trained_looking(name)
     path = tmp_path / "model.onnx"
     export_onnx(network, path, {"family": NETWORKS[name].family, "names": ROAD, "letterbox": "centred-114", "size": 96})
@@ -79,7 +79,7 @@ def test_the_ordinary_detector_takes_the_export_without_being_told_anything(tmp_
     assert detector.model.names == tuple(ROAD)
 
 
-def test_an_official_export_becomes_our_network_again(tmp_path):
+def test_import_of_official_export(tmp_path):
     network = trained_looking("yolov5n")
     path = tmp_path / "model.onnx"
     export_onnx(network, path, {"names": ROAD})
@@ -89,7 +89,7 @@ def test_an_official_export_becomes_our_network_again(tmp_path):
         assert torch.allclose(again.decode(again(images)), network.decode(network(images)), atol=1e-3)
 
 
-def test_our_yolov5_is_the_official_one(shared_data):
+def test_equals_official_yolov5(shared_data):
     path = shared_data / "models/yolov5n_coco_dyn.onnx"
     network = yolov5_of_export(path)
     images = torch.rand(1, 3, 320, 416)
@@ -100,7 +100,7 @@ def test_our_yolov5_is_the_official_one(shared_data):
     assert np.abs(told - wanted)[..., 4:].max() < 1e-5
 
 
-def test_other_models_are_no_such_export(tmp_path):
+def test_import_of_other_models(tmp_path):
     export_onnx(trained_looking("yolov4-tiny"), tmp_path / "tiny.onnx", {"names": ROAD})
     write_model(tmp_path / "none.onnx", np.zeros((1, 252, 13)))
     (tmp_path / "text.onnx").write_text("not a model")

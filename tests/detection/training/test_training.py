@@ -66,7 +66,7 @@ def weights(run):
     return torch.cat([value.flatten().float() for value in run.average.network.state_dict().values()])
 
 
-def test_a_killed_run_goes_on_as_if_nothing_had_happened(sets, tmp_path):
+def test_killed_run_resumes_exactly(sets, tmp_path):
     straight = training(sets, tmp_path / "straight")
     straight.run(Quiet())
     killed = training(sets, tmp_path / "killed")
@@ -82,7 +82,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_happened(sets, tmp_path):
     assert repr(rows[0]) == repr(rows[1])
 
 
-def test_the_run_folder_has_checkpoints_and_a_row_per_epoch(sets, tmp_path):
+def test_files_of_the_run_folder(sets, tmp_path):
     run = training(sets, tmp_path)
     run.run(Quiet())
     with (tmp_path / RESULTS).open() as file:
@@ -104,7 +104,7 @@ def test_the_run_folder_has_checkpoints_and_a_row_per_epoch(sets, tmp_path):
         (lambda s, o: training(s, o, replace(SMALL, augmentation=AugmentationSettings(mosaic=0.5))), "--mosaic is"),
     ],
 )
-def test_a_checkpoint_of_another_run_is_refused(sets, tmp_path, change, said):
+def test_checkpoint_of_another_run(sets, tmp_path, change, said):
     run = training(sets, tmp_path, replace(SMALL, n_epochs=1))
     run.run(Quiet())
     content = load_checkpoint(tmp_path / LAST)
@@ -127,7 +127,7 @@ def test_no_checkpoint_and_damaged_ones(sets, tmp_path):
         run.resume()
 
 
-def test_weights_of_another_run_are_a_start_and_of_another_network_are_refused(sets, tmp_path):
+def test_initial_weights_of_another_run(sets, tmp_path):
     first = training(sets, tmp_path / "first", replace(SMALL, n_epochs=2))
     first.run(Quiet())
     second = training(sets, tmp_path / "second", replace(SMALL, seed=5))
@@ -138,13 +138,13 @@ def test_weights_of_another_run_are_a_start_and_of_another_network_are_refused(s
         other.start_from(tmp_path / "first" / BEST)
 
 
-def test_a_loss_that_is_no_number_ends_the_run(sets, tmp_path):
+def test_nan_loss_ends_the_run(sets, tmp_path):
     wild = replace(SMALL, schedule=ScheduleSettings(optimiser="sgd", learning_rate=1e9, warmup_epochs=0.1))
     with pytest.raises(TrainingError, match="no number any more"):
         training(sets, tmp_path, wild).run(Quiet())
 
 
-def test_out_of_memory_suggests_a_batch(sets, tmp_path, monkeypatch):
+def test_out_of_memory_suggests_batch_size(sets, tmp_path, monkeypatch):
     def fail(self, batch):
         raise RuntimeError("[enforce fail at alloc_cpu.cpp:121] DefaultCPUAllocator: can't allocate memory")
 
@@ -155,7 +155,7 @@ def test_out_of_memory_suggests_a_batch(sets, tmp_path, monkeypatch):
         training(sets, tmp_path).run(Quiet())
 
 
-def test_other_errors_keep_their_traceback(sets, tmp_path, monkeypatch):
+def test_other_errors_are_not_caught(sets, tmp_path, monkeypatch):
     monkeypatch.setattr(Training, "_step", lambda self, batch: [][0])
     with pytest.raises(IndexError):
         training(sets, tmp_path).run(Quiet())
@@ -166,7 +166,7 @@ def batch_of(sets, seed, epoch, n=0):
     return list(maker.epoch(epoch, AugmentationSettings()))[n]
 
 
-def test_batches_depend_on_seed_and_epoch_alone(sets):
+def test_batches_depend_on_seed_and_epoch_only(sets):
     first, again = batch_of(sets, 0, 3), batch_of(sets, 0, 3)
     assert torch.equal(first.images, again.images)
     assert torch.equal(first.objects.cxcywh, again.objects.cxcywh)
@@ -174,7 +174,7 @@ def test_batches_depend_on_seed_and_epoch_alone(sets):
     assert not torch.equal(first.images, batch_of(sets, 1, 3).images)
 
 
-def test_every_image_is_seen_once_in_an_epoch(sets):
+def test_every_image_once_per_epoch(sets):
     maker = BatchMaker(sets.train, size_px=96, batch_size=5, seed=0)
     batches = list(maker.epoch(0, PLAIN))
     assert [len(batch.images) for batch in batches] == [5, 5, 2] == [5] * (len(maker) - 1) + [2]
@@ -182,14 +182,14 @@ def test_every_image_is_seen_once_in_an_epoch(sets):
     assert sum(len(batch.objects.image) for batch in batches) == labels
 
 
-def test_a_single_image_too_many_is_left_for_the_next_epoch(sets):
+def test_single_leftover_image_is_skipped(sets):
     for batch_size, sizes in ((11, [11]), (5, [5, 5, 2]), (12, [12]), (50, [12])):
         maker = BatchMaker(sets.train, size_px=96, batch_size=batch_size, seed=0)
         told = [len(batch.images) for batch in maker.epoch(0, PLAIN)]
         assert (told, len(maker)) == (sizes, len(sizes))
 
 
-def test_the_rate_warms_up_and_falls_as_a_cosine():
+def test_learning_rate_warmup_and_cosine():
     schedule = Schedule(SGD, n_epochs=100, n_steps_per_epoch=10)
     optimiser = optimiser_of(make_network("yolov5n", 2), SGD)
     rates = []
@@ -205,7 +205,7 @@ def test_the_rate_warms_up_and_falls_as_a_cosine():
     assert decays == {"weight": 5e-4, "norm": 0.0, "bias": 0.0}
 
 
-def test_the_average_follows_the_weights():
+def test_ema_follows_the_weights():
     network = make_network("yolov5n", 2)
     average = WeightAverage(network)
     before = average.network.heads[0].bias.clone()
@@ -220,7 +220,7 @@ def test_the_average_follows_the_weights():
     assert decays[2] == pytest.approx(1 - 1 / 40, abs=1e-3)
 
 
-def test_a_student_learns_from_a_teacher_without_any_label(sets, tmp_path):
+def test_student_learns_without_labels(sets, tmp_path):
     """Labels of nothing, complete in no class: only the teacher can say where a car is."""
     prepare_torch(seed=1)
     network = make_network("yolov5n", 2)
@@ -253,7 +253,7 @@ def test_a_student_learns_from_a_teacher_without_any_label(sets, tmp_path):
     assert found["with"] > 0.5 > 0.2 > found["without"]
 
 
-def test_a_teacher_without_road_classes_is_refused(sets, tmp_path):
+def test_teacher_without_road_classes(sets, tmp_path):
     export_onnx(make_network("yolov5n", 2).eval(), tmp_path / "pets.onnx", {"names": ["cat", "dog"]})
     with pytest.raises(ModelError, match="none is a road class"):
         Teacher(tmp_path / "pets.onnx", sets.road_class_id, device="cpu")

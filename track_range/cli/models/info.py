@@ -14,7 +14,7 @@ from track_range.cli.console import console
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.models.lookup import FoundModel, find_model
+from track_range.detection.models.lookup import ModelLocation, find_model
 from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.options import Options, option
 from track_range.run.detector_fields import anchors_option, letterbox_option, names_option
@@ -48,7 +48,7 @@ def _info(options: InfoOptions) -> None:
     console.print(table)
 
 
-def _entry_rows(found: FoundModel) -> Iterator[tuple[str, str, str]]:
+def _entry_rows(found: ModelLocation) -> Iterator[tuple[str, str, str]]:
     """What the catalogue says of a model."""
     entry = found.entry
     if entry is None:
@@ -66,7 +66,7 @@ def _entry_rows(found: FoundModel) -> Iterator[tuple[str, str, str]]:
 def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     """Property, value, source."""
     session, model = detector.session, detector.model
-    family = model.facts["family"]
+    family = model.attributes["family"]
     yield "family", model.family, family.source
     yield "outputs", model.layout, ""
     shape = ", ".join("any" if side is None else str(side) for side in session.input_shape)
@@ -74,9 +74,9 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
     if None in session.input_shape[2:]:
         yield "size", str(detector.size.value), detector.size.source
     for key in ("letterbox", "colours", "divisor", "anchors", "scale_x_y"):
-        if key in model.facts:
-            yield key, _text(model.facts[key].value), model.facts[key].source
-    yield f"{len(model.names)} classes", ", ".join(model.names), model.facts["names"].source
+        if key in model.attributes:
+            yield key, _text(model.attributes[key].value), model.attributes[key].source
+    yield f"{len(model.names)} classes", ", ".join(model.names), model.attributes["names"].source
     yield "road classes", ", ".join(ROAD_CLASSES[i] for i in detector.known_class_id), ""
     missing = [name for i, name in enumerate(ROAD_CLASSES) if i not in detector.known_class_id]
     if missing:

@@ -161,7 +161,7 @@ def _calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[P
 def _blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[FloatArray32]:
     for path in paths:
         with suppress(ImageFileError):  # one damaged image of many changes nothing; with none left, ModelError
-            yield detector.input_of(read_image(path))
+            yield detector.input_blob(read_image(path))
 
 
 app = single_app(command(QuantizeOptions, _quantize))
