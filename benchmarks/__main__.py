@@ -15,6 +15,7 @@ from benchmarks import (
     lanes,
     looks,
     memory,
+    mutation,
     pipeline,
     ranging,
     recall,
@@ -26,6 +27,7 @@ from benchmarks import (
 WORKLOADS = {
     "pipeline": pipeline,
     "memory": memory,
+    "mutation": mutation,
     "detection": detection,
     "ablation": ablation,
     "alignment": alignment,
