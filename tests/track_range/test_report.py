@@ -109,11 +109,11 @@ def test_the_figures_of_the_summary_are_on_the_page() -> None:
         "drive/left.mp4 + drive/right.mp4",
         "8.2",
         "61.70",
-        "MOTA % 88.1 IDF1 % 91.4 id switches 0",
+        "MOTA % 88.1 IDF1 % 91.4 ID switches 0",
         "median distance error 3.4 %",
-        "stereo, the best where it measured",
+        "stereo, the best method on its own coverage",
         "The rig was taken from calib.txt.",
-        "Errors are measured against the visible surface.",
+        "Errors are relative to the visible surface.",
         "rig.file calib.txt",
         "rig.note -",
         "numpy 2.4.6",
@@ -176,16 +176,16 @@ def test_a_video_is_embedded_by_its_address_from_the_page() -> None:
 def test_a_run_without_truth_says_so() -> None:
     found = summary(truth=None, methods={"mono": row(None)})
     page = Page(report_page(found, columns(9, truth=False)))
-    assert "No truth was given" in page.text
+    assert "No ground truth was given" in page.text
     assert "median distance error" not in page.text
     assert page.content["errors"] == page.content["calibration"] == {}
-    assert page.text.count("Not known without truth.") == 2
+    assert page.text.count("Not available without ground truth.") == 2
 
 
 def test_a_run_without_tracks_or_figures_still_has_a_page() -> None:
     page = Page(report_page({"frames": 0}, columns()))
     assert "No track was confirmed in this run." in page.text
-    assert "The summary holds no figures." in page.text
+    assert "The summary contains no figures." in page.text
     assert page.content["tracks"] == page.content["methods"] == []
 
 
@@ -235,7 +235,7 @@ def test_several_runs_stand_side_by_side() -> None:
         ComparedRun(name="<b>", summary=summary(truth=None), settings={"size_px": 320}, notes=("gone",)),
     ]
     page = Page(comparison_page(runs))
-    for words in ("2 runs side by side", "a 16 8.2 3", "<b> gone", "size_px 640 320", "against the same kind of truth"):
+    for words in ("Comparison of 2 runs", "a 16 8.2 3", "<b> gone", "size_px 640 320", "same kind of ground truth"):
         assert words in page.text
     assert page.addresses.count("a%20b/report.html") == 1
     assert page.content == {"lines": []}

@@ -175,7 +175,7 @@ def test_the_cursor_runs_with_the_video(page_of: Callable[..., Any], run: Path) 
     page.wait_for_function("() => document.querySelector('.readout').textContent.startsWith('2.40 s')")
     after = page.evaluate(lines)
     assert after[0] > before[0] + 500
-    assert "not there at this moment" in page.locator(".readout").nth(1).inner_text()  # its track ended before
+    assert "no box at this time" in page.locator(".readout").nth(1).inner_text()  # its track ended before
     assert page.locator("#now button").all_inner_texts() == ["car 1 36.0 m"]
 
 

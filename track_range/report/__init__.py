@@ -1,1 +1,1 @@
-"""The HTML report, tables and figures."""
+"""The HTML report of runs, the tables of commands, and charts."""

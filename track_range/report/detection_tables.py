@@ -1,4 +1,4 @@
-"""The tables of `evaluate detections`: accuracy and speed, a row per model, and average precision by class."""
+"""Tables of `track-range evaluate detections`: accuracy and speed per model, and average precision by class."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SPEED: tuple[tuple[str, str, str, Cost], ...] = (
 
 
 def accuracy_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per model: size, and means over its averaged classes and over those that all models average."""
+    """One row per model: file size, and means over its averaged classes and the classes averaged for all models."""
     rows = list(figures["models"].values())
     columns = [Column("MB", [row["size_mb"] for row in rows], cost=_less)]
     columns += [Column(head, [figure(row, key) for row in rows], scale=100, cost=_more) for head, key in _ACCURACY]
@@ -44,7 +44,7 @@ def accuracy_grid(figures: Mapping[str, Any]) -> Grid:
 
 
 def speed_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per model and input size: median ms per image by stage."""
+    """One row per model with its input size: median time per image of each stage, in ms."""
     columns = [
         Column(head, [figure(row["speed"], key) for row in figures["models"].values()], pattern, cost=cost)
         for head, key, pattern, cost in _SPEED
@@ -54,22 +54,23 @@ def speed_grid(figures: Mapping[str, Any]) -> Grid:
 
 
 def class_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per class: how much there is to find, and each model's AP50; all of its figures where it is the only."""
+    """One row per class: labelled images and boxes, and AP50 of each model, or all figures of a single model."""
     models = figures["models"]
-    told_of = {name: each for row in models.values() for name, each in row["classes"].items() if each["n_boxes"]}
-    names = [name for name in ROAD_CLASSES if name in told_of]
+    by_name = (item for row in models.values() for item in row["classes"].items())
+    labelled = {name: scores for name, scores in by_name if scores["n_boxes"]}
+    names = [name for name in ROAD_CLASSES if name in labelled]
     columns = [
-        Column("images", [told_of[name]["n_images"] for name in names], "{:.0f}"),
-        Column("boxes", [told_of[name]["n_boxes"] for name in names], "{:.0f}"),
+        Column("images", [labelled[name]["n_images"] for name in names], "{:.0f}"),
+        Column("boxes", [labelled[name]["n_boxes"] for name in names], "{:.0f}"),
     ]
     for model, row in models.items():
-        told = [row["classes"].get(name, {}) for name in names]
-        known = [each if each.get("is_known") else {} for each in told]
+        by_class = [row["classes"].get(name, {}) for name in names]
+        known = [scores if scores.get("is_known") else {} for scores in by_class]
         if len(models) > 1:
-            columns.append(Column(model, [figure(each, "ap50") for each in known], scale=100))
+            columns.append(Column(model, [figure(scores, "ap50") for scores in known], scale=100))
         else:
             columns += [
-                Column(head.removeprefix("m"), [figure(each, key) for each in known], scale=100)
+                Column(head.removeprefix("m"), [figure(scores, key) for scores in known], scale=100)
                 for head, key in _ACCURACY
             ]
     return grid_of("AP50 % by class" if len(models) > 1 else "By class", "class", names, columns)

@@ -1,4 +1,4 @@
-"""How wrong a run's distances are, and whether their sigmas knew it: the numbers of the report's charts.
+"""Data of the report's charts of distance errors and of the calibration of sigma.
 
 error = distance / truth - 1        z = |distance - truth| / sigma        P(z <= k) = erf(k / sqrt 2) if normal
 """
@@ -17,33 +17,36 @@ from track_range.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 from track_range.results.columns import Columns, methods_measured
 
 SCATTER_POINTS = 1500
-"""Points of one method in the chart of errors; more would hide each other."""
+"""Most points of one method in the chart of errors; more would cover each other."""
 
 BAND_M = 10.0
-"""Width of the bands that medians are of."""
+"""Width in metres of the distance bands of the median line."""
 
 MIN_IN_BAND = 3
+"""Fewest errors in a band for a median."""
 
 EXPECTED_SHARES = np.arange(0.05, 1.0, 0.05)
+"""Fractions of errors expected within k sigma at which the calibration curve is sampled."""
 
 _SHARE_KEYS = ((WITHIN_1_SIGMA, "within_1_sigma"), (WITHIN_2_SIGMA, "within_2_sigma"))
+"""Expected fraction, and key of the observed one in a method's row of the summary."""
 
 
 def error_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Per method points (x: true distance in m, y: error in %) and a line of medians by band of distance.
+    """Points (x: true distance in m, y: signed error in %) and a line of medians by distance band, per method.
 
-    Where the rows know no truth, the line is the mean error of each of the summary's bands, without a sign.
+    Without truth in the columns, the line holds the mean absolute error of each distance band in the summary.
     """
-    found = {}
+    curves = {}
     for method in methods_measured(columns):
         truth_m, error_pct = _errors_pct(columns, method)
         if len(truth_m):
             shown = thinned(len(truth_m), SCATTER_POINTS) if not method.endswith("_kf") else slice(0)
-            found[method] = {
+            curves[method] = {
                 "points": [_rounded(truth_m[shown]), _rounded(error_pct[shown])],
                 "line": [_rounded(part) for part in median_by_distance(truth_m, error_pct)],
             }
-    return found or _curves_of_bands(summary)
+    return curves or _curves_of_bands(summary)
 
 
 def _errors_pct(columns: Columns, method: str) -> tuple[FloatArray, FloatArray]:
@@ -55,21 +58,21 @@ def _errors_pct(columns: Columns, method: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _scored_truth_m(columns: Columns) -> FloatArray:
-    """The truth that the tables' errors are of, where the columns tell it apart (`results.truth`)."""
+    """(N,) true distances that the tables' errors refer to, in metres; see `results.truth`."""
     return column(columns, "scored_truth_m" if "scored_truth_m" in columns else "truth_m")
 
 
 def _curves_of_bands(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    found = {}
+    curves = {}
     for method, row in (summary.get("methods") or {}).items():
         line = band_line(row)
         if line:
-            found[method] = {"points": [[], []], "line": [list(part) for part in zip(*line, strict=True)]}
-    return found
+            curves[method] = {"points": [[], []], "line": [list(part) for part in zip(*line, strict=True)]}
+    return curves
 
 
 def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Middle of each band of distance, in m, and the mean error of a summary's method there, in %."""
+    """(Middle of a distance band in m, mean absolute error there in %) for a method's row of a summary."""
     return [
         ((band["from_m"] + band["to_m"]) / 2, error_pct)
         for band in row.get("bands") or []
@@ -78,31 +81,31 @@ def band_line(row: Mapping[str, Any]) -> list[tuple[float, float]]:
 
 
 def median_by_distance(distance_m: FloatArray, error_pct: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Middles of ten-metre bands and the median error in each that has at least three errors."""
+    """Middles in m of distance bands of width `BAND_M`, and median error in each with at least `MIN_IN_BAND` errors."""
     known = np.isfinite(distance_m) & np.isfinite(error_pct)
     band = np.floor(distance_m[known] / BAND_M)
-    found = [
+    medians = [
         (BAND_M * (b + 0.5), np.median(error_pct[known][band == b]))
         for b in np.unique(band)
         if np.sum(band == b) >= MIN_IN_BAND
     ]
-    middles_m, medians = np.array(found, np.float64).reshape(-1, 2).T
-    return middles_m, medians
+    middles_m, median_pct = np.array(medians, np.float64).reshape(-1, 2).T
+    return middles_m, median_pct
 
 
 def calibration_curves(columns: Columns, summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Per method the share of errors expected within k sigma (x, in %) and the share observed (y).
+    """Fractions of errors expected (x) and observed (y) within k sigma, in %, per method.
 
-    Where the rows know no truth, the summary's shares within one and two sigma.
+    Without truth in the columns, the line holds the summary's fractions within one and two sigma.
     """
     k = np.sqrt(2.0) * erfinv(EXPECTED_SHARES)
-    found = {}
+    curves = {}
     for method in methods_measured(columns):
         z = _errors_in_sigmas(columns, method)
         if len(z):
             observed = np.searchsorted(np.sort(z), k, side="right") / len(z)
-            found[method] = {"line": [_rounded(100.0 * EXPECTED_SHARES), _rounded(100.0 * observed)], "n": len(z)}
-    return found or _curves_of_shares(summary)
+            curves[method] = {"line": [_rounded(100.0 * EXPECTED_SHARES), _rounded(100.0 * observed)], "n": len(z)}
+    return curves or _curves_of_shares(summary)
 
 
 def _errors_in_sigmas(columns: Columns, method: str) -> FloatArray:
@@ -113,14 +116,14 @@ def _errors_in_sigmas(columns: Columns, method: str) -> FloatArray:
 
 
 def _curves_of_shares(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    found = {}
+    curves = {}
     for method, row in (summary.get("methods") or {}).items():
         known = [
             (100 * expected, 100 * share) for expected, key in _SHARE_KEYS if (share := figure(row, key)) is not None
         ]
         if known:
-            found[method] = {"line": [list(part) for part in zip(*known, strict=True)], "n": row.get("n")}
-    return found
+            curves[method] = {"line": [list(part) for part in zip(*known, strict=True)], "n": row.get("n")}
+    return curves
 
 
 def _rounded(values: FloatArray) -> list[float]:

@@ -1,7 +1,7 @@
-"""Charts as pictures: how a training run went, and fitted size curves over the boxes they were fitted on.
+"""Charts as PNG files: losses and accuracy of a training run, and fitted size curves over their boxes.
 
-The one door to matplotlib, through its Figure objects: no window, no pyplot, no state between charts. The report draws
-its own charts, by a script in its page.
+Uses matplotlib's Figure objects directly (no pyplot, hence no window and no global state). The charts of the report are
+drawn by the script of its page.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from track_range.ranging.evaluation.curve_comparison import CurveFit
 from track_range.results.output_files import write_bytes
 
 SCATTER_PATHS = 3000
-"""A scatter of more points than this is thinned."""
+"""Most points of a scatter plot; more are thinned."""
 
 
 def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
-    """Losses and average precision over the epochs of a training run, as a PNG; nothing without an epoch.
+    """Draw losses and average precision over the epochs of a training run as a PNG; no file without an epoch.
 
     Args:
         history: rows of results.csv.
-        path: the picture.
+        path: file to write.
 
     Raises:
         OutputError: it cannot be written.
@@ -49,7 +49,7 @@ def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
         axes.set_ylabel(label)
         axes.set_ylim(bottom=0)
         axes.grid(True, alpha=0.25)
-        if axes.lines:  # nothing is validated in the first epochs, where it is not done in each
+        if axes.lines:  # the first epochs may be without a validation
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     lower.set_xlabel("epoch")
     stream = io.BytesIO()
@@ -58,15 +58,15 @@ def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
 
 
 _STROKE = {"dia": ":", "hei": "--"}
-"""Strokes of families of size curves, by the first letters of their names."""
+"""Line style of a family of size curves, by the first letters of its name."""
 
 
 def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[CurveFit]]], path: Path) -> None:
-    """Size curves over the boxes that they were fitted on, a panel per class, as a PNG.
+    """Draw size curves over the boxes that they were fitted to as a PNG, one panel per class.
 
     Args:
-        classes: by class (N, 2) width and height over the focal length, (N,) true distance, and the curves.
-        path: the picture.
+        classes: by class (N, 2) box width and height divided by the focal length, (N,) true distances in m, and curves.
+        path: file to write.
 
     Raises:
         OutputError: it cannot be written.
@@ -74,17 +74,19 @@ def curve_picture(classes: Mapping[str, tuple[FloatArray, FloatArray, Sequence[C
     figure = Figure(figsize=(9.5, 4.2 * len(classes)), layout="constrained")
     panels = figure.subplots(len(classes), 1, squeeze=False)[:, 0]
     for axes, (name, (wh_over_f, distance_m, fits)) in zip(panels, classes.items(), strict=True):
-        height, every = wh_over_f[:, 1], slice(None, None, 1 + len(distance_m) // SCATTER_PATHS)
-        axes.scatter(100 * height[every], distance_m[every], s=7, color="#6b747c", alpha=0.5, lw=0)
-        grid = np.linspace(0.8 * height.min(), 1.3 * height.max(), 300)  # beyond the boxes, where polynomials turn
-        like_most = np.stack([grid * np.median(wh_over_f[:, 0] / height), grid], axis=1)
+        height, step = wh_over_f[:, 1], 1 + len(distance_m) // SCATTER_PATHS
+        axes.scatter(100 * height[::step], distance_m[::step], s=7, color="#6b747c", alpha=0.5, lw=0)
+        grid = np.linspace(
+            0.8 * height.min(), 1.3 * height.max(), 300
+        )  # beyond the boxes, to show how polynomials extrapolate
+        median_shape = np.stack([grid * np.median(wh_over_f[:, 0] / height), grid], axis=1)
         for fit in fits:
-            fitted_m = fit.predict(like_most, np.zeros(len(grid)))
+            fitted_m = fit.predict(median_shape, np.zeros(len(grid)))
             axes.plot(100 * grid, fitted_m, linewidth=1.3, label=fit.curve, linestyle=_STROKE.get(fit.curve[:3], "-"))
         axes.set_ylim(-0.1 * float(distance_m.max()), 1.1 * float(distance_m.max()))
-        axes.set_title(f"{name}: boxes, and curves for the most usual shape")
+        axes.set_title(f"{name}: boxes, and curves for the median aspect ratio")
         axes.set_ylabel("distance, m")
-        axes.set_xlabel("height of the box over the focal length, %")
+        axes.set_xlabel("box height / focal length, %")
         axes.grid(True, alpha=0.25)
         axes.legend(frameon=False, ncols=2)
     stream = io.BytesIO()

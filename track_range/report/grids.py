@@ -1,4 +1,4 @@
-"""The report's tables beyond those of the terminal: metrics of tracking in full, and errors by kind of road user."""
+"""Tables that only the report has: all tracking metrics, and errors by class."""
 
 from __future__ import annotations
 
@@ -18,30 +18,32 @@ MOT_COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("IDF1 %", "idf1", "{:.1f}"),
     ("ID precision %", "idp", "{:.1f}"),
     ("ID recall %", "idr", "{:.1f}"),
-    ("id switches", "idsw", "{:.0f}"),
+    ("ID switches", "idsw", "{:.0f}"),
     ("fragments", "frag", "{:.0f}"),
-    ("false boxes", "fp", "{:.0f}"),
-    ("missed boxes", "fn", "{:.0f}"),
+    ("false positives", "fp", "{:.0f}"),
+    ("false negatives", "fn", "{:.0f}"),
     ("true boxes", "n_truth_boxes", "{:.0f}"),
     ("mostly tracked", "mt", "{:.0f}"),
-    ("partly", "pt", "{:.0f}"),
+    ("partly tracked", "pt", "{:.0f}"),
     ("mostly lost", "ml", "{:.0f}"),
 )
-"""Heading, key in the summary's `tracks`, and format; MOT metrics are per cent already."""
+"""Heading, key in the section `tracks` of the summary, and format; MOT metrics are in per cent already."""
 
 
 def accuracy_grids(summary: Mapping[str, Any]) -> list[Grid]:
-    """Distance errors: each method where it measured, on common coverage, and by kind of road user."""
+    """Distance errors of each method on its own coverage, on common coverage and by class; closing-speed errors."""
     methods, common = summary.get("methods") or {}, summary.get("common") or {}
-    n_common = max((figure(found, "n") or 0 for found in common.values()), default=0)
-    measured = "Distance error, each method where it measured" if _has_errors(methods) else "Coverage of each method"
-    found = [
-        tables.method_grid(measured, methods),
-        tables.method_grid(f"Distance error, on the {n_common:.0f} track-frames that all methods measured", common),
+    n_common = max((figure(row, "n") or 0 for row in common.values()), default=0)
+    title = "Distance error of each method on its own coverage" if _has_errors(methods) else "Coverage of each method"
+    grids = [
+        tables.method_grid(title, methods),
+        tables.method_grid(
+            f"Distance error on common coverage ({n_common:.0f} track-frames measured by all methods)", common
+        ),
         class_grid(methods),
         tables.closing_grid(summary.get("closing") or {}),
     ]
-    return [grid for grid in found if grid.rows]
+    return [grid for grid in grids if grid.rows]
 
 
 def _has_errors(methods: Mapping[str, Mapping[str, Any]]) -> bool:
@@ -49,7 +51,7 @@ def _has_errors(methods: Mapping[str, Mapping[str, Any]]) -> bool:
 
 
 def class_grid(methods: Mapping[str, Mapping[str, Any]]) -> Grid:
-    """Median error of each method by the label's own word for the road user."""
+    """Median error of each method by the class in the ground truth."""
     kinds = sorted({kind for row in methods.values() for kind in row.get("by_class") or {}})
     columns = [
         Column(
@@ -62,29 +64,29 @@ def class_grid(methods: Mapping[str, Mapping[str, Any]]) -> Grid:
         )
         for kind in kinds
     ]
-    grid = grid_of("Median distance error by kind of road user", "method", list(methods), columns)
+    grid = grid_of("Median distance error by class", "method", list(methods), columns)
     return grid if len(grid.columns) > 1 else Grid(grid.title, (), ())
 
 
 def mot_grid(tracks: Mapping[str, Any]) -> Grid:
-    """One row per metric of tracking that was measured."""
+    """One row per tracking metric that was measured."""
     known = [
         (name, pattern.format(value))
         for name, key, pattern in MOT_COLUMNS
         if (value := figure(tracks, key)) is not None
     ]
     rows = tuple((tables.Cell(name), tables.Cell(text)) for name, text in known)
-    return Grid("Metrics of tracking", ("metric", "value"), rows)
+    return Grid("Tracking metrics", ("metric", "value"), rows)
 
 
 def speed_grids(summary: Mapping[str, Any]) -> list[Grid]:
-    """What stages take, and what each method costs beside how sure it says it is."""
-    return [grid for grid in (tables.speed_grid(summary), tables.claim_grid(summary)) if len(grid.columns) > 1]
+    """Run time of the stages, and reported uncertainty and run time of the methods."""
+    return [grid for grid in (tables.speed_grid(summary), tables.uncertainty_grid(summary)) if len(grid.columns) > 1]
 
 
 def stage_bars(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Milliseconds per frame of each stage that ran, and its share of the longest."""
-    found = summary.get("stages_ms") or {}
-    ran = {name: ms for name in found if (ms := figure(found, name))}
+    """Run time of each stage in ms per frame, and in per cent of the longest stage."""
+    stages_ms = summary.get("stages_ms") or {}
+    ran = {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
     longest = max(ran.values(), default=1.0)
     return [{"name": name, "text": f"{ms:.1f}", "share_pct": round(100 * ms / longest, 1)} for name, ms in ran.items()]

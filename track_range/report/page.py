@@ -1,8 +1,8 @@
-"""The report: one self-contained page of a run, or of several side by side; it needs no network.
+"""The report: one self-contained HTML page of a run, or of several runs; it works offline.
 
-The overlay video stays a file beside the page. Everything that a user or a model could have named (files, classes,
-notes) is escaped, in the text and in the data; the page's own script and style go in as they are, and a content policy
-with the script's checksum lets no other run.
+The overlay video is a separate file. All text from outside (names of files and classes, notes) is escaped, in the
+markup and in the embedded data. Script and style are embedded, and a content security policy with the checksum of the
+script blocks all others.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from track_range.report import tables
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, error_lines, settings_grid
 from track_range.report.errors import calibration_curves, error_curves
 from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
-from track_range.report.sentences import cards, geometry_words, run_name, settings_groups, sigma_words
+from track_range.report.sentences import cards, geometry_sentences, run_name, settings_groups, sigma_sentences
 from track_range.report.series import track_records
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.output_files import write_text
 
-_NEVER_SHOWN_FIRST = "_kf"
-"""Filtered methods lie on top of the measured ones: their lines are there, but wait to be switched on, but for one."""
+_FILTERED = "_kf"
+"""Ending of the names of filtered methods, which are hidden at first where the unfiltered method is shown."""
 
 
 def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> None:
-    """Write the page of a run; the file appears whole or not at all.
+    """Write the report of a run atomically.
 
     Args:
-        path: the file to write, usually report.html beside overlay.mp4.
-        summary: what summary.json holds.
-        columns: tracks.csv by column, NaN = empty, with the truth (`results.truth`) where there is one; zero rows when
-            nothing was tracked.
+        path: file to write, usually report.html in the folder of overlay.mp4.
+        summary: content of summary.json.
+        columns: tracks.csv by column, NaN = empty, with the ground truth (`results.truth`) where there is one; zero
+            rows without tracks.
 
     Raises:
         OutputError: the file cannot be written.
@@ -49,7 +49,7 @@ def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> No
 
 
 def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
-    """Write the page of several runs side by side; the file appears whole or not at all.
+    """Write the page that compares several runs, atomically.
 
     Raises:
         OutputError: the file cannot be written.
@@ -58,12 +58,12 @@ def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
 
 
 def _write_page(path: Path, page: str) -> None:
-    # A file name need not be text: what UTF-8 cannot hold becomes a question mark.
+    # File names may contain bytes that are not UTF-8; they are replaced by question marks.
     write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
 
 
 def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
-    """The page's HTML."""
+    """HTML of the report of a run."""
     return _rendered(
         "report.html.j2",
         title=run_name(summary),
@@ -76,8 +76,8 @@ def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
         stages=stage_bars(summary),
         mot=mot_grid(summary.get("tracks") or {}),
         mot_classes=(summary.get("tracks") or {}).get("classes") or [],
-        sigma_words=sigma_words(summary),
-        geometry=geometry_words(summary),
+        sigma_sentences=sigma_sentences(summary),
+        geometry=geometry_sentences(summary),
         n_tracks=len(np.unique(columns["track_id"])),
         settings=list(settings_groups(summary)),
         content=embedded(run_content(summary, columns)),
@@ -85,10 +85,10 @@ def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
 
 
 def comparison_page(runs: Sequence[ComparedRun]) -> str:
-    """The HTML of several runs side by side."""
+    """HTML of the page that compares several runs."""
     return _rendered(
         "comparison.html.j2",
-        title=f"{len(runs)} runs side by side",
+        title=f"Comparison of {len(runs)} runs",
         runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
         notes=comparison_notes(runs),
         grids=comparison_grids(runs),
@@ -98,7 +98,7 @@ def comparison_page(runs: Sequence[ComparedRun]) -> str:
 
 
 def run_content(summary: Mapping[str, Any], columns: Columns) -> dict[str, Any]:
-    """What the page's script draws from."""
+    """Data for the script of the page."""
     errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
     names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
     colours = colour_of_each(names)
@@ -113,33 +113,33 @@ def run_content(summary: Mapping[str, Any], columns: Columns) -> dict[str, Any]:
 
 
 def _is_shown_first(name: str, names: Sequence[str]) -> bool:
-    return not name.endswith(_NEVER_SHOWN_FIRST) or name.removesuffix(_NEVER_SHOWN_FIRST) not in names
+    return not name.endswith(_FILTERED) or name.removesuffix(_FILTERED) not in names
 
 
 def video_starts_s(summary: Mapping[str, Any]) -> float:
-    """Time of the overlay's first frame: as the summary says, else the whole drive is taken to be in it."""
+    """Time of the overlay's first frame in seconds, from the summary; 0 where that lacks it."""
     return round(tables.figure(summary, "starts_s") or 0.0, 6)
 
 
 def video_link(summary: Mapping[str, Any]) -> str | None:
-    """Address of the overlay video relative to the page, None when the run wrote none."""
+    """Address of the overlay video relative to the page; None without an overlay."""
     name = (summary.get("files") or {}).get("overlay")
     return address(str(name)) if name else None
 
 
 def address(path: str) -> str:
-    """A relative path as an address in a page; bytes of a file's name that are no text are kept."""
+    """A relative path as a URL; bytes of a file name that are not text are percent-encoded."""
     return quote(path, errors="surrogateescape")
 
 
 def embedded(content: Mapping[str, Any]) -> str:
-    """JSON that may stand inside an element of a page: no markup, not even a comment, can begin in it."""
+    """JSON for embedding in an HTML element: characters that could begin markup or a comment are escaped."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _rendered(template: str, **values: Any) -> str:
-    # Autoescape is on by name: the usual choice by file ending does not know `.j2`.
+    # Autoescape is set explicitly: jinja2's choice by file suffix does not cover `.j2`.
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("track_range.report", "assets"),
         autoescape=True,

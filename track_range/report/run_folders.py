@@ -1,4 +1,4 @@
-"""Reports of runs written again from their folders, and a comparison of several runs."""
+"""Reports rewritten from the folders of runs, and the comparison of several runs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from track_range.results.writers import result_names
 
 @dataclass(frozen=True, slots=True)
 class WrittenReport:
-    """What `report` wrote.
+    """Result of `report`.
 
     Attributes:
-        page: the page to open.
-        grids: of a comparison, its tables.
-        missing: sentences about files that a folder lacks.
-        notes: of a comparison, what limits it.
+        page: page to open.
+        grids: tables of a comparison; none for a single run.
+        missing: sentences about files that are missing in a folder.
+        notes: limits of a comparison; none for a single run.
     """
 
     page: Path
@@ -36,12 +36,12 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
     """Write report.html into the folder of each run and, for several runs, a page that compares them.
 
     Args:
-        folders: results of runs; a folder that is given twice counts once.
-        out: page of a single run in place of the one in its folder, or page of the comparison (None =
-            comparison.html in the current folder).
+        folders: result folders of runs; duplicates are ignored.
+        out: page of a single run instead of the one in its folder, or page of the comparison (None = comparison.html
+            in the current folder).
 
     Raises:
-        OutputError: a folder holds no run, or a page cannot be written or would overwrite what it is made from.
+        OutputError: a folder contains no run, or a page cannot be written or would overwrite an input.
     """
     runs = [read_run_folder(folder) for folder in {folder.resolve(): folder for folder in folders}.values()]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
@@ -61,7 +61,7 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
 
 def _write(path: Path, run: RunFolder) -> None:
     files = run.summary["files"]
-    if path.parent.resolve() != run.folder.resolve():  # the overlay stays where it is: a page elsewhere points there
+    if path.parent.resolve() != run.folder.resolve():  # links are relative to the page
         files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
     write_report(path, {**run.summary, "files": files}, run.columns)
 
@@ -71,7 +71,7 @@ def _relative(path: Path, start: Path) -> str:
 
 
 def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
-    """Write the runs' own pages and the one that compares them."""
+    """Write the report of each run and the comparison page."""
     for run in runs:
         _write(run.folder / "report.html", run)
     compared = [
@@ -89,10 +89,10 @@ def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
 
 
 def short_names(folders: Sequence[Path]) -> list[str]:
-    """The last parts of each path, as many as make all of them different."""
+    """Last parts of each path, as many as make the names unique."""
     parts = [folder.resolve().parts for folder in folders]
     for n in range(1, max(map(len, parts)) + 1):
-        names = ["/".join(each[-n:]) for each in parts]
+        names = ["/".join(path[-n:]) for path in parts]
         if len(set(names)) == len(names):
             return names
     return [str(folder) for folder in folders]

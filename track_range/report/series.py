@@ -1,9 +1,9 @@
-"""A run's tracks as text small enough to be carried by its report: whole numbers, as steps from one to the next.
+"""Compact text encoding of a run's tracks for its report: integers, delta-coded.
 
-    25.261 m, nothing, 25.102 m  ->  2526 cm, -, 2510 cm  ->  "2526,,-16"
+    25.261 m, NaN, 25.102 m  ->  2526 cm, -, 2510 cm  ->  "2526,,-16"
 
-Times are milliseconds, distances and sigmas centimetres, speeds decimetres per second. The page's script unpacks a
-track only when its chart comes into view. Where all tracks together have too many points, the longest are thinned.
+Times are in milliseconds, distances and sigmas in centimetres, speeds in decimetres per second. The script of the page
+decodes a track when its chart comes into view. If all tracks together have too many points, the longest are thinned.
 """
 
 from __future__ import annotations
@@ -17,23 +17,24 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.results.columns import Columns, methods_measured
 
 LINE_POINTS = 1200
-"""A longer line is thinned to at most as many: a page shows about one per pixel."""
+"""Most points of a line; longer ones are thinned. A page shows about one point per pixel."""
 
 MOST_CELLS = 1_800_000
-"""Numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
+"""Most numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
 
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS = 1000.0, 100.0, 10.0
+"""Resolution of times, distances and speeds."""
 
 
 def column(columns: Columns, name: str, rows: BoolArray | IntArray | slice = slice(None)) -> FloatArray:
-    """A column's rows, all NaN where the run has no such column."""
+    """Rows of a column as float64; all NaN where the run has no such column."""
     if name in columns:
         return np.asarray(columns[name][rows], np.float64)
     return np.full(len(columns["time_s"][rows]), np.nan)
 
 
 def packed(values: FloatArray, ticks_per_unit: float) -> str:
-    """(N,) values as text: rounded to ticks, each as the step from the last one known, empty where NaN."""
+    """(N,) values as text: rounded to ticks, each as the difference from the last finite one, empty where NaN."""
     known = np.isfinite(values)
     steps = np.diff(np.round(values[known] * ticks_per_unit), prepend=0.0).astype(np.int64)
     cells = np.full(len(values), "", dtype=object)
@@ -42,22 +43,22 @@ def packed(values: FloatArray, ticks_per_unit: float) -> str:
 
 
 def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
-    """What the page knows of each track, the longest first; a series is left out where nothing was measured.
+    """Data of each track for the page, longest track first; series without values are omitted.
 
-    Keys: id, name (the class), n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, truth, closing;
-    observed ("1101": the third box was predicted; missing = none was); m and s: distance and sigma by method.
+    Keys: id, name (class), n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, truth, closing;
+    observed ("1101": the third box was predicted; missing = all observed); m and s: distance and sigma by method.
     """
-    runs = _rows_of_each(columns)
-    limit = _longest_line([len(rows) for rows in runs], n_series=_n_series(columns))
+    row_sets = _rows_by_track(columns)
+    limit = _longest_line([len(rows) for rows in row_sets], n_series=_n_series(columns))
     methods = methods_measured(columns)
-    for rows in runs:
+    for rows in row_sets:
         track = {name: values[rows] for name, values in columns.items()}
         shown = thinned(len(rows), limit)
-        yield {**_facts(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
+        yield {**_properties(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
 
 
-def _rows_of_each(columns: Columns) -> list[IntArray]:
-    """The rows of each track in the order of time, the longest track first."""
+def _rows_by_track(columns: Columns) -> list[IntArray]:
+    """Rows of each track in the order of time, longest track first."""
     track_id = columns["track_id"]
     if not len(track_id):
         return []
@@ -75,7 +76,7 @@ def _sigma(method: str) -> str:
 
 
 def _longest_line(lengths: list[int], *, n_series: int) -> int:
-    """The most points a line may have for all of them to fit into a page."""
+    """Most points per line such that all lines fit into a page."""
     limit = LINE_POINTS
     while limit > 8 and n_series * sum(min(length, limit) for length in lengths) > MOST_CELLS:
         limit = int(0.9 * limit)
@@ -83,11 +84,11 @@ def _longest_line(lengths: list[int], *, n_series: int) -> int:
 
 
 def thinned(n: int, limit: int) -> IntArray:
-    """At most `limit` of n rows, evenly, with the first and the last."""
+    """At most `limit` of n rows, evenly spaced, including the first and the last."""
     return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(np.int64))
 
 
-def _facts(track: Columns) -> dict[str, Any]:
+def _properties(track: Columns) -> dict[str, Any]:
     time_s, fused_m = column(track, "time_s"), column(track, "fused_m")
     truth_m = column(track, "truth_m")
     error = np.abs(fused_m / np.where(truth_m > 0, truth_m, np.nan) - 1.0)
@@ -110,14 +111,14 @@ def _rounded(values: FloatArray, reduce: Any) -> float | None:
 
 
 def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
-    found: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
+    series: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
     for name, key, ticks in (("truth_m", "truth", TICKS_PER_M), ("closing_mps", "closing", TICKS_PER_MPS)):
         values = column(track, name)
-        found |= {key: packed(values, ticks)} if np.isfinite(values).any() else {}
+        series |= {key: packed(values, ticks)} if np.isfinite(values).any() else {}
     observed = column(track, "observed") != 0
-    found |= {} if observed.all() else {"observed": "".join("1" if each else "0" for each in observed)}
+    series |= {} if observed.all() else {"observed": "".join("1" if flag else "0" for flag in observed)}
     for method in methods:
         for key, name in (("m", f"{method}_m"), ("s", _sigma(method))):
             values = column(track, name)
-            found[key] |= {method: packed(values, TICKS_PER_M)} if np.isfinite(values).any() else {}
-    return found
+            series[key] |= {method: packed(values, TICKS_PER_M)} if np.isfinite(values).any() else {}
+    return series

@@ -1,9 +1,9 @@
-"""The side-by-side tables of a run's summary: plain grids for the terminal and the report, and as Markdown.
+"""Tables of a run's summary, for the terminal and the report, and as Markdown.
 
-A summary is what `summary.json` holds. Figures without `_pct` are fractions 0..1, shown per cent here; MOT metrics are
-per cent already; None (or a missing key, or NaN) was not measured and shows as "-". A column that nobody measured
-(all errors, when a run has no truth) is left out. The best value of a column is marked: the largest coverage, the
-smallest error, the bias nearest 0, and the share within k sigma nearest a normal distribution's.
+A summary is the content of `summary.json`. Figures without `_pct` are fractions 0..1 and are shown in per cent; MOT
+metrics are in per cent already. None, NaN or a missing key means not measured, shown as "-". A column without any value
+(such as errors of a run without ground truth) is omitted. The best value of a column is marked: the largest coverage,
+the smallest error, the bias nearest 0, and the fraction within k sigma nearest to that of a normal distribution.
 """
 
 from __future__ import annotations
@@ -14,17 +14,20 @@ from dataclasses import dataclass
 from typing import Any
 
 NOTHING = "-"
+"""Text of a value that was not measured."""
+
 SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 
 WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545
-"""Shares of a normal distribution."""
+"""Fractions of a normal distribution within one and two standard deviations of the mean."""
 
 Cost = Callable[[float], float]
+"""Function of a value that is smallest for the best value of a column."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One figure as text; `best` marks the column's best."""
+    """One figure as text; `best` marks the best one of its column."""
 
     text: str
     best: bool = False
@@ -32,7 +35,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table without a medium: rows of cells; the first column names the row, the others are figures."""
+    """A table, independent of its rendering: rows of cells, the first of which names the row."""
 
     title: str
     columns: tuple[str, ...]
@@ -41,7 +44,15 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column's heading, its values, how one is written, and what the best one has least of (None: no best)."""
+    """A column of figures.
+
+    Attributes:
+        heading: text above the column.
+        values: one per row; None = not measured.
+        pattern: format of a value after scaling.
+        scale: factor from the stored to the shown value.
+        cost: function that is smallest for the best value; None = no value is marked.
+    """
 
     heading: str
     values: Sequence[float | None]
@@ -50,7 +61,7 @@ class Column:
     cost: Cost | None = None
 
     def cells(self) -> list[Cell]:
-        """One cell per value; values that read the same as the best are marked with it."""
+        """One cell per value; all values whose text equals that of the best are marked."""
         texts = [NOTHING if value is None else self.pattern.format(self.scale * value) for value in self.values]
         known = [value for value in self.values if value is not None]
         if self.cost is None or len(known) < 2:
@@ -59,19 +70,19 @@ class Column:
         return [Cell(text, text == best) for text in texts]
 
 
-def figure(found: Mapping[str, Any], key: str) -> float | None:
-    """A number of a summary, None where it is missing, null or NaN."""
-    value = found.get(key)
+def figure(section: Mapping[str, Any], key: str) -> float | None:
+    """A number of a section of a summary; None where it is missing, null or NaN."""
+    value = section.get(key)
     return None if value is None or math.isnan(value) else float(value)
 
 
-def from_normal(share: float) -> Cost:
-    """Cost of a measured share: its distance from the one wanted."""
-    return lambda value: abs(value - share)
+def from_normal(expected: float) -> Cost:
+    """Cost of an observed fraction: its distance from the expected one."""
+    return lambda value: abs(value - expected)
 
 
 METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
-    ("cover %", "coverage", "{:.0f}", 100.0, lambda value: -value),
+    ("coverage %", "coverage", "{:.0f}", 100.0, lambda value: -value),
     ("n", "n", "{:.0f}", 1.0, None),
     ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
@@ -79,30 +90,32 @@ METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
     (f"in 1{SIGMA} %", "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),
     (f"in 2{SIGMA} %", "within_2_sigma", "{:.0f}", 100.0, from_normal(WITHIN_2_SIGMA)),
 )
-"""Heading, key in the summary, format, factor and cost of each column of a method's row."""
+"""Heading, key in a method's row of the summary, format, scale and cost of each column."""
 
 
 STAGE_OF = {"fused": "fuse"}
-"""Stages of methods that are called otherwise; filtered methods are timed with the fusion."""
+"""Stage that times a method, where it has another name; filtered methods are part of the fusion stage."""
 
 
 def grids(summary: Mapping[str, Any]) -> list[Grid]:
-    """The tables that a summary has something for: methods, the same on common coverage, speed, tracks."""
+    """Non-empty tables of a summary: methods, methods on common coverage, closing speed, sigma, run time, tracks."""
     methods, common = summary.get("methods") or {}, summary.get("common") or {}
-    n_common = max((figure(found, "n") or 0 for found in common.values()), default=0)
-    found = [
-        method_grid("Distance error, each method where it measured" if common else "Coverage of each method", methods),
-        method_grid(f"Distance error, on the {n_common:.0f} track-frames that all methods measured", common),
+    n_common = max((figure(row, "n") or 0 for row in common.values()), default=0)
+    tables = [
+        method_grid(
+            "Distance error of each method on its own coverage" if common else "Coverage of each method", methods
+        ),
+        method_grid(f"Distance error on common coverage ({n_common:.0f} track-frames measured by all methods)", common),
         closing_grid(summary.get("closing") or {}),
-        claim_grid(summary),
+        uncertainty_grid(summary),
         speed_grid(summary),
         track_grid(summary.get("tracks") or {}),
     ]
-    return [grid for grid in found if grid.rows]
+    return [grid for grid in tables if grid.rows]
 
 
 def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
-    """One row per method: coverage, errors, calibration of sigma, error by band of distance."""
+    """One row per method: coverage, errors, calibration of sigma, mean error by distance band."""
     rows = list(methods.values())
     columns = [
         Column(heading, [figure(row, key) for row in rows], pattern, scale, cost)
@@ -115,9 +128,9 @@ def method_grid(title: str, methods: Mapping[str, Mapping[str, Any]]) -> Grid:
 
 
 def closing_grid(closing: Mapping[str, Any]) -> Grid:
-    """One row: how far closing speeds are from the truth, in m/s, where it knows them."""
+    """One row: errors of the closing speeds against ground truth that contains them, in m/s."""
     columns = [
-        Column("cover %", [figure(closing, "coverage")], "{:.0f}", 100.0),
+        Column("coverage %", [figure(closing, "coverage")], "{:.0f}", 100.0),
         Column("n", [figure(closing, "n")], "{:.0f}"),
         Column("mean m/s", [figure(closing, "mean_error_mps")], "{:.2f}"),
         Column("median m/s", [figure(closing, "median_error_mps")], "{:.2f}"),
@@ -126,59 +139,59 @@ def closing_grid(closing: Mapping[str, Any]) -> Grid:
         Column(f"in 2{SIGMA} %", [figure(closing, "within_2_sigma")], "{:.0f}", 100.0),
         Column(f"{SIGMA} m/s", [figure(closing, "median_sigma_mps")], "{:.2f}"),
     ]
-    return grid_of("Error of the closing speed", "of", ["fused_kf"] if closing else [], columns)
+    return grid_of("Error of the closing speed", "method", ["fused_kf"] if closing else [], columns)
 
 
-def claim_grid(summary: Mapping[str, Any]) -> Grid:
-    """One row per method: how sure it says it is (known without any truth, too), and what it costs."""
+def uncertainty_grid(summary: Mapping[str, Any]) -> Grid:
+    """One row per method: median relative sigma (known without ground truth) and run time."""
     methods, stages_ms = summary.get("methods") or {}, summary.get("stages_ms") or {}
     columns = [
         Column(f"{SIGMA} %", [figure(row, "median_sigma_pct") for row in methods.values()]),
         Column("ms/frame", [figure(stages_ms, STAGE_OF.get(name, name)) or None for name in methods], "{:.2f}"),
     ]
-    return grid_of("What each method claims (median relative sigma) and costs", "method", list(methods), columns)
+    return grid_of("Reported uncertainty (median relative sigma) and run time", "method", list(methods), columns)
 
 
 def band_error_pct(row: Mapping[str, Any], band: tuple[float, float]) -> float | None:
-    """Mean relative error of one method in one band, None where it measured nothing there."""
-    found = [each for each in row.get("bands") or [] if (each["from_m"], each["to_m"]) == band]
-    return figure(found[0], "mean_relative_error_pct") if found else None
+    """Mean relative error of a method in one distance band, in per cent; None where it measured nothing."""
+    sections = [section for section in row.get("bands") or [] if (section["from_m"], section["to_m"]) == band]
+    return figure(sections[0], "mean_relative_error_pct") if sections else None
 
 
 def speed_grid(summary: Mapping[str, Any]) -> Grid:
-    """One row per stage that ran, and the whole run by the wall's clock.
+    """One row per stage that ran, and one for the whole run (wall clock).
 
-    Stages overlap in threads; detection and background work are timed by the wall clock, the others by their processor
+    Stages overlap in threads; detection and background work are measured in wall-clock time, the others in processor
     time.
     """
-    found = summary.get("stages_ms") or {}
-    stages = {name: ms for name in found if (ms := figure(found, name))}
+    stages_ms = summary.get("stages_ms") or {}
+    stages = {name: ms for name in stages_ms if (ms := figure(stages_ms, name))}
     fps = frames_per_s(summary)
     names = list(stages) + (["whole run"] if fps else [])
     values = [*stages.values(), 1000.0 / fps] if fps else list(stages.values())
     columns = [Column("ms/frame", values, "{:.2f}"), Column("frames/s", [1000.0 / ms for ms in values])]
-    return grid_of("Speed, stages overlap", "stage", names, columns)
+    return grid_of("Run time of the stages, which overlap", "stage", names, columns)
 
 
 def frames_per_s(summary: Mapping[str, Any]) -> float | None:
-    """Speed of the whole run, from its frames and its wall time where it is not said."""
-    said, wall_s = figure(summary, "frames_per_s"), figure(summary, "wall_s")
-    return said or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
+    """Frame rate of the whole run; computed from frames and wall time where the summary lacks it."""
+    stored, wall_s = figure(summary, "frames_per_s"), figure(summary, "wall_s")
+    return stored or (summary.get("frames", 0) / wall_s if wall_s and wall_s > 1e-6 else 0.0) or None
 
 
 def track_grid(tracks: Mapping[str, Any]) -> Grid:
-    """One row: how many tracks, and how well they follow the truth."""
+    """One row: number of tracks and MOT metrics."""
     columns = [
         Column("n", [figure(tracks, "n")], "{:.0f}"),
         Column("MOTA %", [figure(tracks, "mota")]),
         Column("IDF1 %", [figure(tracks, "idf1")]),
-        Column("id switches", [figure(tracks, "idsw")], "{:.0f}"),
+        Column("ID switches", [figure(tracks, "idsw")], "{:.0f}"),
     ]
     return grid_of("Tracks", "", ["all"] if tracks else [], columns)
 
 
 def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Column]) -> Grid:
-    """A grid of the columns that have at least one value."""
+    """A grid with a row per name, of the columns that have values; `corner` is the heading above the names."""
     kept = [column for column in columns if any(value is not None for value in column.values)]
     cells = [[Cell(name) for name in names], *(column.cells() for column in kept)]
     headings = (corner, *(column.heading for column in kept))
@@ -186,10 +199,10 @@ def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Col
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
-    """The same tables as Markdown, the best figures bold, with what is the truth and the run's notes."""
+    """The tables of a summary as Markdown, best figures in bold, with the source of the ground truth and the notes."""
     parts = [markdown_table(grid) for grid in grids(summary)]
     if summary.get("truth"):
-        parts.append(f"Truth: {summary['truth']}")
+        parts.append(f"Ground truth: {summary['truth']}")
     parts += ["\n".join(f"- {note}" for note in summary["notes"])] if summary.get("notes") else []
     return "\n\n".join(parts) + "\n" if parts else ""
 
@@ -205,5 +218,5 @@ def markdown_table(grid: Grid) -> str:
 
 
 def escape_markdown(text: str) -> str:
-    """Text that a pipe table shows as it is."""
+    """Text escaped for a pipe table."""
     return text.replace("\\", "\\\\").replace("|", "\\|")

@@ -38,7 +38,7 @@ def _ranges(options: RangesOptions) -> None:
 
 
 _COLUMNS: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
-    ("cover %", "coverage", "{:.0f}", 100.0, None),
+    ("coverage %", "coverage", "{:.0f}", 100.0, None),
     ("n", "n", "{:.0f}", 1.0, None),
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),

@@ -38,7 +38,7 @@ _ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
 """Heading, key, format, factor and cost of a column, as `tables.METHOD_COLUMNS`."""
 
 _COLUMNS: tuple[_ColumnSpec, ...] = (
-    ("cover %", "coverage", "{:.1f}", 100.0, lambda value: -value),
+    ("coverage %", "coverage", "{:.1f}", 100.0, lambda value: -value),
     ("n", "n", "{:.0f}", 1.0, None),
     ("fail %", "failures_pct", "{:.1f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),

@@ -1,4 +1,4 @@
-// The pages of a run and of several: tables that sort, charts drawn when they come into view, and a video that runs with them.
+// Script of the report and the comparison page: sortable tables, charts drawn when they come into view, video linked to the charts.
 "use strict";
 (() => {
   const content = JSON.parse(document.getElementById("run-content").textContent);
@@ -8,17 +8,17 @@
   const byId = (id) => document.getElementById(id);
 
   function element(name, attributes = {}, ...children) {
-    const made = document.createElement(name);
-    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-    made.append(...children);
-    return made;
+    const node = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    node.append(...children);
+    return node;
   }
 
   function shape(name, attributes = {}, text = "") {
-    const made = document.createElementNS(SVG, name);
-    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-    if (text) made.textContent = text;
-    return made;
+    const node = document.createElementNS(SVG, name);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    if (text) node.textContent = text;
+    return node;
   }
 
   // ---- theme ----
@@ -29,7 +29,7 @@
     let chosen = "system";
     try {
       chosen = localStorage.getItem("track-range-theme") || "system";
-    } catch { /* a browser may keep nothing for files: then the choice lasts as long as the page */ }
+    } catch { /* without local storage (some browsers, for local files) the choice is lost when the page is closed */ }
     const show = () => {
       if (chosen === "system") delete document.documentElement.dataset.theme;
       else document.documentElement.dataset.theme = chosen;
@@ -56,20 +56,20 @@
       heading.setAttribute("aria-sort", "none");
       button.addEventListener("click", () => {
         const isUp = heading.getAttribute("aria-sort") !== "ascending";
-        headings.forEach((each) => each.setAttribute("aria-sort", "none"));
+        headings.forEach((other) => other.setAttribute("aria-sort", "none"));
         heading.setAttribute("aria-sort", isUp ? "ascending" : "descending");
         sortRows(table.tBodies[0], index, isUp ? 1 : -1);
       });
     });
   }
 
-  function sortRows(body, index, way) {
+  function sortRows(body, index, sign) {
     const key = (row) => row.cells[index].textContent.trim();
     const isEmpty = (text) => text === "-" || text === "";
     const compare = (a, b) => {
-      if (isEmpty(a) || isEmpty(b)) return isEmpty(a) - isEmpty(b); // what was not measured stays below
+      if (isEmpty(a) || isEmpty(b)) return isEmpty(a) - isEmpty(b); // values that were not measured stay at the bottom
       const numbers = [parseFloat(a), parseFloat(b)];
-      return way * (numbers.some(Number.isNaN) ? a.localeCompare(b) : numbers[0] - numbers[1]);
+      return sign * (numbers.some(Number.isNaN) ? a.localeCompare(b) : numbers[0] - numbers[1]);
     };
     body.append(...[...body.rows].sort((a, b) => compare(key(a), key(b))));
   }
@@ -79,13 +79,13 @@
   function ticks(low, high, about) {
     const rough = (high - low) / about;
     const power = 10 ** Math.floor(Math.log10(rough));
-    const step = power * ([1, 2, 5].find((each) => each * power >= rough) || 10);
-    const found = [];
-    for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++) found.push(i * step);
-    return { at: found, decimals: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+    const step = power * ([1, 2, 5].find((factor) => factor * power >= rough) || 10);
+    const positions = [];
+    for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++) positions.push(i * step);
+    return { at: positions, decimals: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
   }
 
-  // A box's axes; `plot` is clipped to them, `toX` and `toY` go from figures to its pixels.
+  // Axes of a box: `plot` is clipped to them; `toX` and `toY` convert figures to pixels of `plot`.
   function axes(box, { x, y }) {
     const width = box.clientWidth, height = box.clientHeight;
     const inner = { width: width - MARGIN.left - MARGIN.right, height: height - MARGIN.top - MARGIN.bottom };
@@ -114,7 +114,7 @@
     return { plot, toX, toY, inner };
   }
 
-  // Path of a line that breaks where nothing is known and where `isBreak(i)` says so before point i.
+  // Path of a line with gaps at missing values, and before each point i for which `isBreak(i)` is true.
   function linePath(xs, ys, isBreak = () => false) {
     let path = "", isDown = false;
     for (let i = 0; i < xs.length; i++) {
@@ -171,7 +171,7 @@
     return sorted[Math.min(sorted.length - 1, Math.round(share * (sorted.length - 1)))];
   }
 
-  // ---- charts that wait until they are seen ----
+  // ---- charts drawn when they come into view ----
 
   const waiting = new Map(); // box -> { draw, isSeen, isStale }
   const seen = new IntersectionObserver((entries) => {
@@ -277,7 +277,7 @@
     return unpackedTracks.get(track);
   }
 
-  // The last row at or before a time; -1 = the track was not there.
+  // Last row at or before a time; -1 = the track does not exist at that time.
   function rowAt(track, time_s) {
     const { t } = series(track);
     if (time_s < t[0] - 0.001) return -1;
@@ -295,8 +295,8 @@
 
   function detailOf(track) {
     const words = [`${track.n} frame${track.n === 1 ? "" : "s"}, ${track.from_s.toFixed(1)} to ${track.to_s.toFixed(1)} s`];
-    if (track.near_m !== null) words.push(`nearest ${track.near_m.toFixed(1)} m`);
-    if (track.ttc_s !== null) words.push(`shortest time to collision ${track.ttc_s.toFixed(1)} s`);
+    if (track.near_m !== null) words.push(`minimum distance ${track.near_m.toFixed(1)} m`);
+    if (track.ttc_s !== null) words.push(`minimum time to collision ${track.ttc_s.toFixed(1)} s`);
     if (track.error_pct !== null) words.push(`median error of fused ${track.error_pct.toFixed(1)} %`);
     return words.join(" \u00b7 ");
   }
@@ -319,14 +319,14 @@
     const { m, s, truth } = series(track);
     const known = [];
     for (const { name } of shownMethods()) if (m[name]) known.push(...m[name].filter(Number.isFinite));
-    if (m.fused && s.fused) // its band, too, as far as the limits below let it
-      for (const way of [-1, 1]) known.push(...Array.from(m.fused, (value, i) => value + way * s.fused[i]).filter(Number.isFinite));
-    const sure = [m.fused, truth].filter(Boolean).flatMap((values) => [...values.filter(Number.isFinite)]);
-    if (!known.length && !sure.length) return [0, 10];
-    const all = known.length ? known : sure;
+    if (m.fused && s.fused) // the band of sigma, within the limits below
+      for (const sign of [-1, 1]) known.push(...Array.from(m.fused, (value, i) => value + sign * s.fused[i]).filter(Number.isFinite));
+    const reliable = [m.fused, truth].filter(Boolean).flatMap((values) => [...values.filter(Number.isFinite)]);
+    if (!known.length && !reliable.length) return [0, 10];
+    const all = known.length ? known : reliable;
     let low = quantile(all, 0), high = quantile(all, 1);
-    if (sure.length) { // one wild measurement must not flatten the rest
-      const [from, to] = [quantile(sure, 0), quantile(sure, 1)];
+    if (reliable.length) { // outliers must not flatten the other values
+      const [from, to] = [quantile(reliable, 0), quantile(reliable, 1)];
       const span = Math.max(to - from, 0.3 * to);
       [low, high] = [Math.min(from, Math.max(low, from - span)), Math.max(to, Math.min(high, to + span))];
     }
@@ -344,7 +344,7 @@
       const { t } = series(track);
       this.box.setAttribute("aria-valuemin", t[0]);
       this.box.setAttribute("aria-valuemax", t[t.length - 1]);
-      this.tell(Math.max(0, rowAt(track, now_s)));
+      this.announce(Math.max(0, rowAt(track, now_s)));
       this.box.addEventListener("pointerdown", (event) => this.onPointer(event, true));
       this.box.addEventListener("pointermove", (event) => this.onPointer(event, event.buttons === 1));
       this.box.addEventListener("pointerleave", () => this.follow());
@@ -392,7 +392,7 @@
       this.point(rowAt(this.track, now_s));
     }
 
-    // Put the cursor at a row and say what stands there.
+    // Move the cursor to a row and show the values of that row.
     point(row) {
       this.row = row;
       if (this.line) {
@@ -401,11 +401,11 @@
         this.line.setAttribute("x1", at);
         this.line.setAttribute("x2", at);
       }
-      if (row < 0) this.readout.textContent = "not there at this moment";
+      if (row < 0) this.readout.textContent = "no box at this time";
       else this.readout.replaceChildren(...wordsAt(this.track, row).flatMap(([name, value]) => [element("b", {}, name), ` ${value} `]));
     }
 
-    tell(row) {
+    announce(row) {
       this.box.setAttribute("aria-valuenow", series(this.track).t[row]);
       this.box.setAttribute("aria-valuetext", wordsAt(this.track, row).map((pair) => pair.join(" ").trim()).join(", "));
     }
@@ -419,20 +419,20 @@
       const row = nearest(t, time_s);
       if (isHeld) {
         seek(t[row]);
-        this.tell(row);
+        this.announce(row);
       }
       this.point(row);
     }
 
     onKey(event) {
       const { t } = series(this.track);
-      const here = Math.max(0, rowAt(this.track, now_s));
+      const current = Math.max(0, rowAt(this.track, now_s));
       const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -10, PageUp: 10, Home: -t.length, End: t.length };
       if (event.key in steps) {
-        const row = Math.min(t.length - 1, Math.max(0, here + steps[event.key]));
+        const row = Math.min(t.length - 1, Math.max(0, current + steps[event.key]));
         seek(t[row]);
         this.point(row);
-        this.tell(row);
+        this.announce(row);
       } else if ((event.key === " " || event.key === "Enter") && video) {
         if (video.paused) video.play();
         else video.pause();
@@ -441,9 +441,9 @@
     }
   }
 
-  function nearest(times, wanted) {
+  function nearest(times, time_s) {
     let best = 0;
-    for (let i = 1; i < times.length; i++) if (Math.abs(times[i] - wanted) < Math.abs(times[best] - wanted)) best = i;
+    for (let i = 1; i < times.length; i++) if (Math.abs(times[i] - time_s) < Math.abs(times[best] - time_s)) best = i;
     return best;
   }
 
@@ -451,40 +451,40 @@
 
   const tracks = content.tracks || [];
   const charts = new Map(); // track -> TrackChart, for those in the list
-  let wanted = [], n_listed = PAGE;
+  let selected = [], n_listed = PAGE;
 
   function startList() {
     const [order, find] = [byId("order"), byId("find")];
     byId("controls").hidden = false;
-    const again = () => {
+    const update = () => {
       n_listed = PAGE;
-      wanted = ordered(tracks.filter((track) => isFound(track, find.value)), order.value);
+      selected = ordered(tracks.filter((track) => matches(track, find.value)), order.value);
       showList();
     };
-    order.addEventListener("change", again);
-    find.addEventListener("input", again);
+    order.addEventListener("change", update);
+    find.addEventListener("input", update);
     byId("more").addEventListener("click", () => {
       const first = n_listed;
       n_listed += PAGE;
       showList();
-      charts.get(wanted[first])?.box.focus();
+      charts.get(selected[first])?.box.focus();
     });
-    again();
+    update();
   }
 
-  function isFound(track, text) {
+  function matches(track, text) {
     const words = text.toLowerCase().split(/[\s,]+/).filter(Boolean);
     return words.every((word) => (/^\d+$/.test(word) ? String(track.id) === word : track.name.toLowerCase().includes(word)));
   }
 
-  function ordered(found, key) {
-    const way = key === "n" || key === "error_pct" ? -1 : 1;
-    const value = (track) => (track[key] === null ? Infinity : way * track[key]);
-    return [...found].sort((a, b) => (value(a) === value(b) ? 0 : value(a) - value(b)));
+  function ordered(list, key) {
+    const sign = key === "n" || key === "error_pct" ? -1 : 1;
+    const value = (track) => (track[key] === null ? Infinity : sign * track[key]);
+    return [...list].sort((a, b) => (value(a) === value(b) ? 0 : value(a) - value(b)));
   }
 
   function showList(first = null) {
-    const listed = wanted.slice(0, n_listed);
+    const listed = selected.slice(0, n_listed);
     if (first && !listed.includes(first)) listed.unshift(first);
     for (const [track, chart] of charts) {
       if (listed.includes(track)) continue;
@@ -493,11 +493,11 @@
     }
     for (const track of listed) if (!charts.has(track)) charts.set(track, new TrackChart(track));
     byId("track-list").replaceChildren(...listed.map((track) => charts.get(track).figure));
-    byId("count").textContent = `${Math.min(n_listed, wanted.length)} of ${wanted.length} tracks`;
-    byId("more").hidden = n_listed >= wanted.length;
+    byId("count").textContent = `${Math.min(n_listed, selected.length)} of ${selected.length} tracks`;
+    byId("more").hidden = n_listed >= selected.length;
   }
 
-  // ---- the moment ----
+  // ---- current time ----
 
   const video = byId("video");
   const starts_s = content.starts_s || 0;
@@ -540,7 +540,7 @@
       button.onclick = () => reveal(track);
       return button;
     });
-    bar.replaceChildren(element("span", { class: "faint" }, `${now_s.toFixed(2)} s:`), ...(buttons.length ? buttons : ["nobody"]));
+    bar.replaceChildren(element("span", { class: "faint" }, `${now_s.toFixed(2)} s:`), ...(buttons.length ? buttons : ["no road users"]));
   }
 
   function reveal(track) {
@@ -552,10 +552,10 @@
     setTimeout(() => figure.classList.remove("lit"), 1500);
   }
 
-  // The player's own controls would lie on the picture, over the view from above: they come when the mouse does.
+  // The video's native controls would cover the top view in the overlay, so they are shown only under the mouse pointer.
   function startPlayer() {
     const [player, play, when] = [byId("player"), byId("play"), byId("when")];
-    const tell = () => {
+    const update = () => {
       if (!Number.isFinite(video.duration)) return;
       player.hidden = video.hidden;
       when.max = video.duration;
@@ -565,8 +565,8 @@
     };
     play.addEventListener("click", () => (video.paused ? video.play() : video.pause()));
     when.addEventListener("input", () => { video.currentTime = Number(when.value); });
-    for (const name of ["loadedmetadata", "seeked", "timeupdate", "play", "pause", "ended"]) video.addEventListener(name, tell);
-    tell();
+    for (const name of ["loadedmetadata", "seeked", "timeupdate", "play", "pause", "ended"]) video.addEventListener(name, update);
+    update();
     if (!matchMedia("(hover: hover)").matches) return;
     video.controls = false;
     video.addEventListener("pointerenter", () => { video.controls = true; });
@@ -606,17 +606,17 @@
 
   function drawErrors(box) {
     const shown = shownMethods().filter(({ name }) => content.errors[name]);
-    const found = shown.map(({ name }) => content.errors[name]);
+    const curves = shown.map(({ name }) => content.errors[name]);
     const far_m = Math.max(10, ...Object.values(content.errors).flatMap(({ points, line }) => [...points[0], ...line[0]]));
-    const sizes = found.flatMap(({ points, line }) => (points[1].length ? [quantile(points[1].map(Math.abs), 0.98)] : line[1].map(Math.abs)));
+    const sizes = curves.flatMap(({ points, line }) => (points[1].length ? [quantile(points[1].map(Math.abs), 0.98)] : line[1].map(Math.abs)));
     const limit = Math.min(100, Math.max(5, 1.2 * Math.max(0, ...sizes)));
     const { plot, toX, toY, inner } = axes(box, {
       x: { low: 0, high: 1.03 * far_m, label: "true distance, m" },
-      y: { low: content.signed ? -limit : 0, high: limit, label: content.signed ? "error, % (lines: medians of 10 m)" : "mean error, %" },
+      y: { low: content.signed ? -limit : 0, high: limit, label: content.signed ? "error, % (lines: median per 10 m)" : "mean error, %" },
     });
     plot.append(shape("line", { class: "axis", x1: 0, x2: inner.width, y1: toY(0), y2: toY(0) }));
-    shown.forEach(({ colour }, i) => plot.append(dots(colour, 3.6, dotPath(found[i].points[0].map(toX), found[i].points[1].map(toY)), 0.45)));
-    shown.forEach((method, i) => drawLine(plot, method, found[i].line[0].map(toX), found[i].line[1].map(toY)));
+    shown.forEach(({ colour }, i) => plot.append(dots(colour, 3.6, dotPath(curves[i].points[0].map(toX), curves[i].points[1].map(toY)), 0.45)));
+    shown.forEach((method, i) => drawLine(plot, method, curves[i].line[0].map(toX), curves[i].line[1].map(toY)));
   }
 
   function drawLine(plot, method, xs, ys) {
@@ -624,11 +624,11 @@
   }
 
   function drawSigma(box) {
-    const { plot, toX, toY } = axes(box, { x: { low: 0, high: 100, label: "errors expected within, %" }, y: { low: 0, high: 100, label: "errors found within, %" } });
+    const { plot, toX, toY } = axes(box, { x: { low: 0, high: 100, label: "expected errors within k sigma, %" }, y: { low: 0, high: 100, label: "observed errors within k sigma, %" } });
     plot.append(shape("line", { class: "axis", x1: toX(0), y1: toY(0), x2: toX(100), y2: toY(100), "stroke-dasharray": "6 4" }));
     for (const method of shownMethods()) {
-      const found = content.calibration[method.name];
-      if (found) drawLine(plot, method, [0, ...found.line[0], 100].map(toX), [0, ...found.line[1], 100].map(toY));
+      const curve = content.calibration[method.name];
+      if (curve) drawLine(plot, method, [0, ...curve.line[0], 100].map(toX), [0, ...curve.line[1], 100].map(toY));
     }
   }
 
@@ -651,12 +651,12 @@
     });
   }
 
-  // ---- begin ----
+  // ---- start ----
 
   startTheme();
   document.querySelectorAll("table.sortable").forEach(startSorting);
   if (tracks.length) {
-    new ResizeObserver(([{ target }]) => { // what is scrolled to must not end up behind the video
+    new ResizeObserver(([{ target }]) => { // keeps scroll targets clear of the video, which stays at the top
       document.documentElement.style.setProperty("--watch", `${target.offsetHeight + 8}px`);
     }).observe(byId("watch"));
     startLegend(byId("legend"), tracks.some((track) => track.truth));
@@ -669,5 +669,5 @@
     wholeChart("error-chart", "Relative error against true distance, by method", "wide-chart", drawErrors);
   if (content.lines?.length) startComparison();
   if (content.calibration && Object.keys(content.calibration).length)
-    wholeChart("sigma-chart", "Share of errors expected and found within a number of sigmas, by method", "square-chart", drawSigma);
+    wholeChart("sigma-chart", "Expected and observed fraction of errors within k sigma, by method", "square-chart", drawSigma);
 })();
