@@ -1,4 +1,4 @@
-"""Every input that a user can get wrong, through the installed command: one sentence, status 1, no traceback."""
+"""Every input that a user can get wrong, by the command line: one sentence, status 1, no traceback."""
 
 import shutil
 import subprocess
@@ -10,29 +10,38 @@ import numpy as np
 import pytest
 import yaml
 
-from track_range.simulation.drive import write_drive
-
 TRACK_RANGE = Path(sys.executable).with_name("track-range")
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    return write_drive(tmp_path_factory.mktemp("drive"), seed=5, seconds=0.5)
+def drive(render_drive):
+    return render_drive(seed=5, seconds=0.5)
 
 
 @pytest.fixture
-def fails(tmp_path):
-    """Run the command with a pair's options replaced; hand back its one sentence."""
+def fails(tmp_path, cli):
+    """Runs the command; its one sentence."""
 
     def run(*arguments, status=1):
-        command = [str(TRACK_RANGE), *(str(a) for a in arguments)]
-        done = subprocess.run([*command, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False)
-        assert done.returncode == status, done.stderr
+        done = cli(*arguments, "--out", tmp_path / "out")
+        assert done.status == status, done.stderr
         assert "Traceback" not in done.stderr
         lines = [line for line in done.stderr.splitlines() if line.strip()]
         assert len(lines) == 1, done.stderr
         assert lines[0].startswith("track-range: ")
         return lines[0]
+
+    return run
+
+
+@pytest.fixture
+def succeeds(tmp_path, cli):
+    """Runs the command; what it printed, in one line."""
+
+    def run(*arguments):
+        done = cli(*arguments, "--out", tmp_path / "out")
+        assert done.status == 0, done.stderr
+        return " ".join(done.stdout.split())
 
     return run
 
@@ -82,13 +91,11 @@ def test_videos(fails, options, drive, tmp_path, content, message):
     assert message in sentence
 
 
-def test_a_video_cut_short_is_used_as_far_as_it_goes(drive, tmp_path):
-    long = write_drive(tmp_path / "long", seed=5, seconds=1.5)  # a fragment per second: the second one is cut
+def test_a_video_cut_short_is_used_as_far_as_it_goes(render_drive, succeeds, tmp_path):
+    long = render_drive(seed=5, seconds=1.5)  # a fragment per second: the second one is cut
     right = junk(tmp_path / "cut.mp4", long.right.read_bytes()[: int(long.right.stat().st_size * 0.9)])
     files = ("--stereo", long.left, right, "--rig", long.rig, "--detections", long.detections)
-    command = [str(TRACK_RANGE), *map(str, files), "--no-sgbm", "--no-overlay", "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "right video ends" in " ".join(done.stdout.split())
+    assert "right video ends" in succeeds(*files, "--no-sgbm", "--no-overlay")
     frames = {int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]}
     assert 9 <= max(frames) < 14
 
@@ -117,7 +124,7 @@ def changed_rig(drive, path, **changes):
         ({"x_m": 0.0}, ["baseline", "0"]),
         ({"x_m": 0.54}, ["baseline", "-0.54"]),
         ({"x_m": -540.0}, ["baseline", "540", "millimetres"]),
-        ({"width_px": 640, "height_px": 480}, ["640x480", "1240x376"]),
+        ({"width_px": 640, "height_px": 480}, ["640x480", "620x188"]),
         ({"fx_px": -700.0}, ["fx", "-700"]),
         ({"fx_px": "wide"}, ["fx"]),
         ({"focus": 3}, ["focus"]),
@@ -137,14 +144,12 @@ def test_rig_files_that_are_none(fails, options, tmp_path):
     assert "middle third" in fails(*options(rig=junk(tmp_path / "calib.txt", kitti.encode())))
 
 
-def test_a_rig_of_twice_the_size_is_scaled_and_it_is_said(options, drive, tmp_path):
+def test_a_rig_of_twice_the_size_is_scaled_and_it_is_said(succeeds, options, drive, tmp_path):
     rig = yaml.safe_load(drive.rig.read_text())
     for eye in ("left", "right"):
         rig[eye] = {k: v if k == "distortion" else 2 * v for k, v in rig[eye].items()}
     big = junk(tmp_path / "big.yaml", yaml.safe_dump(rig).encode())
-    command = [str(TRACK_RANGE), *map(str, options(rig=big)), "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "scaled" in done.stdout
+    assert "scaled" in succeeds(*options(rig=big))
     found = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["found"]
     assert found["focal_px"] == pytest.approx(yaml.safe_load(drive.rig.read_text())["left"]["fx_px"], rel=1e-3)
 
@@ -173,20 +178,17 @@ def test_truth_detections_and_classes(fails, options, drive, tmp_path):
     assert "did you mean 'truck'" in fails(*options(classes="trcuk"))
 
 
-def test_nan_boxes_are_left_out_and_the_run_goes_on(options, drive, tmp_path):
+def test_nan_boxes_are_left_out_and_the_run_goes_on(succeeds, options, drive, tmp_path):
     rows = drive.detections.read_text().splitlines()
     plain = [f"{r[0]},{','.join(r[6:10])},{r[17]}" for r in (row.split() for row in rows)]
     boxes = junk(tmp_path / "boxes.csv", "\n".join([*plain, "0,nan,1,2,3,0.9", "0,5,5,1,1,0.9"]).encode())
-    command = [str(TRACK_RANGE), *map(str, options(detections=boxes, classes="car")), "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "2 rows of boxes.csv are no box" in " ".join(done.stdout.split())
+    assert "2 rows of boxes.csv are no box" in succeeds(*options(detections=boxes, classes="car"))
 
 
-def test_an_output_folder_that_cannot_be_written(drive, options, tmp_path):
+def test_an_output_folder_that_cannot_be_written(cli, options, tmp_path):
     blocked = junk(tmp_path / "file", b"")
-    command = [str(TRACK_RANGE), *map(str, options()), "--out", str(blocked / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    done = cli(*options(), "--out", blocked / "out")
+    assert done.status == 1
     assert "no results can be written there" in done.stderr
 
 
@@ -202,22 +204,22 @@ def test_a_window_past_the_end(fails, options):
     assert "start" in fails(*options(), "--start", "1000")
 
 
-def test_inputs_are_never_overwritten_and_old_results_never_mixed(drive, tmp_path):
+def test_inputs_are_never_overwritten_and_old_results_never_mixed(drive, tmp_path, cli):
     folder = tmp_path / "one"
     folder.mkdir()
     video = shutil.copy(drive.left, folder / "overlay.mp4")
-    run = [str(TRACK_RANGE), "--mono", str(video), "--rig", str(drive.rig), "--detections", str(drive.detections)]
-    refused = subprocess.run([*run, "--out", str(folder)], capture_output=True, text=True, check=False)
-    assert refused.returncode == 1
+    run = ("--mono", video, "--rig", drive.rig, "--detections", drive.detections)
+    refused = cli(*run, "--out", folder)
+    assert refused.status == 1
     assert "overlay.mp4 is an input of this run and would be overwritten" in refused.stderr
     assert video.read_bytes() == drive.left.read_bytes()
-    subprocess.run([*run, "--out", str(tmp_path / "two")], check=True, capture_output=True)
+    assert cli(*run, "--out", tmp_path / "two").status == 0
     assert (tmp_path / "two/overlay.mp4").is_file()
-    subprocess.run([*run, "--out", str(tmp_path / "two"), "--no-overlay"], check=True, capture_output=True)
+    assert cli(*run, "--out", tmp_path / "two", "--no-overlay").status == 0
     assert not (tmp_path / "two/overlay.mp4").exists()
 
 
-def test_a_pipe_that_closes_costs_no_results(drive, options, tmp_path):
+def test_a_pipe_that_closes_costs_no_results(options, tmp_path):
     command = [str(TRACK_RANGE), *map(str, options()), "--out", str(tmp_path / "out")]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
@@ -225,22 +227,19 @@ def test_a_pipe_that_closes_costs_no_results(drive, options, tmp_path):
     assert (tmp_path / "out/report.html").is_file()
 
 
-def test_left_and_right_of_different_rate_length_and_start(drive, options, tmp_path):
+def test_left_and_right_of_different_rate_length_and_start(succeeds, drive, options, tmp_path):
     """Every other frame of the right eye, the first of them missing: what pairs is used, the rest is told."""
     right = tmp_path / "right.mkv"
     with av.open(str(drive.right)) as source, av.open(str(right), "w") as target:
         stream = target.add_stream("libx264", rate=5)
-        stream.width, stream.height, stream.pix_fmt = 1240, 376, "yuv420p"
+        stream.width, stream.height, stream.pix_fmt = 620, 188, "yuv420p"
         for number, frame in enumerate(source.decode(video=0)):
             if number in (2, 4):
                 fresh = av.VideoFrame.from_ndarray(frame.to_ndarray(format="yuv420p"), format="yuv420p")
                 fresh.pts, fresh.time_base = frame.pts, frame.time_base
                 target.mux(stream.encode(fresh))
         target.mux(stream.encode(None))
-    command = [str(TRACK_RANGE), *map(str, options(right=right)), "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    told = " ".join(done.stdout.split())
-    assert "starts 0.20 s later" in told
+    assert "starts 0.20 s later" in succeeds(*options(right=right))
     frames = np.unique([int(row.split(",")[0]) for row in (tmp_path / "out/tracks.csv").read_text().splitlines()[1:]])
     assert set(frames) <= {2, 4}
 
