@@ -20,17 +20,17 @@ from track_range.tracking.tracks import Tracks
 
 
 class DenseRanger(Ranger):
-    """Ranges each box by the median of dense disparity in its inner half; matching runs in a background thread.
+    """Ranges each box by the median dense disparity in its inner half; matching runs in a background thread.
 
     Attributes:
-        disparity: (H, W) px of the frame measured last, NaN where unknown, as matched (the alignment is not in it).
-        background_s: time spent matching so far.
+        disparity: (H, W) disparity in px of the frame measured last, before alignment; NaN = unknown.
+        background_s: time spent on matching so far.
     """
 
     def __init__(
         self, rig: StereoRig, settings: SgbmSettings | None = None, *, alignment: Alignment | None = None
     ) -> None:
-        """Range for a rectified rig; `alignment` corrects its disparities."""
+        """Create a ranger for a rectified rig; `alignment` corrects its disparities, None = no correction."""
         self._triangulate = Triangulation(rig, alignment or Alignment())
         self._settings = settings or SgbmSettings.for_rig(rig)
         self._sgbm = Sgbm(self._settings)
@@ -42,7 +42,7 @@ class DenseRanger(Ranger):
         self._pending[frame.index] = self._thread.submit(self._disparity, frame)
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the observed boxes with enough valid disparities; NaN for the rest."""
+        """Distances of observed boxes with enough valid disparities; NaN for the rest."""
         if frame.index not in self._pending:
             self.start(frame)
         self.disparity = disparity = self._pending.pop(frame.index).result()
@@ -57,9 +57,9 @@ class DenseRanger(Ranger):
     def _disparity(self, frame: Frame) -> FloatArray32:
         if frame.right is None:
             return np.full(frame.left.shape[:2], np.nan, np.float32)
-        began_s = time.perf_counter()
+        start_s = time.perf_counter()
         disparity = self._sgbm.dense_disparity(frame.left, whole_image(frame.right))
-        self.background_s += time.perf_counter() - began_s
+        self.background_s += time.perf_counter() - start_s
         return disparity
 
 

@@ -1,4 +1,4 @@
-"""StereoRanger: stereo distance of each box, matched alone in the right image."""
+"""StereoRanger: stereo distance of each box from its match in the right image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from track_range.tracking.tracks import Tracks
 
 
 class StereoRanger(Ranger):
-    """Ranges each observed box by matching it alone.
+    """Ranges each observed box by matching it separately in the right image.
 
     Example:
         >>> import track_range as tr
@@ -35,12 +35,12 @@ class StereoRanger(Ranger):
     def __init__(
         self, rig: StereoRig, matcher: BoxMatcher | None = None, *, alignment: Alignment | None = None
     ) -> None:
-        """Range for a rectified rig.
+        """Create a ranger for a rectified rig.
 
         Args:
-            rig: the rectified pair, as `Rectifier.rig` has it.
-            matcher: matches boxes; None = the patch matcher with the settings for this rig.
-            alignment: correction of the disparities; None = none.
+            rig: the rectified pair (`Rectifier.rig`).
+            matcher: matcher of boxes; None = the patch matcher with the settings for this rig.
+            alignment: correction of the disparities; None = no correction.
 
         Raises:
             ValueError: the rig is not rectified.
@@ -52,7 +52,7 @@ class StereoRanger(Ranger):
 
     @property
     def outcomes(self) -> Counter[Outcome]:
-        """Number of boxes so far by outcome: matched, or the reason why not."""
+        """Number of boxes so far by outcome: matched, or the reason for the rejection."""
         return self._matcher.outcomes
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
@@ -61,7 +61,8 @@ class StereoRanger(Ranger):
 
     def summary(self) -> dict[str, Any]:
         """Number of boxes that were not matched, by reason."""
-        unmatched = {REASONS[why]: n for why, n in self.outcomes.most_common() if why is not Outcome.MATCHED}
+        counts = self.outcomes.most_common()
+        unmatched = {REASONS[outcome]: n for outcome, n in counts if outcome is not Outcome.MATCHED}
         return {"stereo_unmatched": unmatched}
 
 

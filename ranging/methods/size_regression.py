@@ -1,4 +1,4 @@
-"""SizeRanger: monocular distance from the size of a track's box, by class, and from where it stands."""
+"""SizeRanger: monocular distance from the size and the bottom edge of a box, with a size model per class."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 _MIN_HEIGHT_PX = 4.0
+"""Height in px below which boxes are not ranged: an edge error of 1 px is then a quarter of the distance."""
 
 
 class SizeRanger(Ranger):
-    """Ranges observed boxes that the image does not cut at top or bottom; where a side is cut off, by height alone.
+    """Ranges observed boxes by their size; boxes cut at the left or right by height only, at top or bottom not at all.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -38,13 +39,13 @@ class SizeRanger(Ranger):
         box_sigma_px: float | None = None,
         noise: BoxNoise | None = None,
     ) -> None:
-        """Range for `camera` (undistorted).
+        """Create a ranger for `camera` (undistorted).
 
         Args:
-            camera: of the images in which the boxes were detected.
+            camera: camera of the images with the boxes.
             curves: model of the sizes of road users; None = the packaged priors.
-            box_sigma_px: standard deviation of one edge where it is the same for all boxes.
-            noise: standard deviation of the edges otherwise; None = a detector's boxes.
+            box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
+            noise: noise model of the box edges, before `box_sigma_px`; None = that of a detector.
         """
         self._camera = camera
         self._curves = curves or load_curves()
@@ -52,7 +53,7 @@ class SizeRanger(Ranger):
         self._noise = noise or uniform or BoxNoise()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances by size; NaN for predicted boxes, for boxes cut at top or bottom, for classes without a curve."""
+        """Distances by size; NaN for predicted boxes, boxes cut at top or bottom, and classes without a size model."""
         height_px, width_px = frame.left.shape[:2]
         x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
         first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX
@@ -67,9 +68,9 @@ class SizeRanger(Ranger):
             noise=self._noise,
             uses_width_bottom=(uses_width[rows], np.ones(len(rows), np.bool_)),
         )
-        found = self._curves.measure(boxes)
+        measured = self._curves.measure(boxes)
         columns = np.full((3, len(tracks)), np.nan)
-        columns[:, rows] = found.distance_m, found.sigma_m, found.sigma_systematic_m
+        columns[:, rows] = measured.distance_m, measured.sigma_m, measured.sigma_systematic_m
         return Ranges(tracks.track_id, *columns)
 
 

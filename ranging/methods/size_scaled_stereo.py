@@ -1,11 +1,11 @@
-"""SizeScaledRanger: stereo without a calibration; its scale is learnt from the sizes of the tracked objects.
+"""SizeScaledRanger: stereo without calibration; the scale is learnt from the sizes of tracked objects.
 
-    Z = K / d,   K = f B, the product of focal length and baseline that a calibration would give
-    every track of a class of known size is a measurement   K = Z_mono d;   K is their weighted median
+    Z = K / d        K = f B, the product of focal length and baseline that a calibration would give
+    K_i = Z_mono d   one measurement per track of a class of known size; K is their weighted median
 
-The size of one object is a poor measurement (people differ, and so do cars), the mean of many is a good one: then
-stereo is consistent between near and far, and from frame to frame, as ever; only the common scale stays uncertain. The
-error of the focal length is common to all methods and not part of these sigmas.
+A single object is a poor measurement, since sizes vary within a class; the median of many is a good one. Distances are
+then consistent with each other and over time, and only their common scale is uncertain. The error of the focal length
+is common to all methods and not part of these sigmas.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from track_range.stereo.matching.patch_matches import BoxMatcher
 from track_range.tracking.tracks import Tracks
 
 _UNALIGNED_SIGMA_PX = 1.0
-"""Disparity error of uncalibrated cameras, as far as it is not a scale."""
+"""Standard deviation in px of the disparities of uncalibrated cameras, apart from the scale."""
 
 _SIZES_SIGMA = 0.08
-"""Relative error of the mean of a class: other countries, other makes, other detectors."""
+"""Relative standard deviation of the mean size of a class: countries, car models and detectors differ."""
 
 _TRACK_SIGMA = 0.15
-"""Relative scatter of single tracks about the truth, beyond the sigma of their distances by size."""
+"""Relative standard deviation of K from single tracks, in addition to the sigma of their distances by size."""
 
 _MIN_TRACKS_FOR_SCATTER = 6
-"""Effective number of tracks from which their own scatter is used."""
+"""Effective number of tracks from which the observed scatter of their K is used instead of `_TRACK_SIGMA`."""
 
 _MIN_DISPARITY_PX = 3.0
-"""Smaller disparities depend more on the alignment of the cameras than on the scale."""
+"""Smallest disparity that K is learnt from; smaller ones depend more on the alignment than on the scale."""
 
 _MAX_WEIGHTED_SAMPLES = 10
-"""Further samples of a track do not add to its weight: its size stays the same."""
+"""Number of samples after which the weight of a track is constant: its size error is the same in all samples."""
 
 _MAX_SAMPLES, _MAX_TRACKS = 30, 500
-"""Further samples of a track, and further tracks, are ignored: they would change nothing."""
+"""Largest number of samples per track and of tracks, to bound memory; more do not change the median."""
 
 
 class _TrackScale:
-    """Median of the samples of log K of one track, and its weight."""
+    """Median of the samples of log K of one track, and its weight in the median over tracks."""
 
     def __init__(self) -> None:
         self._samples: list[float] = []
@@ -64,7 +64,7 @@ class _TrackScale:
 
 
 class FocalBaseline:
-    """K = f B in px m, learnt track by track."""
+    """Estimator of K = f B in px m from the disparities and sizes of tracks."""
 
     def __init__(self) -> None:
         self._tracks: dict[int, _TrackScale] = {}
@@ -72,10 +72,10 @@ class FocalBaseline:
     def learn(self, disparity_px: FloatArray, by_size: Ranges) -> None:
         """Add a frame: (N,) disparities, NaN = not matched, and distances of the same tracks by size."""
         with np.errstate(invalid="ignore"):
-            clear_px = np.where(disparity_px >= _MIN_DISPARITY_PX, disparity_px, np.nan)
-            log_k = np.log(clear_px * by_size.distance_m)
-            of_size = by_size.sigma_m / by_size.distance_m
-        variance = _TRACK_SIGMA**2 + of_size**2 + (_UNALIGNED_SIGMA_PX / clear_px) ** 2
+            usable_px = np.where(disparity_px >= _MIN_DISPARITY_PX, disparity_px, np.nan)
+            log_k = np.log(usable_px * by_size.distance_m)
+            size_sigma = by_size.sigma_m / by_size.distance_m
+        variance = _TRACK_SIGMA**2 + size_sigma**2 + (_UNALIGNED_SIGMA_PX / usable_px) ** 2
         for i in np.flatnonzero(np.isfinite(log_k)).tolist():
             track_id = int(by_size.track_id[i])
             if track_id in self._tracks or len(self._tracks) < _MAX_TRACKS:
@@ -96,31 +96,31 @@ class FocalBaseline:
         scatter = MAD_TO_SIGMA * weighted_median(np.abs(log_k - centre), weight)
         n_effective = float(weight.sum() ** 2 / (weight @ weight))
         scatter = scatter if n_effective >= _MIN_TRACKS_FOR_SCATTER else max(scatter, _TRACK_SIGMA)
-        # 1.25: the standard error of a median is a quarter larger than that of a mean.
+        # The standard error of a median is 1.25 times that of a mean.
         return float(np.exp(centre)), float(np.hypot(_SIZES_SIGMA, 1.25 * scatter / np.sqrt(n_effective)))
 
 
 class SizeScaledRanger(Ranger):
-    """Ranges boxes of an uncalibrated pair, by a scale that gets more certain with the number of tracks.
+    """Ranges boxes of an uncalibrated pair, with a scale learnt from the sizes of tracked objects.
 
     Attributes:
-        scale: learnt so far.
+        scale: estimator of the scale.
     """
 
     def __init__(self, matcher: BoxMatcher, *, focal_px: float, focal_sigma: float = 0.0) -> None:
-        """Scale the disparities of `matcher`.
+        """Create a ranger without tracks.
 
         Args:
-            matcher: of boxes.
-            focal_px: focal length with which the sizes were turned into distances,
-            focal_sigma: and its relative standard deviation; both are for the summary alone.
+            matcher: matcher of boxes.
+            focal_px: focal length of the distances by size in px, for the summary only.
+            focal_sigma: relative standard deviation of `focal_px`, for the summary only.
         """
         self._matcher = TrackMatcher(matcher)
         self._focal_px, self._focal_sigma = focal_px, focal_sigma
         self.scale = FocalBaseline()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances of the boxes that match, by the scale as known so far; NaN for all while it is unknown."""
+        """Distances of the boxes that match, with the scale learnt so far; NaN for all before the first sample."""
         return self.measure_with(tracks, frame, {})
 
     def measure_with(self, tracks: Tracks, frame: Frame, others: Mapping[str, Ranges]) -> Ranges:
@@ -137,7 +137,7 @@ class SizeScaledRanger(Ranger):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The baseline that the sizes imply, and how sure that is; nothing as long as no track has been matched."""
+        """The baseline implied by object sizes, with its uncertainty; empty before the first matched track."""
         learnt = self.summary().get("learnt_scale")
         if learnt is None:
             return ()

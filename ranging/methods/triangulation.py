@@ -1,7 +1,9 @@
-"""Triangulation: Z = f B / d from the disparity d of a track's box.
+"""Triangulation: distance Z from the disparity d of a track's box.
 
-    sigma_Z = Z^2 / (f B) sigma_d: the error grows with the square of the distance.
-Guo, the binocular paper, eq. 5-6, which takes the disparity at the centre of the box.
+    Z = f B / d        sigma_Z = Z^2 / (f B) sigma_d
+
+with focal length f in px and baseline B in m; the error grows with the square of the distance. (Guo, the binocular
+paper, eq. 5-6, with the disparity at the centre of the box.)
 """
 
 from __future__ import annotations
@@ -21,68 +23,67 @@ from track_range.stereo.matching.patch_matches import BoxMatcher, Outcome
 from track_range.tracking.tracks import Tracks
 
 _PRIOR_LIFETIME_S = 1.0
-"""Time without a match after which a track is searched over the full range of disparities again."""
+"""Time in s after the last match of a track during which its disparity restricts the search range."""
 
 _FULL_SEARCH_INTERVAL_S = 1.0
-"""Time after which the full range is searched in any case, so that a track that followed an occluder recovers."""
+"""Time in s after which the full disparity range is searched in any case, so that a track can leave an occluder."""
 
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Turns measured disparities into distances.
+    """Conversion of disparities to distances.
 
     Attributes:
         rig: the rectified pair.
-        alignment: correction of its disparities.
+        alignment: correction of the disparities.
     """
 
     rig: StereoRig
     alignment: Alignment
 
     def ranges(self, tracks: Tracks, disparity_px: FloatArray, sigma_px: FloatArray) -> Ranges:
-        """Distances of the tracks from their (N,) disparities and standard deviations; NaN where not positive."""
+        """Distances of N tracks from (N,) disparities and their standard deviations; NaN unless d > 0."""
         x_px = (tracks.xyxy_px[:, 0] + tracks.xyxy_px[:, 2]) / 2
-        disparity_px, sigma_px = self.alignment.corrected(disparity_px, sigma_px, x_px=x_px, camera=self.rig.left)
-        distance_m = self.rig.distance_m(disparity_px)
-        return Ranges(
-            tracks.track_id, distance_m, distance_m**2 / (self.rig.left.fx_px * self.rig.baseline_m) * sigma_px
-        )
+        d, sigma_d = self.alignment.corrected(disparity_px, sigma_px, x_px=x_px, camera=self.rig.left)
+        Z = self.rig.distance_m(d)
+        sigma_Z = Z**2 / (self.rig.left.fx_px * self.rig.baseline_m) * sigma_d
+        return Ranges(tracks.track_id, Z, sigma_Z)
 
 
 class TrackMatcher:
-    """Matches each observed box on its own, near the disparity that its track had last.
+    """Matches each observed box separately, with the last disparity of its track as the prior.
 
-    A predicted box is not matched: what hides the object from the detector is in front of it.
+    Predicted boxes are not matched: they show what occludes the object.
 
     Attributes:
-        outcomes: number of boxes so far by outcome: matched, or the reason why not.
+        outcomes: number of boxes so far by outcome: matched, or the reason for the rejection.
     """
 
     def __init__(self, matcher: BoxMatcher) -> None:
-        """Match with `matcher`."""
+        """Create a matcher of tracks from a matcher of boxes."""
         self._matcher = matcher
         self._state = TrackState(np.full(3, np.nan))
-        """By track: disparity last matched, when, and when the full range was last searched."""
+        """By track: last matched disparity, its time, time of the last search over the full range."""
         self.outcomes: Counter[Outcome] = Counter()
 
     def match(self, tracks: Tracks, frame: Frame) -> tuple[FloatArray, FloatArray]:
-        """(N,) disparities and standard deviations, px; NaN where there is no match or no right image."""
+        """(N,) disparities and their standard deviations in px; NaN = no match, or no right image."""
         disparity_px, sigma_px = np.full((2, len(tracks)), np.nan)
         if frame.right is None:
             return disparity_px, sigma_px
         rows, time_s = np.flatnonzero(tracks.observed), frame.time_s
-        before = self._state.get(tracks.track_id[rows])
-        last_px, matched_s, searched_s = before
+        previous = self._state.get(tracks.track_id[rows])
+        last_px, matched_s, searched_s = previous
         is_recent = (time_s - matched_s <= _PRIOR_LIFETIME_S) & (time_s - searched_s <= _FULL_SEARCH_INTERVAL_S)
         prior_px = np.where(is_recent, last_px, np.nan)
         matches = self._matcher.match(frame.left, frame.right, tracks.xyxy_px[rows], prior_px)
         disparity_px[rows], sigma_px[rows] = matches.disparity_px, matches.sigma_px
         self.outcomes.update(Outcome(code) for code in matches.outcome.tolist())
         searched_s = np.where(is_recent, searched_s, time_s)
-        after = np.stack([matches.disparity_px, np.full(len(rows), time_s), searched_s])
+        updated = np.stack([matches.disparity_px, np.full(len(rows), time_s), searched_s])
         self._state.put(
             tracks.track_id[rows],
-            np.where(np.isfinite(matches.disparity_px), after, before),
+            np.where(np.isfinite(matches.disparity_px), updated, previous),
             keep_known=time_s - self._state.known[1] <= _PRIOR_LIFETIME_S,
         )
         return disparity_px, sigma_px
