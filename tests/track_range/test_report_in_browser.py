@@ -323,10 +323,10 @@ def test_two_thousand_tracks_open_and_draw_only_what_is_seen(page_of: Callable[.
     assert page.locator("#count").inner_text() == "20 of 2000 tracks"
     first_chart(page)
     assert 0 < page.locator("#track-list .chart svg svg").count() < 10
-    page.get_by_label("Find").fill("1999")
+    page.get_by_label("Filter").fill("1999")
     assert page.locator("#track-list figcaption").first.inner_text().startswith("car 1999")
     assert page.locator("#count").inner_text() == "1 of 1 tracks"
-    page.get_by_label("Find").fill("")
+    page.get_by_label("Filter").fill("")
     page.get_by_role("button", name="Show more").click()
     assert page.locator("#track-list figure").count() == 40
 

@@ -1,6 +1,6 @@
-"""The terminal: tables, notes and lines.
+"""Output to the terminal: lines, notes and tables.
 
-A table wider than the terminal is split into parts below each other, so that no figure is broken in two.
+A table wider than the terminal is split into parts below each other, so that no figure is broken over two lines.
 """
 
 from __future__ import annotations
@@ -17,43 +17,44 @@ from rich.text import Text
 from track_range.report.tables import Grid, grids
 
 console = Console()
-"""Where commands print."""
+"""Console of all commands (standard output)."""
 
 
 def print_line(console: Console, text: str) -> None:
-    """Print a line as it is: no markup, no colours, not wrapped."""
+    """Print a line without markup, highlighting or wrapping."""
     console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:
-    """Print notes, a line with a dash each."""
+    """Print notes, each on a line after a dash."""
     for note in notes:
         print_line(console, f"- {note}")
 
 
 def print_summary(console: Console, summary: Mapping[str, Any]) -> None:
-    """Print the summary's grids."""
+    """Print the tables of a run's summary."""
     for grid in grids(summary):
         print_grid(console, grid)
 
 
 def print_grid(console: Console, grid: Grid) -> None:
-    """Print a grid, the best figures bold and green; columns beyond the console's width follow below, named anew."""
+    """Print a grid with the best figures bold and green; columns that do not fit follow in further tables below."""
     if grid.title and grid.columns:
-        # A line of its own: as the table's title it would be broken at the table's width.
+        # a separate line, because Rich wraps the title of a table at the width of the table
         console.print(Text(grid.title, "italic"))
     for part in _fitting(grid, console.width):
         console.print(_table(part))
+        console.print()
 
 
 def _fitting(grid: Grid, width: int) -> Iterator[Grid]:
-    """The grid in parts of at most `width` cells, each with the first column and at least one other."""
+    """Parts of the grid that are at most `width` characters wide, each with the first column and at least one other."""
     if not grid.columns:
         return
     needed = [_width(grid, i) + 1 for i in range(len(grid.columns))]
     first = 1
     while True:
-        last, used = first + 1, 1 + needed[0] + sum(needed[first : first + 1])
+        last, used = first + 1, needed[0] - 1 + sum(needed[first : first + 1])
         while last < len(needed) and used + needed[last] <= width:
             used += needed[last]
             last += 1
@@ -65,19 +66,19 @@ def _fitting(grid: Grid, width: int) -> Iterator[Grid]:
 
 
 def _width(grid: Grid, i: int) -> int:
-    """Cells that a column needs."""
+    """Width of a column in terminal cells."""
     texts = [*_heading(grid.columns[i]).split("\n"), *(row[i].text for row in grid.rows)]
     return max(map(cell_len, texts))
 
 
-def _heading(words: str) -> str:
-    """Two lines of heading keep a table with five bands of distance within 80 columns."""
-    return words.replace(" ", "\n", 1)
+def _heading(text: str) -> str:
+    """Heading in two lines, so that a table with five distance bands fits into 80 columns."""
+    return text.replace(" ", "\n", 1)
 
 
 def _table(grid: Grid) -> Table:
-    """A grid for Rich; nothing in it is read as markup."""
-    table = Table(box=box.SIMPLE_HEAD, padding=0)
+    """Rich table of a grid, without interpretation of markup."""
+    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for i, heading in enumerate(grid.columns):
         table.add_column(
             Text(_heading(heading)), justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold"

@@ -21,6 +21,9 @@ SIGMA = "\N{GREEK SMALL LETTER SIGMA}"
 WITHIN_1_SIGMA, WITHIN_2_SIGMA = 0.6827, 0.9545
 """Fractions of a normal distribution within one and two standard deviations of the mean."""
 
+WITHIN_1_HEADING, WITHIN_2_HEADING = (f"\N{LESS-THAN OR EQUAL TO}{k}{SIGMA} %" for k in (1, 2))
+"""Headings of the percentage of errors within one and two sigma."""
+
 Cost = Callable[[float], float]
 """Function of a value that is smallest for the best value of a column."""
 
@@ -87,8 +90,8 @@ METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
     ("mean %", "mean_relative_error_pct", "{:.1f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.1f}", 1.0, abs),
     ("bias %", "bias_pct", "{:+.1f}", 1.0, abs),
-    (f"in 1{SIGMA} %", "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),
-    (f"in 2{SIGMA} %", "within_2_sigma", "{:.0f}", 100.0, from_normal(WITHIN_2_SIGMA)),
+    (WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, from_normal(WITHIN_1_SIGMA)),
+    (WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, from_normal(WITHIN_2_SIGMA)),
 )
 """Heading, key in a method's row of the summary, format, scale and cost of each column."""
 
@@ -135,8 +138,8 @@ def closing_grid(closing: Mapping[str, Any]) -> Grid:
         Column("mean m/s", [figure(closing, "mean_error_mps")], "{:.2f}"),
         Column("median m/s", [figure(closing, "median_error_mps")], "{:.2f}"),
         Column("bias m/s", [figure(closing, "bias_mps")], "{:+.2f}"),
-        Column(f"in 1{SIGMA} %", [figure(closing, "within_1_sigma")], "{:.0f}", 100.0),
-        Column(f"in 2{SIGMA} %", [figure(closing, "within_2_sigma")], "{:.0f}", 100.0),
+        Column(WITHIN_1_HEADING, [figure(closing, "within_1_sigma")], "{:.0f}", 100.0),
+        Column(WITHIN_2_HEADING, [figure(closing, "within_2_sigma")], "{:.0f}", 100.0),
         Column(f"{SIGMA} m/s", [figure(closing, "median_sigma_mps")], "{:.2f}"),
     ]
     return grid_of("Error of the closing speed", "method", ["fused_kf"] if closing else [], columns)

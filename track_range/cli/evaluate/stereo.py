@@ -32,7 +32,6 @@ def _stereo(options: StereoOptions) -> None:
         write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
 
 
-_SIGMA = tables.SIGMA
 _Rows = Mapping[str, Mapping[str, Any]]
 _ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
 """Heading, key, format, factor and cost of a column, as `tables.METHOD_COLUMNS`."""
@@ -48,8 +47,8 @@ _COLUMNS: tuple[_ColumnSpec, ...] = (
     ("error px", "median_abs_error_px", "{:.3f}", 1.0, abs),
 )
 _MORE_COLUMNS: tuple[_ColumnSpec, ...] = (
-    (f"in 1{_SIGMA} %", "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
-    (f"in 2{_SIGMA} %", "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
+    (tables.WITHIN_1_HEADING, "within_1_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_1_SIGMA)),
+    (tables.WITHIN_2_HEADING, "within_2_sigma", "{:.0f}", 100.0, tables.from_normal(tables.WITHIN_2_SIGMA)),
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
 )
 _INTERVALS = (
