@@ -1,4 +1,4 @@
-"""Appearance embeddings of boxes: vectors of length 1; zeros where there is none.
+"""Appearance embeddings of boxes: vectors of length 1, or zeros where the appearance is unknown.
 
 `ColourLayout` needs no network: histograms of colour in horizontal bands, as square roots, so that
 
@@ -36,10 +36,10 @@ _N_LEVELS = 64
 """Levels in which values 0..255 are counted before they are distributed over soft bins."""
 
 _NEUTRAL = 8
-"""Largest difference between the channels of a grey video."""
+"""Largest difference, in grey levels, between the colour channels of a grey image after video compression."""
 
 _STEP_PX = 16
-"""Distance between the pixels that are checked for a grey image."""
+"""Distance between the pixels that decide whether an image is grey."""
 
 
 def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
@@ -53,15 +53,15 @@ def has_appearance(image: Image, xyxy_px: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColourLayoutSettings:
-    """The layout of the built-in embedding.
+    """Sampling grid, histogram bins and gate of the built-in embedding.
 
     Attributes:
         n_columns, n_rows: points at which a box's colour is taken, whatever its size.
-        n_bands: horizontal bands of the box, each with histograms of its own; divides `n_rows`.
+        n_bands: horizontal bands of the box, each with separate histograms; divides `n_rows`.
         n_bins: soft bins per histogram.
         chroma_span: largest distinguished distance of a* and b* from grey, CIELAB units.
-        spread_x, spread_y: a point's weight falls off from the box's middle like a normal distribution with this
-            standard deviation, in widths and heights: corners are background.
+        spread_x, spread_y: standard deviations, in widths and heights of the box, of the Gaussian weight of a point
+            about the box's centre: corners show background.
         max_cosine_distance: see `AppearanceModel`.
     """
 
@@ -82,11 +82,12 @@ class ColourLayoutSettings:
 class ColourLayout:
     """The built-in appearance model: lightness, a* and b* of CIELAB in bands from top to bottom.
 
-    Images without colour are described by lightness alone, so that grey, which all share, does not make all similar.
+    In grey images only lightness is used: their a* and b* are equal everywhere and would make all boxes similar.
 
     Bands, bins and weights were tuned on KITTI tracking 0003 and three simulated drives; 0005, three cars only, took no
-    part in that, but `max_cosine_distance` was chosen on all of them. One embedding against one, within a class, at least
-    half visible, boxes jittered by 4 %. (OSNet x0.25, which takes a hundred times as long, was tuned on none of them.)
+    part in that, but `max_cosine_distance` was chosen on all of them. Single embeddings are compared, within a class,
+    at least half visible, with boxes jittered by 4 %. (OSNet x0.25 takes a hundred times as long and was tuned on none
+    of these drives.)
 
         frames apart (0.1, 0.125 s)       1      5     10     OSNet:    1      5     10
         0005   area under the curve   1.000  0.995  0.967             0.981  0.985  0.967
@@ -94,22 +95,22 @@ class ColourLayout:
         drives area under the curve   0.989  0.975  0.981             0.991  0.976  0.962
                same object, 95 % below 0.059  0.103  0.100             0.236  0.367  0.379
 
-    At `max_cosine_distance`, and with a track's gallery, 0 to 9 % of the same are missed and 11 to 25 % of the others pass.
-    A light of 0.8 stays below it (0.075 in 95 of 100 boxes), one of 0.6 does not.
+    At `max_cosine_distance`, with a track's gallery, 0 to 9 % of the same objects are rejected and 11 to 25 % of other
+    objects accepted. Dimming an image to 0.8 stays below it (0.075 for 95 of 100 boxes), dimming to 0.6 does not.
     """
 
     def __init__(self, settings: ColourLayoutSettings | None = None) -> None:
-        self._settings = form = settings or ColourLayoutSettings()
-        self.max_cosine_distance = form.max_cosine_distance
+        self._settings = settings = settings or ColourLayoutSettings()
+        self.max_cosine_distance = settings.max_cosine_distance
         self.notes: tuple[str, ...] = ()
-        self._u = (np.arange(form.n_columns) + 0.5) / form.n_columns
-        self._v = (np.arange(form.n_rows) + 0.5) / form.n_rows
-        fall_x, fall_y = (self._u - 0.5) / form.spread_x, (self._v - 0.5) / form.spread_y
-        self._weight = np.exp(-0.5 * (fall_x**2 + fall_y[:, None] ** 2))
-        self._band = np.arange(form.n_rows) * form.n_bands // form.n_rows
+        self._u = (np.arange(settings.n_columns) + 0.5) / settings.n_columns
+        self._v = (np.arange(settings.n_rows) + 0.5) / settings.n_rows
+        x, y = (self._u - 0.5) / settings.spread_x, (self._v - 0.5) / settings.spread_y
+        self._weight = np.exp(-0.5 * (x**2 + y[:, None] ** 2))
+        self._band = np.arange(settings.n_rows) * settings.n_bands // settings.n_rows
         level = (np.arange(_N_LEVELS) + 0.5) * (256 / _N_LEVELS) - 0.5
-        chroma = (level - 128.0) / form.chroma_span / 2 + 0.5
-        self._soft = np.stack([_soft_bins(share, form.n_bins) for share in (level / 255, chroma, chroma)])
+        chroma = (level - 128.0) / settings.chroma_span / 2 + 0.5
+        self._soft_bins = np.stack([_soft_bins(value, settings.n_bins) for value in (level / 255, chroma, chroma)])
 
     @property
     def n_values(self) -> int:
@@ -124,31 +125,31 @@ class ColourLayout:
         """
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
-        good = np.flatnonzero(has_appearance(image, xyxy_px))
-        coloured = not _is_neutral(image)
-        for start in range(0, len(good), _BOX_BLOCK):
-            rows = good[start : start + _BOX_BLOCK]
-            embedding[rows] = self._embedded(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), coloured)
+        usable = np.flatnonzero(has_appearance(image, xyxy_px))
+        has_colour = not _is_neutral(image)
+        for start in range(0, len(usable), _BOX_BLOCK):
+            rows = usable[start : start + _BOX_BLOCK]
+            embedding[rows] = self._embed(image, np.clip(xyxy_px[rows], -_FAR_PX, _FAR_PX), has_colour)
         return embedding
 
-    def _embedded(self, image: Image, xyxy_px: FloatArray, coloured: bool) -> Descriptors:
-        n, form = len(xyxy_px), self._settings
+    def _embed(self, image: Image, xyxy_px: FloatArray, has_colour: bool) -> Descriptors:
+        n, settings = len(xyxy_px), self._settings
         bgr, weight = self._sampled(image, xyxy_px)
-        lab = cv2.cvtColor(bgr.reshape(n * form.n_rows, form.n_columns, 3), cv2.COLOR_BGR2LAB)
-        # One count for all boxes: level, in its band, of its box, of its channel.
-        place = (np.arange(n)[:, None] * form.n_bands + self._band) * _N_LEVELS
-        level = lab.reshape(n, form.n_rows, form.n_columns, 3) // (256 // _N_LEVELS)
-        cells = n * form.n_bands * _N_LEVELS
-        index = level.transpose(3, 0, 1, 2) + place[:, :, None] + (np.arange(3) * cells)[:, None, None, None]
+        lab = cv2.cvtColor(bgr.reshape(n * settings.n_rows, settings.n_columns, 3), cv2.COLOR_BGR2LAB)
+        # One histogram of all boxes, indexed by channel, box, band and level.
+        offset = (np.arange(n)[:, None] * settings.n_bands + self._band) * _N_LEVELS
+        level = lab.reshape(n, settings.n_rows, settings.n_columns, 3) // (256 // _N_LEVELS)
+        n_cells = n * settings.n_bands * _N_LEVELS
+        index = level.transpose(3, 0, 1, 2) + offset[:, :, None] + (np.arange(3) * n_cells)[:, None, None, None]
         weights = np.broadcast_to(weight, index.shape)
-        counts = np.bincount(index.ravel(), weights.ravel(), minlength=3 * cells)
-        histograms = counts.reshape(3, -1, _N_LEVELS) @ self._soft
-        if not coloured:
+        counts = np.bincount(index.ravel(), weights.ravel(), minlength=3 * n_cells)
+        histograms = counts.reshape(3, -1, _N_LEVELS) @ self._soft_bins
+        if not has_colour:
             histograms[1:] = 0.0
         return unit_rows(np.sqrt(histograms).reshape(3, n, -1).transpose(1, 0, 2).reshape(n, -1))
 
     def _sampled(self, image: Image, xyxy_px: FloatArray) -> tuple[Image, FloatArray]:
-        """(N, rows, columns, 3) colours at the grid's points, and their weights, 0 outside the image."""
+        """(N, rows, columns, 3) colours at the points of the grid, and their weights, 0 outside the image."""
         height, width = image.shape[:2]
         left, top, right, bottom = (edge[:, None] for edge in xyxy_px.T)
         x = np.rint(left + (right - left) * self._u).astype(np.int64)
@@ -158,13 +159,13 @@ class ColourLayout:
         return bgr, inside * self._weight
 
 
-def _soft_bins(share: FloatArray, n_bins: int) -> FloatArray:
-    """(levels, bins) how much of each level falls into each bin: into its two nearest, by nearness; ends are open."""
-    place = np.clip(share, 0.0, 1.0) * (n_bins - 1)
-    return np.maximum(1.0 - np.abs(place[:, None] - np.arange(n_bins)), 0.0)
+def _soft_bins(value: FloatArray, n_bins: int) -> FloatArray:
+    """(L, bins) share of each value (L,), clipped to 0..1, in each bin, linear between the two nearest bins."""
+    position = np.clip(value, 0.0, 1.0) * (n_bins - 1)
+    return np.maximum(1.0 - np.abs(position[:, None] - np.arange(n_bins)), 0.0)
 
 
 def _is_neutral(image: Image) -> bool:
-    """Whether a picture is grey all over, judged by a coarse grid of its pixels."""
+    """Whether an image has no colour, from a coarse grid of its pixels."""
     blue, green, red = image[::_STEP_PX, ::_STEP_PX].astype(np.int16).reshape(-1, 3).T
     return bool(max(np.abs(blue - green).max(initial=0), np.abs(green - red).max(initial=0)) <= _NEUTRAL)

@@ -1,10 +1,10 @@
 """Association of tracks and detections: cost matrices, their gates, and the best assignment.
 
-    cost = 1 - IoU(predicted box, detected box)      inf where the classes cannot be one object
-    minimise the sum of costs over pairs, an unmatched track costing max_cost
+    c_ij = 1 - IoU(predicted box i, detected box j)      inf where the classes cannot be one object
+    minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij <= max_cost
 
-Most tracks and detections of a frame have only one possible partner: those pairs are matched at once, and only the rest
-is a linear assignment problem (scipy's solver: Crouse's form of the Jonker-Volgenant algorithm).
+Most tracks and detections of a frame have only one possible partner: these pairs are matched directly, and only the
+others form a linear assignment problem (scipy's solver: Crouse's variant of the Jonker-Volgenant algorithm).
 """
 
 from __future__ import annotations
@@ -19,61 +19,66 @@ from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Classes = Literal["similar", "same", "any"]
-"""Which classes may be one object: those that detectors confuse, equal ones only, or all."""
+"""Which classes may be one object: those that detectors confuse, only equal ones, or all."""
 
 _UNRELATED_COST = 0.95
-"""1 - IoU from which on a track and a detection are no candidates for each other."""
+"""1 - IoU above which a track and a detection are not candidates for each other."""
 
 
 class Assignment:
-    """Pairs of N tracks and M detections, collected stage by stage; each stage uses what the ones before left.
+    """Pairs of N tracks and M detections, collected in stages; each stage matches what earlier ones left unmatched.
 
     Attributes:
         tracks, detections: (K,) row numbers of the pairs so far.
     """
 
     def __init__(self, n_tracks: int, n_detections: int) -> None:
-        """No pairs."""
+        """Start without pairs."""
         self.tracks, self.detections = np.zeros((2, 0), np.int64)
         self._is_free_track, self._is_free_detection = np.ones(n_tracks, np.bool_), np.ones(n_detections, np.bool_)
 
     def unmatched(self, tracks: BoolArray, detections: BoolArray) -> tuple[IntArray, IntArray]:
-        """Row numbers of those tracks (N,) and detections (M,) of the masks that have no partner."""
+        """Row numbers of the unmatched tracks and detections within the masks (N,) and (M,)."""
         return (tracks & self._is_free_track).nonzero()[0], (detections & self._is_free_detection).nonzero()[0]
 
     def match(self, cost: FloatArray, tracks: BoolArray, detections: BoolArray, *, max_cost: float) -> None:
-        """Match the unmatched tracks (N,) and detections (M,) of the masks at least total `cost` (N, M)."""
+        """Match the unmatched tracks and detections within the masks (N,) and (M,) at minimum total `cost` (N, M)."""
         i, j = self.unmatched(tracks, detections)
         if len(i) and len(j):
             self.match_subset(cost[i[:, None], j], i, j, max_cost=max_cost)
 
     def match_subset(self, cost: FloatArray, tracks: IntArray, detections: IntArray, *, max_cost: float) -> None:
-        """Match the tracks (n,) and detections (m,) with these row numbers at least total `cost` (n, m)."""
+        """Match the tracks (n,) and detections (m,) with these row numbers at minimum total `cost` (n, m)."""
         i, j = min_cost_matching(cost, max_cost=max_cost)
-        self._take(tracks[i], detections[j])
+        self._add(tracks[i], detections[j])
 
     def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
-        """Match tracks and detections (of maximum costs (M,)) that overlap with each other and hardly with any other.
+        """Match tracks within the mask (N,) and detections that overlap each other and hardly anything else.
 
-        The stages after this one would match them too, only slower: most pairs of a frame are found here.
+        Later stages would match them too, but more slowly: this stage finds most pairs of a frame.
+
+        Args:
+            cost: (N, M) 1 - IoU.
+            tracks: (N,) which tracks may be matched.
+            max_cost: (M,) largest cost for each detection.
         """
         is_candidate = cost <= _UNRELATED_COST
         detection = is_candidate.argmax(axis=1)
         is_only = tracks & (is_candidate.sum(axis=1) == 1) & (is_candidate.sum(axis=0) == 1)[detection]
         i = is_only.nonzero()[0]
-        good = cost[i, detection[i]] <= max_cost[detection[i]]
-        self._take(i[good], detection[i[good]])
+        is_near = cost[i, detection[i]] <= max_cost[detection[i]]
+        self._add(i[is_near], detection[i[is_near]])
 
-    def _take(self, tracks: IntArray, detections: IntArray) -> None:
+    def _add(self, tracks: IntArray, detections: IntArray) -> None:
         self._is_free_track[tracks], self._is_free_detection[detections] = False, False
         self.tracks = np.concatenate([self.tracks, tracks])
         self.detections = np.concatenate([self.detections, detections])
 
 
 def iou_cost(track_xyxy_px: FloatArray, detected_xyxy_px: FloatArray, *, margin: float = 0.0) -> FloatArray:
-    """(N, M) 1 - IoU, in [0, 1], of boxes (N, 4) and (M, 4) widened by `margin` of their own size on every side.
+    """(N, M) 1 - IoU, in [0, 1], of boxes (N, 4) and (M, 4), each widened by `margin` times its size on every side.
 
-    With a margin, boxes of an object that moved by more than its width still overlap (Yang et al., C-BIoU, 2023).
+    With a margin, boxes of an object that moved by more than its width still overlap (C-BIoU, Yang et al., 2023).
     """
     if margin:
         track_xyxy_px, detected_xyxy_px = widened(track_xyxy_px, margin), widened(detected_xyxy_px, margin)
@@ -87,7 +92,7 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
 
 
 def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classes: Classes = "similar") -> BoolArray:
-    """(N, M) whether a track and a detection may be one object: detectors confuse cars, buses and trucks."""
+    """(N, M) whether the classes of a track and a detection may be one object: detectors confuse cars and trucks."""
     if classes == "any":
         return np.ones((len(track_class_id), len(detected_class_id)), np.bool_)
     if classes == "similar":
@@ -96,11 +101,12 @@ def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classe
 
 
 def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the pairs of least total cost, each pair at most `max_cost`; inf forbids a pair.
+    """Rows and columns of the pairs with minimum total cost, each pair at most `max_cost`; inf forbids a pair.
 
     Args:
         cost: (N, M), no NaN; N or M may be 0.
-        max_cost: also the cost of an unmatched row, so that no pair is made only to make more pairs.
+        max_cost: largest cost of a pair, and the cost of an unmatched row, so that more pairs are not better by
+            themselves.
     """
     allowed = cost <= max_cost
     n_of_row, n_of_column = allowed.sum(axis=1), allowed.sum(axis=0)
@@ -110,7 +116,7 @@ def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, I
         return rows, columns
     i = np.setdiff1d(open_rows, rows, assume_unique=True)
     j = np.setdiff1d(open_columns, columns, assume_unique=True)
-    rest = cost[np.ix_(i, j)]
-    r, c = linear_sum_assignment(np.minimum(rest, max_cost))
-    good = rest[r, c] <= max_cost
-    return np.concatenate([rows, i[r[good]]]), np.concatenate([columns, j[c[good]]])
+    open_cost = cost[np.ix_(i, j)]
+    r, c = linear_sum_assignment(np.minimum(open_cost, max_cost))
+    is_pair = open_cost[r, c] <= max_cost
+    return np.concatenate([rows, i[r[is_pair]]]), np.concatenate([columns, j[c[is_pair]]])

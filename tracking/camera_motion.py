@@ -1,17 +1,17 @@
-"""Camera motion: how far background moves from one frame to the next, so that predicted boxes can move with it.
+"""Camera motion: the image motion of the background between two frames, so that predicted boxes can move with it.
 
     now = [[a, -b], [b, a]] before + t       a = s cos r, b = s sin r: scale s, roll r, and t for yaw and pitch
 
 Corners of the frame before, outside its boxes, are tracked by pyramidal Lucas-Kanade (Bouguet, 2000) on a small grey
-image. Where nearly all are inliers of one similarity, that is the motion. On a road they are not: driving makes near
-objects flow away from the vanishing point v, each by its own nearness z,
+image. If nearly all are inliers of one similarity, it is the motion. On a road they are not: driving makes near points
+flow away from the vanishing point v, by their inverse depth z (scaled by the speed),
 
     flow = t + b [-y, x] + z ([x, y] - v)
 
-which a similarity takes for zoom and shift, though a car ahead does neither. So t and b are fitted to the flow across
-the direction from the image's centre, where z matters only as z v, and v is fitted along: what is left is yaw, pitch
-and roll. On a KITTI odometry drive (poses known) the horizon is met to 0.7 px rms; by robust similarities to 13-23 px,
-and by no motion at all to 1.1 px.
+which a similarity mistakes for zoom and shift, although the image of a car ahead does neither. So t and b are fitted to
+the component of the flow perpendicular to the direction from the image centre, where z has an effect only as z v, and v
+is fitted too: the result is yaw, pitch and roll. On a KITTI odometry drive with known poses, the horizon is predicted
+to 0.7 px rms; by robust similarities to 13-23 px, and without compensation to 1.1 px.
 """
 
 from __future__ import annotations
@@ -30,21 +30,28 @@ FeatureArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex128]
 
 _CELL_PX = 8
-"""Side of the cells, small pixels, in which boxes are marked: boxes grow by up to one, so that few windows overlap."""
+"""Side of the cells of the mask of boxes, small pixels: boxes grow by up to one cell, so that few windows overlap."""
+
 _GRID_PX = 8
-"""Side of the squares of the half-size image that give one feature each, so 16 small pixels: two cells."""
-_FLAT = 1e-5
+"""Side of the squares of the half-size image with one feature each: 16 small pixels, two cells."""
+
+_MIN_EIGENVALUE = 1e-5
 """Least corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
+
 _MIN_SIDE_PX = 32
-"""Least side of a small image, which has room for windows."""
-_N_SIMILARITY, _N_TURN = 4, 5
-"""Rounds of reweighting; one more moves the result by 0.02 px at most in the median of real drives."""
+"""Smallest side of a small image that has room for windows."""
+
+_N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
+"""Rounds of reweighting; one more changes the result by at most 0.02 px in the median of real drives."""
+
 _TUKEY = 4.685
-"""Standard deviations from which on a residual has no weight (95 % efficiency on normal noise)."""
+"""Residual, in standard deviations, from which the weight is 0 (95 % efficiency with normal noise)."""
+
 _NEAR_CENTRE = 0.01
-"""Share of the long side; features nearer to the centre have no direction from it to speak of."""
+"""Least distance from the image centre, as a share of the long side, at which the direction from it is meaningful."""
+
 _RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])
-"""Pulls v to the centre; small beside the sum of z^2 wherever there is parallax to fit v with."""
+"""Ridge that pulls v to the centre; small compared to the sum of z^2 where there is enough parallax to fit v."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,19 +60,20 @@ class CameraMotionSettings:
 
     Attributes:
         long_side_px: the image is halved until neither side is longer.
-        n_features: tracked at most.
-        min_quality: of a corner, as a share of the best corner's.
+        n_features: largest number of tracked features.
+        min_quality: least quality of a corner, as a share of the best corner's.
         window_px: side of the tracked window, small pixels.
-        n_halvings: of the small image, for motions larger than the window.
+        n_halvings: pyramid levels above the small image, for motions larger than the window.
         noise_px: standard deviation of a tracked feature, small pixels.
-        max_residual_px: of an inlier, small pixels.
-        min_inliers: of a motion.
-        min_inlier_share: of a motion, as a share of the tracked features.
-        similarity_share: inlier share from which on the similarity is the motion, zoom included.
-        min_spread: of the features around their mean, rms, as a share of the long side; below, only t is fitted.
+        max_residual_px: largest residual of an inlier, small pixels.
+        min_inliers: least number of inliers of a motion.
+        min_inlier_share: least share of inliers among the tracked features.
+        similarity_share: share of inliers from which the similarity, with its zoom, is the motion.
+        min_spread: least rms distance of the features from their mean, as a share of the long side; below it, only t is
+            fitted.
         max_scale: largest plausible scale; its inverse is the smallest.
         max_roll_rad: largest plausible roll.
-        max_shift: largest plausible shift of the image's centre, as a share of width and of height.
+        max_shift: largest plausible shift of the image centre, as a share of width and of height.
     """
 
     long_side_px: int = 640
@@ -86,7 +94,7 @@ class CameraMotionSettings:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """One frame: its size, its small grey image, and (N, 2) float32 features in small pixels."""
+    """Size of one frame, its small grey image, and (N, 2) float32 features in small pixels."""
 
     image_hw: tuple[int, int]
     grey: Image
@@ -94,24 +102,23 @@ class _View:
 
 
 class CameraMotion:
-    """Background motion from frame to frame of one stream; the state belongs to the instance."""
+    """Estimates the background motion between the frames of one stream; the state belongs to the instance."""
 
     def __init__(self, settings: CameraMotionSettings | None = None) -> None:
         self._settings = settings or CameraMotionSettings()
         self._before: _View | None = None
 
     def update(self, image: Image, xyxy_px: FloatArray) -> FloatArray:
-        """(2, 3) `now_from_before`: maps pixels of the frame before to this frame's; the same input, the same output.
+        """(2, 3) `now_from_before`, which maps pixels of the frame before to pixels of this one; deterministic.
 
-        The identity for the first frame, after a change of size, and where there are too few inliers or the motion is
-        not plausible.
+        The identity for the first frame, after a change of size, with too few inliers, and for an implausible motion.
 
         Args:
-            image: (H, W, 3) BGR, only read.
+            image: (H, W, 3) BGR.
             xyxy_px: (N, 4) boxes of road users in this frame, which are not background; invalid ones are ignored.
 
         Raises:
-            ValueError: another shape.
+            ValueError: an argument has another shape.
         """
         check_shape("image", image, (None, None, 3))
         check_shape("xyxy_px", xyxy_px, (None, 4))
@@ -121,16 +128,16 @@ class CameraMotion:
         if min(image_hw) >> n_halved < _MIN_SIDE_PX:
             return np.eye(2, 3)
         grey = _small_grey(image, n_halved)
-        masked = _masked_cells(xyxy_px, grey.shape, _CELL_PX << n_halved)
-        self._before = _View(image_hw, grey, _features(grey, masked, self._settings))
+        is_masked = _masked_cells(xyxy_px, grey.shape, _CELL_PX << n_halved)
+        self._before = _View(image_hw, grey, _features(grey, is_masked, self._settings))
         if before is None or before.image_hw != image_hw:
             return np.eye(2, 3)
-        was, now = _tracked(before, grey, masked, self._settings)
-        return _in_full_pixels(_motion(was, now, grey.shape, self._settings), 1 << n_halved)
+        before_px, now_px = _tracked(before, grey, is_masked, self._settings)
+        return _in_full_pixels(_motion(before_px, now_px, grey.shape, self._settings), 1 << n_halved)
 
 
 def _small_grey(image: Image, n_halved: int) -> Image:
-    """The green channel halved so many times: means of 2x2 pixels do not alias, green costs less than a mix."""
+    """The green channel, halved `n_halved` times by 2x2 means, which prevent aliasing; green is faster than grey."""
     grey = np.asarray(cv2.extractChannel(image, 1), np.uint8)
     for _ in range(n_halved):
         grey = _halved(grey)
@@ -144,7 +151,7 @@ def _halved(image: Image) -> Image:
 
 
 def _masked_cells(xyxy_px: FloatArray, grey_hw: tuple[int, ...], cell_px: int) -> BoolArray:
-    """(rows, columns) cells of the small image, `cell_px` full pixels wide, that a box touches; no loop over boxes."""
+    """(rows, columns) whether a box touches a cell of the small image, `cell_px` full pixels wide."""
     n_rows, n_columns = (-(-side // _CELL_PX) for side in grey_hw)
     cells = (xyxy_px[are_valid_boxes(xyxy_px)] + 0.5) / cell_px
     cells = np.clip(cells, 0, [n_columns, n_rows, n_columns, n_rows])
@@ -156,79 +163,81 @@ def _masked_cells(xyxy_px: FloatArray, grey_hw: tuple[int, ...], cell_px: int) -
     return np.asarray(steps.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
 
 
-def _features(grey: Image, masked: BoolArray, settings: CameraMotionSettings) -> FeatureArray:
-    """(N, 2) the best corners, one per square, outside masked cells.
+def _features(grey: Image, is_masked: BoolArray, settings: CameraMotionSettings) -> FeatureArray:
+    """(N, 2) the best corners outside masked cells, at most one per square, in small pixels.
 
-    Detected at half size, since windows of twice the size track them; a grid is faster than OpenCV's sorted choice.
+    They are detected at half size, because the tracked windows are large; a grid is faster than OpenCV's sorting.
     """
     quality = cv2.cornerMinEigenVal(_halved(grey), 3)
     n_rows, n_columns = (side // _GRID_PX for side in quality.shape)
     whole = quality[: n_rows * _GRID_PX, : n_columns * _GRID_PX].reshape(n_rows, _GRID_PX, n_columns, _GRID_PX)
     squares = whole.swapaxes(1, 2).reshape(-1, _GRID_PX**2)
-    place = squares.argmax(axis=1)
-    best = squares[np.arange(len(squares)), place]
-    y, x = np.divmod(place, _GRID_PX)
+    index = squares.argmax(axis=1)
+    best = squares[np.arange(len(squares)), index]
+    y, x = np.divmod(index, _GRID_PX)
     row, column = np.divmod(np.arange(len(squares)), n_columns)
     corners = 2 * np.stack([column * _GRID_PX + x, row * _GRID_PX + y], axis=1) + 0.5
-    best[_are_masked(corners, masked)] = 0.0
+    best[_are_masked(corners, is_masked)] = 0.0
     chosen = np.argsort(-best, kind="stable")[: settings.n_features]
-    good = best[chosen] > max(settings.min_quality * float(best.max(initial=0.0)), _FLAT)
-    return np.asarray(corners[chosen[good]], np.float32)
+    is_corner = best[chosen] > max(settings.min_quality * float(best.max(initial=0.0)), _MIN_EIGENVALUE)
+    return np.asarray(corners[chosen[is_corner]], np.float32)
 
 
-def _are_masked(points: FloatArray, masked: BoolArray) -> BoolArray:
-    """(N,) which points of the small image, (N, 2), lie in a masked cell."""
+def _are_masked(points: FloatArray, is_masked: BoolArray) -> BoolArray:
+    """(N,) whether a point (N, 2) of the small image lies in a masked cell."""
     cells = (points / _CELL_PX).astype(np.int64)
-    return np.asarray(masked[cells[:, 1], cells[:, 0]])
+    return np.asarray(is_masked[cells[:, 1], cells[:, 0]])
 
 
 def _tracked(
-    before: _View, grey: Image, masked: BoolArray, settings: CameraMotionSettings
+    before: _View, grey: Image, is_masked: BoolArray, settings: CameraMotionSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, 2), (N, 2) where features were and are, small pixels: those tracked, in the image and not masked."""
+    """Features tracked into an unmasked part of this frame: (N, 2) small pixels in the frame before and in this one."""
     if len(before.features) == 0:
         return np.zeros((0, 2)), np.zeros((0, 2))
     side, stop = settings.window_px, (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
     start = np.empty_like(before.features)
-    points, found, _ = cv2.calcOpticalFlowPyrLK(
+    points, status, _ = cv2.calcOpticalFlowPyrLK(
         before.grey, grey, before.features, start, winSize=(side, side), maxLevel=settings.n_halvings, criteria=stop
     )
-    was, now = before.features.astype(np.float64), np.asarray(points, np.float64).reshape(-1, 2)
+    before_px, now_px = before.features.astype(np.float64), np.asarray(points, np.float64).reshape(-1, 2)
     height, width = grey.shape
-    inside = (now >= 0).all(axis=1) & (now[:, 0] <= width - 1) & (now[:, 1] <= height - 1)
-    good = inside & (found.reshape(-1) > 0)
-    good[good] = ~_are_masked(now[good], masked)
-    return was[good], now[good]
+    is_inside = (now_px >= 0).all(axis=1) & (now_px[:, 0] <= width - 1) & (now_px[:, 1] <= height - 1)
+    is_tracked = is_inside & (status.reshape(-1) > 0)
+    is_tracked[is_tracked] = ~_are_masked(now_px[is_tracked], is_masked)
+    return before_px[is_tracked], now_px[is_tracked]
 
 
-def _motion(was: FloatArray, now: FloatArray, grey_hw: tuple[int, ...], settings: CameraMotionSettings) -> FloatArray:
-    """(2, 3) in small pixels: the similarity of all, else yaw, pitch and roll, else the identity."""
-    if len(was) < settings.min_inliers:
+def _motion(
+    before_px: FloatArray, now_px: FloatArray, grey_hw: tuple[int, ...], settings: CameraMotionSettings
+) -> FloatArray:
+    """(2, 3) motion in small pixels: a similarity if nearly all agree, else yaw, pitch and roll, else the identity."""
+    if len(before_px) < settings.min_inliers:
         return np.eye(2, 3)
     long_side_px, centre = max(grey_hw), complex(grey_hw[1] - 1, grey_hw[0] - 1) / 2
-    points, flow = _complex(was) - centre, _complex(now - was)
-    turn, shift, inliers = _similarity(points, flow, settings, min_spread_px=settings.min_spread * long_side_px)
+    points, flow = _complex(before_px) - centre, _complex(now_px - before_px)
+    c, t, inliers = _similarity(points, flow, settings, min_spread_px=settings.min_spread * long_side_px)
     if inliers.mean() < settings.similarity_share:
-        turn, shift, inliers = _turn(points, flow, settings, near_px=_NEAR_CENTRE * long_side_px)
-    enough = inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_share
-    if not (enough and _is_plausible(turn, shift, grey_hw, settings)):
+        c, t, inliers = _rotation(points, flow, settings, min_radius_px=_NEAR_CENTRE * long_side_px)
+    has_enough = inliers.sum() >= settings.min_inliers and inliers.mean() >= settings.min_inlier_share
+    if not (has_enough and _is_plausible(c, t, grey_hw, settings)):
         return np.eye(2, 3)
-    origin = shift + centre - turn * centre
-    return np.array([[turn.real, -turn.imag, origin.real], [turn.imag, turn.real, origin.imag]])
+    origin = t + centre - c * centre
+    return np.array([[c.real, -c.imag, origin.real], [c.imag, c.real, origin.imag]])
 
 
 def _complex(xy: FloatArray) -> ComplexArray:
-    """(N, 2) -> (N,) x + iy, in which a similarity is `turn` * point + `shift`."""
+    """(N, 2) -> (N,) x + iy; a similarity is then a complex factor c = a + ib and a shift t."""
     return np.asarray(xy[:, 0] + 1j * xy[:, 1])
 
 
 def _median(values: FloatArray) -> float:
-    """The upper median; numpy's own takes ten times as long for so few values."""
+    """The upper median; numpy's median takes ten times as long for so few values."""
     return float(np.sort(values)[len(values) // 2])
 
 
 def _weights(residual_px: FloatArray, noise_px: float) -> FloatArray:
-    """(N,) Tukey's, of residuals (N,) >= 0, against their own spread, or against the noise where they are smaller."""
+    """(N,) Tukey weights of residuals (N,) >= 0, scaled by their standard deviation, at least `noise_px`."""
     limit_px = _TUKEY * max(MAD_TO_SIGMA * _median(residual_px), noise_px)
     return np.asarray((1 - np.minimum(residual_px / limit_px, 1) ** 2) ** 2)
 
@@ -236,61 +245,62 @@ def _weights(residual_px: FloatArray, noise_px: float) -> FloatArray:
 def _similarity(
     points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, min_spread_px: float
 ) -> tuple[complex, complex, BoolArray]:
-    """Robust similarity `turn`, `shift` and (N,) which features are inliers; least squares in closed form."""
-    growth, shift = 0j, complex(_median(flow.real), _median(flow.imag))
-    for _ in range(_N_SIMILARITY):
-        weight = _weights(np.abs(growth * points + shift - flow), settings.noise_px)
+    """A robust similarity c = a + ib and t, by least squares in closed form, and (N,) which features are inliers."""
+    growth, t = 0j, complex(_median(flow.real), _median(flow.imag))  # growth: c - 1
+    for _ in range(_N_SIMILARITY_ROUNDS):
+        weight = _weights(np.abs(growth * points + t - flow), settings.noise_px)
         weight /= weight.sum()
         mean, mean_flow = weight @ points, weight @ flow
-        off = points - mean
-        spread_px2 = float(weight @ (off.real**2 + off.imag**2))
-        spread_enough = spread_px2 >= min_spread_px**2
-        growth = complex((weight * off.conj()) @ (flow - mean_flow)) / spread_px2 if spread_enough else 0j
-        shift = complex(mean_flow - growth * mean)
-    inliers = np.abs(growth * points + shift - flow) <= settings.max_residual_px
-    return 1 + growth, shift, np.asarray(inliers)
+        centred = points - mean
+        spread_px2 = float(weight @ (centred.real**2 + centred.imag**2))
+        is_spread = spread_px2 >= min_spread_px**2
+        growth = complex((weight * centred.conj()) @ (flow - mean_flow)) / spread_px2 if is_spread else 0j
+        t = complex(mean_flow - growth * mean)
+    inliers = np.abs(growth * points + t - flow) <= settings.max_residual_px
+    return 1 + growth, t, np.asarray(inliers)
 
 
-def _turn(
-    points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, near_px: float
+def _rotation(
+    points: ComplexArray, flow: ComplexArray, settings: CameraMotionSettings, *, min_radius_px: float
 ) -> tuple[complex, complex, BoolArray]:
-    """Yaw, pitch and roll as `turn` (of size 1) and `shift`, and (N,) which are inliers: none if t is not determined.
+    """Yaw, pitch and roll as c = a + ib (of size 1) and t, and (N,) which are inliers: none if t is not determined.
 
-    Across the direction from the centre the flow is t + b r - z v: linear in t, b and v once z is known, and z is the
-    flow along that direction, less t, over r. Features on one line from the centre do not determine t along it.
+    Perpendicular to the direction from the centre, at distance r, the flow is t + b r - z v: linear in t, b and v for a
+    given z, which is the flow along that direction, less t, over r. Features on one line from the centre do not
+    determine t along it.
     """
-    radius = np.maximum(np.abs(points), near_px)
-    direction = points / radius
-    turned = flow * direction.conj()  # real part along, imaginary part across
-    across = np.stack([-direction.imag, direction.real], axis=1)
-    shift = complex(_median(flow.real), _median(flow.imag))
-    solution = np.array([shift.real, shift.imag, 0.0, 0.0, 0.0])
+    r = np.maximum(np.abs(points), min_radius_px)
+    direction = points / r
+    radial_flow = flow * direction.conj()  # real part along the direction, imaginary part perpendicular to it
+    perpendicular = np.stack([-direction.imag, direction.real], axis=1)
+    t = complex(_median(flow.real), _median(flow.imag))
+    solution = np.array([t.real, t.imag, 0.0, 0.0, 0.0])  # t, b, v
     columns = np.empty((len(points), 5))
-    columns[:, :2], columns[:, 2] = across, radius
-    for _ in range(_N_TURN):
-        nearness = (turned - shift * direction.conj()).real / radius
-        columns[:, 3:] = -nearness[:, None] * across
-        weighted = columns * _weights(np.abs(turned.imag - columns @ solution), settings.noise_px)[:, None]
+    columns[:, :2], columns[:, 2] = perpendicular, r
+    for _ in range(_N_ROTATION_ROUNDS):
+        z = (radial_flow - t * direction.conj()).real / r
+        columns[:, 3:] = -z[:, None] * perpendicular
+        weighted = columns * _weights(np.abs(radial_flow.imag - columns @ solution), settings.noise_px)[:, None]
         covariance = np.linalg.inv(weighted.T @ columns + _RIDGE)
-        solution = covariance @ (weighted.T @ turned.imag)
-        shift = complex(solution[0], solution[1])
-    shift_sigma_px = settings.noise_px * float(np.sqrt(covariance[0, 0] + covariance[1, 1]))
-    inliers = (np.abs(turned.imag - columns @ solution) <= settings.max_residual_px) & (
-        shift_sigma_px <= settings.max_residual_px
+        solution = covariance @ (weighted.T @ radial_flow.imag)
+        t = complex(solution[0], solution[1])
+    t_sigma_px = settings.noise_px * float(np.sqrt(covariance[0, 0] + covariance[1, 1]))
+    inliers = (np.abs(radial_flow.imag - columns @ solution) <= settings.max_residual_px) & (
+        t_sigma_px <= settings.max_residual_px
     )
-    turn = complex(1.0, solution[2])
-    return turn / abs(turn), shift, np.asarray(inliers)
+    c = complex(1.0, solution[2])
+    return c / abs(c), t, np.asarray(inliers)
 
 
-def _is_plausible(turn: complex, shift: complex, grey_hw: tuple[int, ...], settings: CameraMotionSettings) -> bool:
-    near = abs(shift.real) <= settings.max_shift * grey_hw[1] and abs(shift.imag) <= settings.max_shift * grey_hw[0]
-    rolled_rad = abs(np.angle(turn))
+def _is_plausible(c: complex, t: complex, grey_hw: tuple[int, ...], settings: CameraMotionSettings) -> bool:
+    is_near = abs(t.real) <= settings.max_shift * grey_hw[1] and abs(t.imag) <= settings.max_shift * grey_hw[0]
+    roll_rad = abs(np.angle(c))
     return bool(
-        near and 1 / settings.max_scale <= abs(turn) <= settings.max_scale and rolled_rad <= settings.max_roll_rad
+        is_near and 1 / settings.max_scale <= abs(c) <= settings.max_scale and roll_rad <= settings.max_roll_rad
     )
 
 
 def _in_full_pixels(small: FloatArray, factor: int) -> FloatArray:
-    """A motion of small pixels as one of the image's: full = factor * small + (factor - 1) / 2."""
+    """A motion in small pixels converted to full ones: full = factor * small + (factor - 1) / 2."""
     offset = np.full(2, (factor - 1) / 2)
     return np.column_stack([small[:, :2], factor * small[:, 2] + offset - small[:, :2] @ offset])

@@ -1,10 +1,10 @@
-"""CLEAR and identity metrics, counted in arrays: MOTA, MOTP, switches, fragmentations, IDF1.
+"""CLEAR and identity metrics: MOTA, MOTP, switches, fragmentations, IDF1.
 
     MOTA = 1 - (FP + FN + switches) / truth boxes        Bernardin and Stiefelhagen, 2008
     IDF1 = 2 IDTP / (truth boxes + result boxes)         Ristani et al., 2016
 
-A result box and a truth box can match when their IoU is at least 0.5. CLEAR keeps a truth box with the identity that
-had it last, where it can, and takes the best IoU otherwise; identity metrics join whole tracks. In details as
+A result box and a truth box can match if their IoU is at least 0.5. CLEAR continues the matches of the frame before
+where possible, and maximises the IoU otherwise; identity metrics map whole tracks to each other. Details follow
 TrackEval.
 """
 
@@ -18,9 +18,13 @@ from scipy.optimize import linear_sum_assignment
 from track_range.tracking.similarity import Similarity
 
 MIN_IOU = 0.5
+"""Least IoU of a match."""
+
 _EPSILON = float(np.finfo(np.float64).eps)
-_STAY = 1000.0
-"""Larger than any sum of IoUs that could outweigh an identity kept."""
+"""Tolerance of comparisons, as in TrackEval."""
+
+_CONTINUITY_BONUS = 1000.0
+"""Added to the IoU of a pair that was matched in the frame before; exceeds any sum of IoUs of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +32,12 @@ class ClearCounts:
     """Counts of one or several sequences.
 
     Attributes:
-        tp, fn, fp: matches, truth boxes and result boxes without one.
+        tp, fn, fp: matches, unmatched truth boxes, unmatched result boxes.
         idsw: identity switches.
-        frag: times that a truth track is lost and found again.
+        frag: fragmentations: how often a truth track is lost and matched again.
         mt, pt, ml: truth tracks matched in more than 80 %, 20 to 80 % and less than 20 % of their frames.
-        iou_sum: over the matches.
-        idtp, idfn, idfp: boxes of the best one-to-one mapping of whole tracks.
+        iou_sum: sum of the IoU of the matches.
+        idtp, idfn, idfp: the same as tp, fn, fp under the best one-to-one mapping of whole tracks.
     """
 
     tp: int
@@ -54,32 +58,32 @@ class ClearCounts:
 
     @property
     def n_truth(self) -> int:
-        """Truth boxes."""
+        """Number of truth boxes."""
         return self.tp + self.fn
 
     @property
     def mota(self) -> float:
-        """Per cent, can be negative; NaN without truth."""
+        """MOTA in per cent; can be negative; NaN without truth."""
         return _per_cent(self.tp - self.fp - self.idsw, self.n_truth)
 
     @property
     def motp(self) -> float:
-        """Mean IoU of the matches, per cent."""
+        """Mean IoU of the matches in per cent."""
         return _per_cent(self.iou_sum, self.tp)
 
     @property
     def idf1(self) -> float:
-        """Per cent."""
+        """IDF1 in per cent."""
         return _per_cent(2 * self.idtp, 2 * self.idtp + self.idfn + self.idfp)
 
     @property
     def idp(self) -> float:
-        """Per cent."""
+        """Identity precision in per cent."""
         return _per_cent(self.idtp, self.idtp + self.idfp)
 
     @property
     def idr(self) -> float:
-        """Per cent."""
+        """Identity recall in per cent."""
         return _per_cent(self.idtp, self.idtp + self.idfn)
 
 
@@ -93,11 +97,11 @@ def count_clear(similarity: Similarity) -> ClearCounts:
     for truth_ids, result_ids, iou in similarity.frames():
         if not len(truth_ids) or not len(result_ids):
             continue  # tracks matched in the frame before count as matched in this one, as in TrackEval
-        score = iou + _STAY * (result_ids[None, :] == last_frame[truth_ids][:, None])
+        score = iou + _CONTINUITY_BONUS * (result_ids[None, :] == last_frame[truth_ids][:, None])
         score[iou < MIN_IOU - _EPSILON] = 0.0
         rows, columns = linear_sum_assignment(score, maximize=True)
-        keep = score[rows, columns] > _EPSILON
-        rows, columns = rows[keep], columns[keep]
+        is_match = score[rows, columns] > _EPSILON
+        rows, columns = rows[is_match], columns[is_match]
         truth, result = truth_ids[rows], result_ids[columns]
         tp += len(truth)
         iou_sum += float(iou[rows, columns].sum())
@@ -108,7 +112,7 @@ def count_clear(similarity: Similarity) -> ClearCounts:
         last_frame[:] = -1
         last_frame[truth] = result
     share = n_matched / np.maximum(similarity.truth_count, 1)
-    mt, seen = int(np.count_nonzero(share > 0.8)), int(np.count_nonzero(share >= 0.2))
+    mt, mt_or_pt = int(np.count_nonzero(share > 0.8)), int(np.count_nonzero(share >= 0.2))
     idtp = _identity_matches(similarity)
     return ClearCounts(
         tp=tp,
@@ -117,8 +121,8 @@ def count_clear(similarity: Similarity) -> ClearCounts:
         idsw=idsw,
         frag=int((n_starts[n_starts > 0] - 1).sum()),
         mt=mt,
-        pt=seen - mt,
-        ml=n - seen,
+        pt=mt_or_pt - mt,
+        ml=n - mt_or_pt,
         iou_sum=iou_sum,
         idtp=idtp,
         idfn=similarity.n_truth - idtp,
@@ -127,12 +131,12 @@ def count_clear(similarity: Similarity) -> ClearCounts:
 
 
 def _identity_matches(similarity: Similarity) -> int:
-    """Boxes that agree under the best mapping of truth identities to result identities."""
-    together = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
+    """IDTP: the number of matched boxes under the best one-to-one mapping of truth to result identities."""
+    n_common = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
     for truth_ids, result_ids, iou in similarity.frames():
-        together[np.ix_(truth_ids, result_ids)] += iou >= MIN_IOU
-    rows, columns = linear_sum_assignment(together, maximize=True)
-    return int(together[rows, columns].sum())
+        n_common[np.ix_(truth_ids, result_ids)] += iou >= MIN_IOU
+    rows, columns = linear_sum_assignment(n_common, maximize=True)
+    return int(n_common[rows, columns].sum())
 
 
 def _per_cent(part: float, whole: float) -> float:

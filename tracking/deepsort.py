@@ -1,19 +1,19 @@
 """DeepSortTracker: detections to tracks by motion, appearance and overlap.
 
-    1. predict           every track moves on by its motion filter and with the camera; dead tracks are deleted
+    1. predict           the motion filters predict all tracks, compensated for camera motion; dead tracks are deleted
     2. associate         high-confidence detections - confirmed tracks   appearance within the motion gate, then IoU
                          low-confidence detections - confirmed tracks    IoU
                          high-confidence detections - tentative tracks   IoU of widened boxes
     3. update matched    tracks get their detections; tentative ones are confirmed
     4. initiate          unmatched high-confidence detections become tentative tracks
-    5. output            confirmed tracks: as detected, or predicted for a short time
+    5. output            confirmed tracks, with detected boxes, or predicted ones for a short time
 
 After SORT (Bewley et al., 2016), DeepSORT (Wojke et al., 2017), ByteTrack (Zhang et al., 2022) and C-BIoU (Yang et al.,
-2023). The track-activation threshold, from which on a detection has high confidence, is estimated from whether
-detections persist (`confidence_threshold`), the process-noise scale from the innovations (`process_noise`), so that one
-setting serves well-calibrated and over-confident detectors, static and driving cameras. The output is the detected box,
-not the filter's estimate, whose edges lag. The chi-square gate applies to appearance only: boxes cut by the image
-border or by an occluder do not follow the motion model, and IoU is its own gate.
+2023). The track-activation threshold, which separates high from low confidence, is estimated from the persistence of
+detections (`confidence_threshold`), the process-noise scale from the innovations (`process_noise`), so that one set of
+parameters suits well-calibrated and over-confident detectors, static and driving cameras. The output is the detected
+box instead of the filter's estimate, because the estimate's edges lag. The chi-square gate applies to appearance only:
+boxes cut off by the image border or by an occluder do not follow the motion model, and IoU is a gate by itself.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from track_range.tracking.tracker import AppearanceModel, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
 _MAX_COSINE_DISTANCE_OF_FILES = 0.2
-"""Cosine distance up to which embeddings of a file are one object's: deep_sort's, for its vectors of 128 numbers."""
+"""Largest cosine distance for embeddings from a detection file: deep_sort's, for its 128-dimensional embeddings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AppearanceSettings:
-    """Which detection may belong to a track by its appearance.
+    """Gates of appearance: which detections may match a track by their embedding.
 
     Attributes:
-        max_cosine_distance: cosine distance (1 - cos) from the nearest of the track's embeddings; 0 = appearance is not
-            compared; None = the appearance model's own, 0.2 for embeddings of a file.
+        max_cosine_distance: largest cosine distance (1 - cos) from the nearest of the track's embeddings; 0 =
+            appearance is not used; None = the appearance model's value, 0.2 for embeddings from a file.
         gating_threshold: largest squared Mahalanobis distance from the track's prediction: the chi-square gate, 99.7 %
             at 4 degrees of freedom.
-        max_occlusion: a detection with a larger share of its area inside a nearer one gets no embedding, which would
-            resemble the occluder's.
-        nn_budget: embeddings per track, the running mean among them (deep_sort's `nn_budget`).
+        max_occlusion: largest share of a detection's area inside one nearer detection; beyond it, no embedding is
+            computed, because it would resemble the occluder's.
+        nn_budget: embeddings per track, including the running mean.
     """
 
     max_cosine_distance: float | None = None
@@ -64,31 +64,34 @@ class AppearanceSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeepSortSettings:
-    """Every threshold of `DeepSortTracker`; scores and IoUs are in [0, 1], times in seconds.
+    """Parameters of `DeepSortTracker`; scores and IoUs are in [0, 1], times in seconds.
 
-    One set for all: chosen on KITTI's cars and pedestrians (RRC boxes of 13 sequences), 6 sequences of MOT15 and
-    MOT17-05.
+    One set of defaults for all scenes, chosen on KITTI's cars and pedestrians (RRC boxes of 13 sequences), 6 sequences
+    of MOT15 and MOT17-05.
 
     Attributes:
-        min_score: detections below are ignored.
-        track_activation_threshold: the score from which on a detection has high confidence, and starts a track;
-            estimated, see there.
-        min_iou: of a high-confidence detection with a confirmed track's predicted box.
-        min_iou_low_confidence: of a low-confidence detection with one; stricter.
-        min_iou_tentative: of a high-confidence detection with a tentative track, both widened by `tentative_margin`.
-        tentative_margin: share of a box's size added on every side, since a new track's speed is not known.
+        min_score: detections with a lower score are ignored.
+        track_activation_threshold: how the score is estimated from which a detection has high confidence and starts a
+            track.
+        min_iou: least IoU of a high-confidence detection and the predicted box of a confirmed track.
+        min_iou_low_confidence: least IoU of a low-confidence detection and the predicted box of a confirmed track;
+            stricter.
+        min_iou_tentative: least IoU of a high-confidence detection and a tentative track, both boxes widened by
+            `tentative_margin`.
+        tentative_margin: share of a box's size added on every side, because the speed of a new track is unknown.
         n_init: detections, one per frame, that confirm a tentative track.
-        init_score_sum: sum of their scores that it needs as well, so that low-confidence tracks are confirmed later;
-            not used if one detection is enough.
-        max_skipped_s: frames without any detection, which the detector skipped, do not count as misses for so long:
-            tentative tracks stay, and a hit streak goes on.
-        max_age_s: a track not detected for longer is deleted.
-        max_position_sigma: so is one with a less certain position, in heights of its box.
+        init_score_sum: least sum of their scores, so that low-confidence tracks are confirmed later; not used with
+            `n_init` = 1.
+        max_skipped_s: longest time without any detection that counts as frames skipped by the detector, not as misses:
+            tentative tracks survive and hit streaks continue.
+        max_age_s: longest time without a detection before a track is deleted.
+        max_position_sigma: largest standard deviation of a track's position before it is deleted, in heights of its
+            box.
         score_half_life_s: time in which the score of a predicted box halves.
-        classes: which may be one object.
-        is_camera_motion_compensated: predictions move with the background, where there are images.
-        noise: of the motion filters.
-        process_noise: how its scale is estimated.
+        classes: which classes may be one object.
+        is_camera_motion_compensated: whether predictions move with the background, where there are images.
+        noise: noise of the motion filters.
+        process_noise: how the scale of the process noise is estimated.
         appearance: gates of appearance.
         prediction: when a missing box is predicted.
     """
@@ -114,9 +117,9 @@ class DeepSortSettings:
 
 
 class DeepSortTracker:
-    """Tracks one stream of frames; ids count from 1 and the same input gives the same output.
+    """Tracks the objects of one stream of frames; ids count from 1, and the output is deterministic.
 
-    Tracks are confirmed at once in the first frame; later they are tentative, and not in the output, until
+    Tracks that start in the first frame are confirmed at once; later ones are tentative, and not in the output, until
     `DeepSortSettings.n_init` and `init_score_sum` are reached. Boxes that are not finite, or have no area or score,
     are ignored.
     """
@@ -124,12 +127,12 @@ class DeepSortTracker:
     def __init__(
         self, settings: DeepSortSettings | None = None, *, appearance_model: AppearanceModel | None = None
     ) -> None:
-        """A tracker that has seen no frame.
+        """Create a tracker without tracks.
 
         Args:
-            settings: None = the defaults.
-            appearance_model: computes embeddings where there are images and detections bring no embeddings; None =
-                tracks are matched without.
+            settings: parameters; None = the defaults.
+            appearance_model: computes embeddings where there are images and the detections have no embeddings; None =
+                no appearance in these cases.
         """
         self._settings = settings = settings or DeepSortSettings()
         self._appearance_model = appearance_model
@@ -139,20 +142,20 @@ class DeepSortTracker:
         self._table = TrackTable(n_boxes=settings.prediction.n_kept, n_embeddings=settings.appearance.nn_budget)
         self._next_id = 1
         self._last_s = -np.inf
-        self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are no misses
+        self._last_detected_s = -np.inf  # the last frame with any detection: skipped frames are not misses
         self._extent_px: FloatArray | None = None
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
-        """The confirmed tracks at `time_s`, by id: detected ones, and missing ones whose box could be predicted.
+        """The confirmed tracks at `time_s`, by id: detected ones, and missing ones with a reliable prediction.
 
-        `image` is used for camera motion, embeddings and the image's border; without it the border is the extent of all
+        `image` is used for camera motion, embeddings and the image border; without it, the border is the extent of all
         boxes so far.
 
         Raises:
-            ValueError: time does not go forward.
+            ValueError: `time_s` is not later than in the call before.
         """
         if not self._last_s < time_s < np.inf:
-            raise ValueError(f"time must go forward: {time_s} s after {self._last_s} s")
+            raise ValueError(f"time_s: expected more than {self._last_s} s, the time of the last frame, got {time_s} s")
         detections = self._valid_detections(detections)
         self._activation_threshold.update(detections)
         is_high = detections.score >= self.track_activation_threshold(detections.class_id)
@@ -171,12 +174,12 @@ class DeepSortTracker:
 
     @property
     def tentative(self) -> Tracks:
-        """The tracks detected in the last frame that are not confirmed yet; some will be, others never."""
+        """The tracks detected in the last frame that are not confirmed yet."""
         table = self._table
         return self._as_tracks(np.flatnonzero((table.last_s == self._last_s) & ~table.is_confirmed))
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
-        """(N,) the score from which on detections of these classes (N,) start tracks, as estimated so far."""
+        """(N,) least score at which a detection of a class (N,) starts a track, as estimated so far."""
         return self._activation_threshold.of(class_id)
 
     def _valid_detections(self, detections: Detections) -> Detections:
@@ -186,30 +189,30 @@ class DeepSortTracker:
     def _with_embeddings(
         self, detections: Detections, is_high: BoolArray, image: Image | None
     ) -> tuple[Detections, float]:
-        """Detections with embeddings of the visible high-confidence ones, and their maximum cosine distance.
+        """Detections with embeddings of the visible high-confidence ones, and the largest cosine distance of a match.
 
-        The embeddings are the detector's own or the appearance model's; the distance is 0 where there are none.
+        The embeddings come from the detector or the appearance model; the distance is 0 where there are none.
         """
         chosen_distance, model = self._settings.appearance.max_cosine_distance, self._appearance_model
-        without = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
+        without_embeddings = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
         if chosen_distance == 0 or not is_high.any():
-            return without, 0.0
+            return without_embeddings, 0.0
         if detections.descriptor.shape[1]:
             is_visible, max_cosine_distance = self._is_visible(detections, is_high), _MAX_COSINE_DISTANCE_OF_FILES
-            of_visible = unit_rows(detections.descriptor[is_visible])
+            visible_embedding = unit_rows(detections.descriptor[is_visible])
         elif image is not None and model is not None:
             is_visible, max_cosine_distance = self._is_visible(detections, is_high), model.max_cosine_distance
-            of_visible = model.embed(image, detections.xyxy_px[is_visible])
+            visible_embedding = model.embed(image, detections.xyxy_px[is_visible])
         else:
-            return without, 0.0
-        embedding = np.zeros((len(detections), of_visible.shape[1]), np.float32)
-        embedding[is_visible] = of_visible
+            return without_embeddings, 0.0
+        embedding = np.zeros((len(detections), visible_embedding.shape[1]), np.float32)
+        embedding[is_visible] = visible_embedding
         return replace(
             detections, descriptor=embedding
         ), max_cosine_distance if chosen_distance is None else chosen_distance
 
     def _is_visible(self, detections: Detections, is_high: BoolArray) -> BoolArray:
-        """(N,) high-confidence detections that no nearer one occludes by more than `max_occlusion`."""
+        """(N,) whether a detection has high confidence and no nearer one occludes more than `max_occlusion` of it."""
         occlusion = history.occluded_share(detections.xyxy_px, detections.xyxy_px)
         return np.asarray(is_high & (occlusion <= self._settings.appearance.max_occlusion))
 
@@ -227,12 +230,12 @@ class DeepSortTracker:
             table.filters = motion.predict(table.filters, dt_s, settings.noise, noise_scale=self._noise_scale.value)
 
     def _is_streak(self, time_s: float) -> BoolArray:
-        """(N,) which tracks were detected in the frame before, skipped frames apart, and not too long ago."""
+        """(N,) whether a track was detected in the last frame with any detection, at most `max_skipped_s` ago."""
         last_s = self._table.last_s
         return np.asarray((last_s == self._last_detected_s) & (time_s - last_s <= self._settings.max_skipped_s))
 
     def _associate(self, detections: Detections, is_high: BoolArray, max_cosine_distance: float) -> Assignment:
-        """Stage 2: match detections and tracks; cosine distances up to `max_cosine_distance` count, 0 = no embeddings."""
+        """Stage 2: match detections and tracks; `max_cosine_distance` = 0: there are no embeddings."""
         settings, table = self._settings, self._table
         assignment = Assignment(len(table), len(detections))
         if not len(table) or not len(detections):
@@ -247,8 +250,8 @@ class DeepSortTracker:
         if max_cosine_distance > 0:
             distance = self._gated_cosine_distance(detections, allowed)
             is_recent = table.last_s == self._last_detected_s
-            for of_cascade in (is_recent, ~is_recent):  # the matching cascade: tracks detected last choose first
-                assignment.match(distance, confirmed & of_cascade, is_high, max_cost=max_cosine_distance)
+            for is_in_level in (is_recent, ~is_recent):  # matching cascade: the most recently detected tracks first
+                assignment.match(distance, confirmed & is_in_level, is_high, max_cost=max_cosine_distance)
         else:
             min_iou = np.where(is_high, settings.min_iou, settings.min_iou_low_confidence)
             assignment.match_unambiguous(overlap_cost, confirmed, 1 - min_iou)
@@ -273,20 +276,20 @@ class DeepSortTracker:
         return table.gallery.cosine_distance(detections.descriptor, allowed & is_gated_in)
 
     def _update_matched(self, rows: IntArray, matched: Detections, time_s: float) -> None:
-        """Stage 3: give tracks their detections, confirm tentative ones, and update the process-noise scale."""
+        """Stage 3: update the matched tracks, confirm tentative ones, and update the process-noise scale."""
         settings, table = self._settings, self._table
         if not len(rows):
             return
-        before, is_streak = table.innovation[rows], self._is_streak(time_s)[rows]
+        innovation_before, is_streak = table.innovation[rows], self._is_streak(time_s)[rows]
         table.update(rows, matched, time_s, is_streak=is_streak, noise=settings.noise)
         if not table.is_confirmed.all():
             table.is_confirmed |= (table.n_hits >= settings.n_init) & (table.score_sum >= settings.init_score_sum)
         is_settled = is_streak & (table.n_hits[rows] > settings.process_noise.min_hits) & table.is_confirmed[rows]
-        is_settled &= np.isfinite(before[:, 0])
-        self._noise_scale.update(before[is_settled], table.innovation[rows[is_settled]])
+        is_settled &= np.isfinite(innovation_before[:, 0])
+        self._noise_scale.update(innovation_before[is_settled], table.innovation[rows[is_settled]])
 
     def _initiate_tracks(self, detections: Detections, is_unmatched: BoolArray, time_s: float) -> None:
-        """Stage 4: start a track for each of these detections (N,), which have high confidence."""
+        """Stage 4: start a tentative track for each unmatched (N,) high-confidence detection."""
         if not is_unmatched.any():
             return
         table, unmatched = self._table, detections.select(is_unmatched)
@@ -296,7 +299,7 @@ class DeepSortTracker:
             table.is_confirmed[-len(unmatched) :] = True
 
     def _output(self, time_s: float, image: Image | None) -> Tracks:
-        """Stage 5: confirmed tracks by id, with the detected box, or a predicted one where that is reliable."""
+        """Stage 5: confirmed tracks by id, with the detected box, or the predicted one where it is reliable."""
         settings, table = self._settings, self._table
         is_detected = table.last_s == time_s
         tracks = self._as_tracks(np.flatnonzero(table.is_confirmed & is_detected))
@@ -314,24 +317,24 @@ class DeepSortTracker:
         if not len(predicted):
             return tracks
         missing = missing[predicted]
-        faded = table.score[missing] * 0.5 ** ((time_s - table.last_s[missing]) / settings.score_half_life_s)
-        both = Tracks(
+        decayed_score = table.score[missing] * 0.5 ** ((time_s - table.last_s[missing]) / settings.score_half_life_s)
+        with_missing = Tracks(
             track_id=np.concatenate([tracks.track_id, table.track_id[missing]]),
             xyxy_px=np.concatenate([tracks.xyxy_px, boxes_px]),
             class_id=np.concatenate([tracks.class_id, table.class_id[missing]]),
-            score=np.concatenate([tracks.score, faded]),
+            score=np.concatenate([tracks.score, decayed_score]),
             observed=np.arange(len(tracks) + len(missing)) < len(tracks),
         )
-        return both.select(np.argsort(both.track_id))
+        return with_missing.select(np.argsort(with_missing.track_id))
 
     def _as_tracks(self, rows: IntArray) -> Tracks:
-        """Tracks detected in this frame, with the detected boxes."""
+        """Tracks in these rows, detected in this frame, with the detected boxes."""
         table = self._table
         observed = np.ones(len(rows), np.bool_)
         return Tracks(table.track_id[rows], table.last_xyxy_px[rows], table.class_id[rows], table.score[rows], observed)
 
     def _border(self, xyxy_px: FloatArray, image: Image | None) -> FloatArray | None:
-        """(4,) edges of the image; without one, the extent of the boxes of the output so far."""
+        """(4,) edges of the image; without an image, the extent of the boxes in the output so far."""
         if image is not None:
             return np.array([-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5])
         if len(xyxy_px):
@@ -343,10 +346,10 @@ class DeepSortTracker:
 
 
 def deepsort(options: TrackerOptions) -> DeepSortTracker:
-    """`--tracker deepsort`: the defaults, with the user's re-identification network or colour histograms."""
+    """`--tracker deepsort`: appearance from the user's re-identification network, or from colour histograms."""
     return DeepSortTracker(appearance_model=options.reid or ColourLayout())
 
 
 def sort(_options: TrackerOptions) -> DeepSortTracker:
-    """`--tracker sort`: the same without appearance."""
+    """`--tracker sort`: the same tracker without appearance."""
     return DeepSortTracker(DeepSortSettings(appearance=AppearanceSettings(max_cosine_distance=0.0)))

@@ -1,7 +1,7 @@
-"""How good identities are: HOTA, CLEAR (MOTA, MOTP, switches) and identity metrics (IDF1), of one or many sequences.
+"""Scores of tracks: HOTA, CLEAR (MOTA, MOTP, switches) and identity metrics (IDF1), of one or several sequences.
 
-A result box and a truth box can match when their class is the same; HOTA counts at every IoU from 0.05 to 0.95, the
-others at 0.5 (`tracking.hota`, `tracking.clear`; both give TrackEval's figures).
+A result box and a truth box can match only if their classes are equal. HOTA is evaluated at IoU thresholds from 0.05 to
+0.95, the others at 0.5 (`tracking.hota` and `tracking.clear`, which agree with TrackEval).
 """
 
 from __future__ import annotations
@@ -20,23 +20,29 @@ from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 _MIN_SHARE_IGNORED = 0.5
+"""Share of an unmatched result box inside an ignore region from which it is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingScores:
-    """Scores of one sequence, or of several together: ratios in per cent, the rest counts.
+    """Scores of one sequence, or of several combined: ratios in per cent, the others are counts.
 
-    Ratios are NaN where there is nothing to divide by.
+    Ratios are NaN where the denominator is 0.
 
     Attributes:
-        hota: with deta its detection, assa its association and loca its localisation part.
-        mota: can be negative.
+        hota: higher-order tracking accuracy.
+        deta: detection accuracy, a part of HOTA.
+        assa: association accuracy, a part of HOTA.
+        loca: localisation accuracy, a part of HOTA.
+        mota: multi-object tracking accuracy; can be negative.
         motp: mean IoU of the matches.
-        idf1: with idp its precision and idr its recall.
+        idf1: identity F1 score.
+        idp: identity precision.
+        idr: identity recall.
         idsw: identity switches.
-        fp: result boxes that match nothing.
-        fn: truth boxes that nothing matches.
-        frag: times that a truth track is lost and found again.
+        fp: unmatched result boxes.
+        fn: unmatched truth boxes.
+        frag: fragmentations: how often a truth track is lost and matched again.
         mt, pt, ml: truth tracks matched in more than 80 %, in 20 to 80 %, in less than 20 % of their frames.
         n: truth boxes.
     """
@@ -62,31 +68,36 @@ class TrackingScores:
 
 @dataclass(frozen=True, slots=True)
 class TrackingCounts:
-    """The counts behind the scores; those of several sequences add up."""
+    """Counts from which the scores are computed; those of several sequences add up.
+
+    Attributes:
+        hota: counts of HOTA.
+        clear: counts of CLEAR and the identity metrics.
+    """
 
     hota: HotaCounts
     clear: ClearCounts
 
     @classmethod
     def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> TrackingCounts:
-        """Of one sequence, after the benchmark's rules; ids need not agree between the two."""
+        """Counts of one sequence, after the benchmark's rules; ids of truth and results need not agree."""
         return cls.of_similarity(Similarity.of(truth, results))
 
     @classmethod
     def of_similarity(cls, similarity: Similarity) -> TrackingCounts:
-        """The same, from the IoU of all boxes."""
+        """Counts of one sequence, from the IoU of all boxes."""
         return cls(count_hota(similarity), count_clear(similarity))
 
     @classmethod
     def sum_of(cls, counts: Sequence[TrackingCounts]) -> TrackingCounts:
-        """Of all sequences together; at least one."""
+        """Counts of all sequences combined; at least one."""
         hota, clear = counts[0].hota, counts[0].clear
-        for each in counts[1:]:
-            hota, clear = hota + each.hota, clear + each.clear
+        for sequence in counts[1:]:
+            hota, clear = hota + sequence.hota, clear + sequence.clear
         return cls(hota, clear)
 
     def scores(self) -> TrackingScores:
-        """The figures."""
+        """The scores that follow from the counts."""
         parts = {name: getattr(self.hota, name) for name in ("hota", "deta", "assa", "loca")}
         names = ("mota", "motp", "idf1", "idp", "idr", "idsw", "fp", "fn", "frag", "mt", "pt", "ml")
         return TrackingScores(**parts, **{name: getattr(self.clear, name) for name in names}, n=self.clear.n_truth)
@@ -95,10 +106,10 @@ class TrackingCounts:
 def evaluate_tracks(
     truth: TrackedBoxes, results: TrackedBoxes, *, ignore: IgnoreRegions | None = None
 ) -> TrackingScores:
-    """Score the tracks of one sequence; ids need not agree between the two.
+    """Scores of the tracks of one sequence; ids of truth and results need not agree.
 
-    A result box that matches no truth is dropped first when at least half of its area lies in one region of `ignore`
-    (which an IoU of 0.5 with that region implies).
+    Unmatched result boxes are dropped first where at least half of their area lies in one region of `ignore` (which an
+    IoU of 0.5 with that region implies).
     """
     if ignore is not None and len(ignore.frame):
         results = results.select(~_ignored(truth, results, ignore))
@@ -106,16 +117,16 @@ def evaluate_tracks(
 
 
 def _ignored(truth: TrackedBoxes, results: TrackedBoxes, ignore: IgnoreRegions) -> BoolArray:
-    """(M,) which result boxes lie in a region and match no truth, in the assignment of most IoU."""
+    """(M,) whether a result box lies in a region and is unmatched in the assignment with the largest total IoU."""
     is_ignored: BoolArray = np.zeros(len(results), np.bool_)
     for frame in np.unique(ignore.frame):
         rows = np.flatnonzero(results.frame == frame)
-        of_truth, of_results = truth.select(truth.frame == frame), results.select(rows)
-        overlap = iou(of_truth.xyxy_px, of_results.xyxy_px)
-        may = (of_truth.class_id[:, None] == of_results.class_id[None, :]) & (overlap >= MIN_IOU)
-        _, matched = min_cost_matching(np.where(may, 1.0 - overlap, np.inf), max_cost=1.0)
-        share = share_inside(of_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(axis=1, initial=0.0)
-        inside = share >= _MIN_SHARE_IGNORED
-        inside[matched] = False
-        is_ignored[rows] = inside
+        frame_truth, frame_results = truth.select(truth.frame == frame), results.select(rows)
+        overlap = iou(frame_truth.xyxy_px, frame_results.xyxy_px)
+        allowed = (frame_truth.class_id[:, None] == frame_results.class_id[None, :]) & (overlap >= MIN_IOU)
+        _, matched = min_cost_matching(np.where(allowed, 1.0 - overlap, np.inf), max_cost=1.0)
+        share = share_inside(frame_results.xyxy_px, ignore.xyxy_px[ignore.frame == frame]).max(axis=1, initial=0.0)
+        is_inside = share >= _MIN_SHARE_IGNORED
+        is_inside[matched] = False
+        is_ignored[rows] = is_inside
     return is_ignored

@@ -2,10 +2,10 @@
 
     distance = min over the track's embeddings of 1 - cos(track's embedding, box's embedding)      in [0, 2]
 
-as in DeepSORT (Wojke et al., 2017), with a running mean and the last few embeddings in place of the last hundred. On
-simulated drives the mean and three (4 slots) separate road users as well as a track's last 20 embeddings do, and better
-than the mean alone: equal-error rates 4, 9, 7 % against 5, 9, 7 % and 10, 11, 8 % after 0.1, 0.6, 1.2 s.
-A row of zeros is an unknown appearance; its distance from everything is inf.
+as in DeepSORT (Wojke et al., 2017), with a running mean and the last few embeddings instead of the last hundred. On
+simulated drives, the mean and three embeddings (4 slots) separate road users as well as the last 20 embeddings, and
+better than the mean alone: equal-error rates of 4, 9, 7 % against 5, 9, 7 % and 10, 11, 8 % after 0.1, 0.6, 1.2 s.
+A row of zeros is an unknown appearance; its distance is inf.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 _SPARSE = 0.1
-"""Share of pairs below which they are compared one by one: a single pair costs ten times one in a matrix product."""
+"""Share of pairs to compare below which single pairs are faster than a matrix product of all: a tenth."""
 
 _PAIR_BLOCK = 256
-"""Pairs compared at once: larger blocks leave the processor's cache."""
+"""Pairs compared at once: larger blocks do not fit into the processor's cache."""
 
 
 def unit_rows(embedding: npt.NDArray[np.floating]) -> Descriptors:
@@ -35,12 +35,12 @@ def unit_rows(embedding: npt.NDArray[np.floating]) -> Descriptors:
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
-    """Embeddings of each track: a running mean and the last ones; immutable.
+    """Embeddings of N tracks, K each: a running mean and the most recent ones; immutable.
 
     Attributes:
-        embedding: (N, K, D) float32 of length 1, slot 0 the mean, then the newest first; zeros = unknown, and a track
-            with one embedding has it in every slot. D = 0 = no embeddings.
-        mean_memory: weight of the old mean when an embedding is added.
+        embedding: (N, K, D) float32 of length 1; slot 0 is the mean, the others are the most recent, newest first.
+            Zeros = unknown; the first embedding of a track fills all slots; D = 0 = no embeddings.
+        mean_memory: weight of the old mean when an embedding is appended.
     """
 
     embedding: npt.NDArray[np.float32]
@@ -56,20 +56,20 @@ class Gallery:
 
     @classmethod
     def empty(cls, *, nn_budget: int) -> Gallery:
-        """Of no tracks, with `nn_budget` slots, the mean's among them."""
+        """A gallery without tracks, with `nn_budget` slots per track, including the mean's."""
         return cls(np.zeros((0, nn_budget, 0), np.float32))
 
     @property
     def is_known(self) -> BoolArray:
-        """(N,) which tracks have an embedding."""
+        """(N,) whether a track has an embedding."""
         return np.asarray(self.embedding[:, 0].any(axis=1))
 
     def select(self, rows: BoolArray | IntArray) -> Gallery:
-        """The tracks that a mask or an index array names, in its order."""
+        """The tracks that a mask or an index array selects, in its order."""
         return Gallery(self.embedding[rows], self.mean_memory)
 
     def concatenate(self, other: Gallery) -> Gallery:
-        """These tracks, then the other's; tracks without embeddings fit embeddings of any length.
+        """The tracks of both, `other`'s last; a gallery without embeddings fits embeddings of any length.
 
         Raises:
             ValueError: the numbers of slots, or the lengths of embeddings, differ.
@@ -81,19 +81,19 @@ class Gallery:
         )
 
     def initiate(self, embedding: Descriptors) -> Gallery:
-        """These tracks, then a new one for each row of `embedding` (M, D), of length 1 or zeros.
+        """These tracks and a new one for each row of `embedding` (M, D), of length 1 or zeros.
 
         Raises:
-            ValueError: the embeddings have another length than these tracks'.
+            ValueError: D differs from that of these tracks.
         """
         new = np.repeat(np.asarray(embedding, np.float32)[:, None], self.embedding.shape[1], axis=1)
         return self.concatenate(Gallery(new, self.mean_memory))
 
     def append(self, rows: IntArray, embedding: Descriptors) -> Gallery:
-        """With one more embedding (M, D) for each of M tracks, `rows`, no track twice; rows of zeros change nothing.
+        """The gallery with one more embedding (M, D) for M different tracks, `rows`; zeros change nothing.
 
         Raises:
-            ValueError: the embeddings have another length than these tracks'.
+            ValueError: D differs from that of these tracks.
         """
         known = embedding.any(axis=1)
         if not known.any():
@@ -108,14 +108,14 @@ class Gallery:
         return Gallery(embedding, self.mean_memory)
 
     def cosine_distance(self, embedding: Descriptors, among: BoolArray | None = None) -> FloatArray:
-        """(N, M) least distance of each track's embeddings from each box's (M, D); inf where one of them is unknown.
+        """(N, M) least distance of each track's embeddings from each box's; inf where one of the two is unknown.
 
         Args:
-            embedding: of boxes, of length 1 or zeros.
-            among: (N, M) pairs to compare; the others are inf. None = all. Few pairs are faster.
+            embedding: (M, D) embeddings of boxes, of length 1 or zeros.
+            among: (N, M) pairs to compare; the distance of other pairs is inf. None = all pairs.
 
         Raises:
-            ValueError: the embeddings have another length than these tracks'.
+            ValueError: D differs from that of these tracks.
         """
         distance = np.full((len(self), len(embedding)), np.inf)
         if not distance.size or not self.embedding.shape[2] or not embedding.shape[1]:
@@ -135,7 +135,7 @@ class Gallery:
         return np.asarray(np.maximum(distance, 0.0))  # rounding
 
     def _distance_of_pairs(self, rows: IntArray, columns: IntArray, embedding: Descriptors) -> FloatArray:
-        """(P,) for each pair of a track and a box."""
+        """(P,) least distance of each pair of a track (row) and a box (column)."""
         best = np.empty(len(rows))
         for start in range(0, len(rows), _PAIR_BLOCK):
             part = slice(start, start + _PAIR_BLOCK)
@@ -144,7 +144,7 @@ class Gallery:
 
 
 def _common_length(a: Descriptors, b: Descriptors) -> int:
-    """D of two (N, K, D) arrays, 0 fitting any."""
+    """D of two (N, K, D) arrays, of which either may be 0."""
     lengths = {a.shape[2], b.shape[2]} - {0}
     if len(lengths) > 1:
         raise ValueError(f"expected embeddings of one length, got {a.shape[2]} and {b.shape[2]} numbers")
@@ -152,5 +152,5 @@ def _common_length(a: Descriptors, b: Descriptors) -> int:
 
 
 def _lengthened(embedding: Descriptors, length: int) -> Descriptors:
-    """(N, K, length): zeros where there are no embeddings."""
+    """(N, K, length) embeddings: zeros if D = 0."""
     return embedding if embedding.shape[2] == length else np.zeros((*embedding.shape[:2], length), np.float32)

@@ -1,19 +1,19 @@
 """History: the last detected boxes of every track, and the prediction of a missing box from their median step.
 
-The paper keeps the labels of each identity in a buffer, takes l, the median of the last k, and predicts a missing one,
-once the identity was seen in two frames in a row, by
+The paper stores the boxes of each identity in a buffer, takes l, the median of the last k, and predicts a missing box
+after two frames in a row by
 
     l(t) = l(t-1) + (l(t-1) - l(t-2))               "step-of-medians", which lags by half the buffer
 
-(Guo Pengyu, binocular detection, tracking and ranging of vehicles, eq. 1-2). Here, with real times and the median taken
-of the last k steps, which is as robust to one bad box but does not lag:
+(Guo Pengyu, binocular detection, tracking and ranging of vehicles, eq. 1-2). The default here uses real times and the
+median of the last k steps, which is as robust to one bad box but does not lag:
 
-    l(t) = l(t') + (t - t') median_i((l_i - l_(i-1)) / (t_i - t_(i-1)))      t': when the track was last detected
+    l(t) = l(t') + (t - t') median_i((l_i - l_(i-1)) / (t_i - t_(i-1)))      t': time of the last detection
 
-and only where `PredictionGates` allow it; benchmarks/README.md has the effect of k, form and each gate. Two of them are
-not what one would expect. An occluded box is predicted sooner than a visible one: occlusion explains why it is missing,
-while the other most often was a false alarm, or has left. And boxes near the image's border are not predicted, which
-matters most: leaving the image is the commonest reason why a box is missing.
+and only where `PredictionGates` allow it; benchmarks/README.md has the effect of k, of the form and of each gate. Two
+gates may surprise. An occluded box is predicted after fewer detections than a visible one: occlusion explains why it is
+missing, while a visible one was most often a false alarm or has left. Boxes near the image border are not predicted,
+which matters most: leaving the image is the most frequent reason for a missing box.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from track_range.detection.boxes import are_valid_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Form = Literal["median-of-steps", "step-of-medians"]
+"""Form of the prediction: the second or the first equation above."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionGates:
-    """When a missing box is predicted, each frame anew.
+    """Conditions for the prediction of a missing box, checked in each frame.
 
-    The occlusion of a box is the share of its area inside one nearer box: one whose lower edge is lower in the image.
+    The occlusion of a box is the largest share of its area inside one nearer box; a lower bottom edge means nearer.
 
     Attributes:
-        form: of the prediction.
-        n_kept: boxes kept per track: k + 1, for k steps and two medians of k; at least 2.
-        max_missing_s: longest time since the track was last detected; 0 = no prediction.
-        min_hit_streak: frames in a row in which the track was detected, up to the last time; at least 2.
-        min_hit_streak_visible: the same where the occlusion is less than `min_occlusion`, so that nothing explains why
-            the box is missing.
-        min_occlusion: share of the box's area.
-        max_deviation: median deviation of the steps, extrapolated over the missing time, in heights of the box.
-        min_margin: distance from the image's border, in heights of the box: nearer boxes are leaving.
+        form: form of the prediction.
+        n_kept: boxes stored per track: k + 1, for k steps or two medians of k; at least 2.
+        max_missing_s: longest time since the last detection; 0 = no prediction.
+        min_hit_streak: least number of successive frames with a detection, up to the last one; at least 2.
+        min_hit_streak_visible: the same for a box with an occlusion below `min_occlusion`.
+        min_occlusion: occlusion that explains a missing box, as a share of its area.
+        max_deviation: largest median deviation of the steps, extrapolated over the missing time, in heights of the box.
+        min_margin: least distance from the image border, in heights of the box; nearer boxes are leaving the image.
     """
 
     form: Form = "median-of-steps"
@@ -68,9 +68,9 @@ class BoxHistory:
     """The last K detected boxes of N tracks, newest last; empty slots are NaN.
 
     Attributes:
-        xyxy_px: (N, K, 4).
-        time_s: (N, K).
-        hit_streak: (N,) frames in a row in which the track was detected, up to the newest box.
+        xyxy_px: (N, K, 4) boxes.
+        time_s: (N, K) times of the boxes.
+        hit_streak: (N,) number of successive frames with a detection, up to the newest box.
     """
 
     xyxy_px: FloatArray
@@ -82,20 +82,20 @@ class BoxHistory:
 
     @property
     def last_xyxy_px(self) -> FloatArray:
-        """(N, 4) each track's last detected box."""
+        """(N, 4) last detected box of each track."""
         return self.xyxy_px[:, -1]
 
     @property
     def last_s(self) -> FloatArray:
-        """(N,) when each track was last detected."""
+        """(N,) time of the last detection of each track."""
         return self.time_s[:, -1]
 
     def select(self, rows: BoolArray | IntArray) -> BoxHistory:
-        """The rows that a mask or an index array names, in its order."""
+        """The tracks that a mask or an index array selects, in its order."""
         return BoxHistory(self.xyxy_px[rows], self.time_s[rows], self.hit_streak[rows])
 
     def concatenate(self, other: BoxHistory) -> BoxHistory:
-        """These rows, then the other's; both have the same number of slots."""
+        """The tracks of both, `other`'s last; both have the same number of slots."""
         return BoxHistory(
             np.concatenate([self.xyxy_px, other.xyxy_px]),
             np.concatenate([self.time_s, other.time_s]),
@@ -103,13 +103,13 @@ class BoxHistory:
         )
 
     def append(self, rows: IntArray, xyxy_px: FloatArray, time_s: float, *, is_streak: BoolArray) -> None:
-        """Write the detected boxes (M, 4) of M tracks into their rows, in place of the oldest.
+        """Append the detected boxes of M tracks, in place; the oldest boxes are dropped.
 
         Args:
-            rows: (M,) no track twice.
-            xyxy_px: the boxes.
-            time_s: of the frame.
-            is_streak: (M,) which tracks were detected in the frame before, too.
+            rows: (M,) row numbers of different tracks.
+            xyxy_px: (M, 4) detected boxes.
+            time_s: time of the frame.
+            is_streak: (M,) whether a track was also detected in the frame before.
         """
         self.xyxy_px[rows, :-1], self.time_s[rows, :-1] = self.xyxy_px[rows, 1:], self.time_s[rows, 1:]
         self.xyxy_px[rows, -1], self.time_s[rows, -1] = xyxy_px, time_s
@@ -117,7 +117,7 @@ class BoxHistory:
 
 
 def initiate(xyxy_px: FloatArray, time_s: float, *, n_kept: int) -> BoxHistory:
-    """Histories of tracks first detected at `time_s` as (N, 4)."""
+    """Histories of N tracks first detected at `time_s` with the boxes (N, 4); `n_kept` is K."""
     n = len(xyxy_px)
     boxes, times = np.full((n, n_kept, 4), np.nan), np.full((n, n_kept), np.nan)
     boxes[:, -1], times[:, -1] = xyxy_px, time_s
@@ -125,16 +125,16 @@ def initiate(xyxy_px: FloatArray, time_s: float, *, n_kept: int) -> BoxHistory:
 
 
 def smoothed(history: BoxHistory) -> FloatArray:
-    """The paper's label: (N, 4) median of each track's boxes, without the oldest slot."""
+    """(N, 4) l of the paper: median of the boxes of each track, without the oldest slot."""
     return _nanmedian(history.xyxy_px[:, 1:])
 
 
 def median_prediction(
     history: BoxHistory, time_s: float, *, form: Form = "median-of-steps"
 ) -> tuple[FloatArray, FloatArray]:
-    """Boxes (N, 4) at `time_s`, and (N,) the deviation of the steps over the missing time, in heights of the box.
+    """Boxes (N, 4) at `time_s`, and (N,) the median deviation of the steps times the missing time, in box heights.
 
-    NaN for a track that was detected only once.
+    Both are NaN for tracks that were detected only once.
     """
     missing_s = time_s - history.last_s
     rates = np.diff(history.xyxy_px, axis=1) / np.diff(history.time_s, axis=1)[:, :, None]
@@ -158,44 +158,44 @@ def predict_missing(
     border_xyxy_px: FloatArray | None = None,
     others_xyxy_px: FloatArray | None = None,
 ) -> tuple[IntArray, FloatArray]:
-    """Row numbers (M,) of those of N missing tracks that are predicted at `time_s`, and their boxes (M, 4).
+    """Row numbers (M,) of the missing tracks that can be predicted at `time_s`, and their boxes (M, 4).
 
     Args:
-        history: of the missing tracks.
-        time_s: of the frame.
-        gates: thresholds.
-        border_xyxy_px: (4,) the image's outer edges, or the extent of all boxes so far; None = unknown, so that boxes
-            that leave are predicted for a while.
-        others_xyxy_px: (K, 4) boxes of this frame, which may occlude a missing one; None = none.
+        history: histories of the N missing tracks.
+        time_s: time of the frame.
+        gates: conditions for a prediction.
+        border_xyxy_px: (4,) outer edges of the image, or the extent of all boxes so far; None = unknown, so that boxes
+            that leave the image are predicted for a while.
+        others_xyxy_px: (K, 4) detected boxes of this frame, which may occlude a missing one; None = none.
     """
     is_recent = time_s - history.last_s <= gates.max_missing_s
     rows = np.flatnonzero(is_recent & (history.hit_streak >= gates.min_hit_streak))
     if len(rows) == 0:
         return rows, np.zeros((0, 4))
     boxes, deviation = median_prediction(history.select(rows), time_s, form=gates.form)
-    good = (deviation <= gates.max_deviation) & are_valid_boxes(boxes)
+    is_steady = (deviation <= gates.max_deviation) & are_valid_boxes(boxes)
     if border_xyxy_px is not None:
         margin_px = gates.min_margin * (boxes[:, 3:] - boxes[:, 1:2])
-        good &= (boxes[:, :2] - margin_px > border_xyxy_px[:2]).all(axis=1)
-        good &= (boxes[:, 2:] + margin_px < border_xyxy_px[2:]).all(axis=1)
-    rows, boxes = rows[good], boxes[good]
-    share = np.zeros(len(rows)) if others_xyxy_px is None else occluded_share(boxes, others_xyxy_px)
-    is_likely = (share >= gates.min_occlusion) | (history.hit_streak[rows] >= gates.min_hit_streak_visible)
+        is_steady &= (boxes[:, :2] - margin_px > border_xyxy_px[:2]).all(axis=1)
+        is_steady &= (boxes[:, 2:] + margin_px < border_xyxy_px[2:]).all(axis=1)
+    rows, boxes = rows[is_steady], boxes[is_steady]
+    occlusion = np.zeros(len(rows)) if others_xyxy_px is None else occluded_share(boxes, others_xyxy_px)
+    is_likely = (occlusion >= gates.min_occlusion) | (history.hit_streak[rows] >= gates.min_hit_streak_visible)
     return rows[is_likely], boxes[is_likely]
 
 
 def occluded_share(xyxy_px: FloatArray, others_xyxy_px: FloatArray) -> FloatArray:
-    """(N,) the largest share of each valid box (N, 4) that lies in one nearer box of (M, 4), itself excluded."""
-    left, top, right, bottom = np.ascontiguousarray(xyxy_px.T)[:, :, None]  # column by column: a fifth of the time
+    """(N,) largest share of the area of each valid box (N, 4) inside one nearer box of (M, 4)."""
+    left, top, right, bottom = np.ascontiguousarray(xyxy_px.T)[:, :, None]  # contiguous columns: a fifth of the time
     other_left, other_top, other_right, other_bottom = np.ascontiguousarray(others_xyxy_px.T)
     width = np.minimum(right, other_right) - np.maximum(left, other_left)
-    height = bottom - np.maximum(top, other_top)  # the lower edge of a nearer box lies below
+    height = bottom - np.maximum(top, other_top)  # the bottom edge of a nearer box is lower
     shared = np.where((other_bottom > bottom) & (height > 0), width * height, 0.0).max(axis=1, initial=0.0)
     return np.asarray(shared / ((right - left) * (bottom - top))[:, 0])
 
 
 def _nanmedian(values: FloatArray) -> FloatArray:
-    """(N, K, C) -> (N, C) median over K of the values that are not NaN; NaN where all are."""
+    """(N, K, C) -> (N, C) median over K of the values that are not NaN; NaN where all are NaN."""
     ordered = np.sort(values, axis=1)  # NaN sorts last; numpy's nanmedian loops over rows and warns
     n_known = np.isfinite(values).sum(axis=1, keepdims=True)
     low = np.take_along_axis(ordered, np.maximum(n_known - 1, 0) // 2, axis=1)

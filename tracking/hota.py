@@ -1,13 +1,13 @@
-"""HOTA: how well a tracker detects, associates and localises, in one figure and three parts.
+"""HOTA: one score for detection, association and localisation, and its three parts.
 
     for each IoU threshold a:  DetA = TP / (TP + FN + FP)
-        A(c) = TPA / (TPA + FNA + FPA) of the pair of identities that a match c joins, over the whole sequence
+        A(c) = TPA / (TPA + FNA + FPA) for the pair of identities of a match c, over the whole sequence
         AssA = mean of A over the matches     LocA = mean IoU of the matches     HOTA = sqrt(DetA AssA)
-    the figures are means over a = 0.05, 0.10, ..., 0.95
+    the scores are means over a = 0.05, 0.10, ..., 0.95
 
-Frame by frame, boxes are matched so that identities that overlap most over the whole sequence come first, and among
-them the larger IoU. (Luiten et al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking", IJCV 2021; in
-details as its reference implementation, TrackEval.)
+In each frame, the matching prefers identities that overlap most over the whole sequence, then a larger IoU. (Luiten et
+al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking", IJCV 2021. Details follow its reference
+implementation, TrackEval.)
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from track_range.foundation.arrays import FloatArray
 from track_range.tracking.similarity import Similarity
 
 ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)
+"""IoU thresholds a."""
+
 _EPSILON = float(np.finfo(np.float64).eps)
+"""Tolerance of comparisons, as in TrackEval."""
 
 
 @dataclass(frozen=True, slots=True)
 class HotaCounts:
-    """What HOTA is made of, by threshold; counts of several sequences add up.
+    """Counts of HOTA per IoU threshold; those of several sequences add up.
 
     Attributes:
-        tp, fn, fp: (19,) matches, truth boxes and result boxes without one.
-        iou_sum: (19,) over the matches.
-        association_sum: (19,) of A(c) over the matches.
+        tp, fn, fp: (19,) matches, unmatched truth boxes, unmatched result boxes.
+        iou_sum: (19,) sum of the IoU of the matches.
+        association_sum: (19,) sum of A(c) over the matches.
     """
 
     tp: FloatArray
@@ -45,22 +48,22 @@ class HotaCounts:
 
     @property
     def deta(self) -> float:
-        """Per cent."""
+        """DetA in per cent."""
         return 100 * float(self._deta.mean())
 
     @property
     def assa(self) -> float:
-        """Per cent."""
+        """AssA in per cent."""
         return 100 * float(self._assa.mean())
 
     @property
     def loca(self) -> float:
-        """Per cent; 100 where nothing matches, as TrackEval has it."""
+        """LocA in per cent; 100 without matches, as in TrackEval."""
         return 100 * float((np.maximum(1e-10, self.iou_sum) / np.maximum(1e-10, self.tp)).mean())
 
     @property
     def hota(self) -> float:
-        """Per cent."""
+        """HOTA in per cent."""
         return 100 * float(np.sqrt(self._deta * self._assa).mean())
 
     @property
@@ -81,27 +84,27 @@ def count_hota(similarity: Similarity) -> HotaCounts:
             rows, columns = linear_sum_assignment(alignment[np.ix_(truth_ids, result_ids)] * iou, maximize=True)
             pairs.append(np.column_stack([truth_ids[rows], result_ids[columns], iou[rows, columns]]))
     matches = np.concatenate(pairs)
-    parts = [_at(similarity, matches[matches[:, 2] >= alpha - _EPSILON]) for alpha in ALPHAS]
-    tp, iou_sum, association_sum = np.array(parts).T
+    sums = [_sums(similarity, matches[matches[:, 2] >= alpha - _EPSILON]) for alpha in ALPHAS]
+    tp, iou_sum, association_sum = np.array(sums).T
     return HotaCounts(tp, similarity.n_truth - tp, similarity.n_results - tp, iou_sum, association_sum)
 
 
 def _alignment(similarity: Similarity) -> FloatArray:
-    """(T, R) how well identities fit over the whole sequence, before anything is matched: a soft Jaccard index."""
+    """(T, R) alignment of truth and result identities over the whole sequence: a soft Jaccard index of their boxes."""
     shared = np.zeros((len(similarity.truth_count), len(similarity.result_count)))
     for truth_ids, result_ids, iou in similarity.frames():
         union = iou.sum(axis=0)[None, :] + iou.sum(axis=1)[:, None] - iou
         shared[np.ix_(truth_ids, result_ids)] += np.divide(iou, union, out=np.zeros_like(iou), where=union > _EPSILON)
-    together = similarity.truth_count[:, None] + similarity.result_count[None, :] - shared
-    return np.asarray(shared / together)
+    n_union = similarity.truth_count[:, None] + similarity.result_count[None, :] - shared
+    return np.asarray(shared / n_union)
 
 
-def _at(similarity: Similarity, matches: FloatArray) -> tuple[float, float, float]:
-    """Matches, their sum of IoU, and their sum of A(c), at one threshold."""
+def _sums(similarity: Similarity, matches: FloatArray) -> tuple[float, float, float]:
+    """Number of matches, sum of their IoU and sum of their A(c), from matches (K, 3): two identities and the IoU."""
     if not len(matches):
         return 0.0, 0.0, 0.0
     n_results = len(similarity.result_count)
     identity = matches[:, :2].astype(np.int64)
-    pair, times = np.unique(identity[:, 0] * n_results + identity[:, 1], return_counts=True)
-    whole = similarity.truth_count[pair // n_results] + similarity.result_count[pair % n_results] - times
-    return float(len(matches)), float(matches[:, 2].sum()), float((times * times / np.maximum(1, whole)).sum())
+    pair, tpa = np.unique(identity[:, 0] * n_results + identity[:, 1], return_counts=True)
+    n_union = similarity.truth_count[pair // n_results] + similarity.result_count[pair % n_results] - tpa
+    return float(len(matches)), float(matches[:, 2].sum()), float((tpa * tpa / np.maximum(1, n_union)).sum())

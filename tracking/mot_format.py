@@ -1,10 +1,10 @@
-"""MOTChallenge's text files: frame, id, x, y, w, h, score, then class and visibility or a place in the world.
+"""MOTChallenge's text files: frame, id, x, y, w, h, score, then class and visibility, or a position in the world.
 
     in the files   first frame 1, centre of the first pixel 1, 1            x = x1 + 1     w = x2 - x1
     track-range    first frame 0, centre of the first pixel 0, 0 (OpenCV)   x1 = x - 1     x2 = x1 + w
 
-The files count from 1 whatever the input was numbered from. A box is its outer edges in both, as points of a plane;
-boxes are written with 2 decimals, so an edge that is read back is right to 0.01 px.
+Written files count from 1, whatever the input counted from. In both, a box is given by its outer edges. Boxes are
+written with 2 decimals, so an edge that is read back is accurate to 0.01 px.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from track_range.tracking.tracks import Tracks
 
 _FIRST_PIXEL = 1  # `detection.formats.detection_files.xyxy_from_mot` is the inverse
 _FIRST_FRAME = 1
-_COLUMNS_OF_TRUTH = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
+_N_TRUTH_COLUMNS = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
 
 
 class MotFormatError(UserError, ValueError):
-    """A file that is not in MOTChallenge's format; the message names the file and the line."""
+    """A file that is not in MOTChallenge's format; the message names the file and, where known, the line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,9 @@ class MotRows:
     Attributes:
         frame: (N,) int64, counted from 0.
         track_id: (N,) int64; -1 in files of detections.
-        xyxy_px: (N, 4) float64, our pixels.
-        score: (N,) float64; in ground truth 1 = counts, 0 = to be left out.
-        mot_class: (N,) int64, MOTChallenge's number of the class (1 = pedestrian), 0 where the file has none.
+        xyxy_px: (N, 4) float64, pixels counted from 0.
+        score: (N,) float64; in ground truth 1 = evaluated, 0 = not evaluated.
+        mot_class: (N,) int64, MOTChallenge's class number (1 = pedestrian), 0 where the file has none.
         visibility: (N,) float64 in [0, 1], NaN where the file has none.
     """
 
@@ -64,7 +64,7 @@ class MotRows:
 def mot_lines(tracks: Tracks, frame: int) -> list[str]:
     """One line per track, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
 
-    `frame` counts from 0. Predicted boxes are written like observed ones: the format has no column for the difference.
+    `frame` counts from 0. Predicted boxes are written like observed ones: the format cannot distinguish them.
     """
     x1, y1, x2, y2 = tracks.xyxy_px.T
     rows = np.stack([x1 + _FIRST_PIXEL, y1 + _FIRST_PIXEL, x2 - x1, y2 - y1, tracks.score], axis=1)
@@ -115,5 +115,5 @@ def _row(line: str, where: str) -> list[float]:
         )
     if min(row[4:6]) < 0:
         raise MotFormatError(f"{where}: expected width and height >= 0, found {cells[4]} and {cells[5]}.")
-    known = len(row) == _COLUMNS_OF_TRUTH
-    return [*row[:7], *(row[7:9] if known else (0.0, np.nan))]
+    has_class = len(row) == _N_TRUTH_COLUMNS
+    return [*row[:7], *(row[7:9] if has_class else (0.0, np.nan))]

@@ -1,7 +1,8 @@
-"""Figures of the package motmetrics for the same boxes, and why some differ from those of `track_range.tracking.clear`.
+"""Scores of the package motmetrics for the same boxes, and why some differ from `track_range.tracking.clear`.
 
-Both use the boxes that the benchmark's rules leave (`benchmark_rules`), and match at an IoU of at least 0.5. Those of
-`clear` are TrackEval's, which KITTI and MOTChallenge publish; motmetrics follows Bernardin and Stiefelhagen, 2008.
+Both use the boxes that count under the benchmark's rules (`benchmark_rules`), and match at an IoU of at least 0.5.
+`clear` agrees with TrackEval, as published by KITTI and MOTChallenge; motmetrics follows Bernardin and Stiefelhagen,
+2008.
 """
 
 from __future__ import annotations
@@ -29,18 +30,19 @@ _METRICS: Mapping[str, str] = {
     "pt": "partially_tracked",
     "ml": "mostly_lost",
 }
-"""motmetrics' name of each figure of `TrackingScores` that it has."""
+"""motmetrics' names of the fields of `TrackingScores`, where it has them."""
 
 _RATIOS = ("mota", "motp", "idf1", "idp", "idr")
+"""Fields of `TrackingScores` in per cent, which motmetrics gives as fractions."""
 
 _MATCHING = (
-    "other pairs are matched: motmetrics first repeats the last match of each truth track, however long ago it was; "
-    "here only a match in the frame before is preferred, as in TrackEval"
+    "different pairs are matched: motmetrics prefers the last match of each truth track, however old; "
+    "track-range prefers a match in the previous frame only, as TrackEval does"
 )
 
 _EIGHTY_PER_CENT = (
-    "a truth track matched in exactly 80 % of its frames is mostly tracked in motmetrics, not here; and other pairs "
-    "may be matched, see IDsw"
+    "a truth track matched in exactly 80 % of its frames is mostly tracked in motmetrics only; different pairs may be "
+    "matched, see IDsw"
 )
 
 REASONS: Mapping[str, str] = {
@@ -53,24 +55,23 @@ REASONS: Mapping[str, str] = {
     "fp": _MATCHING,
     "fn": _MATCHING,
     "frag": (
-        "a truth track that is found again after frames without its truth box is a fragment here, not in motmetrics; "
-        "one missed in frames without any result is a fragment in motmetrics, not here; and other pairs may be "
-        "matched, see IDsw"
+        "a truth track matched again after frames without truth boxes of it counts as fragmented in track-range only, "
+        "one unmatched in frames without results in motmetrics only; different pairs may be matched, see IDsw"
     ),
     "mt": _EIGHTY_PER_CENT,
     "pt": _EIGHTY_PER_CENT,
     "ml": _MATCHING,
 }
-"""Why motmetrics' figure may differ from ours, by figure."""
+"""Why motmetrics' score may differ, by field of `TrackingScores`."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotmetricsFigures:
-    """motmetrics' figures by their names in `TrackingScores`: ratios in per cent, NaN where nothing is divided by.
+    """motmetrics' scores by their names in `TrackingScores`: ratios in per cent, NaN where the denominator is 0.
 
     Attributes:
-        combined: of all sequences together.
-        sequences: of each.
+        combined: scores of all sequences combined.
+        sequences: scores of each sequence, by name.
     """
 
     combined: Mapping[str, float]
@@ -78,7 +79,7 @@ class MotmetricsFigures:
 
 
 def motmetrics_figures(sequences: Mapping[str, Similarity]) -> MotmetricsFigures:
-    """Evaluate sequences, at least one, with motmetrics."""
+    """Scores of one or more sequences, computed by motmetrics."""
     import motmetrics  # takes most of a second, since it imports pandas
 
     accumulators = []
@@ -108,6 +109,6 @@ def _distance(iou: FloatArray) -> FloatArray:
 
 
 def _figures(row: Mapping[str, float]) -> dict[str, float]:
-    figures = {name: float(row[theirs]) * (100.0 if name in _RATIOS else 1.0) for name, theirs in _METRICS.items()}
-    figures["motp"] = 100.0 - figures["motp"]  # theirs is the mean distance
+    figures = {name: float(row[metric]) * (100.0 if name in _RATIOS else 1.0) for name, metric in _METRICS.items()}
+    figures["motp"] = 100.0 - figures["motp"]  # motmetrics gives the mean of 1 - IoU
     return figures

@@ -1,11 +1,10 @@
-"""Offline refinement: tracks of a whole recording, corrected by what later frames show.
+"""Offline refinement: tracks of a whole recording, corrected with the information of later frames.
 
-    tentative boxes           of a track that was confirmed later are its first boxes
-    gaps                      are interpolated linearly between the boxes on either side, scores too (observed False)
-    false tracks              are dropped: fewer than `min_boxes` boxes, or a mean score below the track-activation
-                              threshold
+    tentative boxes    of tracks confirmed later are added as their first boxes
+    gaps               are filled by linear interpolation of boxes and scores (observed False)
+    false tracks       are dropped: fewer than `min_boxes` boxes, or a mean score below the track-activation threshold
 
-Identities stay those of the tracker, which saw the frames in their order.
+Identities do not change.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from track_range.tracking.tracks import Tracks
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementSettings:
-    """What is interpolated and what is dropped.
+    """Limits of interpolation and of dropping tracks.
 
     Attributes:
         max_gap_s: longest gap that is interpolated.
-        min_boxes: fewest boxes of a track, unless there are fewer frames.
+        min_boxes: fewest boxes of a track; fewer are enough in a recording with fewer frames.
         min_score_share: least mean score of a track, as a share of its class's track-activation threshold.
     """
 
@@ -36,18 +35,18 @@ class RefinementSettings:
 
 
 ActivationThreshold = Callable[[IntArray], FloatArray]
-"""Track-activation threshold (N,) of classes (N,): see `track_range.tracking.tracker.RefinableTracker`."""
+"""Track-activation thresholds (N,) of classes (N,), see `track_range.tracking.tracker.RefinableTracker`."""
 
 
 class OfflineRefinement:
-    """Gathers a tracker's output frame by frame, and refines it at the end."""
+    """Collects the output of a tracker frame by frame and refines it at the end."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[int, Tracks, bool]] = []
         self._time_s: list[float] = []
 
     def add(self, time_s: float, tracks: Tracks, tentative: Tracks) -> None:
-        """One frame's confirmed and tentative tracks."""
+        """Add the confirmed and tentative tracks of the next frame."""
         frame = len(self._time_s)
         self._time_s.append(time_s)
         self._parts += [(frame, tracks.select(tracks.observed), True), (frame, tentative, False)]
@@ -56,8 +55,8 @@ class OfflineRefinement:
         """The refined tracks of every frame, by id.
 
         Args:
-            threshold: what the tracker has estimated; None = no track is dropped for its scores.
-            settings: None = the defaults.
+            threshold: the tracker's activation threshold; None = no track is dropped for its scores.
+            settings: limits; None = the defaults.
         """
         settings = settings or RefinementSettings()
         rows = _Rows.of(self._parts)
@@ -68,32 +67,42 @@ class OfflineRefinement:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Boxes of all frames, by track and then by frame."""
+    """Boxes of all frames, sorted by track, then by frame.
+
+    Attributes:
+        frame: (N,) frame numbers from 0.
+        tracks: N boxes with their identities.
+    """
 
     frame: IntArray
     tracks: Tracks
 
     @classmethod
     def of(cls, parts: Sequence[tuple[int, Tracks, bool]]) -> _Rows:
-        """All boxes of tracks that were confirmed at some time, each with its track's last label."""
-        frame = np.concatenate([np.zeros(0, np.int64), *(np.full(len(each), i) for i, each, _ in parts)])
-        everyone = _joined([each for _, each, _ in parts])
-        sure = np.concatenate([np.zeros(0, np.bool_), *(np.full(len(each), is_sure) for _, each, is_sure in parts)])
-        order = np.lexsort((frame, everyone.track_id))
-        order = order[np.isin(everyone.track_id[order], everyone.track_id[sure])]
-        rows = cls(frame[order], everyone.select(order))
+        """All boxes of tracks that were confirmed at some time, from (frame, tracks, whether they are confirmed).
+
+        Every box gets the last class of its track.
+        """
+        frame = np.concatenate([np.zeros(0, np.int64), *(np.full(len(tracks), i) for i, tracks, _ in parts)])
+        tracks = _concatenated([tracks for _, tracks, _ in parts])
+        is_confirmed = np.concatenate(
+            [np.zeros(0, np.bool_), *(np.full(len(tracks), is_confirmed) for _, tracks, is_confirmed in parts)]
+        )
+        order = np.lexsort((frame, tracks.track_id))
+        order = order[np.isin(tracks.track_id[order], tracks.track_id[is_confirmed])]
+        rows = cls(frame[order], tracks.select(order))
         track_id = rows.tracks.track_id
         last = np.searchsorted(track_id, track_id, side="right") - 1
-        label = rows.tracks.class_id[last] if len(last) else rows.tracks.class_id
-        return cls(rows.frame, Tracks(track_id, rows.tracks.xyxy_px, label, rows.tracks.score, rows.tracks.observed))
+        class_id = rows.tracks.class_id[last] if len(last) else rows.tracks.class_id
+        return cls(rows.frame, Tracks(track_id, rows.tracks.xyxy_px, class_id, rows.tracks.score, rows.tracks.observed))
 
-    def select(self, keep: BoolArray) -> _Rows:
-        return _Rows(self.frame[keep], self.tracks.select(keep))
+    def select(self, rows: BoolArray) -> _Rows:
+        return _Rows(self.frame[rows], self.tracks.select(rows))
 
     def are_reliable(
         self, threshold: ActivationThreshold | None, settings: RefinementSettings, *, n_frames: int
     ) -> BoolArray:
-        """(N,) which rows belong to tracks with enough boxes and high enough scores."""
+        """(N,) whether a box belongs to a track with enough boxes and a sufficient mean score."""
         _, track, n_boxes = np.unique(self.tracks.track_id, return_inverse=True, return_counts=True)
         is_reliable = np.asarray(n_boxes[track] >= min(settings.min_boxes, n_frames))
         if threshold is not None:
@@ -102,38 +111,38 @@ class _Rows:
         return is_reliable
 
     def with_gaps_interpolated(self, time_s: FloatArray, max_gap_s: float) -> _Rows:
-        """With interpolated boxes in every frame of each gap of at most `max_gap_s`."""
+        """The boxes, and interpolated ones in every frame of each gap of at most `max_gap_s`."""
         if len(self.frame) < 2:
             return self
         tracks = self.tracks
-        same = tracks.track_id[1:] == tracks.track_id[:-1]
-        n_missing = np.where(same, np.diff(self.frame) - 1, 0)
+        is_same_track = tracks.track_id[1:] == tracks.track_id[:-1]
+        n_missing = np.where(is_same_track, np.diff(self.frame) - 1, 0)
         n_missing[np.diff(time_s[self.frame]) > max_gap_s] = 0
         start = np.repeat(np.arange(len(n_missing)), n_missing)
         nth = np.arange(len(start)) - np.repeat(np.cumsum(n_missing) - n_missing, n_missing) + 1
         frame = self.frame[start] + nth
-        begins_s, ends_s = time_s[self.frame[start]], time_s[self.frame[start + 1]]
-        share = (time_s[frame] - begins_s) / (ends_s - begins_s)
+        start_s, end_s = time_s[self.frame[start]], time_s[self.frame[start + 1]]
+        share = (time_s[frame] - start_s) / (end_s - start_s)
         boxes = tracks.xyxy_px[start] + share[:, None] * (tracks.xyxy_px[start + 1] - tracks.xyxy_px[start])
         score = tracks.score[start] + share * (tracks.score[start + 1] - tracks.score[start])
-        unseen = np.zeros(len(start), np.bool_)
-        filled = Tracks(tracks.track_id[start], boxes, tracks.class_id[start], score, unseen)
-        return _Rows(np.concatenate([self.frame, frame]), _joined([tracks, filled]))
+        observed = np.zeros(len(start), np.bool_)
+        interpolated = Tracks(tracks.track_id[start], boxes, tracks.class_id[start], score, observed)
+        return _Rows(np.concatenate([self.frame, frame]), _concatenated([tracks, interpolated]))
 
 
-def _joined(parts: Sequence[Tracks]) -> Tracks:
+def _concatenated(parts: Sequence[Tracks]) -> Tracks:
     parts = [Tracks.empty(), *parts]
     return Tracks(
-        np.concatenate([each.track_id for each in parts]),
-        np.concatenate([each.xyxy_px for each in parts]),
-        np.concatenate([each.class_id for each in parts]),
-        np.concatenate([each.score for each in parts]),
-        np.concatenate([each.observed for each in parts]),
+        np.concatenate([tracks.track_id for tracks in parts]),
+        np.concatenate([tracks.xyxy_px for tracks in parts]),
+        np.concatenate([tracks.class_id for tracks in parts]),
+        np.concatenate([tracks.score for tracks in parts]),
+        np.concatenate([tracks.observed for tracks in parts]),
     )
 
 
 def _by_frame(rows: _Rows, n_frames: int) -> list[Tracks]:
-    """The rows of each frame, by id."""
+    """The tracks of each frame, by id."""
     order = np.lexsort((rows.tracks.track_id, rows.frame))
     tracks = rows.tracks.select(order)
     ends = np.searchsorted(rows.frame[order], np.arange(n_frames + 1))

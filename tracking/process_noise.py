@@ -1,14 +1,15 @@
 """ProcessNoiseScale: the scale of the motion filters' process noise, estimated online from their innovations.
 
 A Kalman filter with the right noise has white innovations: those of one frame are uncorrelated with those of the next
-(Mehra, 1970). With a positive correlation the filter lags, and its process noise is too small; with a negative one it
-follows the detector's jitter. So the scale q of process noise follows their correlation c over one frame,
+(Mehra, 1970). If they correlate positively, the filter lags and its process noise is too small; if negatively, it
+follows the detector's jitter. So the process-noise scale q follows the mean correlation c of successive innovations,
 
-    q <- q exp(rate n c)        n tracks, at most ten; q in [lowest, highest]
+    c = mean over the tracks of a . b / ((|a|^2 + |b|^2) / 2)      a, b: innovations of two successive frames
+    q <- q exp(rate n c)                                           n tracks, at most ten; q in [lowest, highest]
 
-A static camera (people walk at a steady pace) ends near the lowest, a driving one at the highest: the lowest alone
-costs a driving camera its tracks at each turn, the highest alone lets a static one follow jitter. Final scales are 0.06
-on PETS09-S2L1, 0.7 on ADL-Rundle-6, 0.5 on ETH-Bahnhof, 1 on MOT17-05 and KITTI.
+The scale ends near the lowest value for static cameras (people walk at a steady pace) and at the highest for driving
+ones: a fixed low scale would lose the tracks of a driving camera in each turn, a fixed high one would follow jitter.
+Final scales are 0.06 on PETS09-S2L1, 0.7 on ADL-Rundle-6, 0.5 on ETH-Bahnhof, 1 on MOT17-05 and KITTI.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 _MAX_SIGMAS = 2.0
-"""Innovations are clipped here, so that one wrong box does not decide."""
+"""Limit of innovations, in standard deviations, so that one wrong box does not dominate."""
 
 _MIN_POWER = 0.05
-"""Least mean square of two innovations, in sigmas squared, that their correlation is divided by."""
+"""Lower limit of the denominator of c, in standard deviations squared."""
 
 _MAX_TRACKS = 10
-"""Tracks of a frame that count at most."""
+"""Largest n: number of tracks of a frame from which more have no influence."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +37,7 @@ class ProcessNoiseSettings:
     Attributes:
         rate: learning rate per track and frame; 0 = a fixed scale.
         lowest, highest: limits of the scale, which starts at the highest.
-        min_hits: detections of a track before its innovations count.
+        min_hits: number of detections after which a track's innovations are used.
     """
 
     rate: float = 0.03
@@ -49,7 +50,7 @@ class ProcessNoiseScale:
     """The scale of one stream.
 
     Attributes:
-        value: factor of the process noise's variance.
+        value: q, the factor of the process noise's variance.
     """
 
     def __init__(self, settings: ProcessNoiseSettings) -> None:
@@ -57,12 +58,12 @@ class ProcessNoiseScale:
         self.value = settings.highest
 
     def update(self, before: FloatArray, now: FloatArray) -> None:
-        """Use the innovations of tracks detected in two successive frames: (N, D) each, in standard deviations."""
+        """Update the scale from innovations of two successive frames, (N, D) each, in standard deviations."""
         if not len(now):
             return
-        a, b = (np.maximum(np.minimum(nu, _MAX_SIGMAS), -_MAX_SIGMAS) for nu in (before, now))
+        a, b = (np.maximum(np.minimum(y, _MAX_SIGMAS), -_MAX_SIGMAS) for y in (before, now))
         power = np.maximum((a * a + b * b).sum(axis=1) / 2, _MIN_POWER)
-        correlation = float(((a * b).sum(axis=1) / power).mean())
+        c, n = float(((a * b).sum(axis=1) / power).mean()), min(len(now), _MAX_TRACKS)
         settings = self._settings
-        value = self.value * float(np.exp(settings.rate * min(len(now), _MAX_TRACKS) * correlation))
-        self.value = min(max(value, settings.lowest), settings.highest)
+        q = self.value * float(np.exp(settings.rate * n * c))
+        self.value = min(max(q, settings.lowest), settings.highest)

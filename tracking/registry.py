@@ -1,8 +1,8 @@
 """Trackers by name: the built-in ones, those of installed packages, and any class as `package.module:Class`.
 
-A tracker is one file with a class that has `update` (`track_range.tracking.tracker.Tracker`) and is made from
-`TrackerOptions`, and one registration: a line in `_registered`, an entry point of the group
-`track_range.trackers` in another package, or a call of `register_tracker`.
+A tracker needs one file, with a class that has `update` (`track_range.tracking.tracker.Tracker`) and takes
+`TrackerOptions`, and one registration: a line in `_registered`, an entry point of the group `track_range.trackers` in
+another package, or a call of `register_tracker`.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from track_range.tracking.tracker import Tracker, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
 ENTRY_POINT_GROUP = "track_range.trackers"
+"""Entry-point group in which other packages register trackers."""
 
 TrackerFactory = Callable[[TrackerOptions], Tracker]
-"""Makes a tracker that has seen no frame: a class, or a function."""
+"""A class or function that makes a new tracker from `TrackerOptions`."""
 
 
 class TrackerError(UserError):
-    """No such tracker, a class that is none, or wrong results of one; the message is one sentence for the user."""
+    """A tracker that is unknown or unusable, or that returned wrong results; the message is one sentence."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisteredTracker:
-    """A tracker that can be chosen.
+    """A tracker that `--tracker` can select.
 
     Attributes:
-        name: as in `--tracker`.
-        factory: makes one; a string "package.module:attribute" is imported when it is used for the first time.
+        name: its name on the command line.
+        factory: makes the tracker; a string "package.module:attribute" is imported on first use.
         uses_reid: whether it uses `TrackerOptions.reid`.
     """
 
@@ -61,7 +62,7 @@ def register_tracker(name: str, factory: TrackerFactory | str, *, uses_reid: boo
     if not name or ":" in name:
         raise ValueError(f"{name!r}: expected a tracker's name without a colon")
     if name in tracker_names():
-        raise TrackerError(f"the name of the tracker '{name}' is in use: choose another one.")
+        raise TrackerError(f"tracker name '{name}': already in use; choose another name.")
     _registered[name] = RegisteredTracker(name=name, factory=factory, uses_reid=uses_reid)
 
 
@@ -72,12 +73,12 @@ def tracker_names() -> tuple[str, ...]:
 
 
 def find_tracker(name: str) -> RegisteredTracker:
-    """The tracker of a name or of `package.module:Class`, checked as far as that is possible without making one.
+    """The tracker with a name or `package.module:Class`, checked as far as possible without creating one.
 
-    A module is also searched for in the current folder.
+    Modules are also searched for in the current folder.
 
     Raises:
-        TrackerError: there is none, or it cannot be made from `TrackerOptions`.
+        TrackerError: there is no such tracker, or it does not take `TrackerOptions`.
     """
     if name in _registered:
         return _registered[name]
@@ -94,37 +95,36 @@ def find_tracker(name: str) -> RegisteredTracker:
 
 
 def create_tracker(name: str, options: TrackerOptions | None = None) -> Tracker:
-    """A new tracker that has seen no frame.
+    """A new tracker without tracks.
 
     Args:
         name: one of `tracker_names()`, or `package.module:Class`.
-        options: None = the defaults.
+        options: options for the tracker; None = the defaults.
 
     Raises:
-        TrackerError: there is none of that name, it does not take `TrackerOptions`, or what it makes has no method
-            `update`.
+        TrackerError: the name is unknown, the tracker does not take `TrackerOptions`, or it has no method `update`.
     """
     factory = find_tracker(name).factory
     make = _imported(factory) if isinstance(factory, str) else factory
     try:
         tracker = make(options or TrackerOptions())
     except TypeError as error:
-        raise TrackerError(f"{name}: cannot be made from TrackerOptions ({error}).") from error
+        raise TrackerError(f"{name}: cannot be created from TrackerOptions ({error}).") from error
     if not callable(getattr(tracker, "update", None)):
         raise TrackerError(f"{name}: expected a method update(detections, time_s, image), found none.")
     return tracker
 
 
-def checked_tracks(tracker: Tracker, found: Any) -> Tracks:
-    """What a tracker's `update` has returned.
+def checked_tracks(tracker: Tracker, result: Any) -> Tracks:
+    """The result of a tracker's `update`, checked to be `Tracks`.
 
     Raises:
-        TrackerError: it is no `Tracks`.
+        TrackerError: the result has another type.
     """
-    if not isinstance(found, Tracks):
+    if not isinstance(result, Tracks):
         name = f"{type(tracker).__module__}:{type(tracker).__qualname__}"
-        raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(found).__name__}.")
-    return found
+        raise TrackerError(f"{name}: expected Tracks from the tracker's update, got {type(result).__name__}.")
+    return result
 
 
 def _imported(path: str) -> TrackerFactory:
@@ -137,12 +137,12 @@ def _imported(path: str) -> TrackerFactory:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # an installed command does not search the current folder by itself
     try:
-        found = import_module(module_name)
+        target = import_module(module_name)
         for part in attribute.split("."):
-            found = getattr(found, part)
+            target = getattr(target, part)
     except (ImportError, AttributeError, ValueError) as error:
         raise TrackerError(f"{path}: cannot be imported as a tracker ({error}).") from error
-    if not callable(found):
-        raise TrackerError(f"{path}: expected a class or function, found {type(found).__name__}.")
-    factory: TrackerFactory = found
+    if not callable(target):
+        raise TrackerError(f"{path}: expected a class or function, found {type(target).__name__}.")
+    factory: TrackerFactory = target
     return factory

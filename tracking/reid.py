@@ -1,8 +1,9 @@
 """ReidModel: appearance embeddings from a re-identification network (ONNX), such as OSNet (Zhou et al., ICCV 2019).
 
-    crop -> resized to the network's input, aspect lost -> RGB, (value / 255 - mean) / deviation -> features of length 1
+    crop -> resized to the network's input -> RGB, (value / 255 - mean) / standard deviation -> features of length 1
 
-Mean and deviation are ImageNet's, as torchreid and FastReID train with. Crops go through the network in batches.
+Resizing does not keep the aspect ratio. Mean and standard deviation are ImageNet's, as torchreid and FastReID train
+with. Crops are processed in batches.
 """
 
 from __future__ import annotations
@@ -19,21 +20,22 @@ from track_range.tracking.appearance import has_appearance
 from track_range.tracking.gallery import unit_rows
 
 OPEN_INPUT_HW = (256, 128)
-"""Input of a network that leaves its size open: what people are re-identified with."""
+"""(height, width) for a network with a dynamic input size: the usual input for the re-identification of people."""
 
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)
-_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
+_STD = np.array([0.229, 0.224, 0.225], np.float32)
+"""Mean and standard deviation of ImageNet's red, green and blue values, in 0..1."""
 
-_LARGEST_BATCH = 8
-"""On a CPU crops beyond it only cost memory: OSNet takes 3.0 ms per crop in batches of 8, 7.7 ms in batches of 32."""
+_MAX_BATCH = 8
+"""Crops per batch. Larger batches are slower on a CPU: OSNet takes 3.0 ms per crop with 8, 7.7 ms with 32."""
 
 
 class ReidModel:
-    """Computes embeddings with a network.
+    """Computes appearance embeddings with a re-identification network.
 
     Attributes:
-        max_cosine_distance: see `AppearanceModel`; 0.27 suits OSNet x0.25 on KITTI 0003 and 0005 and simulated
-            drives, on which it was chosen: 0 to 10 % of the same missed, 0 to 16 % of the others passed.
+        max_cosine_distance: see `AppearanceModel`. 0.27 was chosen for OSNet x0.25 on KITTI 0003 and 0005 and simulated
+            drives: 0 to 10 % of the same objects rejected, 0 to 16 % of other objects accepted.
         input_hw: (height, width) that crops are resized to.
         notes: sentences for the user.
     """
@@ -42,7 +44,7 @@ class ReidModel:
         """Load the network and run it once.
 
         Raises:
-            ModelError: no such model, or no re-identification network.
+            ModelError: the model is missing, or is not a re-identification network.
         """
         self.max_cosine_distance = max_cosine_distance
         self._session = OnnxSession(model, runtime)
@@ -50,11 +52,12 @@ class ReidModel:
         batch, channels, height, width = self._session.input_shape
         if channels != 3:
             raise ModelError(
-                f"{model}: expected one input [batch, 3, height, width], found {_written(self._session.input_shape)}."
+                f"{model}: expected one input [batch, 3, height, width], found "
+                f"{_shape_text(self._session.input_shape)}; give a re-identification network."
             )
         self.input_hw = (height or OPEN_INPUT_HW[0], width or OPEN_INPUT_HW[1])
         self._fixed_batch = batch
-        # Two images: this reveals a network that declares an open batch size but mixes up its rows.
+        # Two images reveal a network that declares a dynamic batch size but mixes up its rows.
         self.n_values = self._run(np.zeros((batch or 2, 3, *self.input_hw), np.float32)).shape[1]
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
@@ -66,40 +69,41 @@ class ReidModel:
         """
         check_shape("image", image, (None, None, 3))
         embedding = np.zeros((len(xyxy_px), self.n_values), np.float32)
-        good = np.flatnonzero(has_appearance(image, xyxy_px))
-        step = self._fixed_batch or _LARGEST_BATCH
-        for start in range(0, len(good), step):
-            rows = good[start : start + step]
+        usable = np.flatnonzero(has_appearance(image, xyxy_px))
+        step = self._fixed_batch or _MAX_BATCH
+        for start in range(0, len(usable), step):
+            rows = usable[start : start + step]
             blob = np.zeros((self._fixed_batch or len(rows), 3, *self.input_hw), np.float32)
-            for place, box in zip(blob, xyxy_px[rows], strict=False):  # a fixed batch is filled up with zeros
-                _write_crop(image, box, place)
+            for target, box in zip(blob, xyxy_px[rows], strict=False):  # a fixed batch is filled up with zeros
+                _write_crop(image, box, target)
             embedding[rows] = unit_rows(self._run(blob)[: len(rows)])
         return embedding
 
     def _run(self, blob: FloatArray32) -> FloatArray32:
-        """(batch, D) the features."""
+        """(batch, D) features of crops (batch, 3, height, width)."""
         outputs = self._session.run(blob)
         if len(outputs) != 1 or outputs[0].ndim != 2 or len(outputs[0]) != len(blob) or not outputs[0].size:
-            found = ", ".join(_written(output.shape) for output in outputs)
+            shapes = ", ".join(_shape_text(output.shape) for output in outputs)
             raise ModelError(
-                f"{self._session.path}: not a re-identification network: expected one output [batch, values] for "
-                f"{len(blob)} crops, found {found} (a detector's?)."
+                f"{self._session.path}: expected one output [batch, values] for {len(blob)} crops, found {shapes}; "
+                "give a re-identification network, not a detector."
             )
         return outputs[0]
 
 
-def _write_crop(image: Image, box: FloatArray, place: FloatArray32) -> None:
-    """What of the box (4,) lies inside the image, as the network wants it, into (3, height, width)."""
+def _write_crop(image: Image, box: FloatArray, target: FloatArray32) -> None:
+    """Write the part of the box (4,) inside the image into `target` (3, height, width), normalised."""
     height, width = image.shape[:2]
     # The pixels whose centres lie in the box; pixel i runs from i - 0.5 to i + 0.5.
     x1, y1, x2, y2 = np.rint(np.clip(box + 0.5, 0, [width, height, width, height])).astype(np.int64)
     crop = image[y1:y2, x1:x2]
-    is_shrunk = crop.shape[0] >= place.shape[1]
-    method = cv2.INTER_AREA if is_shrunk else cv2.INTER_LINEAR
-    resized = cv2.resize(crop, (place.shape[2], place.shape[1]), interpolation=method)
+    is_shrunk = crop.shape[0] >= target.shape[1]
+    interpolation = cv2.INTER_AREA if is_shrunk else cv2.INTER_LINEAR
+    resized = cv2.resize(crop, (target.shape[2], target.shape[1]), interpolation=interpolation)
     rgb = resized[..., ::-1].astype(np.float32) / 255.0
-    place[:] = ((rgb - _MEAN) / _DEVIATION).transpose(2, 0, 1)
+    target[:] = ((rgb - _MEAN) / _STD).transpose(2, 0, 1)
 
 
-def _written(shape: tuple[int | None, ...]) -> str:
+def _shape_text(shape: tuple[int | None, ...]) -> str:
+    """A shape for messages, such as [any, 3, 256, 128]."""
     return "[" + ", ".join("any" if side is None else str(side) for side in shape) + "]"

@@ -1,6 +1,6 @@
 """Similarity: the IoU of truth and result boxes in each frame of a sequence.
 
-Every metric starts here, so that they all count the same boxes; identities are numbered from 0.
+All metrics are computed from it, so that they count the same boxes; identities are numbered from 0.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from track_range.tracking.tracked_boxes import TrackedBoxes
 
 @dataclass(frozen=True, slots=True)
 class Similarity:
-    """One sequence.
+    """IoU of the boxes of one sequence.
 
     Attributes:
-        truth_count: (T,) frames that each truth identity is in.
-        result_count: (R,) frames that each result identity is in.
+        truth_count: (T,) number of frames with each truth identity.
+        result_count: (R,) number of frames with each result identity.
         by_frame: for each frame with a box, truth identities (n,), result identities (m,) and their IoU (n, m).
     """
 
@@ -31,7 +31,7 @@ class Similarity:
 
     @classmethod
     def of(cls, truth: TrackedBoxes, results: TrackedBoxes) -> Similarity:
-        """Of one sequence's boxes, after the benchmark's rules; the IoU of different classes is 0."""
+        """The similarity of one sequence's boxes, after the benchmark's rules; the IoU of different classes is 0."""
         truth, results = _sorted(truth), _sorted(results)
         truth_id, truth_count = _numbered(truth.track_id)
         result_id, result_count = _numbered(results.track_id)
@@ -46,21 +46,21 @@ class Similarity:
 
     @property
     def n_truth(self) -> int:
-        """Truth boxes."""
+        """Number of truth boxes."""
         return int(self.truth_count.sum())
 
     @property
     def n_results(self) -> int:
-        """Result boxes."""
+        """Number of result boxes."""
         return int(self.result_count.sum())
 
     def frames(self) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
-        """Frame by frame, in their order."""
+        """Truth identities, result identities and their IoU, frame by frame."""
         return iter(self.by_frame)
 
 
 def _iou(truth: TrackedBoxes, results: TrackedBoxes) -> FloatArray:
-    """(n, m) IoU, 0 between classes."""
+    """(n, m) IoU, 0 for boxes of different classes."""
     return np.where(truth.class_id[:, None] == results.class_id[None, :], iou(truth.xyxy_px, results.xyxy_px), 0.0)
 
 
@@ -69,6 +69,6 @@ def _sorted(boxes: TrackedBoxes) -> TrackedBoxes:
 
 
 def _numbered(track_id: IntArray) -> tuple[IntArray, IntArray]:
-    """Identities from 0, and how many boxes each has."""
+    """Identities renumbered from 0, and the number of boxes of each."""
     _, number, count = np.unique(track_id, return_inverse=True, return_counts=True)
     return np.asarray(number, np.int64).reshape(-1), np.asarray(count, np.int64)

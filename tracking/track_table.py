@@ -1,7 +1,7 @@
-"""TrackTable: all live tracks of one stream as parallel arrays, by id; the tracker's own memory, changed in place.
+"""TrackTable: all live tracks of one stream as parallel arrays, by id; the tracker's state, changed in place.
 
-Arrays are copied only when tracks begin or end; the filters (every frame), the gallery (where there are embeddings) and
-the box history (where the camera moves) become new arrays.
+Arrays are copied when tracks start or end; the filters are replaced in every frame, the gallery where there are
+embeddings, and the box history where the camera moves.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ class TrackTable:
     """Confirmed, tentative and lost tracks.
 
     Attributes:
-        track_id: (N,) growing.
-        filters: their motion.
-        history: their last detected boxes.
+        track_id: (N,) ascending ids.
+        filters: motion filters.
+        history: the last detected boxes.
         class_votes: (N, classes) sum of scores by class.
-        class_id: (N,) the class with most votes, so that it does not flicker.
-        score_sum: (N,) of all detections.
-        score: (N,) of the last detection.
-        n_hits: (N,) detections.
+        class_id: (N,) the class with the most votes, so that it does not flicker.
+        score_sum: (N,) sum of the scores of all detections.
+        score: (N,) score of the last detection.
+        n_hits: (N,) number of detections.
         is_confirmed: (N,) False = tentative.
-        innovation: (N, 2) of the last detection's centre, in standard deviations; NaN for a track detected once.
-        gallery: their appearance embeddings.
+        innovation: (N, 2) innovation of the last detection's centre, in standard deviations; NaN for tracks detected
+            once.
+        gallery: appearance embeddings.
     """
 
     def __init__(self, *, n_boxes: int, n_embeddings: int) -> None:
-        """An empty table that remembers so many boxes and embeddings per track."""
+        """An empty table that stores `n_boxes` boxes and `n_embeddings` embeddings per track."""
         self.track_id: IntArray = np.zeros(0, np.int64)
         self.filters = motion.initiate(np.zeros((0, 4)), MotionNoise())
         self.history = history.initiate(np.zeros((0, 4)), 0.0, n_kept=n_boxes)
@@ -54,16 +55,16 @@ class TrackTable:
 
     @property
     def last_s(self) -> FloatArray:
-        """(N,) when each was last detected."""
+        """(N,) time of the last detection of each track."""
         return self.history.last_s
 
     @property
     def last_xyxy_px(self) -> FloatArray:
-        """(N, 4) each one's last detected box."""
+        """(N, 4) last detected box of each track."""
         return self.history.last_xyxy_px
 
     def retain(self, alive: BoolArray) -> None:
-        """Delete the other tracks."""
+        """Delete the tracks outside the mask (N,)."""
         if alive.all():
             return
         self.track_id, self.filters = self.track_id[alive], self.filters.select(alive)
@@ -75,7 +76,15 @@ class TrackTable:
     def update(
         self, rows: IntArray, matched: Detections, time_s: float, *, is_streak: BoolArray, noise: MotionNoise
     ) -> None:
-        """Give each of M tracks its detection of this frame; `is_streak` (M,): it had one in the frame before, too."""
+        """Update M tracks with their detections of this frame.
+
+        Args:
+            rows: (M,) row numbers of the tracks.
+            matched: M detections.
+            time_s: time of the frame.
+            is_streak: (M,) whether a track was also detected in the frame before.
+            noise: noise of the motion filters.
+        """
         filters, innovation = motion.update(self.filters.select(rows), matched.xyxy_px, noise)
         self.filters.assign(rows, filters)
         self.innovation[rows] = innovation[:, :2]
@@ -93,10 +102,10 @@ class TrackTable:
         n = len(detections)
         votes = np.zeros((n, len(ROAD_CLASSES)))
         votes[np.arange(n), detections.class_id] = detections.score
-        begun = history.initiate(detections.xyxy_px, time_s, n_kept=self.history.time_s.shape[1])
+        new_history = history.initiate(detections.xyxy_px, time_s, n_kept=self.history.time_s.shape[1])
         self.track_id = np.concatenate([self.track_id, np.arange(first_id, first_id + n, dtype=np.int64)])
         self.filters = self.filters.concatenate(motion.initiate(detections.xyxy_px, noise))
-        self.history = self.history.concatenate(begun)
+        self.history = self.history.concatenate(new_history)
         self.class_votes = np.concatenate([self.class_votes, votes])
         self.class_id = np.concatenate([self.class_id, detections.class_id])
         self.score_sum = np.concatenate([self.score_sum, detections.score])
@@ -107,7 +116,7 @@ class TrackTable:
         self.gallery = self.gallery.initiate(detections.descriptor)
 
     def compensate_camera_motion(self, now_from_before: FloatArray) -> None:
-        """Move filters and past boxes to the pixels of this frame, by a similarity (2, 3)."""
+        """Transform filters and past boxes into pixels of the current frame, by a similarity (2, 3)."""
         self.filters = motion.compensate_camera_motion(self.filters, now_from_before)
         boxes_px = xyxy_from_cxcywh(motion.transformed(motion.cxcywh(self.history.xyxy_px), now_from_before))
         self.history = BoxHistory(boxes_px, self.history.time_s, self.history.hit_streak)

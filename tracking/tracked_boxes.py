@@ -1,4 +1,4 @@
-"""TrackedBoxes: boxes with identities in many frames, truth or result; and where results do not count."""
+"""TrackedBoxes: boxes with identities in many frames, truth or result; IgnoreRegions: where results are ignored."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class TrackedBoxes:
     """Boxes with identities in many frames, truth or result; rows in any order.
 
     Attributes:
-        frame: (N,) int64.
-        track_id: (N,) int64, at most once per frame.
-        xyxy_px: (N, 4) float64.
-        class_id: (N,) int64.
+        frame: (N,) int64 frame numbers from 0.
+        track_id: (N,) int64, each at most once per frame.
+        xyxy_px: (N, 4) float64 boxes.
+        class_id: (N,) int64, index into `detection.classes.ROAD_CLASSES`.
     """
 
     frame: IntArray
@@ -32,23 +32,23 @@ class TrackedBoxes:
         check_shape("xyxy_px", self.xyxy_px, (n, 4))
         check_shape("class_id", self.class_id, (n,))
         if len(np.unique(np.stack([self.frame, self.track_id]), axis=1).T) < n:
-            raise ValueError("track_id: twice in one frame")
+            raise ValueError("track_id: expected each id at most once per frame, found duplicates")
 
     def __len__(self) -> int:
         return len(self.frame)
 
-    def select(self, keep: BoolArray | IntArray | slice) -> TrackedBoxes:
-        """The rows that a mask, an index array or a slice names, in its order."""
-        return TrackedBoxes(self.frame[keep], self.track_id[keep], self.xyxy_px[keep], self.class_id[keep])
+    def select(self, rows: BoolArray | IntArray | slice) -> TrackedBoxes:
+        """The rows that a mask, an index array or a slice selects, in its order."""
+        return TrackedBoxes(self.frame[rows], self.track_id[rows], self.xyxy_px[rows], self.class_id[rows])
 
 
 @dataclass(frozen=True, slots=True)
 class IgnoreRegions:
-    """Where results are neither right nor wrong: KITTI's DontCare areas, vans beside cars, and so on.
+    """Regions in which unmatched results are ignored: KITTI's DontCare areas, vans when evaluating cars, and so on.
 
     Attributes:
-        frame: (M,) int64.
-        xyxy_px: (M, 4) float64.
+        frame: (M,) int64 frame numbers from 0.
+        xyxy_px: (M, 4) float64 boxes.
     """
 
     frame: IntArray
@@ -60,5 +60,5 @@ class IgnoreRegions:
 
     @classmethod
     def none(cls) -> IgnoreRegions:
-        """Everything counts."""
+        """No regions."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 4)))

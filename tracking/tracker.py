@@ -11,32 +11,32 @@ from track_range.tracking.tracks import Tracks
 
 
 class Tracker(Protocol):
-    """Gives the boxes of successive frames identities; all state belongs to the instance."""
+    """Assigns identities to the boxes of successive frames; all state belongs to the instance."""
 
     def update(self, detections: Detections, time_s: float, image: Image | None) -> Tracks:
-        """The confirmed tracks at `time_s`, which must grow from call to call; `image` is (H, W, 3) BGR or None.
+        """The confirmed tracks at `time_s`, which must increase from call to call; `image` is (H, W, 3) BGR or None.
 
         Raises:
-            ValueError: time does not go forward.
+            ValueError: `time_s` is not later than in the call before.
         """
         ...
 
 
 @runtime_checkable
 class RefinableTracker(Tracker, Protocol):
-    """Optional: a tracker with more to give to `track_range.tracking.offline_refinement`.
+    """A tracker with additional output for `track_range.tracking.offline_refinement`; optional.
 
-    The tracks of a tracker without these are refined too: no track gets its tentative start, none is dropped for its
+    The tracks of other trackers are refined too, but do not get their tentative start and are not dropped for low
     scores.
     """
 
     @property
     def tentative(self) -> Tracks:
-        """The tracks detected in the last frame that are not confirmed yet; some will be, others never."""
+        """The tracks detected in the last frame that are not confirmed yet."""
         ...
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
-        """(N,) the score from which on boxes of these classes (N,) start tracks."""
+        """(N,) least score at which a detection of a class (N,) starts a track."""
         ...
 
 
@@ -44,7 +44,7 @@ class AppearanceModel(Protocol):
     """Computes appearance embeddings of boxes: vectors of length 1 whose cosine distance is small for one object.
 
     Attributes:
-        max_cosine_distance: cosine distance up to which two embeddings are taken for one object's.
+        max_cosine_distance: largest cosine distance between two embeddings of one object.
         notes: sentences for the user.
     """
 
@@ -58,10 +58,10 @@ class AppearanceModel(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerOptions:
-    """What the program hands to every new tracker.
+    """Options that the program passes to every new tracker.
 
     Attributes:
-        reid: the user's re-identification network (`--reid`); None = the tracker's own appearance model, if it has one.
+        reid: the user's re-identification network (`--reid`); None = the tracker's default appearance model, if any.
     """
 
     reid: AppearanceModel | None = None

@@ -28,7 +28,7 @@ class Tracks:
         xyxy_px: (N, 4) float64 box, in the frame's pixels.
         class_id: (N,) int64, index into `detection.classes.ROAD_CLASSES`.
         score: (N,) float64 in [0, 1].
-        observed: (N,) bool, False where the box is predicted and no detection supports it in this frame.
+        observed: (N,) bool, False where the box is predicted, without a detection in this frame.
     """
 
     track_id: IntArray
@@ -56,29 +56,29 @@ class Tracks:
 
     @classmethod
     def from_supervision(cls, boxes: Any, class_names: Sequence[str] | None = None) -> Tracks:
-        """Tracks from supervision's `Detections` with `tracker_id`, such as another library's tracker gives.
+        """Tracks from supervision's `Detections` with `tracker_id`, as returned by the trackers of other libraries.
 
-        Boxes whose identity is below 0 (not confirmed yet) are left out; other identities are kept as they are.
+        Boxes with a negative identity (not confirmed yet) are left out; other identities do not change.
 
         Raises:
-            ValueError: there is no `tracker_id`, or one id twice.
+            ValueError: `tracker_id` is missing, or contains an identity twice.
         """
-        found = read_supervision(boxes, class_names)
-        if found.tracker_id is None:
+        detections = read_supervision(boxes, class_names)
+        if detections.tracker_id is None:
             raise ValueError("tracker_id: expected an identity for each box, got None")
-        rows = np.flatnonzero(found.tracker_id >= 0)
-        track_id = found.tracker_id[rows]
+        rows = np.flatnonzero(detections.tracker_id >= 0)
+        track_id = detections.tracker_id[rows]
         if len(np.unique(track_id)) < len(track_id):
-            raise ValueError("tracker_id: expected each identity once in a frame")
-        is_observed = np.ones(len(rows), np.bool_)
-        return cls(track_id, found.xyxy_px[rows], found.class_id[rows], found.score[rows], is_observed)
+            raise ValueError("tracker_id: expected each identity once in a frame, got duplicates")
+        observed = np.ones(len(rows), np.bool_)
+        return cls(track_id, detections.xyxy_px[rows], detections.class_id[rows], detections.score[rows], observed)
 
     def to_supervision(self) -> Any:
-        """`supervision.Detections` with `tracker_id` where that is installed, else an object with its attributes."""
+        """`supervision.Detections` with `tracker_id`, or an object with its attributes without that package."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id, self.track_id)
 
-    def select(self, keep: BoolArray | IntArray) -> Tracks:
-        """The rows that a mask or an index array names, in its order."""
+    def select(self, rows: BoolArray | IntArray) -> Tracks:
+        """The rows that a mask or an index array selects, in its order."""
         return Tracks(
-            self.track_id[keep], self.xyxy_px[keep], self.class_id[keep], self.score[keep], self.observed[keep]
+            self.track_id[rows], self.xyxy_px[rows], self.class_id[rows], self.score[rows], self.observed[rows]
         )

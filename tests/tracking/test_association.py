@@ -13,15 +13,15 @@ from track_range.tracking.association import are_compatible, iou_cost, min_cost_
 
 
 def test_iou_cost_by_hand() -> None:
-    # 10 x 10 boxes, shifted by half: 50 shared of 150
+    # 10 x 10 boxes, shifted by half: intersection 50, union 150
     cost = iou_cost(np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[5.0, 0.0, 15.0, 10.0], [0.0, 0.0, 10.0, 10.0]]))
     np.testing.assert_allclose(cost, [[2 / 3, 0.0]])
 
 
-def test_margin_brings_boxes_together_that_do_not_touch() -> None:
+def test_margin_lets_separate_boxes_overlap() -> None:
     left, right = np.array([[0.0, 0.0, 10.0, 10.0]]), np.array([[12.0, 0.0, 22.0, 10.0]])
     assert iou_cost(left, right)[0, 0] == 1.0
-    # widened by 0.3: -3..13 and 9..25, both 16 x 16: 4 * 16 shared of 2 * 256 - 64
+    # widened by 0.3: -3..13 and 9..25, both 16 x 16: intersection 4 * 16, union 2 * 256 - 64
     assert iou_cost(left, right, margin=0.3)[0, 0] == pytest.approx(1 - 64 / 448)
 
 
@@ -30,7 +30,7 @@ def test_widened_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "may"),
+    ("a", "b", "is_compatible"),
     [
         ("car", "car", True),
         ("car", "truck", True),
@@ -41,19 +41,19 @@ def test_widened_by_hand() -> None:
         ("traffic light", "traffic sign", False),
     ],
 )
-def test_classes_that_may_be_one_object(a: str, b: str, may: bool) -> None:
+def test_compatible_classes(a: str, b: str, is_compatible: bool) -> None:
     ids = [np.array([ROAD_CLASSES.index(name)]) for name in (a, b)]
-    assert are_compatible(ids[0], ids[1])[0, 0] == may
+    assert are_compatible(ids[0], ids[1])[0, 0] == is_compatible
 
 
-def test_the_sum_is_minimised_not_each_row() -> None:
-    # greedy would take (0, 0) at 0.1 and be left with 0.9
+def test_total_cost_is_minimised() -> None:
+    # Greedy matching would take (0, 0) at 0.1, then (1, 1) at 0.9.
     rows, columns = min_cost_matching(np.array([[0.1, 0.2], [0.2, 0.9]]), max_cost=1.0)
     assert list(zip(rows, columns, strict=True)) == [(0, 1), (1, 0)]
 
 
-def test_a_poor_pair_is_left_alone_and_does_not_push_a_good_one() -> None:
-    # to pair both rows, row 0 would have to give up its 0.1 for 0.5 and row 1 to take 0.85 > 0.7
+def test_a_bad_pair_does_not_displace_a_good_one() -> None:
+    # Matching both rows would cost 0.5 and 0.85 > 0.7.
     rows, columns = min_cost_matching(np.array([[0.1, 0.5], [0.85, np.inf]]), max_cost=0.7)
     assert list(zip(rows, columns, strict=True)) == [(0, 0)]
 
@@ -64,7 +64,7 @@ def test_infinite_cost_forbids() -> None:
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 3), (2, 0)])
-def test_nothing_to_assign(shape: tuple[int, int]) -> None:
+def test_empty_cost_matrix(shape: tuple[int, int]) -> None:
     rows, columns = min_cost_matching(np.zeros(shape), max_cost=0.5)
     assert rows.dtype == columns.dtype == np.int64
     assert len(rows) == len(columns) == 0
@@ -75,12 +75,12 @@ def test_nothing_to_assign(shape: tuple[int, int]) -> None:
     max_cost=st.floats(0.1, 0.9),
 )
 @settings(deadline=None)
-def test_no_other_choice_is_cheaper(cost: np.ndarray, max_cost: float) -> None:
+def test_matching_is_optimal(cost: np.ndarray, max_cost: float) -> None:
     rows, columns = min_cost_matching(cost, max_cost=max_cost)
     assert len(set(rows)) == len(rows)
     assert len(set(columns)) == len(columns)
     assert (cost[rows, columns] <= max_cost).all()
     total = cost[rows, columns].sum() + max_cost * (len(cost) - len(rows))
-    padded = np.pad(cost, ((0, 0), (0, len(cost))), constant_values=max_cost)  # one column more per row: stay alone
+    padded = np.pad(cost, ((0, 0), (0, len(cost))), constant_values=max_cost)  # one more column per row: unmatched
     choices = permutations(range(padded.shape[1]), len(cost))
     assert total == pytest.approx(min(padded[np.arange(len(cost)), list(c)].sum() for c in choices))

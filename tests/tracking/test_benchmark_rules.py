@@ -1,4 +1,4 @@
-"""The rules by hand; on KITTI 0000-0017 and MOT17-05 they were compared with TrackEval 1.3.0: equal to 1e-11."""
+"""The rules by hand; on KITTI 0000-0017 and MOT17-05 they agree with TrackEval 1.3.0 to 1e-11."""
 
 import numpy as np
 
@@ -40,50 +40,50 @@ def at(x, side=40):
 def test_kitti_by_hand():
     labels = kitti(
         ("Car", 0, 0, 0),
-        ("Car", 100, 0, 3),  # hidden
-        ("Car", 200, 1, 0),  # cut by the image's edge
+        ("Car", 100, 0, 3),  # occluded
+        ("Car", 200, 1, 0),  # truncated by the image border
         ("Van", 300, 0, 0),
         ("DontCare", 400, -1, -1),
         ("Truck", 500, 0, 0),
     )
-    found = results(at(0), at(100), at(200), at(300), at(405, 30), at(500), at(600, 25), at(700, 26))
-    truth, kept = kitti_cleaned(labels, found, "car")
+    boxes = results(at(0), at(100), at(200), at(300), at(405, 30), at(500), at(600, 25), at(700, 26))
+    truth, counted = kitti_cleaned(labels, boxes, "car")
     assert truth.track_id.tolist() == [0]
-    # what is on a truck counts as wrong, and so does a false box of more than 25 px
-    assert kept.xyxy_px[:, 0].tolist() == [0, 500, 700]
+    # A box on a truck is a false positive, and so is an unmatched box higher than 25 px.
+    assert counted.xyxy_px[:, 0].tolist() == [0, 500, 700]
 
 
-def test_a_van_takes_only_the_box_that_is_its_own():
+def test_a_van_drops_only_its_best_match():
     labels = kitti(("Car", 0, 0, 0), ("Van", 10, 0, 0))
-    truth, kept = kitti_cleaned(labels, results(at(1), at(11)), "car")
-    assert (len(truth), kept.xyxy_px[:, 0].tolist()) == (1, [1])
+    truth, counted = kitti_cleaned(labels, results(at(1), at(11)), "car")
+    assert (len(truth), counted.xyxy_px[:, 0].tolist()) == (1, [1])
 
 
 def test_kitti_without_results_or_truth():
     labels = kitti(("Pedestrian", 0, 0, 0))
-    truth, kept = kitti_cleaned(labels, results(), "person")
-    assert (len(truth), len(kept)) == (1, 0)
-    truth, kept = kitti_cleaned(labels, results(at(0), frame=7), "car")
-    assert (len(truth), len(kept)) == (0, 1)
+    truth, counted = kitti_cleaned(labels, results(), "person")
+    assert (len(truth), len(counted)) == (1, 0)
+    truth, counted = kitti_cleaned(labels, results(at(0), frame=7), "car")
+    assert (len(truth), len(counted)) == (0, 1)
 
 
 def mot(*rows):
-    """Ground truth of frame 0 from (class, left edge, counts)."""
+    """Ground truth of frame 0 from (class, left edge, evaluated)."""
     n = len(rows)
-    kinds, x, counts = (np.array(column, float) for column in zip(*rows, strict=True))
+    mot_class, x, score = (np.array(column, float) for column in zip(*rows, strict=True))
     zero = np.zeros(n)
     boxes = np.stack([x, zero, x + 40, zero + 40], axis=1)
-    return MotRows(np.zeros(n, np.int64), np.arange(n), boxes, counts, kinds.astype(np.int64), np.ones(n))
+    return MotRows(np.zeros(n, np.int64), np.arange(n), boxes, score, mot_class.astype(np.int64), np.ones(n))
 
 
 def test_mot17_by_hand():
     truth = mot((1, 0, 1), (1, 100, 0), (7, 200, 0), (8, 300, 0), (12, 400, 0), (2, 500, 0), (3, 600, 0))
-    wanted, kept = mot_cleaned(truth, results(*(at(x) for x in range(0, 700, 100))))
-    assert wanted.track_id.tolist() == [0]
-    assert kept.xyxy_px[:, 0].tolist() == [0, 100, 600]  # a car is no distractor, nor is who is not to be considered
+    evaluated, counted = mot_cleaned(truth, results(*(at(x) for x in range(0, 700, 100))))
+    assert evaluated.track_id.tolist() == [0]
+    assert counted.xyxy_px[:, 0].tolist() == [0, 100, 600]  # cars and unevaluated pedestrians are not distractors
 
 
 def test_mot15_has_no_classes_and_no_distractors():
     truth = mot((0, 0, 1), (0, 100, 0))
-    wanted, kept = mot_cleaned(truth, results(at(0), at(100)))
-    assert (wanted.track_id.tolist(), len(kept)) == ([0], 2)
+    evaluated, counted = mot_cleaned(truth, results(at(0), at(100)))
+    assert (evaluated.track_id.tolist(), len(counted)) == ([0], 2)

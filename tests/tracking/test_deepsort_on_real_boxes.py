@@ -20,7 +20,7 @@ CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 
 def scores_of(
     tracker: DeepSortTracker,
-    found: MotRows,
+    detected: MotRows,
     truth: MotRows,
     *,
     frame_s: float,
@@ -29,9 +29,10 @@ def scores_of(
 ) -> TrackingScores:
     """Run a tracker over stored boxes and score it."""
     out = []
-    for frame in range(int(max(truth.frame.max(), found.frame.max())) + 1):
-        now = found.frame == frame
-        boxes = Detections.of(found.xyxy_px[now], np.minimum(found.score[now], 1.0), np.full(now.sum(), class_id))
+    for frame in range(int(max(truth.frame.max(), detected.frame.max())) + 1):
+        rows = detected.frame == frame
+        score = np.minimum(detected.score[rows], 1.0)
+        boxes = Detections.of(detected.xyxy_px[rows], score, np.full(rows.sum(), class_id))
         out.append(tracker.update(boxes, frame * frame_s, None))
     results = TrackedBoxes(
         np.repeat(np.arange(len(out)), [len(tracks) for tracks in out]),
@@ -39,30 +40,30 @@ def scores_of(
         np.concatenate([tracks.xyxy_px for tracks in out]),
         np.concatenate([tracks.class_id for tracks in out]),
     )
-    wanted = TrackedBoxes(truth.frame, truth.track_id, truth.xyxy_px, np.full(len(truth), class_id))
-    return evaluate_tracks(wanted.select(truth.score > 0), results, ignore=ignore)
+    true_boxes = TrackedBoxes(truth.frame, truth.track_id, truth.xyxy_px, np.full(len(truth), class_id))
+    return evaluate_tracks(true_boxes.select(truth.score > 0), results, ignore=ignore)
 
 
-# Measured with the defaults: a change that moves one of these by a point is a decision, not an accident.
-# The image border is not given: the extent of the boxes stands for it.
+# Measured with the defaults; a change by a point or more must be intended. There are no images, so the image border is
+# the extent of the boxes.
 @pytest.mark.parametrize(
     ("name", "frame_s", "mota", "idf1"),
     [("TUD-Stadtmitte", 0.04, 72.2, 76.1), ("PETS09-S2L1", 1 / 7, 59.1, 58.0), ("KITTI-13", 0.1, 21.8, 54.5)],
 )
 def test_real_pedestrians(name: str, frame_s: float, mota: float, idf1: float, shared_data: Path) -> None:
     folder = shared_data / "mot" / "MOT15" / name
-    found, truth = read_mot(folder / "det" / "det.txt"), read_mot(folder / "gt" / "gt.txt")
-    scores = scores_of(DeepSortTracker(), found, truth, frame_s=frame_s, class_id=PERSON)
+    detected, truth = read_mot(folder / "det" / "det.txt"), read_mot(folder / "gt" / "gt.txt")
+    scores = scores_of(DeepSortTracker(), detected, truth, frame_s=frame_s, class_id=PERSON)
     assert (scores.mota, scores.idf1) == pytest.approx((mota, idf1), abs=1.0)
 
 
-def test_weak_boxes_and_prediction_are_worth_having_on_real_cars(shared_data: Path) -> None:
+def test_gain_of_low_confidence_and_prediction(shared_data: Path) -> None:
     folder = shared_data / "kitti_labels"
     labels = read_kitti(folder / "label_02" / "0018.txt")
     cars, others = (labels.select(np.isin(labels.kitti_type, names)) for names in (["Car"], ["Van", "DontCare"]))
     ignore = IgnoreRegions(others.frame, others.xyxy_px)
     table = np.loadtxt(folder / "rrc" / "Car" / "0018.txt", delimiter=",")
-    found = rows_of(table[:, 0], np.zeros(len(table)), table[:, 1:5], table[:, 5])
+    detected = rows_of(table[:, 0], np.zeros(len(table)), table[:, 1:5], table[:, 5])
     truth = rows_of(cars.frame, cars.track_id, cars.xyxy_px, np.ones(len(cars.frame)))
     plain = DeepSortSettings(
         min_score=0.5,
@@ -70,7 +71,7 @@ def test_weak_boxes_and_prediction_are_worth_having_on_real_cars(shared_data: Pa
         prediction=PredictionGates(max_missing_s=0.0),
     )
     scores, plain_scores = (
-        scores_of(DeepSortTracker(settings), found, truth, frame_s=0.1, class_id=CAR, ignore=ignore)
+        scores_of(DeepSortTracker(settings), detected, truth, frame_s=0.1, class_id=CAR, ignore=ignore)
         for settings in (None, plain)
     )
     assert (scores.mota, scores.idf1) == pytest.approx((96.8, 98.4), abs=1.0)

@@ -32,7 +32,7 @@ def golden(name: str, file: str) -> TrackedBoxes:
     return TrackedBoxes(rows.frame, rows.track_id, rows.xyxy_px, np.zeros(len(rows), np.int64))
 
 
-# The figures that motmetrics publishes for the sequences inside its wheel.
+# Scores that motmetrics publishes for the sequences in its wheel.
 @pytest.mark.parametrize(
     ("name", "mota", "idf1", "idsw", "fp", "fn", "n"),
     [("TUD-Campus", 52.65, 55.77, 7, 13, 150, 359), ("TUD-Stadtmitte", 56.40, 64.46, 7, 45, 452, 1156)],
@@ -44,7 +44,7 @@ def test_golden_sequences(name: str, mota: float, idf1: float, idsw: int, fp: in
     assert (scores.idsw, scores.fp, scores.fn, scores.n) == (idsw, fp, fn, n)
 
 
-# TrackEval 1.3.0's figures for the same boxes.
+# Scores of TrackEval 1.3.0 for the same boxes.
 TRACKEVAL = {
     "TUD-Campus": {
         "hota": 39.1397, "deta": 41.8047, "assa": 36.9121, "loca": 77.0052, "mota": 52.6462, "motp": 72.2799,
@@ -64,13 +64,13 @@ TRACKEVAL = {
 }  # fmt: skip
 
 
-def test_every_figure_is_trackevals() -> None:
+def test_scores_equal_trackeval() -> None:
     names = ("TUD-Campus", "TUD-Stadtmitte")
     counts = {name: TrackingCounts.of(golden(name, "gt.txt"), golden(name, "test.txt")) for name in names}
     counts["together"] = TrackingCounts.sum_of(list(counts.values()))
-    for name, wanted in TRACKEVAL.items():
+    for name, expected in TRACKEVAL.items():
         scores = counts[name].scores()
-        assert {key: getattr(scores, key) for key in wanted} == pytest.approx(wanted, abs=1e-3), name
+        assert {key: getattr(scores, key) for key in expected} == pytest.approx(expected, abs=1e-3), name
 
 
 def test_truth_against_itself_is_perfect() -> None:
@@ -101,12 +101,12 @@ def test_a_switch_by_hand() -> None:
 
 
 def test_motp_is_the_mean_iou_of_the_matches() -> None:
-    # shifted by 2 of 10 px: 80 shared of 120; the second box is hit exactly
+    # shifted by 2 of 10 px: intersection 80, union 120; the second box is exact
     scores = evaluate_tracks(boxes_of([(0, 1, 0), (0, 2, 50)]), boxes_of([(0, 1, 2), (0, 2, 50)]))
     assert scores.motp == pytest.approx(100 * (2 / 3 + 1) / 2)
 
 
-def test_an_overlap_of_less_than_half_is_a_miss_and_a_false_box() -> None:
+def test_iou_below_half_is_no_match() -> None:
     scores = evaluate_tracks(boxes_of([(0, 1, 0)]), boxes_of([(0, 1, 4)]))  # 60 of 140
     assert (scores.fp, scores.fn, scores.mota) == (1, 1, -100.0)
 
@@ -116,7 +116,7 @@ def test_another_class_does_not_match() -> None:
     assert (scores.fp, scores.fn) == (1, 1)
 
 
-def test_frames_of_only_one_side_count() -> None:
+def test_frames_with_only_truth_or_results() -> None:
     scores = evaluate_tracks(boxes_of([(0, 1, 0), (2, 1, 0)]), boxes_of([(0, 1, 0), (5, 1, 0)]))
     assert (scores.fp, scores.fn, scores.n) == (1, 1, 2)
 
@@ -139,13 +139,13 @@ def test_false_boxes_in_ignore_regions_are_dropped(region_frame: int, region_x_p
     assert evaluate_tracks(truth, results, ignore=ignore).fp == fp
 
 
-def test_a_box_that_matches_truth_is_kept_inside_an_ignore_region() -> None:
+def test_matched_box_in_ignore_region_counts() -> None:
     everything = IgnoreRegions(np.array([0]), np.array([[-100.0, -100.0, 100.0, 100.0]]))
     truth = boxes_of([(0, 1, 0)])
     assert evaluate_tracks(truth, boxes_of([(0, 1, 0), (0, 2, 1)]), ignore=everything).mota == 100.0
 
 
-def test_nothing_to_divide_by_is_nan() -> None:
+def test_scores_without_boxes_are_nan() -> None:
     empty, one = boxes_of([]), boxes_of([(0, 1, 0)])
     no_results = evaluate_tracks(one, empty)
     assert (no_results.mota, no_results.idf1, no_results.fn, no_results.ml) == (0.0, 0.0, 1, 1)
@@ -157,14 +157,14 @@ def test_nothing_to_divide_by_is_nan() -> None:
     assert np.isnan([nothing.mota, nothing.motp, nothing.idf1, nothing.idp, nothing.idr]).all()
 
 
-def test_an_id_twice_in_a_frame_is_refused() -> None:
-    with pytest.raises(ValueError, match="track_id: twice in one frame"):
+def test_duplicate_id_in_a_frame() -> None:
+    with pytest.raises(ValueError, match=r"track_id.*duplicates"):
         boxes_of([(0, 1, 0), (0, 1, 30)])
 
 
 def test_shapes_are_checked() -> None:
     ids = np.zeros(1, np.int64)
-    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(1, 4\), got \(1, 3\)"):
+    with pytest.raises(ValueError, match=r"xyxy_px.*shape"):
         TrackedBoxes(ids, ids, np.zeros((1, 3)), ids)
-    with pytest.raises(ValueError, match=r"xyxy_px: expected shape \(1, 4\), got \(2, 4\)"):
+    with pytest.raises(ValueError, match=r"xyxy_px.*shape"):
         IgnoreRegions(ids, np.zeros((2, 4)))

@@ -20,11 +20,11 @@ from track_range.tracking.history import (
 
 BORDER_XYXY_PX = np.array([0.0, 0.0, 1241.0, 374.0])
 AT_ONCE = PredictionGates(min_hit_streak_visible=5)
-"""Gates that let a box in plain sight through as soon as a hidden one."""
+"""Gates that predict a visible box as early as an occluded one."""
 
 
-def seen(boxes: list[list[float]], times_s: list[float], *, n_kept: int = 6) -> BoxHistory:
-    """One track seen as these boxes in frames without a break."""
+def history_of(boxes: list[list[float]], times_s: list[float], *, n_kept: int = 6) -> BoxHistory:
+    """History of one track with these boxes in successive frames."""
     history = initiate(np.array([boxes[0]]), times_s[0], n_kept=n_kept)
     for box, time_s in zip(boxes[1:], times_s[1:], strict=True):
         history.append(np.array([0]), np.array([box]), time_s, is_streak=np.array([True]))
@@ -33,41 +33,41 @@ def seen(boxes: list[list[float]], times_s: list[float], *, n_kept: int = 6) -> 
 
 def steady(n: int, *, step_px: float = 5.0, x_px: float = 100.0, dt_s: float = 0.1) -> BoxHistory:
     boxes = [[x_px + step_px * i, 50.0, x_px + 60.0 + step_px * i, 90.0] for i in range(n)]
-    return seen(boxes, [dt_s * i for i in range(n)])
+    return history_of(boxes, [dt_s * i for i in range(n)])
 
 
-def test_two_boxes_give_the_papers_prediction() -> None:
+def test_prediction_from_two_boxes_by_hand() -> None:
     # l(t) = l(t-1) + (l(t-1) - l(t-2))
-    box, _ = median_prediction(seen([[10, 10, 30, 50], [14, 11, 36, 53]], [0.0, 0.1]), 0.2)
+    box, _ = median_prediction(history_of([[10, 10, 30, 50], [14, 11, 36, 53]], [0.0, 0.1]), 0.2)
     np.testing.assert_allclose(box, [[18, 12, 42, 56]])
 
 
-def test_one_bad_box_does_not_bend_the_prediction() -> None:
+def test_prediction_is_robust_to_one_bad_box() -> None:
     x1 = [10, 14, 18, 40, 26, 30]  # the fourth is wrong; steps 4, 4, 22, -14, 4
-    box, spread = median_prediction(seen([[x, 0, x + 20, 40] for x in x1], [0.1 * i for i in range(6)]), 0.6)
+    box, deviation = median_prediction(history_of([[x, 0, x + 20, 40] for x in x1], [0.1 * i for i in range(6)]), 0.6)
     np.testing.assert_allclose(box, [[34, 0, 54, 40]])
     # deviations of the steps from 4: 0, 0, 18, 18, 0: their median is 0
-    assert spread[0] == pytest.approx(0.0, abs=1e-12)
+    assert deviation[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_spread_by_hand() -> None:
+def test_deviation_by_hand() -> None:
     x1 = [10, 14, 20, 22]  # steps 4, 6, 2: median 4, deviations 0, 2, 2: median 2 px in 0.1 s
-    _, spread = median_prediction(seen([[x, 0, x + 20, 40] for x in x1], [0.0, 0.1, 0.2, 0.3]), 0.5)
-    assert spread[0] == pytest.approx(2 * 2 / 40)
+    _, deviation = median_prediction(history_of([[x, 0, x + 20, 40] for x in x1], [0.0, 0.1, 0.2, 0.3]), 0.5)
+    assert deviation[0] == pytest.approx(2 * 2 / 40)
 
 
 def test_step_of_medians_by_hand() -> None:
     # k = 3 of left edges 10, 14, 40, 22, 26: l(t-1) = median(40, 22, 26) = 26, l(t-2) = median(14, 40, 22) = 22
-    history = seen([[x, 0, x + 20, 40] for x in (10, 14, 40, 22, 26)], [0.0, 0.1, 0.2, 0.3, 0.4], n_kept=4)
-    box, spread = median_prediction(history, 0.5, form="step-of-medians")
+    history = history_of([[x, 0, x + 20, 40] for x in (10, 14, 40, 22, 26)], [0.0, 0.1, 0.2, 0.3, 0.4], n_kept=4)
+    box, deviation = median_prediction(history, 0.5, form="step-of-medians")
     np.testing.assert_allclose(box, [[30, 0, 50, 40]])
-    # steps kept: 26, -18, 4; from the 4 px of the medians: 22, 22, 0: median 22
-    assert spread[0] == pytest.approx(22 / 40)
+    # the last steps are 26, -18, 4; deviations from the step of the medians, 4 px: 22, 22, 0, median 22
+    assert deviation[0] == pytest.approx(22 / 40)
     np.testing.assert_allclose(smoothed(history), [[26, 0, 46, 40]])
 
 
-def test_with_two_boxes_kept_both_forms_are_the_papers() -> None:
-    history = seen([[10, 10, 30, 50], [14, 11, 36, 53]], [0.0, 0.1], n_kept=2)
+def test_both_forms_agree_for_two_boxes() -> None:
+    history = history_of([[10, 10, 30, 50], [14, 11, 36, 53]], [0.0, 0.1], n_kept=2)
     for form in get_args(Form):
         np.testing.assert_allclose(median_prediction(history, 0.2, form=form)[0], [[18, 12, 42, 56]])
     np.testing.assert_allclose(smoothed(history), [[14, 11, 36, 53]])
@@ -78,13 +78,13 @@ def test_with_two_boxes_kept_both_forms_are_the_papers() -> None:
 def test_step_of_medians_lags_by_half_the_buffer(n: int, step_px: float, dt_s: float) -> None:
     history = steady(n, step_px=step_px, dt_s=dt_s)
     steps, medians = (median_prediction(history, n * dt_s, form=form)[0] for form in get_args(Form))
-    # the middle of the newest boxes, 5 at most, is that many frames before the last
+    # frames between the middle of the newest boxes, at most 5, and the last
     lag = (min(n, 5) - 1) / 2
     np.testing.assert_allclose(steps[0, 0] - medians[0, 0], lag * step_px, atol=1e-6)
     np.testing.assert_allclose(smoothed(history)[0, 0], history.last_xyxy_px[0, 0] - lag * step_px, atol=1e-6)
 
 
-def test_a_label_forgets_what_is_older_than_the_buffer_and_takes_what_there_is() -> None:
+def test_smoothed_box_of_short_and_long_histories() -> None:
     assert smoothed(steady(1))[0].tolist() == [100, 50, 160, 90]
     assert smoothed(steady(3))[0].tolist() == [105, 50, 165, 90]
     assert smoothed(steady(9))[0].tolist() == [130, 50, 190, 90]  # of the last 5 of 9 the third
@@ -92,24 +92,24 @@ def test_a_label_forgets_what_is_older_than_the_buffer_and_takes_what_there_is()
 
 @given(times_s=st.lists(st.floats(0.01, 0.5), min_size=2, max_size=8), missing_s=st.floats(0.0, 1.0))
 @settings(deadline=None)
-def test_a_steady_box_is_predicted_exactly_at_any_times(times_s: list[float], missing_s: float) -> None:
+def test_prediction_is_exact_for_a_steady_box(times_s: list[float], missing_s: float) -> None:
     t = np.cumsum(times_s)
     motion = np.array([40.0, -3.0, 44.0, 5.0])
     start = np.array([100.0, 50.0, 140.0, 130.0])
-    history = seen([(start + motion * s).tolist() for s in t], t.tolist())
-    box, spread = median_prediction(history, float(t[-1] + missing_s))
+    history = history_of([(start + motion * s).tolist() for s in t], t.tolist())
+    box, deviation = median_prediction(history, float(t[-1] + missing_s))
     np.testing.assert_allclose(box[0], start + motion * (t[-1] + missing_s), rtol=1e-6)
-    assert spread[0] < 1e-6
+    assert deviation[0] < 1e-6
 
 
 @pytest.mark.parametrize("form", ["median-of-steps", "step-of-medians"])
-def test_seen_once_nothing_is_known(form: Form) -> None:
-    box, spread = median_prediction(seen([[10, 10, 30, 50]], [0.0]), 0.1, form=form)
+def test_single_box_gives_nan(form: Form) -> None:
+    box, deviation = median_prediction(history_of([[10, 10, 30, 50]], [0.0]), 0.1, form=form)
     assert np.isnan(box).all()
-    assert np.isnan(spread).all()
+    assert np.isnan(deviation).all()
 
 
-def test_old_boxes_are_forgotten_and_a_break_restarts_the_run() -> None:
+def test_append_drops_oldest_and_restarts_streak() -> None:
     history = steady(8)
     assert history.hit_streak.tolist() == [8]
     np.testing.assert_allclose(history.time_s[0], [0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
@@ -118,7 +118,7 @@ def test_old_boxes_are_forgotten_and_a_break_restarts_the_run() -> None:
     assert history.last_s.tolist() == [1.0]
 
 
-def test_only_the_tracks_that_were_seen_change() -> None:
+def test_append_changes_only_its_rows() -> None:
     both = steady(6).concatenate(steady(3))
     other = both.select(np.array([1]))
     both.append(np.array([0]), np.array([[1.0, 2.0, 3.0, 4.0]]), 0.9, is_streak=np.array([True]))
@@ -141,59 +141,61 @@ def test_a_steady_track_is_predicted() -> None:
         (steady(4), 0.4, PredictionGates(min_hit_streak=5, min_hit_streak_visible=2)),
         (steady(14), 1.4, PredictionGates()),
         (steady(1), 0.1, PredictionGates(min_hit_streak=2, min_hit_streak_visible=1)),  # no step is known
-        (seen([[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]), 0.6, AT_ONCE),
+        (history_of([[x, 0, x + 20, 40] for x in (10, 30, 20, 50, 30, 70)], [0.1 * i for i in range(6)]), 0.6, AT_ONCE),
         (steady(6, x_px=1154.0), 0.6, AT_ONCE),  # right edge would be at 1244
         (steady(6, x_px=1150.0), 0.6, AT_ONCE),  # right edge at 1240: nearer than 0.05 of 40 px
         (steady(6, x_px=22.0, step_px=-4.0), 0.6, AT_ONCE),  # left edge would be at -2
     ],
-    ids="too long,too new,too new in sight,seen once,restless,leaves right,too near,leaves left".split(","),
+    ids="too long,too new,too new and visible,single box,unsteady,leaves right,too near,leaves left".split(","),
 )
-def test_gates_close(history: BoxHistory, time_s: float, gates: PredictionGates) -> None:
+def test_gates_prevent_prediction(history: BoxHistory, time_s: float, gates: PredictionGates) -> None:
     assert predict_missing(history, time_s, gates=gates, border_xyxy_px=BORDER_XYXY_PX)[0].tolist() == []
 
 
 NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
-"""Hides (145 - 130) / 60 of the width and 30 / 40 of the height of the box predicted from `steady(6)`."""
+"""Occludes (145 - 130) / 60 of the width and 30 / 40 of the height of the box predicted from `steady(6)`."""
 
 
 @pytest.mark.parametrize(
-    ("others", "gates", "wanted"),
+    ("others", "gates", "is_predicted"),
     [
         (NEARER, PredictionGates(min_occlusion=0.18), True),
-        (NEARER, PredictionGates(min_occlusion=0.19), False),  # in plain sight: 15 frames wanted
+        (NEARER, PredictionGates(min_occlusion=0.19), False),  # visible: 15 frames are required
         (
             NEARER - np.array([0, 40, 0, 40]),
             PredictionGates(min_occlusion=0.01),
             False,
         ),  # lower edge at 80 px, above 90: farther away
         (NEARER + np.array([0, 40, 0, 0]), PredictionGates(min_occlusion=0.01), False),  # nearer, but beside it
-        (np.repeat(NEARER, 3, axis=0), PredictionGates(min_occlusion=0.19), False),  # three that hide the same
-        (np.array([[0.0, 0.0, 500.0, 300.0]]), PredictionGates(), True),  # hidden as a whole
+        (np.repeat(NEARER, 3, axis=0), PredictionGates(min_occlusion=0.19), False),  # three that occlude the same part
+        (np.array([[0.0, 0.0, 500.0, 300.0]]), PredictionGates(), True),  # fully occluded
         (None, PredictionGates(), False),
     ],
     ids="enough,too little,farther,beside,thrice the same,whole,alone".split(","),
 )
-def test_an_occluded_box_is_predicted_sooner(others: FloatArray | None, gates: PredictionGates, wanted: bool) -> None:
+def test_an_occluded_box_is_predicted_sooner(
+    others: FloatArray | None, gates: PredictionGates, is_predicted: bool
+) -> None:
     rows, _ = predict_missing(steady(6), 0.6, gates=gates, others_xyxy_px=others)
-    assert rows.tolist() == ([0] if wanted else [])
+    assert rows.tolist() == ([0] if is_predicted else [])
 
 
-def test_a_visible_box_needs_a_longer_streak() -> None:
+def test_visible_box_needs_a_longer_streak() -> None:
     assert predict_missing(steady(15), 1.5, gates=PredictionGates())[0].tolist() == [0]
 
 
-def test_the_form_is_the_gates() -> None:
+def test_form_of_the_gates_is_used() -> None:
     by_form = [predict_missing(steady(15), 1.5, gates=PredictionGates(form=form))[1][0, 0] for form in get_args(Form)]
     assert by_form == pytest.approx([175.0, 165.0])
 
 
-def test_a_box_predicted_inside_out_is_not_predict_missing() -> None:
-    history = seen([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
+def test_inverted_prediction_is_dropped() -> None:
+    history = history_of([[10, 0, 110 - 20 * i, 40] for i in range(6)], [0.1 * i for i in range(6)])  # width 0 at 0.5 s
     shrinking = BoxHistory(history.xyxy_px[:, :-1], history.time_s[:, :-1], history.hit_streak)
     assert predict_missing(shrinking, 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == []
 
 
-def test_without_an_image_the_border_is_not_known() -> None:
+def test_unknown_border() -> None:
     assert predict_missing(steady(6, x_px=1154.0), 0.6, gates=AT_ONCE, border_xyxy_px=None)[0].tolist() == [0]
 
 
@@ -216,11 +218,11 @@ def test_no_tracks() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"min_hit_streak": 1}, {"n_kept": 1}])
-def test_gates_that_cannot_work_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="min_hit_streak, n_kept: expected at least 2"):
+def test_invalid_gates_are_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="at least 2"):
         PredictionGates(**wrong)
 
 
-def test_a_form_that_is_not_known_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"form: .*median-of-steps"):
+def test_unknown_form_is_refused() -> None:
+    with pytest.raises(ValueError, match="form"):
         PredictionGates(form="mean")

@@ -14,12 +14,12 @@ from track_range.tracking.tracks import Tracks
 
 def tracks_of(boxes: list[list[float]]) -> Tracks:
     n = len(boxes)
-    found = Detections.of(boxes, np.full(n, 0.875), np.zeros(n))
-    return Tracks(np.arange(1, n + 1), found.xyxy_px, found.class_id, found.score, np.ones(n, bool))
+    detections = Detections.of(boxes, np.full(n, 0.875), np.zeros(n))
+    return Tracks(np.arange(1, n + 1), detections.xyxy_px, detections.class_id, detections.score, np.ones(n, bool))
 
 
 def test_a_line_by_hand() -> None:
-    # the first pixel's centre is 0, 0 for us and 1, 1 for them
+    # the centre of the first pixel is 0, 0 in track-range and 1, 1 in MOTChallenge
     assert mot_lines(tracks_of([[2.5, 0.0, 5.5, 10.0]]), 0) == ["1,1,3.50,1.00,3.00,10.00,0.8750,-1,-1,-1\n"]
 
 
@@ -52,7 +52,7 @@ def test_ground_truth_of_mot16(tmp_path: Path) -> None:
     assert rows.visibility.tolist() == [0.25, 1.0]
 
 
-def test_world_coordinates_of_mot15_are_not_taken_for_a_class(tmp_path: Path) -> None:
+def test_mot15_world_coordinates_are_not_a_class(tmp_path: Path) -> None:
     path = tmp_path / "gt.txt"
     path.write_text("1,1,212,204,20,57,0,-3.1784,16.34,0.45739\n")
     rows = read_mot(path)
@@ -67,34 +67,34 @@ def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("line", "key_word"),
     [
-        ("1,1,2,3,4,5", "line 2: .*7 to 10 numbers"),
-        ("1 1 2 3 4 5 1", "line 2: .*7 to 10 numbers"),
-        ("1,1,x,3,4,5,1", "line 2: .*a number .*'x'"),
-        ("1,1,nan,3,4,5,1", "line 2: .*finite"),
-        ("0,1,2,3,4,5,1", r"line 2: .* frame number from 1"),
-        ("1.5,1,2,3,4,5,1", r"line 2: .* frame number from 1"),
-        ("1,1.5,2,3,4,5,1", r"line 2: .* whole id"),
-        ("1,1,2,3,-4,5,1", "line 2: .*width and height"),
+        ("1,1,2,3,4,5", "7 to 10"),
+        ("1 1 2 3 4 5 1", "7 to 10"),
+        ("1,1,x,3,4,5,1", "'x'"),
+        ("1,1,nan,3,4,5,1", "finite"),
+        ("0,1,2,3,4,5,1", "frame"),
+        ("1.5,1,2,3,4,5,1", "frame"),
+        ("1,1.5,2,3,4,5,1", "id"),
+        ("1,1,2,3,-4,5,1", "width"),
     ],
 )
-def test_bad_lines_are_named(line: str, says: str, tmp_path: Path) -> None:
+def test_bad_lines(line: str, key_word: str, tmp_path: Path) -> None:
     path = tmp_path / "gt.txt"
     path.write_text(f"1,1,2,3,4,5,1\n{line}\n")
-    with pytest.raises(MotFormatError, match=f"gt.txt, {says}"):
+    with pytest.raises(MotFormatError, match=f"gt.txt, line 2.*{key_word}"):
         read_mot(path)
 
 
-def test_files_that_are_no_text_are_named(tmp_path: Path) -> None:
-    with pytest.raises(MotFormatError, match=r"none\.txt: cannot be read as text"):
+def test_files_that_are_not_text(tmp_path: Path) -> None:
+    with pytest.raises(MotFormatError, match=r"none\.txt"):
         read_mot(tmp_path / "none.txt")
     (tmp_path / "video.mp4").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(MotFormatError, match=r"video\.mp4: cannot be read as text"):
+    with pytest.raises(MotFormatError, match=r"video\.mp4.*text"):
         read_mot(tmp_path / "video.mp4")
 
 
-def test_columns_of_unlike_length_are_refused() -> None:
+def test_columns_of_different_lengths() -> None:
     ids = np.zeros(2, np.int64)
-    with pytest.raises(ValueError, match=r"score: expected shape \(2\), got \(1,\)"):
+    with pytest.raises(ValueError, match=r"score.*shape"):
         MotRows(ids, ids, np.zeros((2, 4)), np.zeros(1), ids, np.zeros(2))

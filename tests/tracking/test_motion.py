@@ -61,27 +61,27 @@ def test_equals_filterpy_on_random_sequences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     noise = MotionNoise(measured=0.04, drift=0.2, acceleration=1.5, first_rate=2.0)
     boxes = np.concatenate([rng.uniform(0, 500, (3, 2)), rng.uniform(20, 200, (3, 2))], axis=1)
-    ours = initiate(np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1), noise)
-    theirs = [oracle(box, noise) for box in boxes]
+    xyxy = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
+    filters, oracles = initiate(xyxy, noise), [oracle(box, noise) for box in boxes]
     for _ in range(6):
         dt_s = rng.uniform(0.01, 0.3)
         moved = boxes + rng.normal(0, 5, (3, 4))
         xyxy = np.concatenate([moved[:, :2] - moved[:, 2:] / 2, moved[:, :2] + moved[:, 2:] / 2], axis=1)
-        ours = step(ours, dt_s, xyxy, noise)
-        for filter8, old, new in zip(theirs, boxes, moved, strict=True):
+        filters = step(filters, dt_s, xyxy, noise)
+        for filter8, old, new in zip(oracles, boxes, moved, strict=True):
             oracle_step(filter8, dt_s, old[3], new, noise)
         boxes = moved
-    for i, filter8 in enumerate(theirs):
-        x = np.stack([ours.state.x[i], ours.state.v[i]], axis=1)
+    for i, filter8 in enumerate(oracles):
+        x = np.stack([filters.state.x[i], filters.state.v[i]], axis=1)
         np.testing.assert_allclose(x.reshape(8), filter8.x.reshape(8), rtol=1e-8, atol=1e-8)
-        var, cov, var_rate = covariance(ours)[i]
+        var, cov, var_rate = covariance(filters)[i]
         P = np.kron(np.eye(4), [[var, cov], [cov, var_rate]])  # four coordinates, one covariance
         np.testing.assert_allclose(P, filter8.P, rtol=1e-8, atol=1e-8)
 
 
 @given(first_s=st.floats(0.001, 1.0), second_s=st.floats(0.001, 1.0))
 @settings(deadline=None)
-def test_two_steps_are_one_long_step(first_s: float, second_s: float) -> None:
+def test_two_predictions_equal_one_long_one(first_s: float, second_s: float) -> None:
     start = step(initiate(BOX, NOISE), 0.1, BOX + np.array([4.0, 1.0, 6.0, 3.0]))
     twice = predict(predict(start, first_s, NOISE), second_s, NOISE)
     once = predict(start, first_s + second_s, NOISE)
@@ -89,7 +89,7 @@ def test_two_steps_are_one_long_step(first_s: float, second_s: float) -> None:
     np.testing.assert_allclose(covariance(twice), covariance(once), rtol=1e-9)
 
 
-def test_rate_of_a_steady_box_is_found_at_10_and_at_30_hz() -> None:
+def test_rate_estimate_at_10_and_30_hz() -> None:
     rates = []
     for hz in (10, 30):
         filters = initiate(BOX, NOISE)
@@ -100,14 +100,14 @@ def test_rate_of_a_steady_box_is_found_at_10_and_at_30_hz() -> None:
     assert rates[1] == pytest.approx(60.0, abs=2.0)
 
 
-def test_unmeasured_box_stays_where_it_was_seen_and_grows_uncertain() -> None:
+def test_prediction_grows_uncertain() -> None:
     later = predict(initiate(BOX, NOISE), 0.5, NOISE)
     np.testing.assert_allclose(later.xyxy_px, BOX)
     # 80 px high: (0.05 * 80)^2 + (1.9 * 80 * 0.5)^2 + 80^2 * (0.27^2 * 0.5 + 0.5^3 / 3)
     assert later.state.P_xx[0, 0] == pytest.approx(16.0 + 5776.0 + 6400 * (0.03645 + 0.125 / 3))
 
 
-def test_a_box_that_shrinks_away_keeps_one_pixel() -> None:
+def test_predicted_box_has_at_least_one_pixel() -> None:
     filters = initiate(BOX, NOISE)
     shrinking = np.array([[0.0, 0.0, -500.0, -500.0]])
     gone = predict(BoxFilters(replace(filters.state, v=shrinking), filters.height_px), 1.0, NOISE)
@@ -150,7 +150,7 @@ def test_no_tracks() -> None:
     assert gating_distance(none, BOX, NOISE).shape == (0, 1)
 
 
-def test_inputs_are_not_written_to() -> None:
+def test_inputs_are_not_modified() -> None:
     filters = initiate(BOX, NOISE)
     x, P = filters.state.x.copy(), covariance(filters)
     step(filters, 0.1, BOX + 5.0)
@@ -158,41 +158,39 @@ def test_inputs_are_not_written_to() -> None:
     np.testing.assert_array_equal(covariance(filters), P)
 
 
-def test_innovations_of_simulated_motion_are_standard_normal() -> None:
-    """A box that walks as the model says: each innovation has variance 1, and their sum is chi-square distributed."""
+def test_innovations_are_standard_normal() -> None:
+    """Boxes that move by the filter's model: innovations have variance 1, and their sum is chi-square distributed."""
     rng, dt_s, n = np.random.default_rng(3), 0.1, 300
     noise = MotionNoise(measured=0.05, drift=0.1, acceleration=0.5, first_rate=0.5)
     height = 80.0
     value, rate = np.zeros((n, 2)), rng.normal(0, noise.first_rate * height, (n, 2))
 
     def box(at: np.ndarray) -> np.ndarray:
-        seen = at + rng.normal(0, noise.measured * height, (n, 2)) + 500.0
-        return np.concatenate([seen - HALF_PX, seen + HALF_PX], axis=1)
+        measured = at + rng.normal(0, noise.measured * height, (n, 2)) + 500.0
+        return np.concatenate([measured - HALF_PX, measured + HALF_PX], axis=1)
 
     filters = initiate(box(value), noise)
-    found = []
+    innovations = []
     half = 0.5 * noise.acceleration * height * dt_s**1.5
     for _ in range(30):
-        push, beside = rng.normal(0, 1, (2, n, 2))
-        value = (
-            value + rate * dt_s + half * (push + beside / np.sqrt(3)) + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
-        )
-        rate = rate + noise.acceleration * height * dt_s**0.5 * push
+        w1, w2 = rng.normal(0, 1, (2, n, 2))  # integrated white noise of the acceleration
+        value = value + rate * dt_s + half * (w1 + w2 / np.sqrt(3)) + rng.normal(0, 0.1 * height * 0.1**0.5, (n, 2))
+        rate = rate + noise.acceleration * height * dt_s**0.5 * w1
         filters = predict(filters, dt_s, noise)
         filters, innovation = update(filters, box(value), noise)
-        found.append(innovation[:, :2])
-    squared = np.sum(np.square(found), axis=2).ravel()
+        innovations.append(innovation[:, :2])
+    squared = np.sum(np.square(innovations), axis=2).ravel()
     for share in (0.5, 0.9, 0.99):
         assert np.mean(squared <= chi2.ppf(share, df=2)) == pytest.approx(share, abs=0.015)
 
 
-def test_a_noisier_stream_trusts_its_boxes_more() -> None:
-    calm, wild = (predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=level) for level in (0.1, 1.0))
-    assert calm.state.P_xx[0, 0] < wild.state.P_xx[0, 0]
-    assert calm.position_sigma[0] == pytest.approx(np.sqrt(calm.state.P_xx[0, 0]) / 80.0)
+def test_noise_scale_increases_variance() -> None:
+    low, high = (predict(initiate(BOX, NOISE), 0.1, NOISE, noise_scale=scale) for scale in (0.1, 1.0))
+    assert low.state.P_xx[0, 0] < high.state.P_xx[0, 0]
+    assert low.position_sigma[0] == pytest.approx(np.sqrt(low.state.P_xx[0, 0]) / 80.0)
 
 
-def test_filters_are_carried_with_the_camera() -> None:
+def test_camera_motion_of_filters() -> None:
     """A quarter turn about the origin, twice as large, 10 px to the right."""
     one = np.ones((1, 1))
     state = ConstantVelocity(np.array([[120.0, 90.0, 40.0, 80.0]]), np.full((1, 4), 3.0), one, one, one)
@@ -204,8 +202,8 @@ def test_filters_are_carried_with_the_camera() -> None:
     np.testing.assert_allclose(later.position_sigma, filters.position_sigma)
 
 
-def test_boxes_of_the_past_are_moved_as_filters_are() -> None:
-    turn = np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]])
+def test_camera_motion_of_past_boxes() -> None:
+    now_from_before = np.array([[0.0, -2.0, 10.0], [2.0, 0.0, 0.0]])
     past = np.array([[[np.nan] * 4, [120.0, 90.0, 40.0, 80.0]], [[0.0, 0.0, 2.0, 4.0], [1.0, 0.0, 2.0, 4.0]]])
-    wanted = [[[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]], [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]]]
-    np.testing.assert_allclose(transformed(past, turn), wanted)
+    expected = [[[np.nan] * 4, [-170.0, 240.0, 80.0, 160.0]], [[10.0, 0.0, 4.0, 8.0], [10.0, 2.0, 4.0, 8.0]]]
+    np.testing.assert_allclose(transformed(past, now_from_before), expected)

@@ -1,4 +1,4 @@
-"""motmetrics' figures for sequences in its own wheel, and where its rules differ from ours."""
+"""motmetrics' scores for the sequences in its wheel, and where its rules differ from `clear`."""
 
 from __future__ import annotations
 
@@ -29,52 +29,50 @@ def similarity_of(truth: list[tuple[int, int]], results: list[tuple[int, int]]) 
     return Similarity.of(boxes(truth), boxes(results))
 
 
-def ours(similarity: Similarity) -> dict[str, float]:
+def track_range_figures(similarity: Similarity) -> dict[str, float]:
     scores = TrackingCounts.of_similarity(similarity).scores()
     return {name: getattr(scores, name) for name in REASONS}
 
 
-def test_wheel_sequences_have_its_published_figures() -> None:
+def test_published_scores_of_wheel_sequences() -> None:
     sequences = {}
     for name in ("TUD-Campus", "TUD-Stadtmitte"):
         truth, results = (read_mot(WHEEL_DATA / name / file) for file in ("gt.txt", "test.txt"))
         sequences[name] = Similarity.of(
             *(TrackedBoxes(r.frame, r.track_id, r.xyxy_px, np.zeros(len(r), np.int64)) for r in (truth, results))
         )
-    theirs = motmetrics_figures(sequences)
-    campus = theirs.sequences["TUD-Campus"]
+    figures = motmetrics_figures(sequences)
+    campus = figures.sequences["TUD-Campus"]
     assert (campus["idsw"], campus["fp"], campus["fn"]) == (7, 13, 150)
     assert (campus["mota"], campus["motp"], campus["idf1"]) == pytest.approx((52.65, 72.28, 55.77), abs=0.005)
-    assert theirs.combined["mota"] == pytest.approx(55.51, abs=0.005)
-    assert theirs.combined["motp"] == pytest.approx(66.98, abs=0.005)
-    assert {name: theirs.sequences["TUD-Campus"][name] for name in REASONS} == pytest.approx(
-        ours(sequences["TUD-Campus"])
-    )
+    assert figures.combined["mota"] == pytest.approx(55.51, abs=0.005)
+    assert figures.combined["motp"] == pytest.approx(66.98, abs=0.005)
+    assert {name: campus[name] for name in REASONS} == pytest.approx(track_range_figures(sequences["TUD-Campus"]))
 
 
-def test_exactly_80_percent() -> None:
+def test_exactly_80_per_cent_tracked() -> None:
     similarity = similarity_of([(f, 1) for f in range(5)], [(f, 7) for f in range(4)])
-    theirs = motmetrics_figures({"a": similarity}).combined
-    assert (theirs["mt"], theirs["pt"]) == (1, 0)
-    assert (ours(similarity)["mt"], ours(similarity)["pt"]) == (0, 1)
+    reference, figures = motmetrics_figures({"a": similarity}).combined, track_range_figures(similarity)
+    assert (reference["mt"], reference["pt"]) == (1, 0)
+    assert (figures["mt"], figures["pt"]) == (0, 1)
 
 
 def test_fragments_of_an_interrupted_truth_track() -> None:
     other = [(f, 2) for f in range(6)]
-    hidden = similarity_of([*((f, 1) for f in (0, 1, 4, 5)), *[(f, 3) for f in (2, 3)]], [(f, 7) for f in range(6)])
-    assert (motmetrics_figures({"a": hidden}).combined["frag"], ours(hidden)["frag"]) == (0, 1)
+    absent = similarity_of([*((f, 1) for f in (0, 1, 4, 5)), *[(f, 3) for f in (2, 3)]], [(f, 7) for f in range(6)])
+    assert (motmetrics_figures({"a": absent}).combined["frag"], track_range_figures(absent)["frag"]) == (0, 1)
     missed = similarity_of(other, [(f, 7) for f in (0, 1, 4, 5)])
-    assert (motmetrics_figures({"a": missed}).combined["frag"], ours(missed)["frag"]) == (1, 0)
+    assert (motmetrics_figures({"a": missed}).combined["frag"], track_range_figures(missed)["frag"]) == (1, 0)
 
 
-def test_a_match_is_remembered_across_a_gap() -> None:
-    """Track 1 is missed for a frame in which 2 is matched, then 7 and 8 both lie on it: motmetrics repeats 7."""
+def test_match_across_a_gap() -> None:
+    """Track 1 is missed in a frame where 2 is matched, then both 7 and 8 overlap it: motmetrics repeats 7."""
     truth = TrackedBoxes(np.array([0, 1, 1, 2]), np.array([1, 1, 2, 1]), box_at([0, 0, 100, 0]), np.zeros(4, np.int64))
     results = TrackedBoxes(
         np.array([0, 1, 2, 2]), np.array([7, 9, 7, 8]), box_at([0, 100, 2, 0]), np.zeros(4, np.int64)
     )
     similarity = Similarity.of(truth, results)
-    assert (motmetrics_figures({"a": similarity}).combined["idsw"], ours(similarity)["idsw"]) == (0, 1)
+    assert (motmetrics_figures({"a": similarity}).combined["idsw"], track_range_figures(similarity)["idsw"]) == (0, 1)
 
 
 def box_at(x_px: list[float]) -> np.ndarray:

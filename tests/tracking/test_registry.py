@@ -1,4 +1,4 @@
-"""Trackers by name, by `module:Class` and by entry point; `tests/toy_tracker.py` is one of another package."""
+"""Trackers by name, by `module:Class` and by entry point; `tests/toy_tracker.py` acts as another package's tracker."""
 
 import sys
 
@@ -61,16 +61,16 @@ def test_names_in_use(name):
         register_tracker(name, GreedyIouTracker)
 
 
-def test_class_by_its_module():
+def test_class_by_module_path():
     tracker = create_tracker("tests.toy_tracker:GreedyIouTracker")
     assert tracker.update(BOX, 0.0, None).track_id.tolist() == [101]
 
 
 @pytest.mark.usefixtures("_restored")
 def test_module_in_the_current_folder(tmp_path, monkeypatch):
-    (tmp_path / "mine_here.py").write_text("from tests.toy_tracker import GreedyIouTracker as Mine\n")
+    (tmp_path / "local_module.py").write_text("from tests.toy_tracker import GreedyIouTracker as LocalTracker\n")
     monkeypatch.chdir(tmp_path)
-    assert create_tracker("mine_here:Mine").update(BOX, 0.0, None).track_id.tolist() == [101]
+    assert create_tracker("local_module:LocalTracker").update(BOX, 0.0, None).track_id.tolist() == [101]
 
 
 @pytest.mark.usefixtures("_restored")
