@@ -9,9 +9,11 @@ import pytest
 import track_range as tr
 from track_range.ranging import registry as method_registry
 from track_range.results import writers as writer_registry
+from track_range.stereo.rig_formats import reading as rig_reading
 from track_range.tracking import registry as tracker_registry
 
-TEXT = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+PROJECT = Path(__file__).resolve().parents[1]
+TEXT = (PROJECT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 EXAMPLES = dict(re.findall(r"^## (A [\w ]+)\n.*?```python\n(.*?)```", TEXT, flags=re.M | re.S))
 
 
@@ -23,7 +25,7 @@ def unregistered(monkeypatch):
 
 
 def test_examples_are_short():
-    assert set(EXAMPLES) == {"A ranging method", "A tracker", "A result writer"}
+    assert set(EXAMPLES) == {"A ranging method", "A tracker", "A result writer", "A rig format"}
     for title, code in EXAMPLES.items():
         assert len([line for line in code.splitlines() if line.strip()]) <= 20, title
 
@@ -58,3 +60,17 @@ def test_result_writer_example(tmp_path):
     writer.open(None, tmp_path)
     writer.close(None)
     assert (tmp_path / "lines.txt").exists()
+
+
+def test_rig_format_example(tmp_path, monkeypatch):
+    names = {}
+    exec(EXAMPLES["A rig format"], names)  # noqa: S102 - our own text
+    monkeypatch.setattr(rig_reading, "RIG_FORMATS", (names["FLAT"], *rig_reading.RIG_FORMATS))
+    (tmp_path / "flat.txt").write_text("flat 700 320 180 640 360 0.5\n")
+    rig = tr.load_rig(tmp_path / "flat.txt")
+    assert (rig.left.fx_px, rig.left.width_px, rig.baseline_m) == (700.0, 640, 0.5)
+
+
+def test_documentation_has_the_same_examples():
+    pages = (PROJECT / "docs/extending.md").read_text(encoding="utf-8")
+    assert [name for name in re.findall(r"^class (\w+)", TEXT, flags=re.M) if f"class {name}" not in pages] == []
