@@ -17,7 +17,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import CurveError
-from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, TURN_DEG, SizePrior
+from track_range.ranging.size_models.prior import NODE_CAMERA_HEIGHT_M, YAW_DEG, SizePrior
 
 MIN_OBJECTS, MIN_BOXES = 3, 100
 """Fewer objects or boxes of a class tell nothing: its standard size it is."""
@@ -74,7 +74,7 @@ class LabelledSizes:
         return LabelledSizes(*(getattr(self, field.name)[keep] for field in fields(self)))
 
     @property
-    def turn_rad(self) -> FloatArray:
+    def yaw_rad(self) -> FloatArray:
         """(N,) of the long side away from the camera's axis, -pi/2 to pi/2: front and back look alike."""
         return np.asarray(np.mod(self.rotation_y_rad, np.pi) - np.pi / 2)
 
@@ -107,7 +107,7 @@ def _standard(name: str) -> SizePrior:
         hwl_m=hwl_m,
         log_sigma=sigma,
         correlation=_UPRIGHT,
-        turn_weights=tuple(np.full(len(TURN_DEG), round(1 / len(TURN_DEG), 4)).tolist()),
+        turn_weights=tuple(np.full(len(YAW_DEG), round(1 / len(YAW_DEG), 4)).tolist()),
         log_distance=_TYPICAL_DISTANCE,
         offset=(0.0, 0.0),
         scatter=(0.02, 0.05),
@@ -129,7 +129,7 @@ def _learnt(name: str, labels: LabelledSizes, source: str) -> SizePrior:
         hwl_m=_rounded(np.exp(mean), 3),
         log_sigma=_rounded(sigma, 4),
         correlation=_rounded(np.clip(correlation[[0, 0, 1], [1, 2, 2]], -0.95, 0.95), 3),
-        turn_weights=tuple(_turns(np.abs(np.degrees(labels.turn_rad)), weight).round(4).tolist()),
+        turn_weights=tuple(_turns(np.abs(np.degrees(labels.yaw_rad)), weight).round(4).tolist()),
         log_distance=_TYPICAL_DISTANCE,
         offset=offset,
         scatter=scatter,
@@ -155,12 +155,12 @@ def _sizes(name: str, size_hwl_m: FloatArray, counts: IntArray) -> tuple[FloatAr
 
 
 def _turns(turn_deg: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weights of `TURN_DEG`, each label shared between its two neighbours."""
-    before = np.clip(np.searchsorted(TURN_DEG, turn_deg, side="right") - 1, 0, len(TURN_DEG) - 2)
-    share = (turn_deg - TURN_DEG[before]) / np.diff(TURN_DEG)[before]
-    seen = np.bincount(before, weight * (1 - share), len(TURN_DEG))
-    seen += np.bincount(before + 1, weight * share, len(TURN_DEG))
-    width = np.gradient(TURN_DEG)
+    """Weights of `YAW_DEG`, each label shared between its two neighbours."""
+    before = np.clip(np.searchsorted(YAW_DEG, turn_deg, side="right") - 1, 0, len(YAW_DEG) - 2)
+    share = (turn_deg - YAW_DEG[before]) / np.diff(YAW_DEG)[before]
+    seen = np.bincount(before, weight * (1 - share), len(YAW_DEG))
+    seen += np.bincount(before + 1, weight * share, len(YAW_DEG))
+    width = np.gradient(YAW_DEG)
     return np.asarray((1 - _TURN_FLOOR) * seen / seen.sum() + _TURN_FLOOR * width / width.sum())
 
 
@@ -168,7 +168,7 @@ def _beside_the_cuboid(labels: LabelledSizes, weight: FloatArray) -> tuple[tuple
     """Offset and scatter of log height and width of the boxes against their own cuboids, few outliers counting."""
     box = box_of_cuboid(
         np.log(labels.size_hwl_m).T,
-        turn_rad=labels.turn_rad,
+        yaw_rad=labels.yaw_rad,
         bearing=labels.bearing,
         distance_m=labels.distance_m,
         camera_height_m=NODE_CAMERA_HEIGHT_M,

@@ -1,1 +1,1 @@
-"""Distance from the size of a box: models of object sizes."""
+"""Models of object sizes, which give the distance of a box from its size."""

@@ -1,13 +1,13 @@
-r"""What box an upright cuboid on the road makes in the image: the geometry behind ranging by size.
+r"""Bounding box of the image of an upright cuboid on the road: the geometry behind ranging by size.
 
-    camera o------ z            the cuboid is turned by `turn_rad` from the camera's direction of travel;
-           |    ____            the ray through the middle of its box's columns meets its surface at `distance_m`:
-           |   /   /| L         what is sought is where it then stands, and from that the edges of its box.
+    camera o------ z            The cuboid has the yaw `yaw_rad` relative to the camera's axis; the ray through the
+           |    ____            middle column of its box meets its surface at `distance_m`. Its position (x, z) is
+           |   /   /| L         solved for, and from that follow the edges of its box.
            x  /___/ |
-               W            all sizes are over the focal length (tangents)
+               W                Image sizes are divided by the focal length (tangents).
 
-A car's box is as wide as its tail seen from behind, as its length seen from the side, and anything between, so the
-width alone tells no distance; but which widths go with which heights is known once the sizes of cars are.
+The box of a car is as wide as its rear seen from behind, and as its length seen from the side, so the width alone does
+not give a distance. But the joint distribution of width and height follows from the sizes of cars.
 """
 
 from __future__ import annotations
@@ -19,87 +19,96 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_N_STEPS = 5  # of the iteration that puts the middle of the box on the ray
-_N_MORE_STEPS = 2  # from where a cuboid of nearly the same size stands
-_NEAREST_M = 0.3
+_N_STEPS = 5
+"""Iterations for the position of a cuboid, from a start behind the visible surface."""
+
+_N_STEPS_FROM_START = 2
+"""Iterations for the position of a cuboid, from that of a cuboid of similar size."""
+
+_MIN_DEPTH_M = 0.3
+"""Smallest depth in m of a corner, to keep corners in front of the camera."""
+
 _CORNERS = tuple(product((-0.5, 0.5), repeat=2))
+"""Corners of the ground face in units of (length, width)."""
 
 Floats = npt.NDArray[np.floating[Any]]
-"""Of single or double precision; what comes out has that of what goes in."""
+"""Array of single or double precision; results have the precision of the arguments."""
 
 _Pair = tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, slots=True)
 class CuboidBox:
-    """Logarithms of what the image shows, all of one shape.
+    """Image of cuboids, arrays of the same shape (...).
 
     Attributes:
-        log_height: of the box's height over the focal length.
-        log_width: of its width over the focal length.
-        log_nearness: of 1 / z of the nearest point on the ground, z in metres: where the bottom edge is.
-        place_m: how far aside and ahead the cuboid's middle is, in metres (no logarithms).
+        log_height: log of the box height divided by the focal length.
+        log_width: log of the box width divided by the focal length.
+        log_nearness: log of 1 / z of the nearest point on the ground, z in metres; determines the bottom edge.
+        xz_m: position of the cuboid's centre, x to the right and z ahead, in metres.
     """
 
     log_height: Floats
     log_width: Floats
     log_nearness: Floats
-    place_m: _Pair
+    xz_m: _Pair
 
 
 def box_of_cuboid(
     log_hwl: Floats,
     *,
-    turn_rad: Floats,
+    yaw_rad: Floats,
     bearing: Floats,
     distance_m: Floats,
     camera_height_m: float,
-    near: CuboidBox | None = None,
+    start: CuboidBox | None = None,
 ) -> CuboidBox:
-    """The box of cuboids with log sizes (height, width, length; 3 values, metres), for broadcast arrays of the rest.
+    """Image of cuboids with log sizes (height, width, length), for broadcast arrays of the other arguments.
 
     Args:
         log_hwl: (3,) or (3, ...) logarithms of the sizes in metres.
-        turn_rad: of the long side away from the camera's axis.
+        yaw_rad: angle between the long side and the camera's axis.
         bearing: tangent of the angle of the box's middle column.
-        distance_m: depth at which the ray of that column meets the surface.
-        camera_height_m: above the ground that the cuboid stands on.
-        near: the same for sizes that are nearly these: less is left to iterate.
+        distance_m: depth at which the ray of the middle column meets the surface.
+        camera_height_m: height of the camera above the ground below the cuboid.
+        start: image of cuboids of similar size, from which fewer iterations are needed; None = no start.
     """
     height, width, length = np.exp(log_hwl)
-    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-    if near is None:
-        depth = distance_m + 0.5 * (np.abs(cos) * length + np.abs(sin) * width)
-        aside = bearing * depth
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    if start is None:
+        z = distance_m + 0.5 * (np.abs(cos) * length + np.abs(sin) * width)
+        x = bearing * z
     else:
-        aside, depth = near.place_m
-    for _ in range(_N_STEPS if near is None else _N_MORE_STEPS):
-        column, _ = _corners((aside, depth), (width, length), (cos, sin))
-        aside = aside + (bearing - (column.min(axis=0) + column.max(axis=0)) / 2) * depth
-        met_m = _entry((aside, depth), (width, length), (cos, sin), bearing)
-        along_ray = np.clip(distance_m - met_m, -0.3 * depth, 0.3 * depth)  # a ray that misses says nothing of how far
-        aside, depth = aside + bearing * along_ray, np.maximum(depth + along_ray, _NEAREST_M)
-    column, nearness = _corners((aside, depth), (width, length), (cos, sin))
+        x, z = start.xz_m
+    for _ in range(_N_STEPS if start is None else _N_STEPS_FROM_START):
+        column, _ = _corners((x, z), (width, length), (cos, sin))
+        x = x + (bearing - (column.min(axis=0) + column.max(axis=0)) / 2) * z
+        entry_m = _entry_depth((x, z), (width, length), (cos, sin), bearing)
+        step_m = np.clip(
+            distance_m - entry_m, -0.3 * z, 0.3 * z
+        )  # limited: the entry of a ray that misses is arbitrary
+        x, z = x + bearing * step_m, np.maximum(z + step_m, _MIN_DEPTH_M)
+    column, nearness = _corners((x, z), (width, length), (cos, sin))
     nearest = nearness.max(axis=0)
     top = ((camera_height_m - height) * nearness).min(axis=0)
     log_height, log_width = np.log(camera_height_m * nearest - top), np.log(column.max(axis=0) - column.min(axis=0))
-    return CuboidBox(log_height, log_width, np.log(nearest), (aside, depth))
+    return CuboidBox(log_height, log_width, np.log(nearest), (x, z))
 
 
-def _corners(middle: _Pair, size: _Pair, turn: _Pair) -> _Pair:
-    """(4, ...) column over the focal length and 1 / depth of the four upright edges."""
-    (aside, depth), (width, length), (cos, sin) = middle, size, turn
-    x = np.stack([aside + sin * i * length + cos * j * width for i, j in _CORNERS])
-    z = np.stack([np.maximum(depth + cos * i * length - sin * j * width, _NEAREST_M) for i, j in _CORNERS])
-    return x / z, 1.0 / z
+def _corners(centre: _Pair, size: _Pair, yaw: _Pair) -> _Pair:
+    """(4, ...) column divided by the focal length, and 1 / z, of the four vertical edges; `yaw` is (cos, sin)."""
+    (x, z), (width, length), (cos, sin) = centre, size, yaw
+    corner_x = np.stack([x + sin * i * length + cos * j * width for i, j in _CORNERS])
+    corner_z = np.stack([np.maximum(z + cos * i * length - sin * j * width, _MIN_DEPTH_M) for i, j in _CORNERS])
+    return corner_x / corner_z, 1.0 / corner_z
 
 
-def _entry(middle: _Pair, size: _Pair, turn: _Pair, bearing: Floats) -> Floats:
-    """Depth at which the ray (bearing, 1) enters: a slab test, as in `box_surface`, seen from above."""
-    (aside, depth), (width, length), (cos, sin) = middle, size, turn
+def _entry_depth(centre: _Pair, size: _Pair, yaw: _Pair, bearing: Floats) -> Floats:
+    """Depth at which the ray (bearing, 1) enters the cuboid: the slab test of `box_surface` in the ground plane."""
+    (x, z), (width, length), (cos, sin) = centre, size, yaw
     along, across = sin * bearing + cos, cos * bearing - sin
     along, across = (np.where(np.abs(part) < 1e-9, 1e-9, part) for part in (along, across))
-    from_middle = sin * aside + cos * depth, cos * aside - sin * depth
-    first_along = np.minimum(*((from_middle[0] + sign * length / 2) / along for sign in (-1, 1)))
-    first_across = np.minimum(*((from_middle[1] + sign * width / 2) / across for sign in (-1, 1)))
+    centre_along, centre_across = sin * x + cos * z, cos * x - sin * z
+    first_along = np.minimum(*((centre_along + sign * length / 2) / along for sign in (-1, 1)))
+    first_across = np.minimum(*((centre_across + sign * width / 2) / across for sign in (-1, 1)))
     return np.asarray(np.maximum(first_along, first_across))

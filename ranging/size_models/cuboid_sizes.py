@@ -1,7 +1,7 @@
 """CuboidSizes: distances of a frame's boxes from size priors and the common ground plane.
 
-A detector's car may be a van: such a class is a mixture of priors (`CLASS_CONFUSION`), and the position of the box's
-bottom edge on the road decides between the two. Only boxes of classes that stand on the road inform the ground plane.
+A box detected as a car may show a van: the prior of such a class is a mixture (`CLASS_CONFUSION`), and the bottom edge
+of the box on the road distinguishes the two. Only classes of objects on the road contribute to the ground plane.
 """
 
 from __future__ import annotations
@@ -13,75 +13,91 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.ranging.size_models.posterior import NO_CHANCE, ground_likelihood, mixture_by_size, on_grid
+from track_range.ranging.size_models.posterior import IMPOSSIBLE, ground_likelihood, mixture_by_size, on_grid
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior
-from track_range.ranging.size_models.shared_ground import GroundPrior, Stand
+from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
 
 KIND = "cuboids"
+"""Value of "kind" in curve files of this model."""
 
 CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
     "car": {"car": 0.96, "van": 0.04},
     "van": {"van": 0.95, "truck": 0.05},
 }
-"""True classes of a detected class, with probabilities: detectors take vans for cars, KITTI 3 m lorries for vans."""
+"""Probabilities of the true classes of a detected class: detectors report some vans as cars, and KITTI's labels have
+lorries of 3 m height as vans."""
 
-_MIDDLE_68 = np.array([[0.158655], [0.5], [0.841345]])
-_BEST_RELATIVE = np.array([[False], [True], [False]])  # the middle: of the smallest expected relative error
+_QUANTILES_68 = np.array([[0.158655], [0.5], [0.841345]])
+"""Levels of the median and of the central 68 %: one standard deviation to either side of a Gaussian."""
+
+_IS_RELATIVE = np.array([[False], [True], [False]])
+"""Levels of `_QUANTILES_68` under p(log d) / d: the median, which then has the smallest expected relative error."""
+
 _MIN_SIGMA = 0.01
+"""Smallest relative standard deviation of a distance."""
 
 
 class CuboidSizes:
-    """Priors of all classes, and of the ground."""
+    """Size model with priors over the cuboids of all classes, and a prior of the ground plane."""
 
     def __init__(self, priors: Mapping[str, SizePrior], ground: GroundPrior | None = None) -> None:
-        """Priors by size class; a class without one gives NaN."""
+        """Create a model from priors by size class; boxes of other classes are not ranged (NaN)."""
         self.priors = dict(priors)
         self.ground = ground or GroundPrior()
         self._tables = ShapeTables(priors)
-        self._stands = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
-        self._known = np.array([name in priors for name in SIZE_CLASSES])
-        self._kinds, self._log_shares = _class_mixture(priors)
+        self._is_on_ground = np.array([name in priors and priors[name].stands for name in SIZE_CLASSES])
+        self._has_prior = np.array([name in priors for name in SIZE_CLASSES])
+        self._true_class, self._log_share = _class_mixture(priors)
 
     def measure(self, boxes: BoxExtents) -> SizeRanges:
-        """Distances of the boxes of one frame, together."""
-        known = self._known[boxes.size_class]
-        if known.all() and len(boxes):
+        """Distances of the boxes of one frame, which share a ground plane."""
+        has_prior = self._has_prior[boxes.size_class]
+        if has_prior.all() and len(boxes):
             return SizeRanges(*self._measured(boxes))
         columns = np.full((3, len(boxes)), np.nan)
-        if known.any():
-            columns[:, known] = self._measured(boxes.select(known))
+        if has_prior.any():
+            columns[:, has_prior] = self._measured(boxes.select(has_prior))
         return SizeRanges(*columns)
 
     def _measured(self, boxes: BoxExtents) -> tuple[FloatArray, FloatArray, FloatArray]:
-        sold_as = boxes.size_class
-        kinds, log_shares = self._kinds.take(sold_as, axis=1), self._log_shares.take(sold_as, axis=1)
-        by_size = mixture_by_size(self._tables, boxes, kinds, log_shares)
+        detected_class = boxes.size_class
+        true_class = self._true_class.take(detected_class, axis=1)
+        log_share = self._log_share.take(detected_class, axis=1)
+        by_size = mixture_by_size(self._tables, boxes, true_class, log_share)
         grid = on_grid(by_size)
-        low, middle, high = grid.quantiles(_MIDDLE_68)  # moments would mind the van that a car hardly ever is
+        low, median, high = grid.quantiles(_QUANTILES_68)  # unlike moments not affected by unlikely classes
         size_sigma = (high - low) / 2
-        stands = self._stands[sold_as] & boxes.uses_bottom
-        if stands.any():
-            stand = Stand(boxes.bottom, np.exp(by_size.nearer - middle), size_sigma, boxes.edge_sigma[:, 1], stands)
-            grid = grid.times(ground_likelihood(grid.log_m, by_size.nearer, stand=stand, prior=self.ground))
-        low, best, high = grid.quantiles(_MIDDLE_68, is_relative=_BEST_RELATIVE)
+        is_on_ground = self._is_on_ground[detected_class] & boxes.uses_bottom
+        if is_on_ground.any():
+            contacts = GroundContacts(
+                bottom=boxes.bottom,
+                nearness=np.exp(by_size.log_contact_ratio - median),
+                sigma=size_sigma,
+                edge_sigma=boxes.edge_sigma[:, 1],
+                is_on_ground=is_on_ground,
+            )
+            grid = grid.times(
+                ground_likelihood(grid.log_m, by_size.log_contact_ratio, contacts=contacts, prior=self.ground)
+            )
+        low, best, high = grid.quantiles(_QUANTILES_68, is_relative=_IS_RELATIVE)
         sigma = np.maximum((high - low) / 2, _MIN_SIGMA)
-        # the ground shrinks the kept and the new part alike: by size alone they can be told apart
-        kept = sigma * np.sqrt(np.maximum(1.0 - by_size.frame_variance / size_sigma**2, 0.0))
+        # The ground reduces the systematic and the independent part alike, so their ratio is that by size alone.
+        systematic = sigma * np.sqrt(np.maximum(1.0 - by_size.frame_variance / size_sigma**2, 0.0))
         distance_m = np.exp(best)
-        return distance_m, distance_m * sigma, distance_m * kept
+        return distance_m, distance_m * sigma, distance_m * systematic
 
     def document(self) -> dict[str, Any]:
-        """Content of a curve file of this kind."""
+        """Content of a curve file with this model."""
         classes = {name: asdict(prior) for name, prior in self.priors.items()}
         return {"kind": KIND, "ground": asdict(self.ground), "classes": classes}
 
 
 def cuboids_in(document: Mapping[str, Any]) -> CuboidSizes:
-    """The priors of a file's content.
+    """The model in the content of a curve file.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: an unknown class, a missing number, numbers that make no sense.
+        ValueError, KeyError, TypeError, AttributeError: an unknown class, or a missing or invalid value.
     """
     ground = GroundPrior(**{key: _tuples(value) for key, value in document["ground"].items()})
     priors = {}
@@ -102,14 +118,14 @@ def _tuples(value: Any) -> Any:
 
 def _class_mixture(priors: Mapping[str, SizePrior]) -> tuple[IntArray, FloatArray]:
     """(M, classes) true size classes of each detected class, and the logarithms of their probabilities."""
-    meant = [
-        {one: share for one, share in CLASS_CONFUSION.get(name, {name: 1.0}).items() if one in priors}
+    mixtures = [
+        {true: share for true, share in CLASS_CONFUSION.get(name, {name: 1.0}).items() if true in priors}
         for name in SIZE_CLASSES
     ]
-    most = max(len(kinds) for kinds in meant)
-    kinds = np.tile(np.arange(len(SIZE_CLASSES)), (most, 1))
-    log_shares = np.full(kinds.shape, NO_CHANCE)
-    for column, members in enumerate(meant):
-        for row, (one, share) in enumerate(members.items()):
-            kinds[row, column], log_shares[row, column] = SIZE_CLASSES.index(one), np.log(share)
-    return kinds, log_shares
+    m = max(len(mixture) for mixture in mixtures)
+    true_class = np.tile(np.arange(len(SIZE_CLASSES)), (m, 1))
+    log_share = np.full(true_class.shape, IMPOSSIBLE)
+    for column, mixture in enumerate(mixtures):
+        for row, (name, share) in enumerate(mixture.items()):
+            true_class[row, column], log_share[row, column] = SIZE_CLASSES.index(name), np.log(share)
+    return true_class, log_share

@@ -1,7 +1,7 @@
-"""Curve files: size models as JSON with a version and the kind of model.
+"""Curve files: size models as JSON, with a version and the kind of model.
 
-`cuboids` (packaged): priors over sizes, aspect and the ground (`cuboid_sizes`). `log-linear`: a curve per class
-(`log_linear`). `table`: a plain curve, such as the paper's polynomial, made monotonic (`tables`).
+`cuboids` (packaged): priors over sizes, yaw and the ground plane (`cuboid_sizes`). `log-linear`: a log-linear curve per
+class (`log_linear`). `table`: a plain curve per class, such as the paper's polynomial, made monotonic (`tables`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from track_range.ranging.size_models import cuboid_sizes, log_linear, tables
 from track_range.ranging.size_models.size_model import StoredSizeModel
 
 CURVE_VERSION = 2
+"""Version of the file format that is written and read."""
+
 _VERSION_KEY = "track_range_size_curves"
+"""Key of the version in a curve file, which also identifies the format."""
 
 
 class CurveError(UserError):
-    """A curve file that cannot be used, or labels that no curve can be fitted on; the message says why."""
+    """A curve file that cannot be used, or labels to which no curve can be fitted; the message gives the reason."""
 
 
 _READERS: Mapping[str, Callable[[Mapping[str, Any]], StoredSizeModel]] = {
@@ -30,13 +33,14 @@ _READERS: Mapping[str, Callable[[Mapping[str, Any]], StoredSizeModel]] = {
     log_linear.KIND: log_linear.log_linear_in,
     tables.KIND: tables.tables_in,
 }
+"""Reader of each kind of curve file."""
 
 
 def load_curves(path: Path | None = None) -> StoredSizeModel:
-    """The model in a curve file; None = the packaged one.
+    """The size model in a curve file; None = the packaged file.
 
     Raises:
-        CurveError: no such file, not our format or version, an unknown kind or class, numbers that make no sense.
+        CurveError: no such file, another format or version, an unknown kind or class, or an invalid value.
     """
     name, document = _read_document(path)
     kind = str(document.get("kind"))
@@ -49,7 +53,7 @@ def load_curves(path: Path | None = None) -> StoredSizeModel:
 
 
 def save_curves(model: StoredSizeModel, path: Path) -> None:
-    """Write a model as a curve file, atomically.
+    """Write a size model as a curve file, atomically.
 
     Raises:
         CurveError: the file cannot be written.
@@ -62,10 +66,10 @@ def save_curves(model: StoredSizeModel, path: Path) -> None:
 
 
 def _read_document(path: Path | None) -> tuple[str, Mapping[str, Any]]:
-    """Name and content of a curve file; None = the packaged one.
+    """Name and content of a curve file; None = the packaged file.
 
     Raises:
-        CurveError: no such file, not our format, or of another version.
+        CurveError: no such file, or another format or version.
     """
     packaged = resources.files("track_range.ranging").joinpath("curves/cuboids.json")
     name = str(path or packaged)

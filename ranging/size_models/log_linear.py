@@ -1,11 +1,11 @@
-"""Distance from the size of a box: one log-linear curve per class, on sizes divided by the focal length.
+"""SizeCurves: distance from the size of a box by a log-linear curve per class, with sizes divided by the focal length.
 
     log d = intercept + per_log_height log(h / fy) + per_log_width log(w / fx) + per_bearing |tan bearing|
 
-For a flat object of known size the slopes are -1 and 0 and exp(intercept) is its height in metres. Unlike the
-polynomial of the box's diagonal (Zhang et al., the paper's eq. 4-7) it cannot turn negative or rise again outside the
-fitted range. A second set of coefficients without the width serves boxes whose side is cut off.
-Sigma: a relative part (other drives, other makes: leave-one-sequence-out residuals) plus the box's own noise in pixels.
+For a flat object of known size the slopes are -1 and 0, and exp(intercept) is its height in metres. Unlike the
+polynomial of the box diagonal (Zhang et al., eq. 4-7), the curve is positive and monotonic also outside the fitted
+range. Boxes that are cut at a side are ranged by a second set of coefficients without the width. Sigma has a relative
+part (residuals on left-out sequences) and a part from the noise of the box in px.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
 
 KIND = "log-linear"
+"""Value of "kind" in curve files of this model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,13 +28,13 @@ class SizeCurve:
     """The curve of one class.
 
     Attributes:
-        intercept: log metres.
+        intercept: log distance in m for sizes of 1.
         per_log_height: slope in log(h / fy), negative.
         per_log_width: slope in log(w / fx), <= 0; 0 = the width is not used.
         per_bearing: slope in |tan bearing|.
-        sigma_relative: standard deviation of the relative error on exact boxes of drives not fitted on.
-        n: boxes fitted on; 0 = from a standard size.
-        source: from what the coefficients come.
+        sigma_relative: standard deviation of the relative error on exact boxes of left-out sequences.
+        n: number of fitted boxes; 0 = from a standard size.
+        source: origin of the coefficients.
     """
 
     intercept: float
@@ -46,32 +47,37 @@ class SizeCurve:
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """The four in the equation's order."""
+        """The four coefficients in the order of the equation."""
         return self.intercept, self.per_log_height, self.per_log_width, self.per_bearing
 
 
 class SizeCurves:
-    """The curves of all classes as arrays, so that a frame's boxes are ranged at once."""
+    """Size model with a log-linear curve per class."""
 
     def __init__(self, whole: Mapping[str, SizeCurve], height_only: Mapping[str, SizeCurve]) -> None:
-        """Curves by size class, for whole boxes and for boxes with a side cut off; a class without one gives NaN."""
+        """Create a model from curves by size class; boxes of other classes are not ranged (NaN).
+
+        Args:
+            whole: curves for whole boxes.
+            height_only: curves for boxes that are cut at a side.
+        """
         self.whole = dict(whole)
         self.height_only = dict(height_only)
         self._tables = np.stack([_table(self.height_only), _table(self.whole)])
 
     def measure(self, boxes: BoxExtents) -> SizeRanges:
-        """Distances of boxes, each by itself."""
+        """Distances of the boxes, each ranged separately."""
         table = self._tables[boxes.uses_width.astype(np.int64), boxes.size_class]
         log_size = np.log(boxes.wh_over_f)
         slopes = table[:, 1:4]
         terms = np.stack([log_size[:, 1], log_size[:, 0], np.abs(boxes.bearing)], axis=1)
         distance_m = np.exp(table[:, 0] + (slopes * terms).sum(axis=1))
         noise = (slopes[:, 1::-1] ** 2 * boxes.log_variance).sum(axis=1)
-        kept_m = distance_m * table[:, 4]
-        return SizeRanges(distance_m, np.hypot(kept_m, distance_m * np.sqrt(noise)), kept_m)
+        systematic_m = distance_m * table[:, 4]
+        return SizeRanges(distance_m, np.hypot(systematic_m, distance_m * np.sqrt(noise)), systematic_m)
 
     def document(self) -> dict[str, Any]:
-        """Content of a curve file of this kind."""
+        """Content of a curve file with this model."""
         equation = "log d_m = intercept + per_log_height log(h/fy) + per_log_width log(w/fx) + per_bearing |x/z|"
         sections = {
             "whole": {name: asdict(curve) for name, curve in self.whole.items()},
@@ -81,10 +87,10 @@ class SizeCurves:
 
 
 def log_linear_in(document: Mapping[str, Any]) -> SizeCurves:
-    """The curves of a file's content.
+    """The model in the content of a curve file.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: an unknown class, a number missing, a curve that rises.
+        ValueError, KeyError, TypeError, AttributeError: an unknown class, a missing value, or an increasing curve.
     """
     return SizeCurves(_curves_in(document["whole"]), _curves_in(document["height_only"]))
 
@@ -100,9 +106,9 @@ def _curves_in(section: Mapping[str, Mapping[str, Any]]) -> dict[str, SizeCurve]
 
 
 def _table(curves: Mapping[str, SizeCurve]) -> FloatArray:
-    """(number of classes, 5): the four coefficients and sigma_relative; NaN where a class has no curve."""
+    """(number of classes, 5) the four coefficients and sigma_relative; NaN = the class has no curve."""
     table = np.full((len(SIZE_CLASSES), 5), np.nan)
-    borrowed = {"van": curves["car"]} if "car" in curves else {}  # a curve file of road classes: a van is a car
-    for name, curve in {**borrowed, **curves}.items():
+    defaults = {"van": curves["car"]} if "car" in curves else {}  # for files without vans, which detectors call cars
+    for name, curve in {**defaults, **curves}.items():
         table[SIZE_CLASSES.index(name)] = (*curve.coefficients, curve.sigma_relative)
     return table

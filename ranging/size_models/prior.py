@@ -1,11 +1,11 @@
-"""What is known of a class before its box is seen: how high, wide and long its objects are, and which way they face.
+"""SizePrior: prior of the size, yaw and distance of objects of a class; ShapeTables: the boxes that follow from it.
 
-    log (height, width, length) ~ N(mean, covariance)       over objects of all drives
-    turn from the direction of travel ~ a few angles with weights, the same to the left and right
-    log distance ~ N(mean, sigma)                            wide: it only says that 500 m is unlikely
+    log (height, width, length) ~ N(mean, covariance)       over the objects of all drives
+    yaw                         ~ weights of a few angles to the camera's axis, the same to the left and right
+    log distance                ~ N(mean, sigma)            wide: it only makes 500 m unlikely
 
-`ShapeTables` are the geometry of `cuboid.py` at nodes of turn, bearing and distance, with slopes between them: a frame
-of boxes costs one look-up.
+`ShapeTables` contain the geometry of `cuboid.py` at nodes of yaw, bearing and log distance, with slopes for linear
+interpolation, so that the boxes of a frame need a single look-up.
 """
 
 from __future__ import annotations
@@ -21,42 +21,53 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.cuboid import CuboidBox, Floats, box_of_cuboid
 from track_range.ranging.size_models.size_model import SIZE_CLASSES
 
-TURN_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
-"""Angles from the direction of travel that a prior has weights for; denser where the width changes most."""
+YAW_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
+"""Yaw angles (to the camera's axis) of the weights of a prior; denser where the box width changes most."""
 
 NODE_CAMERA_HEIGHT_M = 1.65
-"""Height that the tables' boxes are seen from; a box's size hardly depends on it."""
+"""Camera height of the boxes in the tables, that of KITTI; the size of a box hardly depends on it."""
 
-_TURN_RAD = np.radians(np.concatenate([TURN_DEG, -TURN_DEG[1:-1]]))
+_YAW_RAD = np.radians(np.concatenate([YAW_DEG, -YAW_DEG[1:-1]]))
+"""(K,) yaw of the bins of the tables, to both sides."""
+
 _BEARING_STEP = 0.06
-_BEARINGS = np.arange(21) * _BEARING_STEP  # to 50 degrees
+"""Spacing of the nodes in tan bearing."""
+
+_BEARINGS = np.arange(21) * _BEARING_STEP
+"""Tan bearing of the nodes, to 50 degrees."""
+
 _LOG_STEP = 0.1
+"""Spacing of the nodes in log distance."""
+
 _LOG_M = np.arange(np.log(4.0), np.log(250.0), _LOG_STEP)
+"""Log distance of the nodes, from 4 to 250 m."""
+
 NODE_RANGE = float(_LOG_M[0]), float(_LOG_M[-1])
-"""Log distances that there are nodes for."""
+"""Smallest and largest log distance of the nodes."""
 
-N_NUMBERS = 11
-"""Numbers kept per node."""
+N_NODE_VALUES = 11
+"""Number of values per node, in the order given by `ShapeTables.at`."""
 
-_SIZE_STEP = 0.02  # of the numerical derivatives by log size
+_SIZE_STEP = 0.02
+"""Step of the numerical derivatives in log size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizePrior:
-    """What is known of one class.
+    """Prior of one class; the names of the attributes are keys of curve files.
 
     Attributes:
-        hwl_m: typical height, width and length.
-        log_sigma: standard deviations of their logarithms.
-        correlation: of log height and width, height and length, width and length.
-        turn_weights: one per angle of `TURN_DEG`, summing to 1.
-        log_distance: mean and standard deviation of log metres.
-        offset: by how much the log height and log width of boxes exceed the cuboid's,
-        scatter: and the standard deviations about that: rounded mirrors, swinging arms.
-        stands: whether it stands on the road.
-        n_boxes: labels it was taken from,
-        n_tracks: and how many objects they show; 0 = from standard sizes alone.
-        source: from what.
+        hwl_m: typical height, width and length in metres.
+        log_sigma: standard deviations of log height, log width and log length.
+        correlation: correlations of log height and width, height and length, width and length.
+        turn_weights: probability of each yaw in `YAW_DEG`, with the sum 1.
+        log_distance: mean and standard deviation of log distance, in metres.
+        offset: mean of the log height and log width of boxes minus those of the cuboid.
+        scatter: standard deviations about `offset`, from shapes that are not cuboids (mirrors, swinging arms).
+        stands: whether objects of the class are on the road.
+        n_boxes: number of labels that the prior was fitted to; 0 = a standard size.
+        n_tracks: number of objects in these labels; 0 = a standard size.
+        source: origin of the values.
     """
 
     hwl_m: tuple[float, float, float]
@@ -73,15 +84,15 @@ class SizePrior:
 
     @property
     def covariance(self) -> FloatArray:
-        """(3, 3) of the logarithms of height, width, length."""
+        """(3, 3) covariance of log height, log width and log length."""
         hw, hl, wl = self.correlation
         correlation = np.array([[1.0, hw, hl], [hw, 1.0, wl], [hl, wl, 1.0]])
         return np.asarray(correlation * np.outer(self.log_sigma, self.log_sigma))
 
     def faults(self) -> str:
-        """What is wrong with the numbers; empty = nothing."""
-        if len(self.turn_weights) != len(TURN_DEG) or min(self.turn_weights) < 0 or sum(self.turn_weights) <= 0:
-            return f"expected {len(TURN_DEG)} turn_weights, none of them negative, not all 0"
+        """Description of the first invalid value; empty = all are valid."""
+        if len(self.turn_weights) != len(YAW_DEG) or min(self.turn_weights) < 0 or sum(self.turn_weights) <= 0:
+            return f"expected {len(YAW_DEG)} turn_weights, none of them negative, not all 0"
         if min(*self.hwl_m, *self.log_sigma, *self.scatter, self.log_distance[1]) <= 0:
             return "sizes and standard deviations must be positive"
         if not np.isfinite([*self.offset, self.log_distance[0]]).all():
@@ -92,17 +103,17 @@ class SizePrior:
 
 
 class ShapeTables:
-    """Boxes of all classes by turn, bearing and log distance: nodes with values and slopes, one look-up for a frame.
+    """Boxes of all classes at nodes of yaw, bearing and log distance, as values with slopes.
 
     Attributes:
-        typical: (3, classes) log height, and log distance's mean and 1 / variance.
+        typical: (3, classes) log height, and mean and 1 / variance of log distance.
     """
 
     def __init__(self, priors: Mapping[str, SizePrior]) -> None:
-        """Work out the nodes of every class, some 15 ms each."""
+        """Compute the nodes of every class from its prior, in about 15 ms per class."""
         n = len(SIZE_CLASSES)
         n_cells = len(_BEARINGS) * len(_LOG_M)
-        self._nodes = np.full((n * n_cells, N_NUMBERS * len(_TURN_RAD)), np.nan, np.float32)
+        self._nodes = np.full((n * n_cells, N_NODE_VALUES * len(_YAW_RAD)), np.nan, np.float32)
         self.typical = np.ones((3, n))
         for name, prior in priors.items():
             k = SIZE_CLASSES.index(name)
@@ -112,32 +123,33 @@ class ShapeTables:
     def at(
         self, size_class: IntArray, bearing: FloatArray, log_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
-        """The nodes nearest to |bearing| and log distance of boxes (N,), each perhaps of M classes.
+        """The nodes nearest to the bearing and log distance of N boxes, for M classes each.
 
         Args:
-            size_class: (M, N).
-            bearing: (N,) not negative.
-            log_m: (M, N).
+            size_class: (M, N) size classes.
+            bearing: (N,) |tan bearing|.
+            log_m: (M, N) log distance within `NODE_RANGE`.
 
         Returns:
-            Steps (N,) of bearing and (M, N) of log distance from the node to what was asked, and (11, K, M, N) of K
-            turns: log height and width, their slopes by log distance, their slopes by bearing, their variances and
-            their covariance (sizes and scatter), log(distance / nearest ground point), and the turn's log weight.
+            (N,) bearing minus that of the node, (M, N) log distance minus that of the node, and (11, K, M, N) values of
+            K yaw bins: log height and log width, their slopes in log distance, their slopes in bearing, their variances
+            and their covariance (from sizes and scatter), log of the distance divided by that of the nearest point on
+            the ground, log weight of the yaw bin.
         """
         b = np.minimum((bearing / _BEARING_STEP + 0.5).astype(np.int64), len(_BEARINGS) - 1)
         d = ((log_m - _LOG_M[0]) / _LOG_STEP + 0.5).astype(np.int64)
-        off = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
+        bearing_step = np.minimum(bearing - b * _BEARING_STEP, _BEARING_STEP)
         nodes = self._nodes.take((size_class * len(_BEARINGS) + b) * len(_LOG_M) + d, axis=0)
         nodes = np.ascontiguousarray(nodes.reshape(log_m.size, -1).T)
-        return off, log_m - _LOG_M[d], nodes.reshape(N_NUMBERS, len(_TURN_RAD), *log_m.shape)
+        return bearing_step, log_m - _LOG_M[d], nodes.reshape(N_NODE_VALUES, len(_YAW_RAD), *log_m.shape)
 
 
 def _nodes(prior: SizePrior) -> Floats:
-    """(bearings, distances, 11, turns) of one class."""
-    bearing, log_m, turn = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _TURN_RAD))
+    """(bearings, distances, 11, yaw bins) node values of one class."""
+    bearing, log_m, yaw = (axis.astype(np.float32) for axis in np.ix_(_BEARINGS, _LOG_M, _YAW_RAD))
     box_for = partial(
         box_of_cuboid,
-        turn_rad=turn,
+        yaw_rad=yaw,
         bearing=bearing,
         distance_m=np.exp(log_m),
         camera_height_m=NODE_CAMERA_HEIGHT_M,
@@ -147,9 +159,9 @@ def _nodes(prior: SizePrior) -> Floats:
     value = _log_size(typical)
     by_size = np.stack(
         [
-            (_log_size(box_for(mean + step, near=typical)) - _log_size(box_for(mean - step, near=typical)))
+            (_log_size(box_for(mean + step, start=typical)) - _log_size(box_for(mean - step, start=typical)))
             / (2 * _SIZE_STEP)
-            for step in (_SIZE_STEP * np.eye(3)).astype(np.float32)
+            for step in (_SIZE_STEP * np.identity(3)).astype(np.float32)
         ]
     )
     a, c, b = (
@@ -168,7 +180,7 @@ def _log_size(box: CuboidBox) -> Floats:
 
 
 def _log_weights(weights: FloatArray) -> FloatArray:
-    """(K,) log weight of every turn to the left and right, from one per angle."""
+    """(K,) log weights of the yaw bins to both sides, from one weight per angle of `YAW_DEG`."""
     half = weights / weights.sum()
     half[1:-1] /= 2
     return np.asarray(np.log(np.maximum(np.concatenate([half, half[1:-1]]), 1e-9)))

@@ -1,11 +1,12 @@
-"""The road that the objects of one frame share: horizon and camera height, told by the others' sizes and bottom edges.
+"""Ground plane common to the objects of one frame: horizon and camera height from their sizes and bottom edges.
 
-    bottom_i = horizon + height / z_i        bottom and horizon as tangents below the camera's axis
+    y_i = y0 + H x_i,   x_i = 1 / z_i        y_i: bottom edge, y0: horizon, as tangents below the camera's axis
+                                             z_i: distance of the contact point by size, H: camera height
 
-z_i by size is unsure by some 8 %, and things stand a hand higher or lower than the road (kerbs, camber, hills: measured
-on KITTI as 0.14 m, a fifth of them 0.5 m). Far objects hardly care for either: they hold the horizon, and near ones
-profit. What an object is told is without its own say, so that it is news to it. One frame alone is looked at; a
-horizon tracked over time can be given as the prior.
+z_i has a relative error of about 8 %, and contact points are 0.14 m above or below the road on KITTI, 0.5 m for
+a fifth of the objects (kerbs, camber, hills). Both matter little for far objects, which determine the horizon for the
+near ones. y0 and H are estimated for each object from the other objects only, so that they are independent of its size.
+The estimate is from a single frame; a horizon tracked over time can be given as the prior.
 """
 
 from __future__ import annotations
@@ -17,23 +18,27 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 
-_ROUNDS = 3  # of reweighting
-_TAIL = 2.0  # in sigma: where an object begins to count less
+_N_ITERATIONS = 3
+"""Iterations of reweighted least squares."""
+
+_CAUCHY_SIGMA = 2.0
+"""Scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations."""
+
 _Real = TypeVar("_Real", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundPrior:
-    """What is known of the road before a frame is looked at.
+    """Prior of the ground plane; the names of the attributes are keys of curve files.
 
     Attributes:
-        camera_height_m: above the road,
-        camera_height_sigma_m: and how sure that is.
-        horizon: tangent below the camera's axis,
-        horizon_sigma: and its scale: roads differ by more (Student's t with 2 degrees of freedom).
-        kerb_m: standard deviations of how much higher or lower things stand, for the smooth and the rough part: twice
-            what is measured, since neighbours stand on the same slope and are no independent witnesses,
-        rough_share: and the share of the rough part.
+        camera_height_m: mean of the camera height H above the road.
+        camera_height_sigma_m: standard deviation of H.
+        horizon: mean of the horizon y0, a tangent below the camera's axis.
+        horizon_sigma: scale of y0, with long tails (Student's t with 2 degrees of freedom).
+        kerb_m: standard deviations of the height of contact points above the road, for most objects and for the share
+            `rough_share`; twice the measured ones, since neighbouring objects have correlated heights.
+        rough_share: share of objects with the second standard deviation.
     """
 
     camera_height_m: float = 1.5
@@ -44,7 +49,7 @@ class GroundPrior:
     rough_share: float = 0.18
 
     def faults(self) -> str:
-        """What is wrong with the numbers; empty = nothing."""
+        """Description of the first invalid value; empty = all are valid."""
         if min(self.camera_height_m, self.camera_height_sigma_m, self.horizon_sigma, *self.kerb_m) <= 0:
             return "heights and standard deviations of the ground must be positive"
         if not (0 <= self.rough_share < 1 and np.isfinite(self.horizon)):
@@ -53,74 +58,75 @@ class GroundPrior:
 
 
 @dataclass(frozen=True, slots=True)
-class Stand:
-    """Where objects seem to stand, (N,) each.
+class GroundContacts:
+    """Contact points of the objects of a frame, (N,) each.
 
     Attributes:
-        bottom: tangent of the bottom edge below the camera's axis.
-        nearness: 1 / z of the nearest point on the ground, by size.
-        sigma: relative standard deviation of that.
-        edge_sigma: of `bottom`.
-        tells: False = no ground is seen below it.
+        bottom: tangent y of the bottom edge below the camera's axis.
+        nearness: x = 1 / z of the nearest point on the ground, by size, in 1/m.
+        sigma: relative standard deviation of `nearness`.
+        edge_sigma: standard deviation of `bottom`.
+        is_on_ground: whether the object is on the ground and its bottom edge is visible.
     """
 
     bottom: FloatArray
     nearness: FloatArray
     sigma: FloatArray
     edge_sigma: FloatArray
-    tells: BoolArray
+    is_on_ground: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
-class SeenGround:
-    """What the others tell an object of the road below it, (N,) each.
+class GroundFromOthers:
+    """Ground plane at each object, estimated from the other objects, (N,) each.
 
     Attributes:
-        horizon: tangent below the camera's axis.
-        height_m: of the camera above the road.
-        variance: of the bottom edge that follows from both, at the object's distance.
-        is_alone: nobody else tells anything: all that is known is the prior.
+        horizon: tangent y0 of the horizon below the camera's axis.
+        height_m: height H of the camera above the road.
+        variance: variance of the bottom edge y0 + H x predicted for the object.
+        is_prior_only: True if no other object is on the ground, so that the estimate is the prior.
     """
 
     horizon: FloatArray
     height_m: FloatArray
     variance: FloatArray
-    is_alone: BoolArray
+    is_prior_only: BoolArray
 
 
-def seen_by_others(stand: Stand, prior: GroundPrior) -> SeenGround:
-    """Robust least squares over all objects of a frame, each told what the others say."""
-    x, y = stand.nearness, stand.bottom
-    basis = np.array([np.ones_like(x), x, x * x, y, x * y])  # what information about (horizon, height) is made of
-    by_size = prior.camera_height_m * x * stand.sigma
-    variance = (prior.kerb_m[0] * x) ** 2 + stand.edge_sigma**2 + by_size**2
-    sure = stand.tells / variance
-    horizon, height, shared = prior.horizon, prior.camera_height_m, np.asarray(prior.horizon_sigma**2)
-    for _ in range(_ROUNDS):
-        away = y - horizon - height * x
-        weight = sure / (1.0 + away * away / (_TAIL**2 * (variance + shared)))
-        known = [a + b for a, b in zip(_prior_information(prior, horizon), (basis @ weight).tolist(), strict=True)]
-        horizon, height, a, b, c = solve_ground(*known)
-        shared = a + x * (2 * b + x * c)
-    by_others: FloatArray = np.array(known)[:, None] - basis * weight
-    horizons, heights, *covariance = solve_ground(*by_others)
-    variances = covariance[0] + x * (2 * covariance[1] + x * covariance[2])
-    is_alone = stand.tells == np.count_nonzero(stand.tells)  # of one that tells itself, of none all
-    return SeenGround(horizons, heights, variances, is_alone)
+def ground_from_others(contacts: GroundContacts, prior: GroundPrior) -> GroundFromOthers:
+    """Ground plane for each object of a frame, by robust least squares over the other objects."""
+    x, y = contacts.nearness, contacts.bottom
+    basis = np.array([np.ones_like(x), x, x * x, y, x * y])  # terms of the normal equations for (y0, H)
+    size_sigma = prior.camera_height_m * x * contacts.sigma
+    R = (prior.kerb_m[0] * x) ** 2 + contacts.edge_sigma**2 + size_sigma**2
+    information = contacts.is_on_ground / R
+    y0, H, plane_variance = prior.horizon, prior.camera_height_m, np.asarray(prior.horizon_sigma**2)
+    for _ in range(_N_ITERATIONS):
+        residual = y - y0 - H * x
+        weight = information / (1.0 + residual * residual / (_CAUCHY_SIGMA**2 * (R + plane_variance)))
+        terms = [a + b for a, b in zip(_prior_information(prior, y0), (basis @ weight).tolist(), strict=True)]
+        y0, H, y0_variance, covariance, H_variance = solve_ground(*terms)
+        plane_variance = y0_variance + x * (2 * covariance + x * H_variance)
+    terms_of_others: FloatArray = np.array(terms)[:, None] - basis * weight
+    horizon, height_m, *P = solve_ground(*terms_of_others)
+    variance = P[0] + x * (2 * P[1] + x * P[2])
+    # True for the only object on the ground; for all objects if there is none.
+    is_prior_only = contacts.is_on_ground == np.count_nonzero(contacts.is_on_ground)
+    return GroundFromOthers(horizon, height_m, variance, is_prior_only)
 
 
-def _prior_information(prior: GroundPrior, horizon: float) -> tuple[float, ...]:
-    """5 numbers: a horizon far from the expected one widens the prior, as Student's t does."""
-    wide = (2.0 + ((horizon - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
-    about, of_height = 1.0 / (prior.horizon_sigma**2 * wide), prior.camera_height_sigma_m**-2
-    return about, 0.0, of_height, about * prior.horizon, of_height * prior.camera_height_m
+def _prior_information(prior: GroundPrior, y0: float) -> tuple[float, ...]:
+    """Terms (a, b, c, u, v) of the prior in `solve_ground`; its variance of y0 is that of Student's t at `y0`."""
+    scale = (2.0 + ((y0 - prior.horizon) / prior.horizon_sigma) ** 2) / 3.0
+    of_y0, of_H = 1.0 / (prior.horizon_sigma**2 * scale), prior.camera_height_sigma_m**-2
+    return of_y0, 0.0, of_H, of_y0 * prior.horizon, of_H * prior.camera_height_m
 
 
 def solve_ground(a: _Real, b: _Real, c: _Real, u: _Real, v: _Real) -> tuple[_Real, _Real, _Real, _Real, _Real]:
-    """Horizon and camera height from normal equations, and their covariance: horizon, mixed, height.
+    """Horizon y0 and camera height H from their normal equations, with var y0, cov(y0, H), var H.
 
-    [a b] [horizon]   [u]
-    [b c] [height ] = [v]
+    [a b] [y0]   [u]
+    [b c] [H ] = [v]
     """
     scale = 1.0 / (a * c - b * b)
     return (c * u - b * v) * scale, (a * v - b * u) * scale, c * scale, -b * scale, a * scale

@@ -1,4 +1,4 @@
-"""What of a box is measured, free of any camera, and what a model of sizes says of it."""
+"""SizeModel: protocol of models that give the distance of a box from its size, and the boxes that they measure."""
 
 from __future__ import annotations
 
@@ -12,49 +12,50 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")
-"""Index = size class: the road classes, and what has a size of its own but is no road class."""
+"""Names of the size classes by index: the road classes, and vans, which differ in size from their road classes."""
 
-_IS_SOFT = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
+_HAS_PERSON = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
+"""(size classes,) whether the box of an object contains a person's limbs."""
 
 BORDER_PX = 1.5
-"""A box this near the image's border is taken as cut off by it: detectors stop a pixel short."""
+"""Distance in px from the image border within which a box counts as cut: boxes of detectors end up to 1 px inside."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoxNoise:
-    """How unsure the edges of boxes are: independent errors with a standard deviation of hypot(px, share size).
+    """Noise of box edges: independent errors with a standard deviation of hypot(px, relative * size).
 
-    A good detector (RRC on KITTI) misses an edge by half a pixel on a small box, and by 1-2 % of the height of a large
-    vehicle, 4 % of a person's: limbs move, and so does what counts as their end.
+    The edges of a good detector (RRC on KITTI) have an error of half a pixel on small boxes, 1-2 % of the height of
+    large vehicles, and 4 % of that of people, whose limbs move and are labelled inconsistently.
 
     Attributes:
-        px: what every edge is unsure by.
-        relative: share of the box's size, vehicles and things,
-        relative_soft: and people, on wheels or not.
+        px: constant part in px.
+        relative: share of the box size for vehicles, lights and signs.
+        relative_person: share of the box size for people and two-wheelers.
     """
 
     px: float = 0.5
     relative: float = 0.01
-    relative_soft: float = 0.04
+    relative_person: float = 0.04
 
     def sigma_px(self, size_px: FloatArray, size_class: IntArray) -> FloatArray:
-        """(N, 2) standard deviation of the edges of boxes of (N, 2) width and height."""
-        share = np.where(_IS_SOFT, self.relative_soft, self.relative)[size_class]
+        """(N, 2) standard deviation of the edges of boxes, from their (N, 2) width and height in px."""
+        share = np.where(_HAS_PERSON, self.relative_person, self.relative)[size_class]
         relative_px = share[:, None] * size_px
         return np.asarray(np.sqrt(self.px**2 + relative_px * relative_px))
 
 
 @dataclass(frozen=True, slots=True)
 class BoxExtents:
-    """Boxes of one frame, (N,) each unless said otherwise; all lengths over the focal length.
+    """N boxes of one frame, with image coordinates divided by the focal length.
 
     Attributes:
         wh_over_f: (N, 2) width and height, positive.
-        bearing: tangent of the middle column's angle from the camera's axis.
-        bottom: tangent of the bottom edge's angle below the camera's axis.
-        size_class: index into `SIZE_CLASSES`.
-        uses_width: False = a side is cut off.
-        uses_bottom: False = the bottom edge is not where it stands.
+        bearing: (N,) tangent of the angle between the middle column and the camera's axis.
+        bottom: (N,) tangent of the angle of the bottom edge below the camera's axis.
+        size_class: (N,) index into `SIZE_CLASSES`.
+        uses_width: (N,) False = a side is cut, the width is not used.
+        uses_bottom: (N,) False = the bottom edge is not the contact point.
         edge_sigma: (N, 2) standard deviation of one edge, in x and in y.
     """
 
@@ -69,13 +70,13 @@ class BoxExtents:
     def __len__(self) -> int:
         return len(self.bearing)
 
-    def select(self, keep: BoolArray | IntArray) -> BoxExtents:
-        """The rows that a mask or an index array names."""
-        return BoxExtents(*(getattr(self, field.name)[keep] for field in fields(self)))
+    def select(self, rows: BoolArray | IntArray) -> BoxExtents:
+        """The boxes selected by a mask or an index array."""
+        return BoxExtents(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
     def log_variance(self) -> FloatArray:
-        """(N, 2) variance of log width and log height: a size is the difference of two edges."""
+        """(N, 2) variance of log width and log height, each the difference of two independent edges."""
         return np.asarray(2.0 * (self.edge_sigma / self.wh_over_f) ** 2)
 
 
@@ -87,7 +88,15 @@ def measured_boxes(
     noise: BoxNoise,
     uses_width_bottom: tuple[BoolArray, BoolArray] | None = None,
 ) -> BoxExtents:
-    """Boxes (N, 4) of positive size as `camera` (undistorted) sees them; None = all their edges are seen."""
+    """Boxes (N, 4) in px of `camera` (undistorted) in camera-independent units.
+
+    Args:
+        xyxy_px: (N, 4) boxes of positive size.
+        size_class: (N,) index into `SIZE_CLASSES`.
+        camera: the undistorted camera.
+        noise: noise of the box edges.
+        uses_width_bottom: `uses_width` and `uses_bottom`, (N,) each; None = True for all boxes.
+    """
     focal_px = np.array([camera.fx_px, camera.fy_px])
     size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
     uses_width, uses_bottom = uses_width_bottom or (np.ones(len(xyxy_px), np.bool_), np.ones(len(xyxy_px), np.bool_))
@@ -104,13 +113,13 @@ def measured_boxes(
 
 @dataclass(frozen=True, slots=True)
 class SizeRanges:
-    """Distances by size, (N,) each, NaN = nothing is known of the class.
+    """Distances by size, (N,) each; NaN = the class has no size model.
 
     Attributes:
         distance_m: z of the visible surface.
-        sigma_m: its standard deviation.
-        sigma_systematic_m: systematic part of sigma_m, which the object keeps from frame to frame: it is taller than
-            others. The rest, the noise of the box, is new in every frame.
+        sigma_m: standard deviation of `distance_m`.
+        sigma_systematic_m: systematic part of `sigma_m`, constant over a track (the size of the object); the rest is
+            box noise, independent from frame to frame.
     """
 
     distance_m: FloatArray
@@ -119,16 +128,16 @@ class SizeRanges:
 
 
 class SizeModel(Protocol):
-    """What is known of sizes: curves, or priors over cuboids."""
+    """Model of object sizes: curves, or priors over cuboids."""
 
     def measure(self, boxes: BoxExtents) -> SizeRanges:
-        """How far the boxes of one frame are."""
+        """Distances of the boxes of one frame."""
         ...
 
 
 class StoredSizeModel(SizeModel, Protocol):
-    """A size model that can be written to a curve file, see `curve.save_curves`."""
+    """Size model that can be written to a curve file (`curve.save_curves`)."""
 
     def document(self) -> dict[str, Any]:
-        """Content of the file: "kind", and the model's numbers as JSON."""
+        """Content of the curve file: "kind" and the parameters of the model, as JSON values."""
         ...

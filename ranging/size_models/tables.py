@@ -1,4 +1,4 @@
-"""TableSizes: plain curves of one size, such as the paper's polynomial of the diagonal, made safe for use in a run."""
+"""TableSizes: size model with monotonic tables of plain curves, such as the paper's polynomial of the box diagonal."""
 
 from __future__ import annotations
 
@@ -13,12 +13,22 @@ from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
 
 KIND = "table"
-_STEP = 0.02  # of the slope by log size, to either side
+"""Value of "kind" in curve files of this model."""
+
+_STEP = 0.02
+"""Step in log size, to either side, of the numerical slope of a curve."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableCurve:
-    """The curve of one class: log distance at log sizes, `sigma_relative` on drives not fitted on, n boxes, source."""
+    """The curve of one class.
+
+    Attributes:
+        table: log distance as a function of the log size.
+        sigma_relative: standard deviation of the relative error on left-out sequences.
+        n: number of fitted boxes.
+        source: origin of the curve.
+    """
 
     table: FittedTable
     sigma_relative: float
@@ -27,37 +37,42 @@ class TableCurve:
 
 
 class TableSizes:
-    """The curves of all classes, all functions of the same size."""
+    """Size model with a table per class, all of the same box measure."""
 
     def __init__(self, measure: str, curves: Mapping[str, TableCurve]) -> None:
-        """Curves by size class of `measure` (height or diagonal); a class without one gives NaN."""
-        self.measured = measure
+        """Create a model from curves by size class; boxes of other classes are not ranged (NaN).
+
+        Args:
+            measure: box measure of all curves, a key of `MEASURES`.
+            curves: curves by size class.
+        """
+        self.box_measure = measure
         self.curves = dict(curves)
 
     def measure(self, boxes: BoxExtents) -> SizeRanges:
-        """Distances of boxes, each by itself; NaN where a side is cut off and the curve is of the diagonal."""
-        distance_m, sigma_m, kept_m = np.full((3, len(boxes)), np.nan)
-        seen = boxes.uses_width | (self.measured == "height")
+        """Distances of the boxes, each ranged separately; NaN if a side is cut and the curves need the width."""
+        distance_m, sigma_m, systematic_m = np.full((3, len(boxes)), np.nan)
+        usable = boxes.uses_width | (self.box_measure == "height")
         for name, curve in self.curves.items():
-            rows = np.flatnonzero((boxes.size_class == SIZE_CLASSES.index(name)) & seen)
-            mine = boxes.select(rows)
-            distance_m[rows] = curve.table.predict(mine.wh_over_f, mine.bearing)
-            kept_m[rows] = distance_m[rows] * curve.sigma_relative
-            noise = (self._slopes(curve.table, mine) ** 2 * mine.log_variance).sum(axis=1)
-            sigma_m[rows] = np.hypot(kept_m[rows], distance_m[rows] * np.sqrt(noise))
-        return SizeRanges(distance_m, sigma_m, kept_m)
+            rows = np.flatnonzero((boxes.size_class == SIZE_CLASSES.index(name)) & usable)
+            of_class = boxes.select(rows)
+            distance_m[rows] = curve.table.predict(of_class.wh_over_f, of_class.bearing)
+            systematic_m[rows] = distance_m[rows] * curve.sigma_relative
+            noise = (self._slopes(curve.table, of_class) ** 2 * of_class.log_variance).sum(axis=1)
+            sigma_m[rows] = np.hypot(systematic_m[rows], distance_m[rows] * np.sqrt(noise))
+        return SizeRanges(distance_m, sigma_m, systematic_m)
 
     def _slopes(self, table: FittedTable, boxes: BoxExtents) -> FloatArray:
-        """(N, 2) of log distance by log width and log height."""
-        found = [
+        """(N, 2) slopes of log distance in log width and log height."""
+        differences = [
             np.log(table.predict(boxes.wh_over_f * np.exp(step), boxes.bearing))
             - np.log(table.predict(boxes.wh_over_f * np.exp(-step), boxes.bearing))
-            for step in _STEP * np.eye(2)
+            for step in _STEP * np.identity(2)
         ]
-        return np.stack(found, axis=1) / (2 * _STEP)
+        return np.stack(differences, axis=1) / (2 * _STEP)
 
     def document(self) -> dict[str, Any]:
-        """Content of a curve file of this kind."""
+        """Content of a curve file with this model."""
         classes = {
             name: {
                 "log_size": curve.table.log_size.round(5).tolist(),
@@ -68,22 +83,22 @@ class TableSizes:
             }
             for name, curve in self.curves.items()
         }
-        return {"kind": KIND, "measure": self.measured, "classes": classes}
+        return {"kind": KIND, "measure": self.box_measure, "classes": classes}
 
 
 def tables_in(document: Mapping[str, Any]) -> TableSizes:
-    """The curves of a file's content.
+    """The model in the content of a curve file.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: an unknown class or size, or a table that does not fall.
+        ValueError, KeyError, TypeError, AttributeError: an unknown class or box measure, or a table that increases.
     """
     curves = {}
     for name, numbers in document["classes"].items():
         if name not in SIZE_CLASSES:
             raise ValueError(f"unknown size class {name}")
         log_size, log_distance = (np.array(numbers[key], np.float64) for key in ("log_size", "log_distance"))
-        falls = log_size.shape == log_distance.shape == (len(log_size),) and len(log_size) >= 2
-        if not (falls and (np.diff(log_size) > 0).all() and (np.diff(log_distance) <= 0).all()):
+        is_table = log_size.shape == log_distance.shape == (len(log_size),) and len(log_size) >= 2
+        if not (is_table and (np.diff(log_size) > 0).all() and (np.diff(log_distance) <= 0).all()):
             raise ValueError(f"{name}: log_size must increase and log_distance must not")
         sigma = float(numbers["sigma_relative"])
         if not sigma > 0:

@@ -15,7 +15,7 @@ def test_a_tail_straight_ahead_by_hand():
     """1.5 m high, 1.8 m wide, its back 20 m away."""
     box = box_of_cuboid(
         np.log([1.5, 1.8, 4.0]),
-        turn_rad=np.zeros(1),
+        yaw_rad=np.zeros(1),
         bearing=np.zeros(1),
         distance_m=np.array([20.0]),
         camera_height_m=HEIGHT_M,
@@ -36,7 +36,7 @@ def test_a_tail_straight_ahead_by_hand():
 def test_the_box_is_that_of_eight_corners_and_the_ray_meets_it_there(turn, bearing, distance_m, hwl):
     box = box_of_cuboid(
         np.log(hwl),
-        turn_rad=np.array([turn]),
+        yaw_rad=np.array([turn]),
         bearing=np.array([bearing]),
         distance_m=np.array([distance_m]),
         camera_height_m=HEIGHT_M,

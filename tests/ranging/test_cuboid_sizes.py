@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.cuboid_sizes import CuboidSizes
 from track_range.ranging.size_models.curve import load_curves
-from track_range.ranging.size_models.prior import TURN_DEG
-from track_range.ranging.size_models.shared_ground import GroundPrior, Stand, seen_by_others
+from track_range.ranging.size_models.prior import YAW_DEG
+from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior, ground_from_others
 from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents
 
 PACKAGED = load_curves()
@@ -21,9 +21,9 @@ def world(name, n, *, seed, noise=NOISE, stands=True):
     rng, prior = np.random.default_rng(seed), PACKAGED.priors[name]
     log_hwl = rng.multivariate_normal(np.log(prior.hwl_m), prior.covariance, n).T
     weights = np.array(prior.turn_weights) / sum(prior.turn_weights)
-    turn = np.radians(rng.choice(TURN_DEG, n, p=weights)) * rng.choice([-1, 1], n)
+    turn = np.radians(rng.choice(YAW_DEG, n, p=weights)) * rng.choice([-1, 1], n)
     bearing, distance_m = rng.uniform(-0.4, 0.4, n), np.exp(rng.uniform(np.log(10), np.log(70), n))
-    box = box_of_cuboid(log_hwl, turn_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
+    box = box_of_cuboid(log_hwl, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
     size = np.exp(np.stack([box.log_width, box.log_height], axis=1) + np.array(prior.offset)[::-1])
     size = np.maximum(
         size * np.exp(rng.normal(0, np.array(prior.scatter)[::-1], (n, 2))) + rng.normal(0, np.sqrt(2) * noise, (n, 2)),
@@ -159,32 +159,35 @@ class TestSharedGround:
 
     def stand(self, bottom, tells=True):
         n = len(bottom)
-        return Stand(bottom, self.nearness[:n], np.full(n, 0.05), np.full(n, 0.001), np.full(n, tells))
+        return GroundContacts(bottom, self.nearness[:n], np.full(n, 0.05), np.full(n, 0.001), np.full(n, tells))
 
     def test_exact_objects_give_horizon_and_height(self):
-        seen = seen_by_others(self.stand(0.02 + 1.8 * self.nearness), GroundPrior(camera_height_m=1.8))
+        seen = ground_from_others(self.stand(0.02 + 1.8 * self.nearness), GroundPrior(camera_height_m=1.8))
         np.testing.assert_allclose(seen.horizon, 0.02, atol=0.002)
         np.testing.assert_allclose(seen.height_m, 1.8, atol=0.05)
-        assert not seen.is_alone.any()
+        assert not seen.is_prior_only.any()
 
     def test_ones_own_say_does_not_count(self):
         bottom = 0.02 + 1.5 * self.nearness
         moved = bottom.copy()
         moved[5] += 0.004
-        one, other = seen_by_others(self.stand(bottom), GroundPrior()), seen_by_others(self.stand(moved), GroundPrior())
+        one, other = (
+            ground_from_others(self.stand(bottom), GroundPrior()),
+            ground_from_others(self.stand(moved), GroundPrior()),
+        )
         assert other.horizon[5] == pytest.approx(one.horizon[5], abs=2e-4)
         assert other.horizon[0] > one.horizon[0] + 5e-4
 
     def test_one_that_stands_elsewhere_counts_little(self):
         bottom = -0.01 + 1.5 * self.nearness
         bottom[5] += 0.2  # a balcony, or no object at all
-        seen = seen_by_others(self.stand(bottom), GroundPrior())
+        seen = ground_from_others(self.stand(bottom), GroundPrior())
         np.testing.assert_allclose(seen.horizon[:5], -0.01, atol=0.006)
 
     def test_alone_or_when_nobody_tells_there_is_only_the_prior(self):
         prior = GroundPrior(horizon=0.03, camera_height_m=1.4)
         for stand in (self.stand(np.array([0.2])), self.stand(1.4 * self.nearness, tells=False)):
-            seen = seen_by_others(stand, prior)
-            assert seen.is_alone.all()
+            seen = ground_from_others(stand, prior)
+            assert seen.is_prior_only.all()
             np.testing.assert_allclose(seen.horizon, 0.03)
             np.testing.assert_allclose(seen.height_m, 1.4)

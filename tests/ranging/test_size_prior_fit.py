@@ -12,7 +12,7 @@ from track_range.ranging.fitting.prior_fit import STANDARD_SIZES, LabelledSizes,
 from track_range.ranging.methods.size_regression import MONO
 from track_range.ranging.size_models.cuboid import box_of_cuboid
 from track_range.ranging.size_models.curve import CurveError
-from track_range.ranging.size_models.prior import TURN_DEG, ShapeTables
+from track_range.ranging.size_models.prior import YAW_DEG, ShapeTables
 
 MEAN_M, SIGMA = np.array([1.45, 1.70, 4.30]), np.array([0.06, 0.05, 0.09])
 
@@ -25,7 +25,7 @@ def labelled(n_objects=120, n_each=10, *, seed=0, name="car"):
     hwl = (MEAN_M * np.exp(rng.normal(0, SIGMA, (n_objects, 3))))[object_id]
     turn = np.where(rng.random(n) < 0.7, 0.0, np.pi / 2)
     bearing, distance_m = rng.uniform(-0.3, 0.3, n), rng.uniform(8, 60, n)
-    box = box_of_cuboid(np.log(hwl).T, turn_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
+    box = box_of_cuboid(np.log(hwl).T, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
     sizes = np.exp(np.stack([box.log_width, box.log_height + 0.02 + rng.normal(0, 0.03, n)], axis=1))
     return LabelledSizes(
         np.full(n, name), object_id, sizes, bearing, distance_m, hwl, turn - np.pi / 2, np.ones(n, np.bool_)
@@ -80,10 +80,10 @@ def test_tables_are_the_geometry_between_their_nodes():
     bearing, log_m = rng.uniform(0, 0.6, 50), rng.uniform(np.log(8), np.log(90), 50)
     off, step, nodes = tables.at(np.full(50, 2), bearing, log_m)
     seen = nodes[0] + step * nodes[2] + off * nodes[4]
-    for k, turn in enumerate(np.radians(TURN_DEG)):
+    for k, turn in enumerate(np.radians(YAW_DEG)):
         box = box_of_cuboid(
             np.log(prior.hwl_m),
-            turn_rad=np.full(50, turn),
+            yaw_rad=np.full(50, turn),
             bearing=bearing,
             distance_m=np.exp(log_m),
             camera_height_m=1.65,

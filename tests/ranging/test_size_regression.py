@@ -48,7 +48,7 @@ def test_box_noise_widens_sigma_by_the_rule_of_errors_and_is_not_kept():
 
 
 def test_a_detectors_noise_grows_with_the_box_and_with_limbs():
-    noise = BoxNoise(px=0.6, relative=0.01, relative_soft=0.04)
+    noise = BoxNoise(px=0.6, relative=0.01, relative_person=0.04)
     size_px = np.array([[80.0, 60.0], [80.0, 60.0]])
     sigma_px = noise.sigma_px(size_px, np.array([SIZE_CLASSES.index("van"), SIZE_CLASSES.index("person")]))
     assert sigma_px == pytest.approx(np.array([[1.0, np.hypot(0.6, 0.6)], [np.hypot(0.6, 3.2), np.hypot(0.6, 2.4)]]))
