@@ -1,1 +1,1 @@
-"""The importer of Darknet's .cfg and .weights files."""
+"""Import of Darknet's .cfg and .weights files."""

@@ -1,10 +1,10 @@
-"""Darknet's cfg text: sections of `key=value` lines, and what they say as numbers.
+"""Parser of Darknet's cfg files: sections of `key=value` lines and their values.
 
-    [convolutional]        # a section is a layer, the first one, [net], the input
+    [convolutional]        # each section is a layer, except the first, [net], which describes the input
     filters=32
-    layers = -1, -4        # blanks mean nothing; what follows # is a comment
+    layers = -1, -4        # blanks are ignored; comments start with #
 
-An option given twice counts as it stands first, as in Darknet (`option_find` of its option_list.c).
+If an option occurs twice in a section, the first one is used, as in Darknet (`option_find` in option_list.c).
 """
 
 from __future__ import annotations
@@ -17,19 +17,23 @@ from pathlib import Path
 from track_range.detection.models.onnx_session import ModelError
 
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
-_MOST = 65535
-"""No whole number of a cfg that we read is larger: pixels, channels, layers."""
-_SHOWN_CHARACTERS = 40
+"""Short and alternative names of sections."""
+
+_MAX_INTEGER = 65535
+"""Largest integer accepted: numbers of pixels, channels and layers are smaller."""
+
+_MAX_SHOWN = 40
+"""Longest excerpt of a line in messages, in characters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section.
+    """One section of a cfg.
 
     Attributes:
-        path, line: where it stands; lines count from 1.
-        kind: what stands in its brackets, short forms written out.
-        options: its lines, without blanks.
+        path, line: file and line of its header; lines count from 1.
+        kind: name in the header's brackets, aliases resolved.
+        options: values by key, without blanks.
     """
 
     path: Path
@@ -41,106 +45,108 @@ class Section:
         """An error that names the file, the line and the section."""
         return ModelError(f"{self.path}, line {self.line}, [{self.kind}]: {reason}.")
 
-    def whole(self, key: str, default: int | None = None, *, least: int = 0) -> int:
-        """The whole number under `key`, from `least` on.
+    def integer(self, key: str, default: int | None = None, *, minimum: int = 0) -> int:
+        """The integer under `key`.
 
         Raises:
-            ModelError: something else stands there, or nothing and there is no default.
+            ModelError: another value or one below `minimum`, or no value and no default.
         """
-        return self._bounded(key, self._text(key, default), least)
+        return self._bounded(key, self._text(key, default), minimum)
 
-    def wholes(self, key: str) -> tuple[int, ...]:
-        """The whole numbers under `key`, which may be negative.
+    def integers(self, key: str) -> tuple[int, ...]:
+        """The integers under `key`, which may be negative.
 
         Raises:
-            ModelError: there are none.
+            ModelError: there are none, or other values.
         """
-        return tuple(self._bounded(key, text, -_MOST) for text in self._list(key))
+        return tuple(self._bounded(key, text, -_MAX_INTEGER) for text in self._list(key))
 
     def numbers(self, key: str, default: float | None = None) -> tuple[float, ...]:
         """The numbers under `key`.
 
         Raises:
-            ModelError: there are none and no default, or one of them is not finite.
+            ModelError: other values, a number that is not finite, or no value and no default.
         """
         if default is not None and key not in self.options:
             return (default,)
         try:
             values = tuple(float(text) for text in self._list(key))
         except ValueError as error:
-            raise self._wrong(key, "numbers wanted") from error
+            raise self._invalid(key, "numbers") from error
         if not all(math.isfinite(value) for value in values):
-            raise self._wrong(key, "numbers wanted")
+            raise self._invalid(key, "finite numbers")
         return values
 
     def word(self, key: str, default: str, known: Collection[str]) -> str:
-        """The word under `key`, one of those known.
+        """The word under `key`, one of `known`.
 
         Raises:
-            ModelError: another one.
+            ModelError: the word is not in `known`.
         """
         word = self.options.get(key, default)
         if word not in known:
-            raise self._wrong(key, f"known here: {', '.join(known)}")
+            raise self._invalid(key, f"one of {', '.join(known)}")
         return word
 
-    def refuse(self, usual: Mapping[str, float]) -> None:
-        """Check options that change what a layer computes in ways unknown here: each absent, or as usual.
+    def require_defaults(self, defaults: Mapping[str, float]) -> None:
+        """Check that options that are not supported are absent or have their default values.
 
         Raises:
-            ModelError: one of them is set.
+            ModelError: an option has another value.
         """
-        for key, value in usual.items():
+        for key, value in defaults.items():
             if key in self.options and self.numbers(key) != (value,):
-                raise self._wrong(key, f"only {key}={value:g} can be imported")
+                raise self._invalid(key, f"{key}={value:g}, other values are not supported")
 
     def _text(self, key: str, default: object) -> str:
         if default is None and key not in self.options:
-            raise self.error(f"it has no line '{key}=...'")
+            raise self.error(f"expected a line '{key}=...', found none")
         return self.options.get(key, str(default))
 
     def _list(self, key: str) -> list[str]:
         texts = [text for text in self._text(key, None).split(",") if text]
         if not texts:
-            raise self._wrong(key, "numbers wanted")
+            raise self._invalid(key, "numbers")
         return texts
 
-    def _bounded(self, key: str, text: str, least: int) -> int:
+    def _bounded(self, key: str, text: str, minimum: int) -> int:
         try:
             value = int(text)
         except ValueError:
-            value = _MOST + 1
-        if not least <= value <= _MOST:
-            raise self._wrong(key, f"whole numbers from {least} to {_MOST} wanted")
+            value = _MAX_INTEGER + 1
+        if not minimum <= value <= _MAX_INTEGER:
+            raise self._invalid(key, f"integers from {minimum} to {_MAX_INTEGER}")
         return value
 
-    def _wrong(self, key: str, wanted: str) -> ModelError:
-        return self.error(f"'{_short(f'{key}={self.options.get(key)}')}' cannot be used; {wanted}")
+    def _invalid(self, key: str, expected: str) -> ModelError:
+        """An error on the value of `key`."""
+        return self.error(f"expected {expected}, got '{_short(f'{key}={self.options.get(key)}')}'")
 
 
 def read_sections(path: Path, known: Collection[str]) -> list[Section]:
-    """The sections of a cfg, [net] first and only there.
+    """The sections of a cfg; the first one is [net].
 
     Args:
         path: the cfg.
-        known: kinds of sections that may come, [net] apart.
+        known: names of the sections that may follow [net].
 
     Raises:
-        ModelError: no readable cfg, or a section that is not known.
+        ModelError: the file is not a readable cfg, or has an unknown section.
     """
     sections = list(_sections(path, _text_of(path)))
     if not sections or sections[0].kind != "net":
-        found = f"the first section is [{sections[0].kind}]" if sections else "no sections"
-        raise ModelError(f"{path}: {found}; a Darknet cfg begins with [net].")
+        first = f"[{sections[0].kind}]" if sections else "no section"
+        raise ModelError(f"{path}: expected a Darknet cfg whose first section is [net], got {first}.")
     for section in sections[1:]:
         if section.kind not in known:
-            raise section.error(f"this kind of section cannot be imported; known: {', '.join(f'[{k}]' for k in known)}")
+            supported = ", ".join(f"[{kind}]" for kind in known)
+            raise section.error(f"this section is not supported; supported are {supported}")
     return sections
 
 
 def _text_of(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8-sig", errors="replace")  # comments come in every encoding
+        return path.read_bytes().decode("utf-8-sig", errors="replace")  # comments may have any encoding
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror}).") from error
 
@@ -156,14 +162,12 @@ def _sections(path: Path, text: str) -> Iterator[Section]:
             continue
         key, equals, value = line.partition("=")
         if not (equals and key and is_open):
-            raise ModelError(
-                f"{path}, line {number}: '{_short(line)}' is no line of a Darknet cfg: [section], then key=value."
-            )
+            raise ModelError(f"{path}, line {number}: expected [section] or key=value, got '{_short(line)}'.")
         options.setdefault(key, value)
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Numbered lines that say something, without blanks and comments."""
+    """Line numbers and lines without blanks and comments; empty lines are left out."""
     for number, raw in enumerate(text.split("\n"), start=1):
         line = "".join(raw.partition("#")[0].split())
         if line and not line.startswith(";"):
@@ -171,5 +175,6 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _short(text: str) -> str:
-    shown = text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
+    """The text in printable characters, cut off after `_MAX_SHOWN`."""
+    shown = text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
     return "".join(character if character.isprintable() else "?" for character in shown)

@@ -1,8 +1,8 @@
-"""Darknet networks (cfg and weights) as ONNX files: the YOLOv3 and YOLOv4 families, with their tiny ones.
+"""Import of Darknet networks (cfg and weights) as ONNX files: YOLOv3, YOLOv4 and their tiny versions.
 
-The outputs are what [yolo] reads, [1, A (5 + classes), rows, columns], named by their strides (`head_s32`, ...), in the
-cfg's order; `detection.yolo.decoders.HeadDecoder` turns them into boxes. What that takes, names, anchors, scale_x_y,
-goes into the file's metadata (`detection.models.metadata`).
+The outputs are the inputs of the [yolo] layers, [1, A (5 + classes), rows, columns], in the cfg's order and named after
+their strides (`head_s32`, ...). `detection.yolo.decoders.HeadDecoder` decodes them into boxes; the class names, anchors
+and scale_x_y that it needs are written to the file's metadata (`detection.models.metadata`).
 
     [net]  images [1, 3, H, W], RGB / 255  -->  Conv, MaxPool, Resize, Concat, Slice, Add  -->  head_s32, head_s16, ...
 """
@@ -39,25 +39,25 @@ from track_range.detection.models.writing import atomic_output, silent_conversio
 
 _OPSET = 13
 _IR_VERSION = 8
-"""Both of 2021: onnxruntime 1.20 and TensorRT 8 read them."""
+"""ONNX operator set and file format, both of 2021, which onnxruntime 1.20 and TensorRT 8 support."""
 
 _PRODUCER = "track-range"
 _STRETCH_NOTE = (
-    "Darknet itself resizes images without keeping their aspect unless the cfg says letter_box=1; this model is "
-    "told to keep it (letterbox centred-128). --letterbox stretch does as Darknet does."
+    "Without letter_box=1 in the cfg, Darknet resizes images without preserving their aspect ratio; the imported model "
+    "preserves it (letterbox centred-128). Use --letterbox stretch for Darknet's behaviour."
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedModel:
-    """What was imported.
+    """Summary of an imported network.
 
     Attributes:
-        family: "yolov3", "yolov3-tiny", "yolov4" or "yolov4-tiny", by the structure.
-        input_hw: height and width of the input in pixels.
-        n_layers: sections of the cfg, [net] apart.
-        n_parameters: numbers of the weights file, those of batch norm included.
-        notes: sentences for the user.
+        family: "yolov3", "yolov3-tiny", "yolov4" or "yolov4-tiny", inferred from the structure.
+        input_hw: (height, width) of the input in pixels.
+        n_layers: number of sections of the cfg without [net].
+        n_parameters: number of values in the weights file, including batch norm.
+        notes: notes for the user.
     """
 
     family: str
@@ -68,24 +68,24 @@ class ImportedModel:
 
 
 def import_darknet(cfg: Path, weights: Path, out: Path, *, names: Sequence[str]) -> ImportedModel:
-    """Write the network of `cfg` with its `weights` as the ONNX file `out`, whole or not at all.
+    """Write the network of `cfg` and `weights` to the ONNX file `out`, atomically.
 
     Args:
         cfg: Darknet's description of the network.
-        weights: its weights.
+        weights: Darknet's weights file.
         out: the file to write.
-        names: class names, in the network's order.
+        names: class names in the network's order.
 
     Raises:
-        ModelError: cfg or weights cannot be read, do not belong together, or ask for what cannot be imported; or the
-            number of names is not the network's number of classes.
+        ModelError: `cfg` or `weights` cannot be read or do not match, the network has unsupported layers or options, or
+            the number of names differs from the number of classes.
     """
     network = read_network(cfg)
     n_classes = network.heads[0][1].n_classes
     if len(names) != n_classes:
-        raise ModelError(f"{cfg}: {n_classes} classes, but {len(names)} names; give all, in the network's order.")
+        raise ModelError(f"{cfg}: expected {n_classes} class names in the network's order, got {len(names)}.")
     family = _family(network)
-    model = _model(network, weights, {"family": family, **_facts(network, names)})
+    model = _model(network, weights, {"family": family, **_metadata(network, names)})
     with atomic_output(out) as folder, silent_conversion(cfg, "written as ONNX"):
         onnx.checker.check_model(model, full_check=True)
         onnx.save(model, folder / out.name)
@@ -99,7 +99,7 @@ def import_darknet(cfg: Path, weights: Path, out: Path, *, names: Sequence[str])
 
 
 def _family(network: Network) -> str:
-    """YOLOv4 is told by mish, its tiny one by routes that take half of the channels; YOLOv3-tiny by its two heads."""
+    """The family: YOLOv4 has mish activations, YOLOv4-tiny grouped routes, YOLOv3-tiny two heads."""
     operations = [layer.operation for layer in network.layers]
     if any(isinstance(operation, Route) and operation.groups > 1 for operation in operations):
         return "yolov4-tiny"
@@ -108,7 +108,7 @@ def _family(network: Network) -> str:
     return "yolov3-tiny" if len(network.heads) == 2 else "yolov3"
 
 
-def _facts(network: Network, names: Sequence[str]) -> dict[str, str]:
+def _metadata(network: Network, names: Sequence[str]) -> dict[str, str]:
     heads = [head for _, head in network.heads]
     return {
         "names": json.dumps(list(names), ensure_ascii=False),
@@ -127,8 +127,8 @@ def _model(network: Network, weights: Path, metadata: Mapping[str, str]) -> onnx
     for index, layer in enumerate(network.layers):
         if isinstance(layer.operation, Convolution):
             kernel, bias = next(convolutions)
-            graph.hold(f"weights_{index}", kernel)
-            graph.hold(f"bias_{index}", bias)
+            graph.constant(f"weights_{index}", kernel)
+            graph.constant(f"bias_{index}", bias)
         _write(layer.operation, graph, index, layer)
     outputs = [_value(name, network.layers[source].shape) for source, name in heads.items()]
     body = helper.make_graph(
@@ -141,7 +141,7 @@ def _model(network: Network, weights: Path, metadata: Mapping[str, str]) -> onnx
 
 
 def _head_names(network: Network) -> dict[int, str]:
-    """Names of the outputs by the layers that give them, in the cfg's order."""
+    """Names of the outputs by the index of their layer, in the cfg's order."""
     names: dict[int, str] = {}
     for source, _ in network.heads:
         stride_px = round(network.input_shape[2] / network.layers[source].shape[2])
@@ -155,7 +155,7 @@ def _value(name: str, shape: Shape) -> onnx.ValueInfoProto:
 
 
 class _Graph:
-    """The ONNX graph so far: nodes, constants, and which tensor holds each layer's output."""
+    """ONNX graph under construction: nodes, constants, and the output tensor of each layer."""
 
     def __init__(self, network: Network, heads: Mapping[int, str]) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -164,13 +164,13 @@ class _Graph:
         self._names = dict(heads)
         self._tensors = {IMAGE: "images"}
 
-    def hold(self, name: str, values: object) -> str:
-        """Keep a constant; its name."""
+    def constant(self, name: str, values: object) -> str:
+        """Add a constant and return its name."""
         self.initializers.append(numpy_helper.from_array(np.asarray(values), name))
         return name
 
     def tensor(self, source: int) -> str:
-        """What holds the output of a layer, or the image."""
+        """Name of the output tensor of the layer `source`, or of the image."""
         return self._tensors[source]
 
     def inputs(self, layer: Layer) -> list[str]:
@@ -180,12 +180,12 @@ class _Graph:
         return self._layers[source].shape[0]
 
     def name(self, index: int) -> str:
-        """The tensor that layer `index` will write."""
+        """Assign and return the name of the output tensor of layer `index`."""
         self._tensors[index] = self._names.get(index, f"layer_{index}")
         return self._tensors[index]
 
     def alias(self, index: int, tensor: str) -> None:
-        """Layer `index` hands on a tensor as it is."""
+        """Make `tensor` the output of layer `index`."""
         self._tensors[index] = tensor
 
     def node(self, operator: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
@@ -193,7 +193,7 @@ class _Graph:
         return output
 
     def activated(self, operator: str, inputs: Sequence[str], index: int, activation: str, **attributes: Any) -> None:
-        """A node and its activation, which together are layer `index`."""
+        """Add layer `index` as an operator and its activation."""
         function, output = ACTIVATIONS[activation], self.name(index)
         if not function.operators:
             self.node(operator, inputs, output, **attributes)
@@ -209,7 +209,7 @@ class _Graph:
 
 @singledispatch
 def _write(operation: object, graph: _Graph, index: int, layer: Layer) -> None:
-    """Add one layer; what computes nothing, a dropout or an output's reader, hands on what comes in."""
+    """Add one layer to the graph; dropout and [yolo] pass their input through."""
     graph.alias(index, graph.inputs(layer)[0])
 
 
@@ -239,29 +239,29 @@ def _(operation: MaxPool, graph: _Graph, index: int, layer: Layer) -> None:
 
 @_write.register
 def _(operation: Upsample, graph: _Graph, index: int, layer: Layer) -> None:
-    scales = graph.hold(f"scales_{index}", np.array([1, 1, operation.stride, operation.stride], np.float32))
-    how = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
-    graph.node("Resize", [*graph.inputs(layer), "", scales], graph.name(index), **how)
+    scales = graph.constant(f"scales_{index}", np.array([1, 1, operation.stride, operation.stride], np.float32))
+    options = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
+    graph.node("Resize", [*graph.inputs(layer), "", scales], graph.name(index), **options)
 
 
 @_write.register
 def _(operation: Route, graph: _Graph, index: int, layer: Layer) -> None:
     tensors = graph.inputs(layer)
     if operation.groups > 1:
-        tensors = [_share(graph, operation, source, f"share_{index}_{i}") for i, source in enumerate(layer.sources)]
+        tensors = [_channels(graph, operation, source, f"share_{index}_{i}") for i, source in enumerate(layer.sources)]
     if len(tensors) == 1:
         graph.alias(index, tensors[0])
     else:
         graph.node("Concat", tensors, graph.name(index), axis=1)
 
 
-def _share(graph: _Graph, operation: Route, source: int, name: str) -> str:
-    """The channels of one source that a route with groups takes."""
+def _channels(graph: _Graph, operation: Route, source: int, name: str) -> str:
+    """Add a slice of the channels of one source that a grouped route selects, and return its name."""
     n_channels = graph.n_channels(source) // operation.groups
     start = operation.group_id * n_channels
     bounds = {"start": start, "end": start + n_channels, "axis": 1}
-    held = [graph.hold(f"{name}_{key}", np.array([value], np.int64)) for key, value in bounds.items()]
-    return graph.node("Slice", [graph.tensor(source), *held], name)
+    constants = [graph.constant(f"{name}_{key}", np.array([value], np.int64)) for key, value in bounds.items()]
+    return graph.node("Slice", [graph.tensor(source), *constants], name)
 
 
 @_write.register

@@ -1,13 +1,13 @@
-"""Darknet's layers: what each section of a cfg computes, from which layers, and the shape that comes out.
+"""Darknet's layers: the operation of each section of a cfg, its source layers and the shape of its output.
 
-    convolutional    out = (in + 2 pad - size) / stride + 1        pad=1 means size / 2, rounded down
-    maxpool          out = (in + padding - size) / stride + 1      padding = size - 1, the smaller half of it before
-    upsample         out = in * stride                             every value repeated
-    route            channels of several layers one after the other, or one of `groups` equal shares of each
-    shortcut         sum of the layer before and others
-    yolo             reads the layer before: A (5 + classes) channels, A = number of anchors in `mask`
+    convolutional    out = (in + 2 pad - size) / stride + 1        pad=1 in the cfg means pad = size / 2
+    maxpool          out = (in + padding - size) / stride + 1      padding = size - 1, the smaller half top and left
+    upsample         out = in * stride                             nearest neighbour
+    route            concatenated channels of several layers, or of one of `groups` equal parts of each
+    shortcut         sum of the previous layer and others
+    yolo             decodes the previous layer: A (5 + classes) channels, A = number of anchors in `mask`
 
-(AlexeyAB's parser.c and the *_layer.c beside it, which made the weights of YOLOv4; divisions round down.)
+Divisions round down. (AlexeyAB's parser.c and *_layer.c, with which YOLOv4 was trained.)
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 Shape = tuple[int, int, int]
-"""Channels, rows, columns."""
+"""Number of channels, rows and columns of an output."""
 
 IMAGE = -1
-"""The source of a layer that sees the input image."""
+"""Index of the input image as a source of layers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Activation:
-    """ONNX operators one after the other; a gate's result is multiplied by what went in."""
+    """An activation function as ONNX operators.
+
+    Attributes:
+        operators: operators that are applied one after the other.
+        is_gate: the result is multiplied by the input.
+        alpha: slope for negative inputs, of LeakyRelu; None for other operators.
+    """
 
     operators: tuple[str, ...] = ()
     is_gate: bool = False
@@ -38,14 +44,24 @@ ACTIVATIONS: Mapping[str, Activation] = {
     "logistic": Activation(("Sigmoid",)),
     "tanh": Activation(("Tanh",)),
     "swish": Activation(("Sigmoid",), is_gate=True),
-    # x tanh(ln(1 + e^x)); ONNX's own Mish is no faster in onnxruntime (46 and 46 ms for six layers), and newer.
+    # x tanh(ln(1 + e^x)); ONNX's Mish needs a newer operator set and is not faster in onnxruntime.
     "mish": Activation(("Softplus", "Tanh"), is_gate=True),
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convolution:
-    """A convolution, its batch norm and its activation; `pad` counts each side."""
+    """A convolution with batch norm and activation.
+
+    Attributes:
+        n_filters, n_channels: number of output and input channels.
+        size: side of the kernel in pixels.
+        stride_yx: strides in y and x.
+        pad: padding of each side in pixels.
+        groups: number of channel groups.
+        has_batch_norm: batch norm follows the convolution.
+        activation: key of `ACTIVATIONS`.
+    """
 
     n_filters: int
     n_channels: int
@@ -58,18 +74,18 @@ class Convolution:
 
     @property
     def n_values(self) -> int:
-        """How many numbers of the weights file are its own."""
+        """Number of values of this layer in the weights file."""
         return (4 if self.has_batch_norm else 1) * self.n_filters + self.n_weights
 
     @property
     def n_weights(self) -> int:
-        """Filters x channels per group x size x size."""
+        """Number of weights: filters x channels per group x size x size."""
         return self.n_filters * (self.n_channels // self.groups) * self.size**2
 
 
 @dataclass(frozen=True, slots=True)
 class MaxPool:
-    """`padding` counts both sides together; what is outside never wins."""
+    """Maximum pooling; `padding` is the sum of both sides, and padded values are never the maximum."""
 
     size: int
     stride_yx: tuple[int, int]
@@ -78,14 +94,14 @@ class MaxPool:
 
 @dataclass(frozen=True, slots=True)
 class Upsample:
-    """Each value becomes `stride` x `stride` of them."""
+    """Nearest-neighbour upsampling by the factor `stride`."""
 
     stride: int
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Of each source the channels `group_id` of `groups` equal shares, one source after the other."""
+    """Concatenation of the sources; of each, part `group_id` of `groups` equal parts of its channels."""
 
     groups: int
     group_id: int
@@ -93,19 +109,25 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Shortcut:
-    """The sum of all sources."""
+    """Sum of all sources, with an activation."""
 
     activation: str
 
 
 @dataclass(frozen=True, slots=True)
 class Dropout:
-    """Does nothing once training is over."""
+    """Dropout; has no effect in inference."""
 
 
 @dataclass(frozen=True, slots=True)
 class YoloHead:
-    """The reader of an output; `anchors_px` are those of its mask, in input pixels."""
+    """A [yolo] layer.
+
+    Attributes:
+        anchors_px: (width, height) in input pixels of the anchors in its mask.
+        n_classes: number of classes.
+        scale_x_y: factor on the range of the centre offsets.
+    """
 
     anchors_px: tuple[tuple[float, float], ...]
     n_classes: int
@@ -117,7 +139,7 @@ Operation = Convolution | MaxPool | Upsample | Route | Shortcut | Dropout | Yolo
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One layer: an operation on other layers (their indices, or IMAGE), and the shape that comes out."""
+    """One layer: its operation, the indices of its source layers (or `IMAGE`) and the shape of its output."""
 
     operation: Operation
     sources: tuple[int, ...]
@@ -126,12 +148,12 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """What a cfg describes.
+    """The network that a cfg describes.
 
     Attributes:
-        input_shape: of the image.
-        letter_box: what [net] says of it; None = nothing.
-        layers: in the cfg's order, so that sources come first.
+        input_shape: shape of the input image.
+        letter_box: value of letter_box in [net]; None = absent.
+        layers: the layers in the cfg's order; sources precede the layers that use them.
     """
 
     input_shape: Shape
@@ -140,10 +162,10 @@ class Network:
 
     @property
     def n_values(self) -> int:
-        """How many numbers the weights file holds."""
+        """Number of values in the weights file."""
         return sum(layer.operation.n_values for layer in self.layers if isinstance(layer.operation, Convolution))
 
     @property
     def heads(self) -> list[tuple[int, YoloHead]]:
-        """Each [yolo] with the layer that it reads, in the cfg's order."""
+        """Index of the source layer and the operation of each [yolo] layer, in the cfg's order."""
         return [(layer.sources[0], layer.operation) for layer in self.layers if isinstance(layer.operation, YoloHead)]

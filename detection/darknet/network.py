@@ -1,6 +1,6 @@
-"""From a Darknet cfg to layers: who reads whom, and with which shapes, or what is wrong with it.
+"""Conversion of a Darknet cfg into layers with their sources and shapes.
 
-Layers count from 0 with the section after [net]; `layers=-1` is the one before, `layers=8` the ninth of all.
+Layers count from 0 at the section after [net]; `layers=-1` is the previous layer, `layers=8` the ninth layer.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ def read_network(path: Path) -> Network:
     """The network that the cfg at `path` describes.
 
     Raises:
-        ModelError: no readable cfg, or it wants what cannot be imported.
+        ModelError: the file is not a readable cfg, is inconsistent, or has unsupported layers or options.
     """
     net, *sections = read_sections(path, tuple(_READERS))
-    n_channels, height, width = (net.whole(key, default, least=1) for key, default in _NET_SIZES.items())
+    n_channels, height, width = (net.integer(key, default, minimum=1) for key, default in _NET_SIZES.items())
     if n_channels != 3:
-        raise net.error(f"channels={n_channels}; images have three")
+        raise net.error(f"expected channels=3, got channels={n_channels}")
     trunk = _Trunk((n_channels, height, width))
     for section in sections:
         trunk.layers.append(_READERS[section.kind](section, trunk))
     network = Network(
-        trunk.image, net.whole("letter_box") if "letter_box" in net.options else None, tuple(trunk.layers)
+        trunk.image, net.integer("letter_box") if "letter_box" in net.options else None, tuple(trunk.layers)
     )
     _check_heads(net, [head for _, head in network.heads])
     return network
@@ -47,109 +47,112 @@ def read_network(path: Path) -> Network:
 
 def _check_heads(net: Section, heads: Sequence[YoloHead]) -> None:
     if len(heads) not in (2, 3):
-        raise net.error(f"the network has {len(heads)} sections [yolo]; two or three wanted, as in YOLOv3 and YOLOv4")
+        raise net.error(f"expected two or three [yolo] sections as in YOLOv3 and YOLOv4, got {len(heads)}")
     if len({(len(head.anchors_px), head.n_classes) for head in heads}) != 1:
-        raise net.error("all sections [yolo] must have the same number of classes and of anchors in their masks")
+        raise net.error("expected the same number of classes and of anchors per mask in all [yolo] sections")
 
 
 _NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}
+"""Options of [net] with the input's shape, and their defaults; None = no default."""
 
 
 class _Trunk:
-    """The layers so far."""
+    """Layers read so far, and the shape of the input image."""
 
     def __init__(self, image: Shape) -> None:
         self.image = image
         self.layers: list[Layer] = []
 
     def before(self, section: Section) -> int:
-        """Index of the layer before; what comes out of [yolo] are no features."""
+        """Index of the previous layer."""
         return self.source(section, len(self.layers) - 1)
 
     def source(self, section: Section, index: int) -> int:
+        """`index` after a check that the layer is not a [yolo], whose output cannot be an input of layers."""
         if index >= 0 and isinstance(self.layers[index].operation, YoloHead):
-            raise section.error(f"it reads layer {index}, a [yolo], which only an output may do")
+            raise section.error(f"its source, layer {index}, is a [yolo] layer, which has no features")
         return index
 
     def shape(self, index: int) -> Shape:
         return self.image if index == IMAGE else self.layers[index].shape
 
     def layer_indices(self, section: Section, key: str) -> tuple[int, ...]:
-        """Layers that a section names: below zero counted back from itself, else from the first layer."""
-        own = len(self.layers)
-        indices = tuple(index + own if index < 0 else index for index in section.wholes(key))
-        if not all(0 <= index < own for index in indices):
-            raise section.error(f"'{key}={section.options[key]}' from layer {own} is no layer before it")
+        """Indices of the layers under `key`; negative numbers are relative to the current layer."""
+        current = len(self.layers)
+        indices = tuple(index + current if index < 0 else index for index in section.integers(key))
+        if not all(0 <= index < current for index in indices):
+            raise section.error(f"expected earlier layers than layer {current}, got '{key}={section.options[key]}'")
         return tuple(self.source(section, index) for index in indices)
 
 
 def _window(section: Section, shape: Shape, *, size: int, padding: int, stride_yx: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns that a sliding window leaves; `padding` counts both sides together."""
+    """Rows and columns of the output of a sliding window; `padding` is the sum of both sides."""
     rows, columns = ((side + padding - size) // stride + 1 for side, stride in zip(shape[1:], stride_yx, strict=True))
     if rows < 1 or columns < 1:
-        raise section.error(f"size={size} is larger than the {shape[2]}x{shape[1]} pixels before it")
+        raise section.error(f"size={size} is larger than its input of {shape[2]}x{shape[1]} pixels")
     return rows, columns
 
 
 def _stride_yx(section: Section) -> tuple[int, int]:
-    stride = section.whole("stride", 1, least=1)
-    return section.whole("stride_y", stride, least=1), section.whole("stride_x", stride, least=1)
+    stride = section.integer("stride", 1, minimum=1)
+    return section.integer("stride_y", stride, minimum=1), section.integer("stride_x", stride, minimum=1)
 
 
 def _convolution(section: Section, trunk: _Trunk) -> Layer:
-    section.refuse(_PLAIN_CONVOLUTION)
+    section.require_defaults(_PLAIN_CONVOLUTION)
     source = trunk.before(section)
     shape = trunk.shape(source)
-    size = section.whole("size", 1, least=1)
-    pad = size // 2 if section.whole("pad", 0) else section.whole("padding", 0)
+    size = section.integer("size", 1, minimum=1)
+    pad = size // 2 if section.integer("pad", 0) else section.integer("padding", 0)
     operation = Convolution(
-        n_filters=section.whole("filters", 1, least=1),
+        n_filters=section.integer("filters", 1, minimum=1),
         n_channels=shape[0],
         size=size,
         stride_yx=_stride_yx(section),
         pad=pad,
-        groups=section.whole("groups", 1, least=1),
-        has_batch_norm=section.whole("batch_normalize", 0) > 0,
+        groups=section.integer("groups", 1, minimum=1),
+        has_batch_norm=section.integer("batch_normalize", 0) > 0,
         activation=section.word("activation", "logistic", ACTIVATIONS),
     )
     if operation.n_channels % operation.groups or operation.n_filters % operation.groups:
         raise section.error(
-            f"groups={operation.groups} does not divide {operation.n_channels} channels into {operation.n_filters}"
+            f"groups={operation.groups} does not divide {operation.n_channels} channels and {operation.n_filters} "
+            "filters"
         )
     rows, columns = _window(section, shape, size=size, padding=2 * pad, stride_yx=operation.stride_yx)
     return Layer(operation, (source,), (operation.n_filters, rows, columns))
 
 
 def _max_pool(section: Section, trunk: _Trunk) -> Layer:
-    section.refuse({"maxpool_depth": 0, "antialiasing": 0})
+    section.require_defaults({"maxpool_depth": 0, "antialiasing": 0})
     source = trunk.before(section)
     shape = trunk.shape(source)
     stride_yx = _stride_yx(section)
-    size = section.whole("size", section.whole("stride", 1, least=1), least=1)
-    padding = section.whole("padding", size - 1)
+    size = section.integer("size", section.integer("stride", 1, minimum=1), minimum=1)
+    padding = section.integer("padding", size - 1)
     if (padding + 1) // 2 >= size:
-        raise section.error(f"padding={padding} leaves windows of size={size} wholly outside")
+        raise section.error(f"padding={padding} is too large for size={size}: some windows are outside the input")
     rows, columns = _window(section, shape, size=size, padding=padding, stride_yx=stride_yx)
     return Layer(MaxPool(size, stride_yx, padding), (source,), (shape[0], rows, columns))
 
 
 def _upsample(section: Section, trunk: _Trunk) -> Layer:
-    section.refuse({"scale": 1})
+    section.require_defaults({"scale": 1})
     source = trunk.before(section)
     channels, rows, columns = trunk.shape(source)
-    stride = section.whole("stride", 2, least=1)
+    stride = section.integer("stride", 2, minimum=1)
     return Layer(Upsample(stride), (source,), (channels, rows * stride, columns * stride))
 
 
 def _route(section: Section, trunk: _Trunk) -> Layer:
     sources = trunk.layer_indices(section, "layers")
     shapes = [trunk.shape(source) for source in sources]
-    groups, group_id = section.whole("groups", 1, least=1), section.whole("group_id", 0)
+    groups, group_id = section.integer("groups", 1, minimum=1), section.integer("group_id", 0)
     if group_id >= groups or any(shape[0] % groups for shape in shapes):
         counts = ", ".join(str(shape[0]) for shape in shapes)
-        raise section.error(f"groups={groups}, group_id={group_id} is no share of {counts} channels")
+        raise section.error(f"groups={groups}, group_id={group_id} is not a valid part of {counts} channels")
     if len({shape[1:] for shape in shapes}) != 1:
-        raise section.error(f"its layers differ in size: {_sizes(shapes)}; do width and height of [net] suit?")
+        raise section.error(f"its layers differ in size: {_sizes(shapes)}; check width and height of [net]")
     channels = sum(shape[0] // groups for shape in shapes)
     return Layer(Route(groups, group_id), sources, (channels, *shapes[0][1:]))
 
@@ -169,24 +172,24 @@ def _dropout(section: Section, trunk: _Trunk) -> Layer:
 
 
 def _yolo(section: Section, trunk: _Trunk) -> Layer:
-    section.refuse({"new_coords": 0})
+    section.require_defaults({"new_coords": 0})
     source = trunk.before(section)
     numbers = section.numbers("anchors")
     if len(numbers) % 2 or min(numbers) <= 0:
-        raise section.error("anchors are pairs of a width and a height above zero")
+        raise section.error("expected anchors as pairs of a positive width and height")
     anchors = tuple(zip(numbers[::2], numbers[1::2], strict=True))
-    mask = section.wholes("mask") if "mask" in section.options else tuple(range(section.whole("num", 1, least=1)))
+    mask = section.integers("mask") if "mask" in section.options else tuple(range(section.integer("num", 1, minimum=1)))
     if not all(0 <= index < len(anchors) for index in mask):
-        raise section.error(f"mask {', '.join(map(str, mask))} names anchors that are not there: it has {len(anchors)}")
+        raise section.error(f"expected a mask of numbers below {len(anchors)}, got {', '.join(map(str, mask))}")
     scale = section.numbers("scale_x_y", 1.0)[0]
     if not 1 <= scale <= 2:
-        raise section.error(f"scale_x_y={scale:g} is not from 1 to 2")
-    n_classes = section.whole("classes", 20, least=1)
-    wanted, shape = len(mask) * (5 + n_classes), trunk.shape(source)
-    if shape[0] != wanted or source == IMAGE or not isinstance(trunk.layers[source].operation, Convolution):
+        raise section.error(f"expected scale_x_y from 1 to 2, got {scale:g}")
+    n_classes = section.integer("classes", 20, minimum=1)
+    n_filters, shape = len(mask) * (5 + n_classes), trunk.shape(source)
+    if shape[0] != n_filters or source == IMAGE or not isinstance(trunk.layers[source].operation, Convolution):
         raise section.error(
-            f"the layer before it must be a [convolutional] with filters={wanted}: {len(mask)} anchors x "
-            f"(5 + {n_classes} classes); it has {shape[0]} channels"
+            f"expected a [convolutional] layer with filters={n_filters} before it, for {len(mask)} anchors x "
+            f"(5 + {n_classes} classes); got {shape[0]} channels"
         )
     return Layer(YoloHead(tuple(anchors[index] for index in mask), n_classes, scale), (source,), shape)
 
@@ -201,7 +204,7 @@ _PLAIN_CONVOLUTION = {
     "dilation": 1,
     "share_index": -1_000_000_000,
 }
-"""Darknet's defaults of options that would change the weights file or the arithmetic."""
+"""Darknet's defaults of unsupported options, which would change the weights file or the arithmetic."""
 
 _READERS: Mapping[str, Callable[[Section, _Trunk], Layer]] = {
     "convolutional": _convolution,

@@ -1,14 +1,15 @@
-"""Darknet's weights file: a header, then the float32 numbers of every convolution in the cfg's order.
+"""Reader of Darknet's weights files: a header and the float32 values of every convolution in the cfg's order.
 
-    int32 major, minor, revision; how many images were seen: uint64 from version 0.2 on, uint32 before
+    int32 major, minor, revision; number of training images: uint64 from version 0.2, uint32 before
     per convolution: bias[F], with batch norm also scale[F], mean[F], variance[F], then weights[F, C / groups, k, k]
 
-All little-endian. Batch norm becomes part of the convolution, in float64:
+All values are little-endian. Batch norm is folded into the convolution, in float64:
 
-    a = scale / sqrt(variance + 0.00001)        weights' = a weights        bias' = bias - a mean
+    a = scale / sqrt(variance + epsilon)        weights' = a weights        bias' = bias - a mean
 
-as in AlexeyAB's `fuse_conv_batchnorm` (network.c), with whose program YOLOv4 was trained. Redmon's first program has
-sqrt(variance) + 0.000001, and OpenCV sqrt(variance + 0.000001): only channels that hardly vary can tell.
+with epsilon = 0.00001 as in AlexeyAB's `fuse_conv_batchnorm` (network.c), with which YOLOv4 was trained. Redmon's
+Darknet uses sqrt(variance) + 0.000001 and OpenCV sqrt(variance + 0.000001); the difference matters only for channels
+with a tiny variance.
 """
 
 from __future__ import annotations
@@ -24,56 +25,63 @@ from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.arrays import FloatArray32
 
 _EPSILON = 0.00001
+"""Number added to the variance of batch norm, as in AlexeyAB's Darknet."""
+
 _VERSION_BYTES = 12
+"""Size of the three version numbers at the start of the file."""
+
 _BYTES_PER_VALUE = 4
+"""Size of a float32."""
 
 
 def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray32, FloatArray32]]:
-    """Weights (F, C / groups, k, k) and bias (F,) of each convolution of `network`, batch norm folded in.
+    """Weights (F, C / groups, k, k) and bias (F,) of each convolution of `network`, including its batch norm.
 
     Raises:
-        ModelError: the file cannot be read, or holds more or fewer numbers than the network wants, or some that are
-            not finite.
+        ModelError: the file cannot be read, has a different number of values than the network, or values that are not
+            finite.
     """
     values = _values(path, network.n_values)
     start = 0
     for index, layer in enumerate(network.layers):
         if isinstance(layer.operation, Convolution):
             end = start + layer.operation.n_values
-            with np.errstate(all="ignore"):  # what overflows is told below
+            with np.errstate(all="ignore"):  # overflow is reported below
                 weights, bias = _folded(layer.operation, values[start:end].astype(np.float64))
             if not (np.isfinite(weights).all() and np.isfinite(bias).all()):
                 raise ModelError(
-                    f"{path}: the weights of layer {index} are not finite; the training went astray, or the file is "
-                    "not of this cfg."
+                    f"{path}: the weights of layer {index} are not finite; the training diverged, or the file does not "
+                    "belong to this cfg."
                 )
             yield weights, bias
             start = end
 
 
-def _values(path: Path, n_wanted: int) -> npt.NDArray[np.float32]:
-    """All numbers after the header, which must be as many as wanted."""
+def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
+    """(n_expected,) the values after the header."""
     try:
         content = path.read_bytes()
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror}).") from error
     version = np.frombuffer(content[:_VERSION_BYTES].ljust(_VERSION_BYTES, b"\0"), "<i4")
     header_bytes = _VERSION_BYTES + (8 if version[0] * 10 + version[1] >= 2 else 4)
-    n_found, rest_bytes = divmod(len(content) - header_bytes, _BYTES_PER_VALUE)
+    n_values, rest_bytes = divmod(len(content) - header_bytes, _BYTES_PER_VALUE)
     if len(content) < header_bytes:
-        raise ModelError(f"{path}: {len(content)} bytes are no Darknet weights; the header alone has {header_bytes}.")
-    if n_found != n_wanted or rest_bytes:
-        rest = f" and {rest_bytes} bytes" if rest_bytes else ""
-        fault = "too short" if n_found < n_wanted else "too long"
         raise ModelError(
-            f"{path}: {fault}: the cfg wants {n_wanted:,} numbers, the file holds {n_found:,}{rest}; download or copy "
-            "it again, or give the cfg that it was trained with."
+            f"{path}: expected Darknet weights with a header of {header_bytes} bytes, got a file of {len(content)} "
+            "bytes."
+        )
+    if n_values != n_expected or rest_bytes:
+        rest = f" and {rest_bytes} bytes" if rest_bytes else ""
+        raise ModelError(
+            f"{path}: expected {n_expected:,} values for this cfg, got {n_values:,}{rest}; download or copy the file "
+            "again, or specify the cfg that it was trained with."
         )
     return np.frombuffer(content, "<f4", offset=header_bytes)
 
 
 def _folded(operation: Convolution, values: npt.NDArray[np.float64]) -> tuple[FloatArray32, FloatArray32]:
-    """Weights and bias of one convolution from its part of the file."""
+    """Weights and bias of one convolution, including its batch norm, from its values in the file."""
     n_filters = operation.n_filters
     columns, weights = np.split(values, [operation.n_values - operation.n_weights])
     bias, *norm = columns.reshape(-1, n_filters)

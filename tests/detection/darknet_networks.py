@@ -1,4 +1,4 @@
-"""Darknet networks that the tests write: the structures of three published ones, of any width, and random weights."""
+"""Darknet networks for tests: the structures of three published networks with any width, and random weights."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ def section(kind, **options):
 
 
 class CfgWriter:
-    """Text of a cfg; `size_px` is width, height; `width` divides the filters of all layers but the outputs."""
+    """Writer of a cfg; `size_px` is (width, height), `width` divides the filters of all layers except the outputs."""
 
     def __init__(self, *, size_px, n_classes, width, anchors, net=""):
         self.n_classes, self.width, self.anchors = n_classes, width, anchors
@@ -87,7 +87,7 @@ def yolov4(*, size_px=(608, 608), n_classes=80, width=1, net=""):
 
 
 def _cross_stage(cfg, filters, n_blocks):
-    """CSPDarknet's stage: halved size, two branches, one of them with residual blocks."""
+    """Add a stage of CSPDarknet: half the size, two branches, one of them with residual blocks."""
     inner = filters // 2 if n_blocks > 1 else filters
     cfg.conv(filters, 3, 2, "mish").conv(inner, activation="mish").route(-2).conv(inner, activation="mish")
     for _ in range(n_blocks):
@@ -97,7 +97,7 @@ def _cross_stage(cfg, filters, n_blocks):
 
 
 def assorted(*, size_px=(104, 72), n_classes=3):
-    """What the published networks leave out: odd sizes, groups, padding=, other activations, three-fold upsampling."""
+    """Options that the published networks do not use: odd sizes, groups, padding=, activations, upsampling by 3."""
     cfg = CfgWriter(size_px=size_px, n_classes=n_classes, width=1, anchors=TINY_ANCHORS)
     cfg.conv(8, 3, 2, "swish").add("maxpool", size=3, stride=2)
     cfg.add("convolutional", batch_normalize=1, filters=12, groups=4, size=3, padding=2, activation="mish")
@@ -109,17 +109,17 @@ def assorted(*, size_px=(104, 72), n_classes=3):
 
 
 def write_weights(path, network, *, seed, version=(0, 2, 5), gain=2.0, more_variance=0.0):
-    """Random weights of a network (`detection.darknet.layers.Network`): He's scale, batch norm near its usual values.
+    """Write random weights of a network (`detection.darknet.layers.Network`) with batch norm near its usual values.
 
-    Written convolution by convolution as Darknet's program saves them, without the importer's own reader.
+    The format is written independently of the importer, convolution by convolution as Darknet saves them.
 
     Args:
-        gain: of the weights' variance over one by fan-in; 2 = He's. Residual blocks want less, since their sums grow.
-        more_variance: added to every variance of batch norm.
+        gain: variance of the weights times fan-in; 2 = He's. Residual blocks need less, because their sums grow.
+        more_variance: number added to every variance of batch norm.
     """
     rng = np.random.default_rng(seed)
-    seen = np.array([32_013_312], "<u8" if version[0] * 10 + version[1] >= 2 else "<u4")
-    parts = [np.array(version, "<i4").tobytes(), seen.tobytes()]
+    n_images = np.array([32_013_312], "<u8" if version[0] * 10 + version[1] >= 2 else "<u4")
+    parts = [np.array(version, "<i4").tobytes(), n_images.tobytes()]
     for layer in network.layers:
         if type(layer.operation).__name__ != "Convolution":
             continue

@@ -1,8 +1,9 @@
-"""Run by an interpreter that has OpenCV 4, whose dnn module still reads Darknet: outputs of networks as .npz files.
+"""Outputs of Darknet networks by OpenCV 4, whose dnn module can still read them, as .npz files.
 
     python opencv4_forward.py FOLDER        FOLDER/*.cfg with .weights and .blob.npy -> *.opencv.npz
 
-Of each network: `raw_0`, `raw_1`, ... what each [yolo] reads, and `decoded_0`, ... what it makes of that.
+It runs in a separate environment with OpenCV 4. Each file has the inputs (`raw_0`, `raw_1`, ...) and the outputs
+(`decoded_0`, ...) of the [yolo] layers.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Darknet's cfg text: how it is read, which shapes follow, and every way in which it can be wrong."""
+"""Darknet's cfg files: parsing, shapes of layers, and errors."""
 
 import tempfile
 from pathlib import Path
@@ -29,17 +29,17 @@ def network(text):
 
 
 def shape_of(layer_section, *, width=32, height=16):
-    """What one layer makes of an image of this size."""
+    """Output shape of a layer for an image of this size."""
     rest = CONV + section("route", layers="1") + HEAD + section("route", layers="1") + HEAD
     read = network(f"[net]\nwidth={width}\nheight={height}\n" + layer_section + rest)
     return read.layers[0].shape
 
 
 def test_cfg_whitespace_comments_and_aliases():
-    dressed = GOOD.replace("[net]", "# a comment\n; another\n[network]").replace("[convolutional]", " [conv] ")
-    dressed = dressed.replace("filters=6", "  filters = 6  # as many as wanted").replace("0\n", "0 ,\n", 1)
-    assert network(dressed) == network(GOOD)
-    assert network(b"\xef\xbb\xbf" + dressed.replace("\n", "\r\n").encode()) == network(GOOD)
+    variant = GOOD.replace("[net]", "# a comment\n; another\n[network]").replace("[convolutional]", " [conv] ")
+    variant = variant.replace("filters=6", "  filters = 6  # one anchor").replace("0\n", "0 ,\n", 1)
+    assert network(variant) == network(GOOD)
+    assert network(b"\xef\xbb\xbf" + variant.replace("\n", "\r\n").encode()) == network(GOOD)
     assert network(b"# \xb5\xc4\n" + GOOD.encode()) == network(GOOD)  # a comment in another encoding
 
 
@@ -60,9 +60,9 @@ def test_defaults_equal_darknet():
         activation="logistic",
     )
     assert (read.input_shape, read.letter_box) == ((3, 16, 32), None)
-    everything = network(GOOD.replace("mask=0", "").replace("num=2", "num=1"))
-    assert everything.heads[0][1].anchors_px == ((2, 3),)
-    assert everything.heads[0][1].scale_x_y == 1
+    without_mask = network(GOOD.replace("mask=0", "").replace("num=2", "num=1"))
+    assert without_mask.heads[0][1].anchors_px == ((2, 3),)
+    assert without_mask.heads[0][1].scale_x_y == 1
     assert len(network(GOOD.replace("classes=1", "").replace("filters=6", "filters=25")).heads) == 2
 
 
@@ -105,91 +105,82 @@ def test_pad_takes_precedence_over_padding():
 
 
 ERRORS = {
-    "nothing": ("", "no sections; a Darknet cfg begins with"),
-    "no net": (HEAD, r"the first section is \[convolutional\]; a Darknet cfg begins with \[net\]"),
-    "no section": ("width=3\n" + GOOD, "line 1: 'width=3' is no line of a Darknet cfg"),
-    "no equals": (GOOD.replace("mask=0", "mask 0"), "line 9: 'mask0' is no line of a Darknet cfg"),
-    "no key": (GOOD + "=3", "'=3' is no line"),
-    "long": (GOOD + "x" * 99, f"'{'x' * 40}...' is no line"),
-    "binary": (b"\x00\x01\xff\xfe\n" + GOOD.encode(), "line 1: '.{1,40}' is no line"),
-    "unknown": (
-        GOOD + "[reorg]\nstride=2",
-        r"line 27, \[reorg\]: this kind of section cannot be imported; known: \[convolutional\], \[maxpool\]",
-    ),
-    "second net": (GOOD + "[net]", r"\[net\]: this kind of section"),
-    "no width": ("[net]\nheight=16\n" + HEAD + TAIL, r"line 1, \[net\]: it has no line 'width=...'"),
-    "grey": (NET + "channels=1\n" + HEAD + TAIL, "channels=1; images have three"),
-    "no number": (GOOD.replace("width=32", "width=x"), "'width=x' cannot be used; whole numbers from 1 to 65535"),
-    "no size": (GOOD.replace("width=32", "width=0"), "'width=0' cannot be used; whole numbers from 1 to 65535"),
-    "huge": (GOOD.replace("filters=6", "filters=99999"), "'filters=99999' cannot be used"),
-    "activation": (GOOD.replace("linear", "gelu"), "'activation=gelu' cannot be used; known here: linear, leaky, relu"),
-    "xnor": (GOOD.replace("filters=6", "filters=6\nxnor=1"), "'xnor=1' cannot be used; only xnor=0 can be imported"),
-    "dilation": (GOOD.replace("filters=6", "filters=6\ndilation=2"), "only dilation=1 can be imported"),
-    "groups": (GOOD.replace("filters=6", "filters=6\ngroups=2"), "groups=2 does not divide 3 channels into 6"),
-    "window": (GOOD.replace("filters=6", "filters=6\nsize=17"), "size=17 is larger than the 32x16 pixels before it"),
-    "pool": (NET + section("maxpool", size=3, padding=9), "padding=9 leaves windows of size=3 wholly outside"),
-    "depth": (NET + section("maxpool", size=2, maxpool_depth=1), "only maxpool_depth=0 can be imported"),
-    "upsample": (NET + section("upsample", scale=0.5), "only scale=1 can be imported"),
-    "backwards": (NET + section("upsample", stride=-2), "'stride=-2' cannot be used"),
-    "no layers": (NET + "[route]", "it has no line 'layers=...'"),
-    "empty layers": (NET + "[route]\nlayers=,", "'layers=,' cannot be used; numbers wanted"),
-    "ahead": (NET + CONV + "[route]\nlayers=1", "'layers=1' from layer 1 is no layer before it"),
-    "too far": (NET + CONV + "[route]\nlayers=-2", "'layers=-2' from layer 1 is no layer before it"),
+    "nothing": ("", "no section"),
+    "no net": (HEAD, r"\[net\]"),
+    "no section": ("width=3\n" + GOOD, "line 1: .*'width=3'"),
+    "no equals": (GOOD.replace("mask=0", "mask 0"), "line 9: .*'mask0'"),
+    "no key": (GOOD + "=3", "'=3'"),
+    "long": (GOOD + "x" * 99, f"'{'x' * 40}...'"),
+    "binary": (b"\x00\x01\xff\xfe\n" + GOOD.encode(), "line 1: expected"),
+    "unknown": (GOOD + "[reorg]\nstride=2", r"line 27, \[reorg\]: .*not supported"),
+    "second net": (GOOD + "[net]", r"\[net\]: .*not supported"),
+    "no width": ("[net]\nheight=16\n" + HEAD + TAIL, r"line 1, \[net\]: .*'width=...'"),
+    "grey": (NET + "channels=1\n" + HEAD + TAIL, "channels=1"),
+    "no number": (GOOD.replace("width=32", "width=x"), "integers .*'width=x'"),
+    "no size": (GOOD.replace("width=32", "width=0"), "integers .*'width=0'"),
+    "huge": (GOOD.replace("filters=6", "filters=99999"), "'filters=99999'"),
+    "activation": (GOOD.replace("linear", "gelu"), "leaky.*'activation=gelu'"),
+    "xnor": (GOOD.replace("filters=6", "filters=6\nxnor=1"), "xnor=0"),
+    "dilation": (GOOD.replace("filters=6", "filters=6\ndilation=2"), "dilation=1"),
+    "groups": (GOOD.replace("filters=6", "filters=6\ngroups=2"), "groups=2"),
+    "window": (GOOD.replace("filters=6", "filters=6\nsize=17"), "size=17 .*32x16"),
+    "pool": (NET + section("maxpool", size=3, padding=9), "padding=9"),
+    "depth": (NET + section("maxpool", size=2, maxpool_depth=1), "maxpool_depth=0"),
+    "upsample": (NET + section("upsample", scale=0.5), "scale=1"),
+    "backwards": (NET + section("upsample", stride=-2), "'stride=-2'"),
+    "no layers": (NET + "[route]", "'layers=...'"),
+    "empty layers": (NET + "[route]\nlayers=,", "numbers.*'layers=,'"),
+    "ahead": (NET + CONV + "[route]\nlayers=1", "'layers=1'"),
+    "too far": (NET + CONV + "[route]\nlayers=-2", "'layers=-2'"),
     "sizes": (
         NET + CONV + section("maxpool", stride=2) + section("route", layers="-1,-2"),
-        "its layers differ in size: 16x8x6 and 32x16x6; do width and height of .net. suit",
+        "size: 16x8x6 and 32x16x6",
     ),
-    "share": (NET + CONV + section("route", layers=-1, groups=4), "groups=4, group_id=0 is no share of 6 channels"),
-    "share id": (NET + CONV + section("route", layers=-1, groups=2, group_id=2), "groups=2, group_id=2 is no share"),
-    "no from": (NET + CONV + "[shortcut]", "it has no line 'from=...'"),
+    "share": (NET + CONV + section("route", layers=-1, groups=4), "groups=4, group_id=0"),
+    "share id": (NET + CONV + section("route", layers=-1, groups=2, group_id=2), "groups=2, group_id=2"),
+    "no from": (NET + CONV + "[shortcut]", "'from=...'"),
     "shapes": (
         NET + CONV + section("convolutional", filters=5) + section("shortcut", from_=-2),
-        "its layers differ in shape: 32x16x5 and 32x16x6",
+        "shape: 32x16x5 and 32x16x6",
     ),
     "weighted": (
         NET + CONV + CONV + section("shortcut", from_=-2, weights_type="per_channel"),
-        "'weights_type=per_channel' cannot be used; known here: none",
+        "none.*'weights_type=per_channel'",
     ),
-    "after yolo": (NET + HEAD + HEAD, r"\[convolutional\]: it reads layer 1, a \[yolo\], which only an output may do"),
-    "route yolo": (NET + HEAD + section("route", layers=-1), r"\[route\]: it reads layer 1, a \[yolo\]"),
-    "new coordinates": (GOOD.replace("num=2", "num=2\nnew_coords=1"), "only new_coords=0 can be imported"),
-    "no anchors": (GOOD.replace("anchors=2,3, 4,5", ""), "it has no line 'anchors=...'"),
-    "odd anchors": (GOOD.replace("4,5", "4"), "anchors are pairs of a width and a height above zero"),
-    "zero anchors": (GOOD.replace("4,5", "4,0"), "anchors are pairs of a width and a height above zero"),
-    "worded anchors": (GOOD.replace("4,5", "4,x"), r"'anchors=2,3,4,x' cannot be used; numbers wanted"),
-    "endless anchors": (GOOD.replace("4,5", "4,inf"), r"'anchors=2,3,4,inf' cannot be used; numbers wanted"),
-    "mask": (GOOD.replace("mask=0", "mask=2"), "mask 2 names anchors that are not there: it has 2"),
-    "scale": (GOOD.replace("num=2", "num=2\nscale_x_y=3"), "scale_x_y=3 is not from 1 to 2"),
-    "filters": (
-        GOOD.replace("filters=6", "filters=7"),
-        r"must be a \[convolutional\] with filters=6: 1 anchors x \(5 \+ 1 classes\); it has 7 channels",
-    ),
-    "no conv": (
-        NET + CONV + section("maxpool") + YOLO,
-        r"the layer before it must be a \[convolutional\] with filters",
-    ),
-    "one head": (NET + HEAD, r"the network has 1 sections \[yolo\]; two or three wanted"),
-    "four heads": (GOOD + TAIL + TAIL, r"the network has 4 sections \[yolo\]; two or three wanted"),
+    "after yolo": (NET + HEAD + HEAD, r"\[convolutional\]: .*layer 1.*\[yolo\]"),
+    "route yolo": (NET + HEAD + section("route", layers=-1), r"\[route\]: .*layer 1.*\[yolo\]"),
+    "new coordinates": (GOOD.replace("num=2", "num=2\nnew_coords=1"), "new_coords=0"),
+    "no anchors": (GOOD.replace("anchors=2,3, 4,5", ""), "'anchors=...'"),
+    "odd anchors": (GOOD.replace("4,5", "4"), "anchors as pairs"),
+    "zero anchors": (GOOD.replace("4,5", "4,0"), "anchors as pairs"),
+    "worded anchors": (GOOD.replace("4,5", "4,x"), "numbers.*'anchors=2,3,4,x'"),
+    "endless anchors": (GOOD.replace("4,5", "4,inf"), "finite.*'anchors=2,3,4,inf'"),
+    "mask": (GOOD.replace("mask=0", "mask=2"), "mask"),
+    "scale": (GOOD.replace("num=2", "num=2\nscale_x_y=3"), "scale_x_y"),
+    "filters": (GOOD.replace("filters=6", "filters=7"), "filters=6.*7 channels"),
+    "no conv": (NET + CONV + section("maxpool") + YOLO, r"\[convolutional\]"),
+    "one head": (NET + HEAD, "got 1"),
+    "four heads": (GOOD + TAIL + TAIL, "got 4"),
     "uneven": (
         NET + HEAD + TAIL.replace("filters=6", "filters=12").replace("mask=0", "mask=0,1"),
-        "must have the same number of classes and of anchors in their masks",
+        "same number of classes",
     ),
 }
 
 
 @pytest.mark.parametrize("name", ERRORS)
-def test_messages_of_invalid_networks(name):
+def test_invalid_cfgs(name):
     text, message = ERRORS[name]
-    with pytest.raises(ModelError, match=message) as caught:
+    with pytest.raises(ModelError, match=rf"net\.cfg.*{message}") as caught:
         network(text)
     assert "\n" not in str(caught.value)
     assert str(caught.value).endswith(".")
 
 
-def test_valid_data_set_has_no_errors():
+def test_valid_cfg_has_no_errors():
     assert len(network(GOOD).layers) == 5
 
 
 def test_missing_cfg(tmp_path):
-    with pytest.raises(ModelError, match=r"none\.cfg: cannot be read \(No such file"):
+    with pytest.raises(ModelError, match=r"none\.cfg: cannot be read"):
         read_network(tmp_path / "none.cfg")

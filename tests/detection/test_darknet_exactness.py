@@ -1,4 +1,4 @@
-"""Imported Darknet networks beside OpenCV 4's own reader of Darknet files, on random weights."""
+"""Comparison of imported Darknet networks with OpenCV 4's reader of Darknet files, with random weights."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 OPENCV_EPSILON, DARKNET_EPSILON = 1e-6, 1e-5
 
 NETWORKS = {
-    # the cfg's text, and the gain of its weights: what keeps sums of residual blocks within bounds
+    # text of the cfg and gain of the weights, lower for residual blocks so that their sums stay in range
     "yolov4-tiny": (darknet_networks.yolov4_tiny(size_px=(416, 320)), 2.0),
     "yolov3-tiny": (darknet_networks.yolov3_tiny(size_px=(320, 416)), 2.0),
     "yolov4": (darknet_networks.yolov4(size_px=(256, 192), width=8), 1.4),
@@ -29,15 +29,15 @@ NETWORKS = {
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory):
-    """By network: (the cfg read, our outputs, OpenCV's), of one random image and random weights.
+    """Network, our outputs and OpenCV's outputs by name, for one random image and random weights.
 
-    OpenCV adds 1e-6 to a variance where Darknet adds 1e-5; it is handed variances that make up for that.
+    OpenCV adds 1e-6 to a variance, Darknet 1e-5; the difference is added to the variances for OpenCV.
     """
     python = Path(os.environ.get("TRACK_RANGE_OPENCV4", PROJECT / ".venv" / "opencv4" / "bin" / "python"))
     if not python.is_file():
-        pytest.skip(f"no OpenCV 4 to compare with: no {python} (`make setup` makes it; or set TRACK_RANGE_OPENCV4)")
+        pytest.skip(f"OpenCV 4 not available: no {python} (`make setup` installs it; or set TRACK_RANGE_OPENCV4)")
     folder = tmp_path_factory.mktemp("darknet")
-    ours = {}
+    outputs = {}
     for seed, (name, (text, gain)) in enumerate(NETWORKS.items()):
         cfg, weights = folder / f"{name}.cfg", folder / f"{name}.weights"
         cfg.write_text(text)
@@ -48,27 +48,27 @@ def compared(tmp_path_factory):
         write_weights(weights, network, seed=seed, gain=gain, more_variance=DARKNET_EPSILON - OPENCV_EPSILON)
         blob = np.random.default_rng(seed).random((1, *network.input_shape), np.float32)
         np.save(folder / f"{name}.blob.npy", blob)
-        ours[name] = network, OnnxSession(folder / f"{name}.onnx", Runtime(device="cpu", n_threads=1)).run(blob)
+        outputs[name] = network, OnnxSession(folder / f"{name}.onnx", Runtime(device="cpu", n_threads=1)).run(blob)
     subprocess.run([python, Path(__file__).with_name("opencv4_forward.py"), folder], check=True)
-    return {name: (*ours[name], dict(np.load(folder / f"{name}.opencv.npz"))) for name in NETWORKS}
+    return {name: (*outputs[name], dict(np.load(folder / f"{name}.opencv.npz"))) for name in NETWORKS}
 
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_outputs_equal_opencv(compared, name):
-    network, ours, theirs = compared[name]
-    assert len(ours) == len(network.heads) == len(theirs) / 2
-    for i, output in enumerate(ours):
-        expected = theirs[f"raw_{i}"]
-        assert expected.std(axis=(2, 3)).mean() > 0.02  # places differ: the image still matters this deep
+    network, outputs, opencv = compared[name]
+    assert len(outputs) == len(network.heads) == len(opencv) / 2
+    for i, output in enumerate(outputs):
+        expected = opencv[f"raw_{i}"]
+        assert expected.std(axis=(2, 3)).mean() > 0.02  # outputs vary over the image, so the input has an effect
         np.testing.assert_allclose(output, expected, rtol=0, atol=5e-5 * expected.std())
 
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_decoded_boxes_equal_opencv(compared, name):
-    network, ours, theirs = compared[name]
-    for i, (raw, (_, head)) in enumerate(zip(ours, network.heads, strict=True)):
+    network, outputs, opencv = compared[name]
+    for i, (raw, (_, head)) in enumerate(zip(outputs, network.heads, strict=True)):
         boxes, objectness, scores = decoded(raw[0], head, network.input_shape[1:])
-        expected = theirs[f"decoded_{i}"]
+        expected = opencv[f"decoded_{i}"]
         np.testing.assert_allclose(boxes, expected[:, :4], rtol=2e-4, atol=2e-5)
         np.testing.assert_allclose(objectness, expected[:, 4], rtol=0, atol=2e-5)
         is_clear = np.abs(scores - 0.2) > 1e-4  # OpenCV sets scores below 0.2 to zero
@@ -77,7 +77,7 @@ def test_decoded_boxes_equal_opencv(compared, name):
 
 
 def decoded(raw, head, input_hw):
-    """Boxes (N, 4) cx cy w h as shares of the image, objectness (N,), scores (N, C), cell by cell, anchor by anchor."""
+    """Boxes (N, 4) cx cy w h as fractions of the image, objectness (N,), scores (N, C), by cell and anchor."""
     n_rows, n_columns = raw.shape[1:]
     cells = raw.reshape(len(head.anchors_px), -1, n_rows, n_columns).transpose(2, 3, 0, 1).astype(float)
     row, column = np.mgrid[:n_rows, :n_columns][..., None]
