@@ -1,7 +1,8 @@
-"""Boxes of somebody's own detector, read from a file.
+"""Reader of files with recorded detections.
 
-KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC's), or our own tracks.csv: told from the content. A
-feat.npy beside a MOTChallenge file, the same rows with a descriptor after each (nwojke/deep_sort's), is read with it.
+The format is recognised from the content: KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC), or
+track-range's tracks.csv. A feat.npy next to a MOTChallenge file has the same rows with an embedding appended to each
+(the format of nwojke/deep_sort).
 """
 
 from __future__ import annotations
@@ -20,28 +21,32 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table
 
 _MOT_COLUMNS = range(7, 11)
+"""Numbers of columns that MOTChallenge's files have."""
+
 _PLAIN_COLUMNS = 6
+"""Number of columns of plain rows frame,x1,y1,x2,y2,score."""
+
 _FEATURES_NAME = "feat.npy"
 
 MAX_FRAME = 1_000_000
-"""Largest frame number accepted, counted from 0: nine hours at 30 Hz."""
+"""Largest frame number accepted, from 0: nine hours at 30 Hz."""
 
-_FAR_PX = 1e7
-"""Edges further out are no image's."""
+_MAX_COORDINATE_PX = 1e7
+"""Largest absolute pixel coordinate of a valid box."""
 
 DetectionForm = Literal["mot", "kitti", "rrc", "tracks"]
-"""MOTChallenge's rows, KITTI's, plain ones as RRC published them, or our own tracks.csv."""
+"""Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, or track-range's tracks.csv."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedDetections:
-    """Detections of a whole video, by frame.
+    """The N detections of a video.
 
     Attributes:
         frame: (N,) frame number from 0, ascending.
-        detections: (N) boxes in the same order.
-        form: of the file.
-        notes: sentences for the user: what was recognised, what was dropped.
+        detections: the N boxes in the same order.
+        form: format of the file.
+        notes: notes for the user on the recognised format and on dropped rows.
     """
 
     frame: IntArray
@@ -51,47 +56,48 @@ class RecordedDetections:
 
     @property
     def is_rectified(self) -> bool:
-        """Whether the boxes are in rectified pixels, as our own tracks are, not in the video's own."""
+        """Whether the boxes are in rectified pixels (tracks.csv), not in pixels of the original video."""
         return self.form == "tracks"
 
     @property
     def names_classes(self) -> bool:
-        """Whether the rows say what each box is."""
+        """Whether the file has a class for each box."""
         return self.form in ("kitti", "tracks")
 
     def at(self, frame_index: int) -> Detections:
-        """The detections of one frame; none where the file has none."""
+        """The detections of one frame."""
         first, last = np.searchsorted(self.frame, [frame_index, frame_index + 1])
         return self.detections.select(np.arange(first, last))
 
 
 def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionForm | None = None) -> RecordedDetections:
-    """Read a file, or a folder of KITTI object files.
+    """The detections in a file, or in a folder of KITTI object files.
 
     Args:
         path: the file or folder.
-        unnamed_class_id: class of every box where the format names none (MOT and plain boxes).
-        form: what it must be; None = what it is.
+        unnamed_class_id: class of every box if the format has no classes (MOTChallenge and plain rows).
+        form: the expected format; None = any.
 
     Raises:
-        LabelFileError: it cannot be read, or is none of the formats, or not the one wanted.
+        LabelFileError: the file cannot be read, has an unknown format, or not the expected one.
     """
     file_format = _format_of(path)
     kind, frame, boxes = _FORMATS[file_format](path, unnamed_class_id)
-    found = _form_of(file_format, kind)
-    if form not in (None, found):
-        raise LabelFileError(f"{path}: read as {kind}, that is the format {found}, not {form}.")
+    file_form = _form_of(file_format, kind)
+    if form not in (None, file_form):
+        raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({kind}).")
     score, score_note = _as_probability(boxes.score)
-    near = (np.abs(np.nan_to_num(boxes.xyxy_px, nan=np.inf)) < _FAR_PX).all(axis=1)
-    sound = are_valid_boxes(boxes.xyxy_px) & near & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
+    in_range = (np.abs(np.nan_to_num(boxes.xyxy_px, nan=np.inf)) < _MAX_COORDINATE_PX).all(axis=1)
+    is_valid = are_valid_boxes(boxes.xyxy_px) & in_range & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
     if np.any(frame > MAX_FRAME):
-        raise LabelFileError(f"{path}: frame {frame.max()}: numbers up to {MAX_FRAME} wanted.")
-    order = np.flatnonzero(sound)[np.argsort(frame[sound], kind="stable")]
-    notes = [f"{path.name} read as {kind}: {len(order)} boxes."]
+        raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {frame.max()}.")
+    order = np.flatnonzero(is_valid)[np.argsort(frame[is_valid], kind="stable")]
+    notes = [f"Read {path.name} as {kind}: {len(order)} boxes."]
     if len(order) < len(frame):
-        notes.append(f"{len(frame) - len(order)} rows of {path.name} are no box of a road class and were left out.")
+        n_dropped = len(frame) - len(order)
+        notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class.")
     detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
-    return RecordedDetections(frame[order], detections.select(order), found, notes=(*notes, *score_note))
+    return RecordedDetections(frame[order], detections.select(order), file_form, notes=(*notes, *score_note))
 
 
 def _format_of(path: Path) -> str:
@@ -103,9 +109,9 @@ def _format_of(path: Path) -> str:
     except OSError as error:
         raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except UnicodeDecodeError as error:
-        raise LabelFileError(f"{path}: not a text file; detections wanted.") from error
+        raise LabelFileError(f"{path}: expected detections, got a file that is not text.") from error
     if not first:
-        raise LabelFileError(f"{path}: the file is empty; detections wanted.")
+        raise LabelFileError(f"{path}: expected detections, got an empty file.")
     if "," not in first:
         return "kitti"
     return "tracks" if first.startswith("frame,") else "comma"
@@ -128,10 +134,10 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
-        raise LabelFileError(f"{path}: rows of numbers separated by commas, all of one length, wanted.") from error
+        raise LabelFileError(f"{path}: expected rows of comma-separated numbers, all of the same length.") from error
     number = table[:, 0]
     if not np.all((np.abs(number) <= MAX_FRAME + 1) & (np.rint(number) == number)):  # NaN fails too; MOT counts from 1
-        raise LabelFileError(f"{path}: frames must be whole numbers up to {MAX_FRAME}.")
+        raise LabelFileError(f"{path}: expected integers up to {MAX_FRAME} as frame numbers.")
     class_id = np.full(len(table), unnamed_class_id)
     name = ROAD_CLASSES[unnamed_class_id]
     if table.shape[1] == _PLAIN_COLUMNS:
@@ -139,41 +145,41 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
         return f"rows frame,x1,y1,x2,y2,score of class {name}", table[:, 0].astype(np.int64), boxes
     if table.shape[1] not in _MOT_COLUMNS:
         raise LabelFileError(
-            f"{path}: {table.shape[1]} columns; MOTChallenge's frame,id,x,y,w,h,score,... (7 to 10), "
-            "or frame,x1,y1,x2,y2,score (6) wanted."
+            f"{path}: expected 7 to 10 columns frame,id,x,y,w,h,score,... (MOTChallenge) or 6 columns "
+            f"frame,x1,y1,x2,y2,score, got {table.shape[1]}."
         )
-    score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 is MOTChallenge's "no score"
+    score = np.where(table[:, 6] == -1, 1.0, table[:, 6])  # -1 = no score in MOTChallenge
     boxes = Detections(xyxy_from_mot(table[:, 2:6]), score, class_id.astype(np.int64), _descriptors(path, table))
-    with_looks = f" with descriptors of {boxes.descriptor.shape[1]} numbers" if boxes.descriptor.shape[1] else ""
-    return f"MOTChallenge rows of class {name}{with_looks}", table[:, 0].astype(np.int64) - 1, boxes
+    with_embeddings = f" with embeddings of {boxes.descriptor.shape[1]} numbers" if boxes.descriptor.shape[1] else ""
+    return f"MOTChallenge rows of class {name}{with_embeddings}", table[:, 0].astype(np.int64) - 1, boxes
 
 
 def _descriptors(path: Path, table: FloatArray) -> Descriptors:
-    """(N, D) float32 from the feat.npy beside, of any length; D = 0 where there is none.
+    """(N, D) float32 embeddings from the feat.npy in the folder of `path`; D = 0 if there is no such file.
 
     Raises:
-        LabelFileError: it is there, but its rows are not those of the file.
+        LabelFileError: feat.npy cannot be read, or does not have the rows of `path`.
     """
-    beside = path.with_name(_FEATURES_NAME)
-    if not beside.is_file():
+    features_path = path.with_name(_FEATURES_NAME)
+    if not features_path.is_file():
         return np.zeros((len(table), 0), np.float32)
     try:
-        features = np.asarray(np.load(beside, allow_pickle=False), np.float64)
+        features = np.asarray(np.load(features_path, allow_pickle=False), np.float64)
     except (OSError, ValueError, EOFError) as error:
-        raise LabelFileError(f"{beside}: not an array of numbers ({type(error).__name__}).") from error
+        raise LabelFileError(f"{features_path}: expected an array of numbers ({type(error).__name__}).") from error
     n_columns = table.shape[1]
     if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
         raise LabelFileError(
-            f"{beside}: {len(table)} rows of {n_columns} numbers and a descriptor wanted, as in {path.name}; "
-            f"{features.shape} got."
+            f"{features_path}: expected the {len(table)} rows of {path.name}, {n_columns} numbers and an embedding "
+            f"each, got shape {features.shape}."
         )
     if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not np.isfinite(features).all():
-        raise LabelFileError(f"{beside}: its rows are not those of {path.name}, or are no numbers.")
+        raise LabelFileError(f"{features_path}: expected finite numbers and the same boxes as in {path.name}.")
     return features[:, n_columns:].astype(np.float32)
 
 
 def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
-    """(N, 4) MOTChallenge boxes (left and top counted from 1, width, height) -> our pixels, counted from 0."""
+    """(N, 4) left, top, right, bottom in pixels from 0, of MOTChallenge boxes (left and top from 1, width, height)."""
     left_top = ltwh[:, :2] - 1.0
     return np.concatenate([left_top, left_top + ltwh[:, 2:]], axis=1)
 
@@ -196,10 +202,10 @@ _FORMATS = {"kitti": _read_kitti, "comma": _read_comma, "tracks": _read_tracks_c
 
 
 def _as_probability(score: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-    """Scores in [0, 1]; raw detector margins, which know no bounds, go through a logistic, and a note says so."""
+    """Scores in [0, 1], and a note if the sigmoid was applied because some were outside of this range."""
     known = score[np.isfinite(score)]
     if not len(known) or (known.min() >= 0 and known.max() <= 1):
         return score, ()
-    squashed = np.where(np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan)
-    span = f"{known.min():.2f} .. {known.max():.2f}"
-    return squashed, (f"Scores of {span} are no probabilities: taken through a logistic (0 becomes 0.5).",)
+    probability = np.where(np.isfinite(score), 1.0 / (1.0 + np.exp(-np.clip(score, -50, 50))), np.nan)
+    span = f"{known.min():.2f} to {known.max():.2f}"
+    return probability, (f"Scores from {span} were converted to probabilities with the sigmoid (0 becomes 0.5).",)

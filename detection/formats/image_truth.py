@@ -1,4 +1,4 @@
-"""ImageTruth: what is to be found in one image, and what is neither right nor wrong to find."""
+"""ImageTruth: the labels of one image, including labels to ignore in the evaluation."""
 
 from __future__ import annotations
 
@@ -12,29 +12,32 @@ from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 ANY_CLASS = -1
-"""The class_id of what may be taken for anything, such as KITTI's Misc."""
+"""class_id of labels that are ignored for every class, such as KITTI's Misc."""
 
 ALL_COMPLETE: BoolArray = np.ones(len(ROAD_CLASSES), np.bool_)
+"""(8,) `ImageTruth.is_complete` of an image in which all road classes are labelled."""
 
 _KITTI_NEIGHBOUR = {"Van": "car", "Person_sitting": "person"}
-"""Types that KITTI's own evaluation neither rewards nor punishes, and the class they are taken for."""
+"""Types that KITTI's evaluation ignores, and the similar class that is evaluated."""
 
 _KITTI_REGION = "DontCare"
+"""KITTI's type of regions that are not evaluated."""
 
 _KITTI_COMPLETE: BoolArray = np.isin(ROAD_CLASSES, ("person", "bicycle", "car", "truck"))
-"""KITTI labels no motorcycles, buses, lights or signs."""
+"""(8,) classes that KITTI labels: all but motorcycles, buses, traffic lights and traffic signs."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImageTruth:
-    """The labels of one image; M = 0 means that there is nothing to find.
+    """The M labels of one image.
 
     Attributes:
-        xyxy_px: (M, 4) float64, pixel centres at whole numbers.
-        class_id: (M,) int64 road class, or ANY_CLASS (such a one is ignored in every class).
-        is_ignored: (M,) neither right nor wrong to find; met by IoU, once.
-        is_region: (M,) ignored, an area of many objects: met by the share of a detection inside it, again and again.
-        is_complete: (8,) by road class: every such object in the image is labelled; other classes are not counted.
+        xyxy_px: (M, 4) float64, pixel centres at integers.
+        class_id: (M,) int64 road class, or ANY_CLASS for labels that are ignored for every class.
+        is_ignored: (M,) a detection matched with the label counts neither as true nor as false positive.
+        is_region: (M,) ignored region of many objects: any number of detections match it, by the fraction inside it
+            instead of IoU.
+        is_complete: (8,) by road class: all objects of the class are labelled; other classes are not evaluated.
     """
 
     xyxy_px: FloatArray
@@ -53,7 +56,7 @@ class ImageTruth:
 
     @classmethod
     def of(cls, xyxy_px: Any, class_id: Any, *, is_ignored: Any = None, is_region: Any = None) -> ImageTruth:
-        """Labels of an image in which every class is labelled, from anything that numpy can read as such arrays."""
+        """Labels of an image in which all classes are labelled, from arrays or lists; see the attributes."""
         ids = np.asarray(class_id, np.int64).reshape(-1)
         regions = np.zeros(len(ids), np.bool_) if is_region is None else np.asarray(is_region, np.bool_).reshape(-1)
         ignored = np.zeros(len(ids), np.bool_) if is_ignored is None else np.asarray(is_ignored, np.bool_).reshape(-1)
@@ -62,12 +65,11 @@ class ImageTruth:
 
 
 def truth_of_kitti(labels: KittiLabels) -> ImageTruth:
-    """One image's KITTI rows.
+    """The truth of one image from its KITTI rows, for objects of any size, occlusion and truncation.
 
-    Car, Pedestrian, Cyclist and Truck are to be found; Van and Person_sitting are ignored beside their neighbour class,
-    Tram, Misc and what else there is beside every class; DontCare is a region. A Cyclist's box holds bicycle and rider,
-    COCO's bicycle has none: a detector of COCO's classes looks worse on it than it is. Objects of any size, occlusion
-    and truncation count.
+    Car, Pedestrian, Cyclist and Truck are evaluated; Van and Person_sitting are ignored for the similar class, Tram,
+    Misc and other types for every class; DontCare is a region. The box of a Cyclist includes the rider, that of COCO's
+    bicycle does not, so the score of a detector with COCO's classes is too low for this class.
     """
     types = [str(name) for name in labels.kitti_type]
     class_id = np.array([_kitti_class_id(name) for name in types], np.int64)

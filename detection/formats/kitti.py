@@ -1,10 +1,11 @@
-"""KITTI's label and detection files as parallel arrays.
+"""Reader of KITTI's label and detection files.
 
-One row per object, separated by blanks. Tracking files hold a whole sequence, object files one image each:
+Each row describes one object, in columns separated by blanks. A tracking file covers a sequence, an object file one
+image:
     tracking: frame id TYPE truncated occluded alpha x1 y1 x2 y2 h w l X Y Z rotation_y [score]
     object:            TYPE truncated occluded alpha x1 y1 x2 y2 h w l X Y Z rotation_y [score]
-x1 .. y2 are 0-based pixels; h w l the size and X Y Z the bottom centre of the 3-D box in metres, in the frame of the
-rectified reference camera (camera 0). A detection file says -1 or -1000 for what it does not know.
+x1 .. y2 are pixels from 0; h w l are the size and X Y Z the bottom centre of the 3-D box in metres, in the frame of the
+rectified reference camera (camera 0). Detection files have -1 or -1000 for unknown values.
 (Geiger et al., "Are we ready for autonomous driving?", CVPR 2012, and the development kit's readme.)
 """
 
@@ -20,28 +21,31 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.errors import UserError
 
 _TRACKING_COLUMNS = 17
+"""Number of columns of tracking labels, without the score."""
+
 _OBJECT_COLUMNS = 15
+"""Number of columns of object labels, without the score."""
 
 
 class LabelFileError(UserError):
-    """A label or detection file that cannot be read; the message names file, line and what was wanted."""
+    """An invalid label or detection file; the message has the file, the line and the expected content."""
 
 
 @dataclass(frozen=True, slots=True)
 class KittiLabels:
-    """Rows of a KITTI file in file order.
+    """The N rows of a KITTI file, in the file's order.
 
     Attributes:
-        frame: (N,) int64 frame number, from 0.
-        track_id: (N,) int64 as in the file; -1 = DontCare or a detection.
-        kitti_type: (N,) str, such as Car, Van, DontCare.
-        truncated: (N,) share outside the image (object files) or 0, 1, 2 (tracking files); -1 = unknown.
-        occluded: (N,) 0 = fully visible, 1 = partly, 2 = largely hidden, 3 = unknown; -1 = unknown.
+        frame: (N,) int64 frame number from 0.
+        track_id: (N,) int64 identity; -1 = DontCare or a detection.
+        kitti_type: (N,) str type, such as Car, Van, DontCare.
+        truncated: (N,) fraction outside the image (object files) or level 0, 1, 2 (tracking files); -1 = unknown.
+        occluded: (N,) 0 = fully visible, 1 = partly occluded, 2 = largely occluded, 3 or -1 = unknown.
         xyxy_px: (N, 4) box.
-        size_hwl_m: (N, 3) height, width, length; <= 0 where unknown.
+        size_hwl_m: (N, 3) height, width, length; <= 0 if unknown.
         location_m: (N, 3) bottom centre in the reference camera's frame.
         rotation_y_rad: (N,) yaw about the camera's y axis.
-        score: (N,) as in the file; NaN where it has none.
+        score: (N,) confidence; NaN if the file has none.
     """
 
     frame: IntArray
@@ -58,75 +62,76 @@ class KittiLabels:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def select(self, keep: BoolArray | IntArray) -> KittiLabels:
-        """The rows that a mask or an index array names."""
-        return KittiLabels(*(getattr(self, field.name)[keep] for field in fields(self)))
+    def select(self, index: BoolArray | IntArray) -> KittiLabels:
+        """The rows that a mask (N,) or an array of indices selects."""
+        return KittiLabels(*(getattr(self, field.name)[index] for field in fields(self)))
 
     @property
     def has_3d_box(self) -> BoolArray:
-        """(N,) which rows have a 3-D box."""
+        """(N,) mask of the rows that have a 3-D box."""
         return np.asarray((self.size_hwl_m > 0).all(axis=1) & (self.location_m > -999).all(axis=1))
 
 
 def read_kitti(path: Path) -> KittiLabels:
-    """Read a tracking file, or a folder of object files (000000.txt, 000001.txt, ...: the number is the frame).
+    """The rows of a tracking file, or of a folder of object files (000000.txt, ...; the number is the frame).
 
     Raises:
-        LabelFileError: nothing there, or a row that is no KITTI row.
+        LabelFileError: the file or folder cannot be read, is empty, or has an invalid row.
     """
     if path.is_dir():
         return _read_folder(path)
     rows = [row for row in _rows(path) if row[1]]
     if not rows:
-        raise LabelFileError(f"{path}: the file is empty; KITTI labels wanted.")
-    return _labels([_numbered(path, line, words, n_found=len(words)) for line, words in rows])
+        raise LabelFileError(f"{path}: expected KITTI labels, got an empty file.")
+    return _labels([_parsed(path, line, cells, n_columns=len(cells)) for line, cells in rows])
 
 
 def _read_folder(folder: Path) -> KittiLabels:
     files = sorted(file for file in folder.glob("*.txt") if file.stem.isdigit())
     if not files:
-        raise LabelFileError(f"{folder}: no label files such as 000000.txt in this folder.")
+        raise LabelFileError(f"{folder}: expected label files such as 000000.txt, found none.")
     return _labels([row for file in files for row in _object_rows(file, frame=file.stem)])
 
 
 def read_kitti_image(path: Path) -> KittiLabels:
-    """Read the object labels of one image, which may be none; they get the frame number 0.
+    """The object labels of one image, with frame number 0; the file may be empty.
 
     Raises:
-        LabelFileError: unreadable, or a row that is no KITTI object row.
+        LabelFileError: the file cannot be read, or has an invalid row.
     """
     return _labels(_object_rows(path, frame="0"))
 
 
 def _object_rows(path: Path, *, frame: str) -> list[tuple[str, list[float]]]:
     rows = [row for row in _rows(path) if row[1]]
-    return [_numbered(path, line, [frame, "-1", *words], n_found=len(words)) for line, words in rows]
+    return [_parsed(path, line, [frame, "-1", *cells], n_columns=len(cells)) for line, cells in rows]
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Line numbers from 1 and cells of each line."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except UnicodeDecodeError as error:
-        raise LabelFileError(f"{path}: not a text file; KITTI labels wanted.") from error
+        raise LabelFileError(f"{path}: expected KITTI labels, got a file that is not text.") from error
     return [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
 
 
-def _numbered(path: Path, line: int, words: list[str], *, n_found: int) -> tuple[str, list[float]]:
-    """Type and the other columns as numbers, score NaN where there is none."""
-    if len(words) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
+def _parsed(path: Path, line: int, cells: list[str], *, n_columns: int) -> tuple[str, list[float]]:
+    """Type and the other columns of a row as numbers; the score is NaN if there is none."""
+    if len(cells) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
         raise LabelFileError(
-            f"{path}, line {line}: {_TRACKING_COLUMNS} columns (18 with a score) of KITTI's tracking format wanted, "
-            f"or {_OBJECT_COLUMNS} (16) of object labels, one file per image in a folder; found {n_found}."
+            f"{path}, line {line}: expected {_TRACKING_COLUMNS} columns (18 with a score) of KITTI tracking labels, "
+            f"or {_OBJECT_COLUMNS} (16) of object labels in a folder with one file per image; got {n_columns}."
         )
     try:
-        numbers = [float(word) for word in (*words[:2], *words[3:])]
+        numbers = [float(cell) for cell in (*cells[:2], *cells[3:])]
     except ValueError as error:
-        raise LabelFileError(f"{path}, line {line}: a number wanted ({error}).") from error
+        raise LabelFileError(f"{path}, line {line}: expected numbers ({error}).") from error
     if not np.isfinite(numbers).all() or numbers[0] < 0:
-        raise LabelFileError(f"{path}, line {line}: finite numbers and a frame from 0 wanted.")
-    return words[2], numbers if len(numbers) == _TRACKING_COLUMNS else [*numbers, np.nan]
+        raise LabelFileError(f"{path}, line {line}: expected finite numbers and a frame number from 0.")
+    return cells[2], numbers if len(numbers) == _TRACKING_COLUMNS else [*numbers, np.nan]
 
 
 def _labels(rows: list[tuple[str, list[float]]]) -> KittiLabels:

@@ -1,11 +1,11 @@
-"""Labelled images: which images there are, and what is to be found in each, from YOLO, KITTI or COCO labels.
+"""Reader of labelled images with YOLO, KITTI or COCO labels.
 
-    yolo   one NAME.txt per image: `class cx cy w h`, shares of the image
-    kitti  one NAME.txt per image (object labels), or one file of a sequence (tracking labels), by frame number
-    coco   one JSON: images, annotations (bbox x y w h in pixels, iscrowd), categories
+    yolo   one NAME.txt per image: `class cx cy w h` as fractions of the image size
+    kitti  one NAME.txt per image (object labels), or one file per sequence (tracking labels), by frame number
+    coco   one JSON file: images, annotations (bbox x y w h in pixels, iscrowd), categories
 
-Labels use the corner convention (the image's left edge is 0), ours has pixel centres at whole numbers: minus half a
-pixel. KITTI's are taken as they are (`detection.formats.kitti`).
+YOLO and COCO labels use the corner convention (the image's left edge is 0); half a pixel is subtracted, so that pixel
+centres are at integers. KITTI labels are used without change (`detection.formats.kitti`).
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from track_range.foundation.errors import UserError
 LabelFormat = Literal["yolo", "kitti", "coco"]
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
+"""File name suffixes of images, in lower case."""
 
 
 class ImageFileError(UserError):
-    """An image that cannot be read; the message names it."""
+    """An image or folder of images that cannot be read; the message has its path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +42,10 @@ class LabelledImage:
     """One image and its labels.
 
     Attributes:
-        path: the image's file.
-        truth: its labels; boxes are shares of the image where `is_normalised`.
-        notes: sentences on labels that were cut or left out.
+        path: the image file.
+        truth: its labels.
+        is_normalised: the boxes of `truth` are fractions of the image size, in the corner convention.
+        notes: notes for the user on labels that were clipped or ignored.
     """
 
     path: Path
@@ -52,7 +54,7 @@ class LabelledImage:
     notes: tuple[str, ...] = ()
 
     def truth_in(self, image: Image) -> ImageTruth:
-        """The labels in the image's pixels."""
+        """The labels in pixels of `image`."""
         if not self.is_normalised:
             return self.truth
         height, width = image.shape[:2]
@@ -61,17 +63,17 @@ class LabelledImage:
 
 @dataclass(frozen=True, slots=True)
 class ManifestRow:
-    """What a manifest says of one image: its split, and which classes are labelled completely."""
+    """Row of a manifest: split of an image, and (8,) which road classes are completely labelled in it."""
 
     split: str
     is_complete: BoolArray
 
 
 def read_image(path: Path) -> Image:
-    """An image as (H, W, 3) uint8 BGR: grey becomes grey colours, 16 bits their upper 8; upright as its EXIF says.
+    """An image as (H, W, 3) uint8 BGR, from colour or grey images of 8 or 16 bits; rotated according to EXIF.
 
     Raises:
-        ImageFileError: missing, empty, or no image.
+        ImageFileError: the file cannot be read, or is not a valid image.
     """
     try:
         encoded = np.fromfile(path, np.uint8)
@@ -82,58 +84,59 @@ def read_image(path: Path) -> Image:
     except cv2.error:
         image = None
     if image is None:
-        raise ImageFileError(f"{path}: not an image, or a damaged one.")
+        raise ImageFileError(f"{path}: not an image, or damaged.")
     return np.asarray(image, np.uint8)
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The images of a folder, by name.
+    """The paths of the images in a folder, sorted by name.
 
     Raises:
-        ImageFileError: no such folder, or no image in it.
+        ImageFileError: the folder does not exist, cannot be read, or has no images.
     """
     if not folder.is_dir():
-        raise ImageFileError(f"{folder}: no such folder of images.")
+        raise ImageFileError(f"{folder}: expected a folder of images, found none.")
     try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
     except OSError as error:
         raise ImageFileError(f"{folder}: cannot be read ({error.strerror or error}).") from error
-    if not found:
-        raise ImageFileError(f"{folder}: no images ({', '.join(sorted(IMAGE_SUFFIXES))}) in it.")
-    return found
+    if not paths:
+        raise ImageFileError(f"{folder}: expected images ({', '.join(sorted(IMAGE_SUFFIXES))}), found none.")
+    return paths
 
 
 def read_labelled(
     images: Path, labels: Path, label_format: LabelFormat, *, names: Sequence[str] | None = None
 ) -> list[LabelledImage]:
-    """The images of a folder that have labels, in the order of their names.
+    """The images of a folder that have labels, sorted by name.
 
     Args:
         images: folder of images.
-        labels: folder of label files, or the one file of a COCO set or a KITTI sequence.
-        label_format: what they are.
-        names: class names of YOLO's numbers; None = from classes.txt or data.yaml there, else the 8 road classes.
+        labels: folder of label files, or the file of a COCO data set or a KITTI sequence.
+        label_format: format of the labels.
+        names: class names for the numbers in YOLO labels; None = from classes.txt or data.yaml in the folder of labels,
+            else the 8 road classes.
 
     Raises:
-        ImageFileError: no images.
-        LabelFileError: labels cannot be read, or belong to none of the images.
+        ImageFileError: there are no images.
+        LabelFileError: the labels cannot be read, or none of the images has labels.
     """
     paths = images_in(images)
     if label_format == "coco":
-        found = _coco(paths, labels)
+        labelled = _coco(paths, labels)
     elif label_format == "kitti" and labels.is_file():
         by_frame = read_sequence(labels)
-        found = [LabelledImage(p, by_frame(number), False) for p in paths if (number := _number(p)) is not None]
+        labelled = [LabelledImage(p, by_frame(number), False) for p in paths if (number := _number(p)) is not None]
     else:
         read = _yolo_reader(labels, names) if label_format == "yolo" else _kitti_object
-        found = [read(path, file) for path in paths if (file := labels / f"{path.stem}.txt").is_file()]
-    if not found:
-        raise LabelFileError(f"{labels}: no labels for any image of {images}; is it the right folder, or --format?")
-    return found
+        labelled = [read(path, file) for path in paths if (file := labels / f"{path.stem}.txt").is_file()]
+    if not labelled:
+        raise LabelFileError(f"{labels}: no labels for any image in {images}; check the folders and --format.")
+    return labelled
 
 
 def read_sequence(labels: Path) -> Callable[[int], ImageTruth]:
-    """Truth by frame number, from KITTI tracking labels.
+    """Function that returns the truth of a frame number, from KITTI tracking labels.
 
     Raises:
         LabelFileError: the file cannot be read.
@@ -143,12 +146,12 @@ def read_sequence(labels: Path) -> Callable[[int], ImageTruth]:
 
 
 def read_manifest(path: Path) -> dict[str, ManifestRow]:
-    """Split and completely labelled classes of each file: a CSV with columns file, split, labels_complete.
+    """Rows of a manifest by file name: a CSV with columns file, split, labels_complete.
 
-    `labels_complete` is eight flags such as 10111100, in the order of the road classes.
+    `labels_complete` consists of eight flags such as 10111100, in the order of the road classes.
 
     Raises:
-        LabelFileError: unreadable, or columns are missing or wrong.
+        LabelFileError: the file cannot be read, lacks a column, or has an invalid value.
     """
     table = read_csv_table(path, LabelFileError, "columns file, split, labels_complete")
     table.require(("file", "split", "labels_complete"))
@@ -156,13 +159,13 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
     columns = (table.texts("file"), table.texts("split"), table.texts("labels_complete"))
     for row, (file, split, flags) in enumerate(zip(*columns, strict=True)):
         if len(flags) != len(ROAD_CLASSES) or set(flags) - {"0", "1"}:
-            raise table.fault(row, f"expected {len(ROAD_CLASSES)} flags 0 or 1 for labels_complete, got '{flags}'.")
+            raise table.fault(row, f"labels_complete: expected {len(ROAD_CLASSES)} flags 0 or 1, got '{flags}'.")
         manifest[file] = ManifestRow(split, np.array([flag == "1" for flag in flags]))
     return manifest
 
 
 def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestRow], split: str) -> list[LabelledImage]:
-    """The images of one split, each with the classes that are complete in it; empty if there are none."""
+    """The images of one split of a manifest, with the manifest's completely labelled classes."""
     rows = [(item, manifest[item.path.name]) for item in labelled if item.path.name in manifest]
     return [
         replace(item, truth=replace(item.truth, is_complete=row.is_complete))
@@ -172,7 +175,7 @@ def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestR
 
 
 def _number(path: Path) -> int | None:
-    """The last number in a file's name."""
+    """The last number in a file name; None if there is none."""
     digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
     return int(digits[-1]) if digits else None
 
@@ -182,7 +185,7 @@ def _kitti_object(image: Path, file: Path) -> LabelledImage:
 
 
 def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, Path], LabelledImage]:
-    """A reader of one label file, which knows what the numbers mean."""
+    """Function that reads the label file of an image."""
     reader = YoloLabelReader(names, folder)
 
     def read(image: Path, file: Path) -> LabelledImage:
@@ -193,7 +196,7 @@ def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, P
 
 
 def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
-    """Images that a COCO set knows, by file name."""
+    """The images that a COCO file has labels for, by file name."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
         road_of = _road_of_categories(document["categories"])
@@ -211,13 +214,14 @@ def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
         raise LabelFileError(f"{file}: cannot be read ({error.strerror or error}).") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise LabelFileError(
-            f"{file}: COCO's images, annotations and categories wanted ({type(error).__name__}: {error})."
+            f"{file}: expected COCO's images, annotations and categories ({type(error).__name__}: {error})."
         ) from error
 
 
 def _road_of_categories(categories: Sequence[Mapping[str, Any]]) -> dict[Any, int]:
-    road = map_to_road_classes([str(each["name"]) for each in categories])
-    return {each["id"]: int(i) for each, i in zip(categories, road, strict=True) if i >= 0}
+    """Road class id by COCO category id; other categories are left out."""
+    road = map_to_road_classes([str(category["name"]) for category in categories])
+    return {category["id"]: int(i) for category, i in zip(categories, road, strict=True) if i >= 0}
 
 
 def _coco_truth(labels: Sequence[Mapping[str, Any]], road_of: Mapping[Any, int]) -> ImageTruth:

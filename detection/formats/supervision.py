@@ -1,7 +1,7 @@
-"""Boxes from and to supervision's `Detections`, or anything with its attributes; supervision itself is not needed.
+"""Conversion of boxes from and to supervision's `Detections` or objects with the same attributes.
 
-supervision's boxes, as those of most networks, are measured between the corners of pixels: the image's left edge is 0.
-Ours are measured between pixel centres, where it is -0.5, so boxes move by half a pixel on the way.
+supervision does not have to be installed. It uses the corner convention (the image's left edge is 0), track-range has
+pixel centres at integers (the left edge is -0.5), so boxes are shifted by half a pixel.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from track_range.detection.classes import COCO_CLASSES, ROAD_CLASSES, map_to_roa
 from track_range.foundation.arrays import FloatArray, IntArray
 
 _CORNER_FROM_CENTRE_PX = 0.5
+"""Offset of coordinates in the corner convention from those with pixel centres at integers."""
 
 
 @dataclass(frozen=True, slots=True)
 class SupervisionBoxes:
-    """The attributes of supervision's `Detections`, for where supervision is not installed.
+    """Substitute for supervision's `Detections` with the same attributes, if supervision is not installed.
 
     Attributes:
-        xyxy: (N, 4) float32 boxes, px, corner convention.
+        xyxy: (N, 4) float32 boxes in pixels, corner convention.
         confidence: (N,) float32 in [0, 1].
         class_id: (N,) int, index into `ROAD_CLASSES`.
         tracker_id: (N,) int, or None for detections without identities.
@@ -48,7 +49,7 @@ class RoadBoxes:
 
     Attributes:
         xyxy_px: (N, 4) boxes, pixel centres at integers.
-        score: (N,) confidence in [0, 1]; 1 where none was given.
+        score: (N,) confidence in [0, 1]; 1 if the boxes have none.
         class_id: (N,) index into `ROAD_CLASSES`.
         tracker_id: (N,) identities, or None.
     """
@@ -60,19 +61,18 @@ class RoadBoxes:
 
 
 def read_supervision(boxes: Any, class_names: Sequence[str] | None = None) -> RoadBoxes:
-    """The road users among `boxes`.
+    """The boxes of road classes among `boxes`.
 
     Args:
-        boxes: an object with `xyxy` (N, 4) and, each perhaps None, `confidence`, `class_id`, `tracker_id` (N,) and
-            `data`; other classes than road users are left out.
-        class_names: names of the class ids; None = `data["class_name"]` where it is there, else COCO's names.
+        boxes: an object with `xyxy` (N, 4) and optionally `confidence`, `class_id`, `tracker_id` (N,) and `data`.
+        class_names: names of the class ids; None = the names in `data["class_name"]`, else COCO's names.
 
     Raises:
         ValueError: arrays of unequal length, or a class id without a name.
     """
     xyxy = np.asarray(boxes.xyxy, np.float64).reshape(-1, 4)
     n = len(xyxy)
-    names = _names_of_each(boxes, class_names, n)
+    names = _class_names(boxes, class_names, n)
     class_id = map_to_road_classes(names)
     score = _column(boxes, "confidence", n)
     tracker_id = _column(boxes, "tracker_id", n)
@@ -88,7 +88,7 @@ def read_supervision(boxes: Any, class_names: Sequence[str] | None = None) -> Ro
 def supervision_boxes(
     xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, tracker_id: IntArray | None = None
 ) -> Any:
-    """Supervision's `Detections` where it is installed, else `SupervisionBoxes` with the same attributes.
+    """The boxes as supervision's `Detections` if it is installed, else as `SupervisionBoxes`.
 
     Args:
         xyxy_px: (N, 4) boxes, pixel centres at integers.
@@ -108,8 +108,12 @@ def supervision_boxes(
     return importlib.import_module("supervision").Detections(**attributes)
 
 
-def _names_of_each(boxes: Any, class_names: Sequence[str] | None, n: int) -> list[str]:
-    """(n,) class names; people where there are neither names nor ids would be a guess, so that is an error."""
+def _class_names(boxes: Any, class_names: Sequence[str] | None, n: int) -> list[str]:
+    """Class name of each of the n boxes.
+
+    Raises:
+        ValueError: the boxes have neither class names nor class ids, or a class id has no name.
+    """
     named = (getattr(boxes, "data", None) or {}).get("class_name")
     if class_names is None and named is not None:
         if len(named) != n:
@@ -121,11 +125,12 @@ def _names_of_each(boxes: Any, class_names: Sequence[str] | None, n: int) -> lis
     names = COCO_CLASSES if class_names is None else class_names
     unknown = [int(i) for i in class_id if not 0 <= i < len(names)]
     if unknown:
-        raise ValueError(f"class_id: expected 0 to {len(names) - 1}, got {unknown[0]}; give class_names")
+        raise ValueError(f"class_id: expected 0 to {len(names) - 1}, got {unknown[0]}; specify class_names")
     return [names[int(i)] for i in class_id]
 
 
 def _column(boxes: Any, name: str, n: int) -> npt.NDArray[Any] | None:
+    """(n,) values of an attribute; None if it is absent or None."""
     values = getattr(boxes, name, None)
     if values is None:
         return None

@@ -1,7 +1,7 @@
-"""YOLO label files: one NAME.txt per image, each line one object, in shares of the image.
+"""Reader of YOLO label files: one NAME.txt per image, one object per line, in fractions of the image size.
 
-A line is `class cx cy w h`, or with a sixth column, a score; `class x1 y1 x2 y2 x3 y3 ...` is an outline, of which the
-box around it is taken.
+A line is `class cx cy w h` with an optional score, or a polygon `class x1 y1 x2 y2 x3 y3 ...`, which is replaced by its
+bounding box.
 """
 
 from __future__ import annotations
@@ -20,9 +20,13 @@ from track_range.detection.models.metadata import names_of
 from track_range.foundation.arrays import FloatArray, IntArray
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
+"""Files that may have the class names, in the order in which they are tried."""
+
 _MAX_CLASS = 100_000
+"""Largest class number accepted."""
+
 _TOLERANCE = 2e-3
-"""How far a box may lie outside its image, as a share, without a word: labels are rounded."""
+"""Distance outside the image, as a fraction of its size, up to which boxes are clipped without a note (rounding)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +34,10 @@ class YoloLabels:
     """The road users of one label file.
 
     Attributes:
-        xyxy: (M, 4) left, top, right, bottom as shares of the image, inside it.
+        xyxy: (M, 4) left, top, right, bottom as fractions of the image size, clipped to the image.
         class_id: (M,) road class.
-        score: (M,) the sixth column; 1 where there is none.
-        notes: a sentence for each box that was cut at the image's edge or left out.
+        score: (M,) the sixth column; 1 if there is none.
+        notes: a note for the user on each box that was clipped or ignored.
     """
 
     xyxy: FloatArray
@@ -43,54 +47,54 @@ class YoloLabels:
 
 
 class YoloLabelReader:
-    """Reads label files of one list of classes."""
+    """Reader of label files with one list of classes."""
 
     def __init__(self, names: Sequence[str] | None, folder: Path | None = None) -> None:
-        """Know what the numbers mean.
+        """Determine the road classes of the class numbers.
 
         Args:
             names: class names; None = from classes.txt or data.yaml in `folder` or above it, else the 8 road classes.
-            folder: of the label files.
+            folder: folder of the label files.
 
         Raises:
-            LabelFileError: the file of names there has none.
+            LabelFileError: the file of class names cannot be read or has no names.
         """
-        known = tuple(names) if names is not None else names_beside(folder) if folder is not None else ()
+        known = tuple(names) if names is not None else names_for_folder(folder) if folder is not None else ()
         self._road: IntArray = map_to_road_classes(known or ROAD_CLASSES)
 
     def read(self, file: Path) -> YoloLabels:
         """The labels of one image.
 
         Raises:
-            LabelFileError: not readable, a line that is none, or a class number without a name.
+            LabelFileError: the file cannot be read, a line is invalid, or a class number has no name.
         """
         rows, line = _rows(file)
         number = rows[:, 0].astype(np.int64)
-        if len(wrong := np.flatnonzero((number < 0) | (number >= len(self._road)))):
+        if len(unknown := np.flatnonzero((number < 0) | (number >= len(self._road)))):
             raise LabelFileError(
-                f"{file}, line {line[wrong[0]]}: class {number[wrong[0]]}, but only {len(self._road)} class names are "
-                "known; give --label-names, or names in data.yaml."
+                f"{file}, line {line[unknown[0]]}: expected a class number from 0 to {len(self._road) - 1}, got "
+                f"{number[unknown[0]]}; specify the class names with --label-names or in data.yaml."
             )
-        whole = xyxy_from_cxcywh(rows[:, 1:5])
-        boxes = np.clip(whole, 0.0, 1.0)
-        is_cut = np.abs(boxes - whole).max(axis=1, initial=0.0) > _TOLERANCE
-        is_there = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
-        cut, gone = "reaches out of the image: cut at its edge", "is empty, or not in the image: left out"
+        original = xyxy_from_cxcywh(rows[:, 1:5])
+        boxes = np.clip(original, 0.0, 1.0)
+        is_clipped = np.abs(boxes - original).max(axis=1, initial=0.0) > _TOLERANCE
+        is_valid = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
+        clipped, ignored = "clipped a box that extends beyond the image", "ignored a box that is empty or outside"
         notes = [
-            f"{file}, line {line[i]}: the box {cut if is_there[i] else gone}."
-            for i in np.flatnonzero(is_cut | ~is_there)
+            f"{file}, line {line[i]}: {clipped if is_valid[i] else ignored}."
+            for i in np.flatnonzero(is_clipped | ~is_valid)
         ]
-        keep = is_there & (self._road[number] >= 0)
-        return YoloLabels(boxes[keep], self._road[number[keep]], rows[keep, 5], tuple(notes))
+        is_road = is_valid & (self._road[number] >= 0)
+        return YoloLabels(boxes[is_road], self._road[number[is_road]], rows[is_road, 5], tuple(notes))
 
 
-def names_beside(folder: Path) -> tuple[str, ...]:
-    """Class names of classes.txt or data.yaml in a folder of labels or the one above; empty = there are none.
+def names_for_folder(folder: Path) -> tuple[str, ...]:
+    """Class names in classes.txt or data.yaml of a folder of labels or its parent; empty if there is no such file.
 
     Raises:
-        LabelFileError: there is such a file, but without names.
+        LabelFileError: the file cannot be read, or has no names.
     """
-    for file in (place / name for place in (folder, folder.parent) for name in _NAME_FILES):
+    for file in (parent / name for parent in (folder, folder.parent) for name in _NAME_FILES):
         if not file.is_file():
             continue
         try:
@@ -99,34 +103,34 @@ def names_beside(folder: Path) -> tuple[str, ...]:
                 return tuple(line.strip() for line in text.splitlines() if line.strip())
             return names_of(yaml.safe_load(text)["names"])
         except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-            raise LabelFileError(f"{file}: no list of class names in it ({type(error).__name__}).") from error
+            raise LabelFileError(f"{file}: expected a list of class names ({type(error).__name__}).") from error
     return ()
 
 
 def _rows(file: Path) -> tuple[FloatArray, IntArray]:
-    """(N, 6) class, centre, size and score of a file, and (N,) the number of each line."""
+    """(N, 6) class, centre, size and score of the objects in a file, and (N,) their line numbers from 1."""
     try:
         text = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{file}: not readable as text ({error}).") from error
+        raise LabelFileError(f"{file}: not a readable text file ({error}).") from error
     rows, lines = [], []
     for number, line in enumerate(text, start=1):
-        if words := line.split():
-            row = _row(words)
+        if cells := line.split():
+            row = _row(cells)
             if not np.isfinite(row).all() or min(row[3:5]) < 0 or row[0] % 1 or abs(row[0]) > _MAX_CLASS:
                 raise LabelFileError(
-                    f"{file}, line {number}: 'class cx cy w h' wanted, a whole number and shares of the image, not "
-                    f"'{line.strip()[:40]}'."
+                    f"{file}, line {number}: expected 'class cx cy w h', an integer and fractions of the image size, "
+                    f"got '{line.strip()[:40]}'."
                 )
             rows.append(row)
             lines.append(number)
     return np.array(rows, np.float64).reshape(-1, 6), np.array(lines, np.int64)
 
 
-def _row(words: Sequence[str]) -> list[float]:
-    """Class, centre, size and score of one line; NaN for what cannot be read."""
+def _row(cells: Sequence[str]) -> list[float]:
+    """Class, centre, size and score of one line; NaN if the line is invalid."""
     try:
-        numbers = [float(word) for word in words]
+        numbers = [float(cell) for cell in cells]
     except ValueError:
         numbers = []
     if len(numbers) in (5, 6):

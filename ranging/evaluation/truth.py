@@ -100,7 +100,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
     return Truth(
         frame=labels.frame,
         track_id=labels.track_id,
-        kitti_type=labels.word,
+        kitti_type=labels.class_name,
         class_id=np.where(labels.visible_share < _HIDDEN_SHARE, -1, labels.class_id),
         xyxy_px=box_px,
         distance_m=np.where(scored, labels.distance_m, np.nan),

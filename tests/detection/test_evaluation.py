@@ -1,4 +1,4 @@
-"""Average precision: by hand, against pycocotools on random scenes, and truth against itself."""
+"""Average precision: hand-worked examples, comparison with pycocotools, and truth against itself."""
 
 import contextlib
 import io
@@ -21,9 +21,9 @@ ALL = np.arange(N)
 HALF = np.full(N, 0.5)
 
 
-def scores(found, truth, **options):
-    told = {"working_score": HALF, "known_class_id": ALL, "min_boxes": 1} | options
-    return evaluate_detections(found, truth, **told)
+def scores(detections, truth, **options):
+    arguments = {"working_score": HALF, "known_class_id": ALL, "min_boxes": 1} | options
+    return evaluate_detections(detections, truth, **arguments)
 
 
 def square(x, side=10.0):
@@ -31,11 +31,11 @@ def square(x, side=10.0):
 
 
 def test_by_hand():
-    # Three cars; found in the order hit, miss, hit: precision 1, 1/2, 2/3 at recall 1/3, 1/3, 2/3.
+    # Three cars; detections in the order hit, miss, hit: precision 1, 1/2, 2/3 at recall 1/3, 1/3, 2/3.
     truth = ImageTruth.of([square(0), square(100), square(200)], [CAR] * 3)
-    found = Detections.of([square(0), square(50), square(100)], [0.9, 0.8, 0.4], [CAR] * 3)
-    car = scores([found], [truth]).by_class[CAR]
-    # recall points 0 .. 0.33 see 1, 0.34 .. 0.66 see 2/3, the rest 0
+    detections = Detections.of([square(0), square(50), square(100)], [0.9, 0.8, 0.4], [CAR] * 3)
+    car = scores([detections], [truth]).by_class[CAR]
+    # interpolated precision 1 at recall 0 .. 0.33, 2/3 at 0.34 .. 0.66, 0 above
     assert car.ap50 == pytest.approx((34 * 1 + 33 * 2 / 3) / 101)
     assert (car.n_images, car.n_boxes) == (1, 3)
     assert (car.precision, car.recall) == (pytest.approx(1 / 2), pytest.approx(1 / 3))  # at 0.5 and above
@@ -56,20 +56,20 @@ def test_ignored_labels_and_regions():
         is_region=[False, False, True, False],
     )
     inside = [[210, 10, 220, 20], [230, 10, 240, 20]]  # two in one region
-    found = Detections.of([square(0), square(100), *inside, square(400)], [0.6, 0.9, 0.9, 0.8, 0.7], [CAR] * 5)
-    car = scores([found], [truth]).by_class[CAR]
+    detections = Detections.of([square(0), square(100), *inside, square(400)], [0.6, 0.9, 0.9, 0.8, 0.7], [CAR] * 5)
+    car = scores([detections], [truth]).by_class[CAR]
     assert (car.n_boxes, car.ap50, car.precision, car.recall) == (1, 1.0, 1.0, 1.0)
     twice = Detections.of([square(0), square(100), square(100)], [0.6, 0.9, 0.8], [CAR] * 3)
-    assert scores([twice], [truth]).by_class[CAR].precision == 0.5  # an ignored label is met once
+    assert scores([twice], [truth]).by_class[CAR].precision == 0.5  # an ignored label is matched once
 
 
 def test_incompletely_labelled_images_are_excluded():
     full, part = ImageTruth.of([square(0)], [CAR]), ImageTruth.of([], [])
     complete = np.arange(N) != CAR
     part = ImageTruth(part.xyxy_px, part.class_id, part.is_ignored, part.is_region, complete)
-    found = Detections.of([square(0)], [0.9], [CAR])
-    assert scores([found, found], [full, part]).by_class[CAR].precision == 1.0
-    assert scores([found, found], [full, full]).by_class[CAR].n_images == 2
+    detections = Detections.of([square(0)], [0.9], [CAR])
+    assert scores([detections, detections], [full, part]).by_class[CAR].precision == 1.0
+    assert scores([detections, detections], [full, full]).by_class[CAR].n_images == 2
 
 
 def test_means_over_known_classes():
@@ -77,27 +77,27 @@ def test_means_over_known_classes():
     boxes = [square(20.0 * i) for i in range(MIN_BOXES)]
     person = 0
     truth = ImageTruth.of(boxes + boxes[:rare], [CAR] * MIN_BOXES + [person] * rare)
-    found = Detections.of(boxes, [0.9] * MIN_BOXES, [CAR] * MIN_BOXES)
-    told = evaluate_detections([found], [truth], working_score=HALF, known_class_id=ALL)
-    assert (told.mean("ap50"), told.by_class[person].ap50) == (1.0, 0.0)
-    assert told.as_dict()["averaged_classes"] == ["car"]
-    assert told.as_dict()["classes"]["person"]["precision"] is None
-    assert np.isnan(told.mean("ap50", [person]))
-    blind = evaluate_detections([found], [truth], working_score=HALF, known_class_id=np.array([person]))
-    assert blind.as_dict()["averaged_classes"] == []
-    assert not blind.by_class[CAR].is_known
+    detections = Detections.of(boxes, [0.9] * MIN_BOXES, [CAR] * MIN_BOXES)
+    evaluated = evaluate_detections([detections], [truth], working_score=HALF, known_class_id=ALL)
+    assert (evaluated.mean("ap50"), evaluated.by_class[person].ap50) == (1.0, 0.0)
+    assert evaluated.as_dict()["averaged_classes"] == ["car"]
+    assert evaluated.as_dict()["classes"]["person"]["precision"] is None
+    assert np.isnan(evaluated.mean("ap50", [person]))
+    limited = evaluate_detections([detections], [truth], working_score=HALF, known_class_id=np.array([person]))
+    assert limited.as_dict()["averaged_classes"] == []
+    assert not limited.by_class[CAR].is_known
 
 
 def test_no_detections_and_no_labels():
-    nothing = scores([Detections.empty()], [ImageTruth.of([], [])])
-    assert nothing.by_class == {}
-    assert nothing.as_dict()["ap50"] is None
-    blind = scores([Detections.empty()], [ImageTruth.of([square(0)], [CAR])]).by_class[CAR]
-    assert (blind.ap50, blind.recall) == (0.0, 0.0)
-    alarm = scores([Detections.of([square(0)], [0.9], [CAR])], [ImageTruth.of([], [])]).by_class[CAR]
-    assert alarm.precision == 0.0
-    assert np.isnan(alarm.ap50)
-    assert np.isnan(alarm.recall)
+    empty = scores([Detections.empty()], [ImageTruth.of([], [])])
+    assert empty.by_class == {}
+    assert empty.as_dict()["ap50"] is None
+    limited = scores([Detections.empty()], [ImageTruth.of([square(0)], [CAR])]).by_class[CAR]
+    assert (limited.ap50, limited.recall) == (0.0, 0.0)
+    false_positive = scores([Detections.of([square(0)], [0.9], [CAR])], [ImageTruth.of([], [])]).by_class[CAR]
+    assert false_positive.precision == 0.0
+    assert np.isnan(false_positive.ap50)
+    assert np.isnan(false_positive.recall)
 
 
 def test_unequal_numbers_of_images():
@@ -111,7 +111,7 @@ def test_arrays_of_unequal_length():
 
 
 def random_scene(rng, *, n_images, n_classes=3):
-    found, truth = [], []
+    detections, truth = [], []
     for _ in range(n_images):
         n = rng.integers(0, 12)
         boxes = np.concatenate([xy := rng.integers(0, 40, (n, 2)), xy + rng.integers(5, 30, (n, 2))], axis=1)
@@ -121,19 +121,19 @@ def random_scene(rng, *, n_images, n_classes=3):
         near = np.repeat(boxes, 2, axis=0) + rng.integers(-4, 5, (2 * n, 4))
         near = near[(near[:, 2] > near[:, 0]) & (near[:, 3] > near[:, 1])]
         score = rng.integers(1, 20, len(near)) / 20  # with ties
-        found.append(Detections.of(near, score, rng.integers(0, n_classes, len(near))))
-    return found, truth
+        detections.append(Detections.of(near, score, rng.integers(0, n_classes, len(near))))
+    return detections, truth
 
 
-def coco_figures(found, truth, class_id):
-    """AP50-95 and AP50 of one class by pycocotools, whose ignored single labels are those of an area out of range."""
+def coco_figures(detections, truth, class_id):
+    """AP50-95 and AP50 of one class by pycocotools; ignored labels that are not regions have an area out of range."""
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         from pycocotools.coco import COCO
         from pycocotools.cocoeval import COCOeval
 
         labels, results = [], []
-        for image, (f, t) in enumerate(zip(found, truth, strict=True), start=1):
+        for image, (f, t) in enumerate(zip(detections, truth, strict=True), start=1):
             for j in np.flatnonzero(t.class_id == class_id):
                 x1, y1, x2, y2 = t.xyxy_px[j].tolist()
                 label = {"id": len(labels) + 1, "image_id": image, "category_id": 1, "bbox": [x1, y1, x2 - x1, y2 - y1]}
@@ -147,29 +147,31 @@ def coco_figures(found, truth, class_id):
         images = [{"id": i + 1} for i in range(len(truth))]
         coco.dataset = {"images": images, "annotations": labels, "categories": [{"id": 1}], "info": {}}
         coco.createIndex()
-        judge = COCOeval(coco, coco.loadRes(results), "bbox")
-        judge.evaluate()
-        judge.accumulate()
-        precision = judge.eval["precision"][:, :, 0, 0, 2]
+        evaluator = COCOeval(coco, coco.loadRes(results), "bbox")
+        evaluator.evaluate()
+        evaluator.accumulate()
+        precision = evaluator.eval["precision"][:, :, 0, 0, 2]
     return precision.mean(), precision[0].mean()
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_equals_pycocotools(seed):
-    found, truth = random_scene(np.random.default_rng(seed), n_images=25)
-    ours = scores(found, truth)
+    detections, truth = random_scene(np.random.default_rng(seed), n_images=25)
+    by_class = scores(detections, truth).by_class
     for class_id in range(3):
-        ap50_95, ap50 = coco_figures(found, truth, class_id)
-        mine = ours.by_class[class_id]
-        assert (mine.ap50_95, mine.ap50) == (pytest.approx(ap50_95, abs=1e-12), pytest.approx(ap50, abs=1e-12))
+        ap50_95, ap50 = coco_figures(detections, truth, class_id)
+        actual = by_class[class_id]
+        assert (actual.ap50_95, actual.ap50) == (pytest.approx(ap50_95, abs=1e-12), pytest.approx(ap50, abs=1e-12))
 
 
 def test_hundred_detections_per_image():
     rng = np.random.default_rng(0)
     boxes = [square(20.0 * i) for i in range(150)]
-    found = Detections.of(boxes, rng.permutation(150) / 150, [CAR] * 150)
+    detections = Detections.of(boxes, rng.permutation(150) / 150, [CAR] * 150)
     truth = ImageTruth.of(boxes, [CAR] * 150)
-    assert scores([found], [truth]).by_class[CAR].ap50 == pytest.approx(coco_figures([found], [truth], CAR)[1])
+    assert scores([detections], [truth]).by_class[CAR].ap50 == pytest.approx(
+        coco_figures([detections], [truth], CAR)[1]
+    )
 
 
 @settings(deadline=None, max_examples=30)
@@ -177,10 +179,10 @@ def test_hundred_detections_per_image():
 def test_truth_against_itself_is_perfect(seed):
     rng = np.random.default_rng(seed)
     _, truth = random_scene(rng, n_images=5)
-    found = [Detections.of(t.xyxy_px, rng.uniform(0.5, 1, len(t.class_id)), t.class_id) for t in truth]
-    told = scores(found, truth)
-    assert all(each.ap50_95 == pytest.approx(1.0) for each in told.by_class.values() if each.n_boxes)
-    assert scores(found[::-1], truth[::-1]).as_dict() == told.as_dict()
+    detections = [Detections.of(t.xyxy_px, rng.uniform(0.5, 1, len(t.class_id)), t.class_id) for t in truth]
+    evaluated = scores(detections, truth)
+    assert all(figures.ap50_95 == pytest.approx(1.0) for figures in evaluated.by_class.values() if figures.n_boxes)
+    assert scores(detections[::-1], truth[::-1]).as_dict() == evaluated.as_dict()
 
 
 def test_kitti_labels(shared_data):
@@ -191,28 +193,30 @@ def test_kitti_labels(shared_data):
     car = scores(perfect, truth).by_class[CAR]
     assert (car.n_boxes, car.ap50) == (n_cars, 1.0)
     types = {"Van": (CAR, True, False), "DontCare": (ANY_CLASS, True, True), "Misc": (ANY_CLASS, True, False)}
-    for name, wanted in types.items():
+    for name, expected in types.items():
         rows = labels.kitti_type == name
         if rows.any():
             one = truth_of_kitti(labels.select(rows))
-            assert (one.class_id[0], one.is_ignored[0], one.is_region[0]) == wanted
+            assert (one.class_id[0], one.is_ignored[0], one.is_region[0]) == expected
 
 
 def test_recall_at_precision_by_hand():
     # hit, miss, hit, miss: precision 1, 1/2, 2/3, 1/2 at recall 1/4, 1/4, 2/4, 2/4
     truth = ImageTruth.of([square(0), square(100), square(200), square(300)], [CAR] * 4)
-    found = Detections.of([square(0), square(50), square(100), square(150)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
-    told = scores([found], [truth])
-    assert told.by_class[CAR].recall_at == (0.5, 0.5, 0.25, 0.25, 0.25, 0.25)  # at 0.5, 0.6, 0.7, 0.8, 0.9, 0.95
-    assert told.as_dict()["classes"]["car"]["recall_at"]["0.6"] == 0.5
+    detections = Detections.of([square(0), square(50), square(100), square(150)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
+    evaluated = scores([detections], [truth])
+    assert evaluated.by_class[CAR].recall_at == (0.5, 0.5, 0.25, 0.25, 0.25, 0.25)  # at 0.5, 0.6, 0.7, 0.8, 0.9, 0.95
+    assert evaluated.as_dict()["classes"]["car"]["recall_at"]["0.6"] == 0.5
 
 
 def test_low_objects_are_ignored():
-    # a car of 10 px and one of 30; found: both, a false alarm of 10 px and one of 30
+    # cars of 10 and 30 px; detections of both, and false positives of 10 and 30 px
     truth = ImageTruth.of([square(0), square(100, 30)], [CAR] * 2)
-    found = Detections.of([square(0), square(100, 30), square(300), square(400, 30)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4)
-    car = scores([found], [truth], min_height_px=25.0).by_class[CAR]
+    detections = Detections.of(
+        [square(0), square(100, 30), square(300), square(400, 30)], [0.9, 0.8, 0.7, 0.6], [CAR] * 4
+    )
+    car = scores([detections], [truth], min_height_px=25.0).by_class[CAR]
     assert (car.n_boxes, car.recall, car.precision) == (1, 1.0, 0.5)
-    # a low box that meets a high enough label counts
+    # a low box that matches a label of sufficient height counts
     low = Detections.of([[100.0, 0, 130, 20]], [0.9], [CAR])
     assert scores([low], [truth], min_height_px=25.0).by_class[CAR].recall == 1.0

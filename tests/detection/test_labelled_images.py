@@ -1,4 +1,4 @@
-"""Labels of every format by hand, manifests, and everything that can be wrong with them."""
+"""Labelled images: hand-worked labels of every format, manifests, and errors."""
 
 import json
 
@@ -48,41 +48,41 @@ def test_yolo_boxes_are_fractions_of_the_image(folder):
 def test_sources_of_yolo_names(folder):
     text = "0 0.5 0.5 0.2 0.2\n1 0.5 0.5 0.2 0.2\n"
     (item,) = yolo(folder, text, names=["dog", "car"])
-    assert item.truth.class_id.tolist() == [CAR]  # a dog is no road user
+    assert item.truth.class_id.tolist() == [CAR]  # a dog is not a road user
     (folder / "data.yaml").write_text("names: {0: car, 1: bus}")
     assert yolo(folder, text)[0].truth.class_id.tolist() == [CAR, ROAD_CLASSES.index("bus")]
     (folder / "labels/classes.txt").write_text("truck\ncar\n")
     assert yolo(folder, text)[0].truth.class_id.tolist() == [ROAD_CLASSES.index("truck"), CAR]
     (folder / "labels/classes.txt").unlink()
     (folder / "data.yaml").write_text("path: .")
-    with pytest.raises(LabelFileError, match=r"data\.yaml: no list of class names"):
+    with pytest.raises(LabelFileError, match=r"data\.yaml: .*class names"):
         yolo(folder, text)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("2 0.5 0.5 0.2", r"a\.txt, line 1: 'class cx cy w h' wanted"),
+        ("2 0.5 0.5 0.2", "line 1: .*'class cx cy w h'"),
         ("2 0.5 0.5 0.2 0.2\ncar 0.5 0.5 0.2 0.2", "line 2"),
         ("2 0.5 nan 0.2 0.2", "line 1"),
         ("2 0.5 0.5 -0.2 0.2", "line 1"),
-        ("8 0.5 0.5 0.2 0.2", "class 8, but only 8 class names are known; give --label-names"),
+        ("8 0.5 0.5 0.2 0.2", "line 1: .*--label-names"),
     ],
 )
 def test_invalid_yolo_labels(folder, text, message):
-    with pytest.raises(LabelFileError, match=message):
+    with pytest.raises(LabelFileError, match=rf"a\.txt, {message}"):
         yolo(folder, text)
 
 
 def test_labels_that_are_not_text(folder):
     (folder / "labels/a.txt").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(LabelFileError, match="not readable as text"):
+    with pytest.raises(LabelFileError, match=r"a\.txt: .*text"):
         read_labelled(folder / "images", folder / "labels", "yolo")
 
 
 def test_labels_of_other_images(folder):
     (folder / "labels/z.txt").write_text("")
-    with pytest.raises(LabelFileError, match="no labels for any image"):
+    with pytest.raises(LabelFileError, match="labels: no labels"):
         read_labelled(folder / "images", folder / "labels", "yolo")
 
 
@@ -139,18 +139,18 @@ def test_coco(folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "COCO's images, annotations and categories wanted"),
-        ("{}", "KeyError: 'categories'"),
-        ("[]", "COCO's images"),
+        ("{", "COCO"),
+        ("{}", "'categories'"),
+        ("[]", "COCO"),
         (json.dumps(coco_document(images=[])), "KeyError: 7"),
     ],
 )
 def test_invalid_coco_file(folder, text, message):
     file = folder / "instances.json"
     file.write_text(text)
-    with pytest.raises(LabelFileError, match=message):
+    with pytest.raises(LabelFileError, match=rf"instances\.json: .*{message}"):
         read_labelled(folder / "images", file, "coco")
-    with pytest.raises(LabelFileError, match="cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.json: cannot be read"):
         read_labelled(folder / "images", folder / "none.json", "coco")
 
 
@@ -169,18 +169,18 @@ def test_manifest_split_and_completeness(folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "columns file, split, labels_complete"),
-        ("file,split\na,val\n", "columns file, split, labels_complete"),
-        ("file,split,labels_complete\na.png,val,101\n", "line 2: .*8 flags 0 or 1.*'101'"),
-        ("file,split,labels_complete\na.png,val\n", "line 2: .*8 flags"),
+        ("", "labels_complete"),
+        ("file,split\na,val\n", "labels_complete"),
+        ("file,split,labels_complete\na.png,val,101\n", "line 2: .*flags.*'101'"),
+        ("file,split,labels_complete\na.png,val\n", "line 2: .*flags"),
     ],
 )
 def test_invalid_manifests(tmp_path, text, message):
     file = tmp_path / "manifest.csv"
     file.write_text(text)
-    with pytest.raises(LabelFileError, match=message):
+    with pytest.raises(LabelFileError, match=rf"manifest\.csv.*{message}"):
         read_manifest(file)
-    with pytest.raises(LabelFileError, match="cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.csv: cannot be read"):
         read_manifest(tmp_path / "none.csv")
 
 
@@ -195,14 +195,14 @@ def test_image_depths_and_channels(tmp_path):
 
 
 def test_unreadable_images(tmp_path):
-    with pytest.raises(ImageFileError, match="cannot be read"):
+    with pytest.raises(ImageFileError, match=r"none\.png: cannot be read"):
         read_image(tmp_path / "none.png")
     for content in (b"", b"text"):
-        (tmp_path / "odd.png").write_bytes(content)
-        with pytest.raises(ImageFileError, match="not an image, or a damaged one"):
-            read_image(tmp_path / "odd.png")
-    with pytest.raises(ImageFileError, match="no such folder"):
+        (tmp_path / "invalid.png").write_bytes(content)
+        with pytest.raises(ImageFileError, match=r"invalid\.png: not an image"):
+            read_image(tmp_path / "invalid.png")
+    with pytest.raises(ImageFileError, match=r"none: .*folder"):
         images_in(tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ImageFileError, match="no images"):
+    with pytest.raises(ImageFileError, match=r"empty: .*images"):
         images_in(tmp_path / "empty")

@@ -1,4 +1,4 @@
-"""Boxes from and to supervision's attributes."""
+"""Conversion of boxes from and to supervision's attributes."""
 
 from types import SimpleNamespace
 
@@ -21,17 +21,17 @@ def boxes(**changed):
 
 
 def test_road_users_of_coco_classes():
-    found = Detections.from_supervision(boxes())
-    assert found.class_id.tolist() == [2, 0]
-    assert found.score == pytest.approx([0.9, 0.7], abs=1e-6)
-    assert found.xyxy_px[0].tolist() == [-0.5, -0.5, 9.5, 19.5]  # corners to pixel centres
+    detections = Detections.from_supervision(boxes())
+    assert detections.class_id.tolist() == [2, 0]
+    assert detections.score == pytest.approx([0.9, 0.7], abs=1e-6)
+    assert detections.xyxy_px[0].tolist() == [-0.5, -0.5, 9.5, 19.5]  # corners to pixel centres
 
 
 def test_names_come_from_data_or_argument():
     named = boxes(data={"class_name": np.array(["truck", "dog", "Pedestrian"])})
     assert Detections.from_supervision(named).class_id.tolist() == [5, 0]
-    own = Detections.from_supervision(boxes(class_id=np.array([0, 1, 1])), class_names=["bus", "tree"])
-    assert own.class_id.tolist() == [4]
+    renamed = Detections.from_supervision(boxes(class_id=np.array([0, 1, 1])), class_names=["bus", "tree"])
+    assert renamed.class_id.tolist() == [4]
 
 
 def test_tracks_leave_out_unconfirmed_identities():
@@ -48,16 +48,16 @@ def test_round_trip():
         np.array([0.5, 0.25]),
         np.array([True, True]),
     )
-    given = tracks.to_supervision()
-    assert len(given) == 2
-    again = Tracks.from_supervision(given)
-    assert again.xyxy_px.tolist() == tracks.xyxy_px.tolist()
-    assert again.track_id.tolist() == [3, 9]
-    assert again.class_id.tolist() == [2, 6]
+    converted = tracks.to_supervision()
+    assert len(converted) == 2
+    restored = Tracks.from_supervision(converted)
+    assert restored.xyxy_px.tolist() == tracks.xyxy_px.tolist()
+    assert restored.track_id.tolist() == [3, 9]
+    assert restored.class_id.tolist() == [2, 6]
 
 
 @pytest.mark.parametrize(
-    ("changed", "word"),
+    ("changed", "key_word"),
     [
         ({"confidence": np.array([0.5])}, "confidence"),
         ({"class_id": None}, "class_id"),
@@ -65,8 +65,8 @@ def test_round_trip():
         ({"data": {"class_name": ["car"]}}, "class_name"),
     ],
 )
-def test_wrong_attributes(changed, word):
-    with pytest.raises(ValueError, match=word):
+def test_invalid_attributes(changed, key_word):
+    with pytest.raises(ValueError, match=key_word):
         Detections.from_supervision(boxes(**changed))
 
 

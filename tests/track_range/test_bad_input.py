@@ -174,7 +174,7 @@ def test_a_model_with_unknown_outputs(fails, drive, shared_data):
 def test_truth_detections_and_classes(fails, options, drive, tmp_path):
     assert "cannot be read" in fails(*options(truth=tmp_path / "none.txt"))
     assert "line 1" in fails(*options(truth=junk(tmp_path / "t.txt", b"1 2 3\n")))
-    assert "not a text file" in fails(*options(detections=junk(tmp_path / "d.txt", b"\xff\xfe\x00")))
+    assert "not text" in fails(*options(detections=junk(tmp_path / "d.txt", b"\xff\xfe\x00")))
     assert "did you mean 'truck'" in fails(*options(classes="trcuk"))
 
 
@@ -182,7 +182,7 @@ def test_nan_boxes_are_left_out_and_the_run_goes_on(succeeds, options, drive, tm
     rows = drive.detections.read_text().splitlines()
     plain = [f"{r[0]},{','.join(r[6:10])},{r[17]}" for r in (row.split() for row in rows)]
     boxes = junk(tmp_path / "boxes.csv", "\n".join([*plain, "0,nan,1,2,3,0.9", "0,5,5,1,1,0.9"]).encode())
-    assert "2 rows of boxes.csv are no box" in succeeds(*options(detections=boxes, classes="car"))
+    assert "boxes.csv: ignored 2 rows" in succeeds(*options(detections=boxes, classes="car"))
 
 
 def test_an_output_folder_that_cannot_be_written(cli, options, tmp_path):

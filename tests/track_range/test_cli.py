@@ -9,7 +9,7 @@ import typer
 
 from track_range.cli.app import COMMANDS, app, main
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.csv_labels import NEEDED, OPTIONAL
+from track_range.detection.formats.csv_labels import OPTIONAL, REQUIRED
 from track_range.detection.yolo.input_format import LETTERBOXES
 from track_range.results.writers import DEFAULT_WRITERS
 from track_range.run.settings import RunSettings
@@ -87,7 +87,7 @@ def test_names_in_help_texts_are_those_of_the_code():
     shown = {name: field.description for name, field in RunSettings.model_fields.items()}
     assert all(name in shown["classes"] for name in ROAD_CLASSES)
     assert LETTERBOXES in shown["letterbox"]
-    assert ", ".join(NEEDED) in shown["truth"]
+    assert ", ".join(REQUIRED) in shown["truth"]
     assert ", ".join(OPTIONAL) in shown["truth"]
     assert RunSettings.model_fields["write"].default == DEFAULT_WRITERS
     from track_range.calibration.settings import StereoEvaluationSettings

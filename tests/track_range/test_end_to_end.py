@@ -341,6 +341,6 @@ def test_boxes_of_another_detector_on_real_video(shared_data, tmp_path):
     done = track_range(
         *stereo, "--detections", drive / "regionlets.txt", "--truth", drive / "label.txt", "--out", tmp_path
     )
-    assert "logistic" in done.stdout
+    assert "sigmoid" in done.stdout
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["methods"]["stereo"]["n"] > 5

@@ -223,11 +223,11 @@ def test_descriptors_beside_the_boxes_are_used_and_sort_leaves_them_out(tmp_path
 @pytest.mark.parametrize(
     ("write", "said"),
     [
-        (lambda path, table: path.write_bytes(b"junk"), "not an array of numbers"),
-        (lambda path, table: np.save(path, table[:-1]), "44 rows of 7 numbers and a descriptor wanted"),
-        (lambda path, table: np.save(path, table[:, :7]), "44 rows of 7 numbers and a descriptor wanted"),
-        (lambda path, table: np.save(path, table[::-1]), "its rows are not those of det.txt"),
-        (lambda path, table: np.save(path, table * np.nan), "its rows are not those of det.txt, or are no numbers"),
+        (lambda path, table: path.write_bytes(b"junk"), "array of numbers"),
+        (lambda path, table: np.save(path, table[:-1]), "44 rows of det.txt"),
+        (lambda path, table: np.save(path, table[:, :7]), "44 rows of det.txt"),
+        (lambda path, table: np.save(path, table[::-1]), "same boxes as in det.txt"),
+        (lambda path, table: np.save(path, table * np.nan), "finite numbers"),
     ],
 )
 def test_descriptors_that_are_not_the_boxes_are_refused(tmp_path, cli, described, write, said):

@@ -120,7 +120,7 @@ def test_a_gpu_that_is_not_there_is_told_in_one_line(drawn, tmp_path, cli, monke
     _, data = drawn
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     status, told, _ = train(cli, data, tmp_path / "run", "--epochs", 1, "--device", "cuda")
-    assert (status, "--device cuda is not to be had here" in told) == (0, True)
+    assert (status, "--device cuda is not available" in told) == (0, True)
     status, _, complaint = train(cli, data, tmp_path / "other", "--device", "abacus")
     assert (status, "no device of that name" in complaint) == (1, True)
 

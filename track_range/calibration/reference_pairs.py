@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive
-from track_range.detection.formats.csv_labels import is_whole_label_csv
+from track_range.detection.formats.csv_labels import has_label_columns
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table
@@ -70,7 +70,7 @@ def _folder_pairs(folder: Path, rig: Path | None) -> Iterator[StereoPair]:
 
 
 def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) -> Iterator[StereoPair]:
-    is_table = reference.suffix.lower() == ".csv" and not is_whole_label_csv(reference)
+    is_table = reference.suffix.lower() == ".csv" and not has_label_columns(reference)
     known = _of_table(reference, rectified) if is_table else _of_labels(reference, recording, rectified)
     last = int(known.frame.max())
     with closing(recording):
