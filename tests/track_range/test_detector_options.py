@@ -84,7 +84,7 @@ def test_models_info_shows_anchors_as_the_option_takes_them(tmp_path, cli):
     anchors = "81,82 135,169 344,319 / 23,27 37,58 81,82"
     _, printed, _ = cli("models", "info", path)
     assert anchors in printed
-    assert "VOC's 20" in printed
+    assert "VOC" in printed
     _, printed, _ = cli("models", "info", path, "--anchors", "1,2 3,4 5,6.5 / 1,1 2,2 3,3")
     assert "1,2 3,4 5,6.5 / 1,1 2,2 3,3" in printed
 
@@ -118,7 +118,7 @@ def test_models_import_makes_a_detector_of_darknet_files(cli, tmp_path):
     status, printed, complaint = cli("models", "import", cfg, weights, "--names", "person,car", "--out", out)
     assert status == 0, complaint
     assert "yolov4-tiny, 64x64" in printed
-    assert "--letterbox stretch does as Darknet does" in printed
+    assert "--letterbox stretch" in printed
     status, printed, _ = cli("models", "info", out)
     assert (status, "81,82 135,169 344,319 / 23,27 37,58 81,82" in printed) == (0, True)
     with weights.open("ab") as file:

@@ -188,7 +188,7 @@ def test_a_format_that_it_is_not_is_refused(tmp_path, cli, moving):
     (tmp_path / "boxes.txt").write_text(plain(*moving))
     assert cli("track", tmp_path / "boxes.txt", "--format", "rrc", "--out", tmp_path / "out")[0] == 0
     status, _, complaint = cli("track", tmp_path / "boxes.txt", "--format", "mot", "--out", tmp_path / "out")
-    assert (status, "that is the format rrc, not mot" in complaint) == (1, True)
+    assert (status, "expected the format mot" in complaint) == (1, True)
 
 
 @pytest.fixture
@@ -266,7 +266,7 @@ def test_nothing_is_overwritten_with_its_own_tracks_or_another_sequences(tmp_pat
 def test_frames_that_cannot_be_are_refused(tmp_path, cli, frame):
     (tmp_path / "boxes.txt").write_text(f"1,-1,1,1,10,10,1\n{frame},-1,1,1,10,10,1\n")
     status, _, complaint = cli("track", tmp_path / "boxes.txt", "--out", tmp_path / "out")
-    assert (status, "frames must be whole numbers up to 1000000" in complaint) == (1, True)
+    assert (status, "frame numbers" in complaint) == (1, True)
 
 
 def test_a_recording_of_one_frame_has_tracks(tmp_path, cli):
