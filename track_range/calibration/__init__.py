@@ -1,1 +1,1 @@
-"""Images and reference pairs for calibration and alignment."""
+"""Calibration from board images, alignment of a rig, and evaluation of stereo matchers."""

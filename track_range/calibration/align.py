@@ -1,4 +1,4 @@
-"""The disparity error of a rig, from a drive with it or from objects of known distance."""
+"""Estimation of the disparity error of a rig from a drive, or from objects of known distance."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from track_range.video.recording import Recording
 
 _MATCHER = "patch"
 _N_ROW_PAIRS = 12
-"""Pairs that the row offset is measured on; it hardly differs between them."""
+"""Number of image pairs on which the row offset is measured; it hardly varies between pairs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +39,9 @@ class RigAlignment:
     """The disparity error of a rig.
 
     Attributes:
-        applied: the alignment to apply, without what is not significant.
+        applied: the alignment to apply, with insignificant terms set to 0.
         measured: the alignment as estimated.
-        notes: for the user.
+        notes: sentences for the user.
     """
 
     applied: Alignment
@@ -60,7 +60,7 @@ class RigAlignment:
         }
 
     def save(self, settings: AlignmentSettings) -> None:
-        """Write the alignment file and, where `settings.json_file` is given, the figures.
+        """Write the alignment file and, if `settings.json_file` is given, the figures.
 
         Raises:
             OutputError, RigError: a file cannot be written.
@@ -74,15 +74,15 @@ def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> 
     """Estimate the disparity error of a rig; nothing is written before `RigAlignment.save`.
 
     Raises:
-        UsageError: nothing to estimate from, or two kinds of it.
-        RigError: the rig cannot be used, or the data do not suffice for an estimate.
+        UsageError: no source is given, or both drives and a reference.
+        RigError: the rig cannot be used, or there is too little data for an estimate.
         PairFileError, LabelFileError, VideoError: videos, images or labels cannot be used.
         OutputError: a result would overwrite an input.
     """
     check_outputs([file for file in (settings.out, settings.json_file) if file is not None], _inputs(settings))
     if settings.reference is not None:
         if settings.drives:
-            raise UsageError("give --reference or --drive, not both.")
+            raise UsageError("--reference and --drive exclude each other; give one of them.")
         measured, notes = _from_reference(settings.reference, settings, progress)
     else:
         measured, notes = _from_drives(settings, progress)
@@ -90,7 +90,7 @@ def align(settings: AlignmentSettings, progress: StepProgress = no_progress) -> 
 
 
 def _inputs(settings: AlignmentSettings) -> list[Path]:
-    """Files that are read, with the rig files beside the images."""
+    """The files that are read, including rig files next to the images."""
     folders = [folder for folder in (*settings.drives, settings.reference) if folder is not None]
     videos = [*(settings.stereo or ()), *(folder / name for folder in folders for name in (LEFT, RIGHT))]
     named = (settings.rig, settings.reference, *map(find_rig, videos))
@@ -110,7 +110,7 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
     sources = [(folder / LEFT, folder / RIGHT) for folder in settings.drives]
     sources += [settings.stereo] if settings.stereo else []
     if not sources:
-        raise UsageError("nothing to align by: give --stereo LEFT RIGHT, --drive DIR or --reference DIR|FILE.")
+        raise UsageError("expected a drive or a reference: give --stereo LEFT RIGHT, --drive DIR or --reference FILE.")
     with ExitStack() as opened:
         recordings, rigs = [], []
         for left, right in sources:
@@ -119,7 +119,7 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
             recordings.append(recording)
             rigs.append(rig)
         if any(rig.left != rigs[0].left or not np.isclose(rig.baseline_m, rigs[0].baseline_m) for rig in rigs[1:]):
-            raise RigError("the drives are of different rigs; align each rig by its own drives.")
+            raise RigError("the drives were recorded with different rigs; align each rig separately.")
         estimator = DriveAlignment(rigs[0])
         with progress("frames") as advance:
             for recording in recordings:
@@ -128,13 +128,13 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
                 recording.close()
     measured = estimator.estimate()
     if not measured.is_measured:
-        raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past things that stand still.")
+        raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past static objects.")
     named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
     return named, tuple(dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes))
 
 
 def _names(sources: list[tuple[Path, Path]]) -> str:
-    """Of the drives: the file outlives the moment at which "this drive" says which."""
+    """Names of the drives, for the alignment file, in which "this drive" would be ambiguous."""
     return ", ".join(left.parent.resolve().name if left.name == LEFT else left.name for left, _ in sources)
 
 
@@ -152,10 +152,10 @@ def _from_reference(
     rows_px: list[float] = []
     pairs = reference_pairs(reference, stereo=settings.stereo, rig=settings.rig)
     with progress("pairs") as advance:
-        found = measure_pairs(_rows_measured(pairs, rows_px, advance), (_MATCHER,))
-    objects, column = found.objects, found.columns[_MATCHER]
-    if not found.objects.cameras:
-        raise RigError(f"{reference}: none of its objects is in a frame of the videos; check the frames' numbers.")
+        measured = measure_pairs(_with_row_offsets(pairs, rows_px, advance), (_MATCHER,))
+    objects, column = measured.objects, measured.columns[_MATCHER]
+    if not objects.cameras:
+        raise RigError(f"{reference}: no object belongs to a frame of the videos; check the frame numbers.")
     fitted = fit_reference(
         column.disparity_px,
         objects.true_px,
@@ -165,12 +165,13 @@ def _from_reference(
         sigma_px=column.sigma_px,
         seed=settings.seed,
     )
-    return replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0), found.notes
+    return replace(fitted, row_offset_px=float(np.median(rows_px)) if rows_px else 0.0), measured.notes
 
 
-def _rows_measured(
+def _with_row_offsets(
     pairs: Iterator[StereoPair], rows_px: list[float], advance: Callable[[int, int | None], None]
 ) -> Iterator[StereoPair]:
+    """The pairs; the row offsets of the first ones are appended to `rows_px`."""
     for number, pair in enumerate(pairs):
         if number < _N_ROW_PAIRS:
             row_px = row_offset_px(pair.left, whole_image(pair.right))

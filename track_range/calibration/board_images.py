@@ -1,8 +1,10 @@
-"""BoardImages: where the images of a calibration come from: a pattern of files, a folder, a film; of one eye or of two.
+"""BoardImages: the images for a calibration, from a pattern of file names, a folder or a video, of one or two cameras.
 
-'left*.jpg' 'right*.jpg'     partners by what the stars stand for
-left/ right/                 partners by name, else by the last number in it, else by order
-left.mp4 right.mp4           partners by time; a few frames per second are looked at
+Left and right images are paired as follows:
+
+'left*.jpg' 'right*.jpg'     by the text that the wildcards match
+left/ right/                 by name, else by the last number in the name, else by order
+left.mp4 right.mp4           by time; a few frames per second are used
 """
 
 from __future__ import annotations
@@ -21,22 +23,25 @@ from track_range.video.frame import TIME_EPSILON_S
 from track_range.video.pairing import StereoVideo
 from track_range.video.reader import VideoReader
 
-_LOOKS_PER_FILM = 300
-_SHORTEST_STEP_S = 0.2
-"""Between frames that are looked at: a board held by hand hardly moves in less."""
+_MAX_VIDEO_SHOTS = 300
+"""Largest number of frames of a video that are searched for boards."""
 
-_WILD = re.compile(r"[*?\[]")
+_SHORTEST_STEP_S = 0.2
+"""Smallest time between these frames, s: a board held by hand hardly moves in less."""
+
+_WILDCARD = re.compile(r"[*?\[]")
 
 Key = Callable[[Path], str]
+"""Function that gives equal texts for the paths of a left and a right image that belong together."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What one eye, or both at one instant, saw.
+    """The image of one camera, or the images of both at the same time.
 
     Attributes:
-        names: of the images, one per eye.
-        images: one per eye; None where it cannot be read.
+        names: names of the images, one per camera.
+        images: the images, one per camera; None = unreadable.
     """
 
     names: tuple[str, ...]
@@ -44,40 +49,46 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
-class Photographs:
-    """Files of images, one tuple of paths per shot."""
+class ImageFiles:
+    """Shots from image files.
+
+    Attributes:
+        paths: one tuple of paths per shot, with one path per camera.
+        unpaired: images without a partner.
+        is_video: False.
+    """
 
     paths: tuple[tuple[Path, ...], ...]
-    left_out: tuple[RejectedView, ...] = ()
-    is_film: bool = field(default=False, init=False)
+    unpaired: tuple[RejectedView, ...] = ()
+    is_video: bool = field(default=False, init=False)
 
     @property
     def n_shots(self) -> int:
-        """How many there are."""
+        """Number of shots."""
         return len(self.paths)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What is read."""
+        """The files that are read."""
         return tuple(chain.from_iterable(self.paths))
 
     def __iter__(self) -> Iterator[Shot]:
-        """Each shot as it is read; images that cannot be are None."""
+        """The shots, read one by one."""
         for paths in self.paths:
-            alike = len({path.name for path in paths}) < len(paths)
+            is_ambiguous = len({path.name for path in paths}) < len(paths)
             yield Shot(
-                tuple(_name(path, with_folder=alike) for path in paths), tuple(_readable(path) for path in paths)
+                tuple(_name(path, with_folder=is_ambiguous) for path in paths), tuple(_readable(path) for path in paths)
             )
 
 
-class Film:
-    """Every so many frames of a video, or of two in step.
+class VideoShots:
+    """Shots from a video, or from two synchronised videos, at regular intervals.
 
     Attributes:
-        files: what is read.
-        n_shots: how many frames will be looked at; None = unknown.
-        is_film: that they are frames, most of which may show no board.
-        left_out: none, before they are looked at.
+        files: the videos.
+        n_shots: estimated number of shots; None = unknown.
+        is_video: True: most shots may show no board.
+        unpaired: always empty.
 
     Raises:
         VideoError: a video cannot be read.
@@ -88,13 +99,13 @@ class Film:
         self._readers = [VideoReader(path) for path in paths]
         first = self._readers[0]
         length_s = (first.n_frames or 0) / first.fps
-        self._step_s = max(_SHORTEST_STEP_S, length_s / _LOOKS_PER_FILM)
+        self._step_s = max(_SHORTEST_STEP_S, length_s / _MAX_VIDEO_SHOTS)
         self.n_shots: int | None = int(length_s / self._step_s) + 1 if first.n_frames else None
-        self.is_film = True
-        self.left_out: tuple[RejectedView, ...] = ()
+        self.is_video = True
+        self.unpaired: tuple[RejectedView, ...] = ()
 
     def __iter__(self) -> Iterator[Shot]:
-        """Frames at least a step apart, named by their times."""
+        """Shots at least one step apart, named by their times."""
         next_s = -float("inf")
         for time_s, images in self._frames():
             if time_s >= next_s - TIME_EPSILON_S:
@@ -110,90 +121,93 @@ class Film:
             yield left.time_s, (left.image, right.image)
 
 
-BoardImages = Photographs | Film
-"""Shots to look for boards in, again and again."""
+BoardImages = ImageFiles | VideoShots
+"""Source of shots, which can be iterated more than once."""
 
 
 def board_images(sources: Sequence[str]) -> BoardImages:
-    """The images of one source, or of two of which each has one eye's.
+    """The images of one camera, from one source, or of two cameras, from one source each.
 
     Raises:
-        ImageFileError: a pattern or folder without images, one source of each kind, or no way to tell partners.
-        VideoError: a film cannot be read.
+        ImageFileError: a pattern or folder without images, sources of different kinds, or images that cannot be paired.
+        VideoError: a video cannot be read.
     """
-    films = [_is_film(source) for source in sources]
-    if all(films):
-        return Film([Path(source) for source in sources])
-    if any(films):
-        raise ImageFileError(f"{sources[0]} and {sources[1]}: give two videos, or two sets of images.")
-    found = [_files(source) for source in sources]
-    if len(found) == 1:
-        return Photographs(tuple((path,) for path in found[0]))
-    return _partners(sources, found)
+    are_videos = [_is_video(source) for source in sources]
+    if all(are_videos):
+        return VideoShots([Path(source) for source in sources])
+    if any(are_videos):
+        raise ImageFileError(f"{sources[0]} and {sources[1]}: expected two videos, or two sets of images.")
+    files = [_files(source) for source in sources]
+    if len(files) == 1:
+        return ImageFiles(tuple((path,) for path in files[0]))
+    return _paired(sources, files)
 
 
-def _is_film(source: str) -> bool:
+def _is_video(source: str) -> bool:
     path = Path(source)
     return path.is_file() and path.suffix.lower() not in IMAGE_SUFFIXES
 
 
 def _files(source: str) -> list[Path]:
-    """The images that a pattern or a folder means, by the numbers in their names."""
+    """The images of a folder or matching a pattern, sorted by the numbers in their names."""
     path = Path(source)
     if path.is_dir():
-        return sorted(images_in(path), key=_natural)
+        return sorted(images_in(path), key=_natural_order)
     if path.is_file():
         raise ImageFileError(
-            f"{source}: one image is no set; give a pattern such as 'boards/*.jpg' in quotes, or a folder."
+            f"{source}: expected several images, got one; give a pattern such as 'boards/*.jpg' in quotes, or a folder."
         )
-    found = [Path(name) for name in glob.glob(source, recursive=True)]
-    images = [each for each in found if each.is_file() and each.suffix.lower() in IMAGE_SUFFIXES]
+    matches = [Path(name) for name in glob.glob(source, recursive=True)]
+    images = [path for path in matches if path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES]
     if not images:
-        why = "no image has such a name" if _WILD.search(source) else "there is no such file or folder"
-        raise ImageFileError(f"{source}: {why}; give a pattern such as 'boards/*.jpg' in quotes, a folder or a video.")
-    return sorted(images, key=_natural)
+        reason = "no image has a matching name" if _WILDCARD.search(source) else "no such file or folder"
+        raise ImageFileError(
+            f"{source}: {reason}; give a pattern such as 'boards/*.jpg' in quotes, a folder or a video."
+        )
+    return sorted(images, key=_natural_order)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sorts img2 before img10."""
+def _natural_order(path: Path) -> list[tuple[int, str]]:
+    """Sort key that places img2 before img10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]
 
 
-def _partners(sources: Sequence[str], found: Sequence[list[Path]]) -> Photographs:
-    """Left and right images of one instant, told by their names; those without a partner are left out."""
-    for keys in _ways_to_pair(sources):
-        named = [{key(path): path for path in paths} for key, paths in zip(keys, found, strict=True)]
-        common = [key for key in named[0] if key in named[1]]
-        is_unique = all(len(each) == len(paths) for each, paths in zip(named, found, strict=True))
+def _paired(sources: Sequence[str], files: Sequence[list[Path]]) -> ImageFiles:
+    """Left and right images paired by name, or by order if their names have nothing in common."""
+    for keys in _pairing_keys(sources):
+        by_key = [{key(path): path for path in paths} for key, paths in zip(keys, files, strict=True)]
+        common = [key for key in by_key[0] if key in by_key[1]]
+        is_unique = all(len(keyed) == len(paths) for keyed, paths in zip(by_key, files, strict=True))
         if is_unique and common:
-            alone = [path for eye in (0, 1) for key, path in named[eye].items() if key not in named[1 - eye]]
-            alike = any(named[0][key].name == named[1][key].name for key in common)
-            reason = "the other eye's image is missing"
-            left_out = tuple(RejectedView(_name(path, with_folder=alike), reason) for path in alone)
-            return Photographs(tuple((named[0][key], named[1][key]) for key in common), left_out)
-    if len(found[0]) != len(found[1]):
+            alone = [path for side in (0, 1) for key, path in by_key[side].items() if key not in by_key[1 - side]]
+            is_ambiguous = any(by_key[0][key].name == by_key[1][key].name for key in common)
+            reason = "the other camera's image is missing"
+            unpaired = tuple(RejectedView(_name(path, with_folder=is_ambiguous), reason) for path in alone)
+            return ImageFiles(tuple((by_key[0][key], by_key[1][key]) for key in common), unpaired)
+    if len(files[0]) != len(files[1]):
         raise ImageFileError(
-            f"{sources[0]} has {len(found[0])} images and {sources[1]} {len(found[1])}, and their names do not tell "
-            "which belong together; number both alike."
+            f"{sources[0]} has {len(files[0])} images and {sources[1]} {len(files[1])}, and they cannot be paired by "
+            "name; give matching images the same number."
         )
-    return Photographs(tuple(zip(found[0], found[1], strict=True)))
+    return ImageFiles(tuple(zip(files[0], files[1], strict=True)))
 
 
-def _ways_to_pair(sources: Sequence[str]) -> list[tuple[Key, Key]]:
-    ways: list[tuple[Key, Key]] = []
-    if all(_WILD.search(source) for source in sources):
-        ways.append((_wildcard_key(sources[0]), _wildcard_key(sources[1])))
-    return [*ways, (_stem, _stem), (_last_number, _last_number)]
+def _pairing_keys(sources: Sequence[str]) -> list[tuple[Key, Key]]:
+    """Keys for left and right paths, in the order in which they are tried."""
+    keys: list[tuple[Key, Key]] = []
+    if all(_WILDCARD.search(source) for source in sources):
+        keys.append((_wildcard_key(sources[0]), _wildcard_key(sources[1])))
+    return [*keys, (_stem, _stem), (_last_number, _last_number)]
 
 
 def _wildcard_key(pattern: str) -> Key:
-    """What the pattern's stars and marks stand for in a path."""
+    """Function that returns the parts of a path that match the wildcards of `pattern`, joined."""
     parts = re.split(r"(\*\*/|\*|\?|\[[^\]]*\])", str(Path(pattern)))
-    meaning = {"**/": "(.*)", "*": "([^/]*)", "?": "(.)"}
-    form = re.compile("".join(meaning.get(part, f"({part})" if part[:1] == "[" else re.escape(part)) for part in parts))
+    groups = {"**/": "(.*)", "*": "([^/]*)", "?": "(.)"}
+    regex = re.compile("".join(groups.get(part, f"({part})" if part[:1] == "[" else re.escape(part)) for part in parts))
 
     def key(path: Path) -> str:
-        match = form.fullmatch(str(path))
+        match = regex.fullmatch(str(path))
         return str(path) if match is None else "|".join(match.groups())
 
     return key
@@ -209,7 +223,7 @@ def _last_number(path: Path) -> str:
 
 
 def _name(path: Path, *, with_folder: bool) -> str:
-    """For the user; with its folder where left and right are called alike."""
+    """Name of an image for the user, with its folder if left and right have equal names."""
     return f"{path.parent.name}/{path.name}" if with_folder else path.name
 
 

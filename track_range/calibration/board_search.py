@@ -1,7 +1,7 @@
-"""What boards the images of a calibration show: which views can be used, and why the others cannot.
+"""Search for the board in the images of a calibration: usable views, and the reasons why others are rejected.
 
-Left out are images that cannot be read, that show no whole board, whose size is not the others' (one or two pixels more
-or less are cut off) and that are blurred; of a film's many views those are kept that differ most.
+Rejected are unreadable images, images without a complete board, images of another size (a difference of up to two
+pixels is cropped) and blurred images. Of many views in a video, the most different ones are used.
 """
 
 from __future__ import annotations
@@ -30,28 +30,30 @@ Views = tuple[BoardView, ...]
 Size = tuple[int, int]
 
 MAX_VIEWS = 60
-"""More add time, not accuracy."""
+"""Largest number of views for a calibration; more cost time without improving accuracy."""
 
-_CROPPED_PX = 2
-"""Sizes that differ by no more are the same camera's, rounded or cut by some program."""
+_MAX_CROP_PX = 2
+"""Difference in image size, px, up to which images count as from one camera, rounded or cropped by other software."""
 
 _BLURRED_PX = 4.0
-_BLURRED_TIMES = 2.5
-"""Edges wider than both, the latter in units of the sharpest quarter's, are blurred."""
+"""Edge width, px, from which an image may be blurred; see `_BLURRED_RATIO`."""
+
+_BLURRED_RATIO = 2.5
+"""Edge width of a blurred image relative to the 25th percentile of all images; `_BLURRED_PX` must be exceeded too."""
 
 _N_SAMPLES = 6
-"""Images kept to see what board they really show."""
+"""Number of images from which the size of the board is determined if the given board is not found."""
 
 
 @dataclass(frozen=True, slots=True)
-class FoundViews:
-    """The views of a calibration.
+class BoardSearch:
+    """Result of the search for a board.
 
     Attributes:
-        shots: one view, or one per eye, of each shot that can be used.
-        rejected: the images left out.
-        notes: what the user should know.
-        n_images: how many shots there were.
+        shots: the views of each usable shot, one per camera.
+        rejected: the rejected images.
+        notes: sentences for the user.
+        n_images: number of shots that were searched.
     """
 
     shots: list[Views]
@@ -60,49 +62,49 @@ class FoundViews:
     n_images: int
 
 
-def find_views(images: BoardImages, board: Board, advance: Advance) -> FoundViews:
-    """Look for the board in all images; `advance` is told steps done, and of how many.
+def find_views(images: BoardImages, board: Board, advance: Advance) -> BoardSearch:
+    """Search all images for the board; `advance` is called with the numbers of searched and of all shots.
 
     Raises:
-        CalibrationError: no board in any of them, or a board of another size.
-        VideoError: a film cannot be read.
+        CalibrationError: no board in any image, or a board of another size.
+        VideoError: a video cannot be read.
     """
     finder = BoardFinder(board)
     shots: list[Views] = []
-    rejected = list(images.left_out)
+    rejected = list(images.unpaired)
     samples: list[Image] = []
     n_images = 0
     for shot in images:
         n_images += 1
         advance(n_images, max(images.n_shots or 0, n_images))
         samples = _sampled(samples, shot, n_images, images.n_shots or 0)
-        found = _found(finder, shot, is_film=images.is_film)
-        if isinstance(found, RejectedView):
-            rejected.append(found)
+        views = _views(finder, shot, is_video=images.is_video)
+        if isinstance(views, RejectedView):
+            rejected.append(views)
         else:
-            shots.append(found)
+            shots.append(views)
     _check_board(board, samples, n_found=len(shots), n_images=n_images)
     notes: list[str] = []
     shots = _of_one_size(shots, rejected, notes)
     shots = _sharp(shots, rejected)
-    return FoundViews(_varied(shots, notes), rejected, notes, n_images)
+    return BoardSearch(_varied(shots, notes), rejected, notes, n_images)
 
 
 def _sampled(samples: list[Image], shot: Shot, number: int, n_shots: int) -> list[Image]:
-    """The samples with this shot's first image, if it is its turn."""
+    """The samples, with the first image of this shot added if its number is due."""
     image = shot.images[0]
     if image is None or (number - 1) % max(1, n_shots // _N_SAMPLES) or len(samples) >= _N_SAMPLES:
         return samples
     return [*samples, image]
 
 
-def _found(finder: BoardFinder, shot: Shot, *, is_film: bool) -> Views | RejectedView:
-    """The views of a shot, or why it has none; a pair is as good as its worse eye."""
+def _views(finder: BoardFinder, shot: Shot, *, is_video: bool) -> Views | RejectedView:
+    """The views of a shot, or its rejected image; a pair needs the board in both images."""
     views = []
     for name, image in zip(shot.names, shot.images, strict=True):
         if image is None:
-            return RejectedView(name, "not an image, or a damaged one")
-        if is_film and not finder.quick_look(image):
+            return RejectedView(name, "not an image, or damaged")
+        if is_video and not finder.quick_look(image):
             return RejectedView(name, "no whole board found")
         view = finder.find(image, name)
         if isinstance(view, RejectedView):
@@ -112,44 +114,44 @@ def _found(finder: BoardFinder, shot: Shot, *, is_film: bool) -> Views | Rejecte
         return (views[0],)
     left, right = in_step(views[0], views[1], finder.board)
     n_common = len(left.corner_id)
-    return (left, right) if n_common >= 6 else RejectedView(left.name, f"only {n_common} corners seen by both eyes")
+    return (left, right) if n_common >= 6 else RejectedView(left.name, f"only {n_common} corners seen by both cameras")
 
 
 def _of_one_size(shots: list[Views], rejected: list[RejectedView], notes: list[str]) -> list[Views]:
-    """The shots whose images have, but for a pixel or two, the commonest size; cut to it."""
+    """The shots with images of the most common size per camera; differences of up to two pixels are cropped."""
     if not shots:
         return shots
-    n_eyes = len(shots[0])
-    usual = [Counter(shot[eye].size_px for shot in shots).most_common(1)[0][0] for eye in range(n_eyes)]
-    kept, cut = [], []
+    n_cameras = len(shots[0])
+    common = [Counter(shot[camera].size_px for shot in shots).most_common(1)[0][0] for camera in range(n_cameras)]
+    accepted, cropped = [], []
     for shot in shots:
-        odd = [eye for eye in range(n_eyes) if not _is_near(shot[eye].size_px, usual[eye])]
-        if odd:
-            view, size = shot[odd[0]], usual[odd[0]]
-            rejected.append(RejectedView(view.name, f"{_words(view.size_px)} px, where most have {_words(size)} px"))
+        deviating = [camera for camera in range(n_cameras) if not _is_near(shot[camera].size_px, common[camera])]
+        if deviating:
+            view, size = shot[deviating[0]], common[deviating[0]]
+            rejected.append(RejectedView(view.name, f"{_text(view.size_px)} px, while most have {_text(size)} px"))
             continue
-        cut += [view.name for view, size in zip(shot, usual, strict=True) if view.size_px != size]
-        kept.append(tuple(replace(view, size_px=size) for view, size in zip(shot, usual, strict=True)))
-    if cut:
-        sizes = " and ".join(dict.fromkeys(_words(size) for size in usual))
-        notes.append(f"Cut to the others' {sizes} px at their right and lower edges: {', '.join(cut)}.")
-    return kept
+        cropped += [view.name for view, size in zip(shot, common, strict=True) if view.size_px != size]
+        accepted.append(tuple(replace(view, size_px=size) for view, size in zip(shot, common, strict=True)))
+    if cropped:
+        sizes = " and ".join(dict.fromkeys(_text(size) for size in common))
+        notes.append(f"Cropped to {sizes} px at the right and lower edges: {', '.join(cropped)}.")
+    return accepted
 
 
-def _is_near(size: Size, usual: Size) -> bool:
-    return all(abs(a - b) <= _CROPPED_PX for a, b in zip(size, usual, strict=True))
+def _is_near(size: Size, common: Size) -> bool:
+    return all(abs(a - b) <= _MAX_CROP_PX for a, b in zip(size, common, strict=True))
 
 
-def _words(size: Size) -> str:
+def _text(size: Size) -> str:
     return f"{size[0]}x{size[1]}"
 
 
 def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
-    """The shots without those whose edges are much wider than the others'."""
+    """The shots without those that have much wider edges than the others."""
     if not shots:
         return shots
     widths = np.array([max(view.edge_px for view in shot) for shot in shots])
-    limit_px = max(_BLURRED_PX, _BLURRED_TIMES * float(np.percentile(widths, 25)))
+    limit_px = max(_BLURRED_PX, _BLURRED_RATIO * float(np.percentile(widths, 25)))
     blurred = [shot for shot, width in zip(shots, widths, strict=True) if width > limit_px]
     for shot in blurred:
         worst = max(shot, key=lambda view: view.edge_px)
@@ -160,42 +162,42 @@ def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
 def _varied(shots: list[Views], notes: list[str]) -> list[Views]:
     if len(shots) <= MAX_VIEWS:
         return shots
-    notes.append(f"{MAX_VIEWS} of {len(shots)} views used: those that differ most.")
+    notes.append(f"{MAX_VIEWS} of {len(shots)} views used, chosen to differ most.")
     return [shots[i] for i in varied([shot[0] for shot in shots], MAX_VIEWS)]
 
 
 def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_images: int) -> None:
-    """Refuse images of another board than the one named, and images of none."""
+    """Raise CalibrationError if the images show another board than the given one, or no board."""
     if isinstance(board, CharucoBoard):
         if not n_found:
-            raise CalibrationError(_why_no_charuco(board, samples, n_images))
+            raise CalibrationError(_no_charuco_message(board, samples, n_images))
         return
     seen = sizes_seen(samples)
     expected = (max(board.grid), min(board.grid))
     commonest, votes = seen.most_common(1)[0] if seen else (expected, 0)
-    # One image alone may show a part of a board, or of a chequered shirt.
+    # A single image may show part of a board, or a chequered shirt.
     if commonest != expected and votes > seen[expected] and votes >= min(2, len(samples)):
         raise CalibrationError(
-            f"{votes} of {len(samples)} images looked at show a board of {_words(commonest)} inner corners, not "
-            f"{board.name}; give --board {_words(commonest)} (where black squares touch, not squares, are counted)."
+            f"expected a board of {board.name} inner corners, found {_text(commonest)} in {votes} of {len(samples)} "
+            f"images; give --board {_text(commonest)} (count the points where black squares touch, not the squares)."
         )
     if not n_found:
         raise CalibrationError(
-            f"no board of {board.name} inner corners found in any of {_counted(n_images)}; it must be whole in view, "
-            "flat, in even light and with a white rim, and --board counts where black squares touch."
+            f"no board of {board.name} inner corners found in {_counted(n_images)}; it must be completely visible, "
+            "flat, evenly lit and with a white border, and --board counts the points where black squares touch."
         )
 
 
-def _why_no_charuco(board: CharucoBoard, samples: Sequence[Image], n_images: int) -> str:
+def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images: int) -> str:
     seen = markers_seen(samples[:2])
-    # A set of 50 markers is the start of the set of 100: the smallest that explains as many is the one.
+    # A dictionary of 50 markers is the start of that of 100: of equally good ones, the smallest is the right one.
     best = max(seen, key=lambda name: (seen[name], -int(name.split("_")[-1]) if name.split("_")[-1].isdigit() else 0))
-    said = f"no board {board.name} found in any of {_counted(n_images)}"
+    problem = f"no board {board.name} found in {_counted(n_images)}"
     if not seen[best]:
-        return f"{said}, nor any ArUco marker; it must be well lit, with markers 20 px wide or more."
+        return f"{problem}, and no ArUco marker; the board must be well lit, with markers at least 20 px wide."
     if seen[board.dictionary] < seen[best]:
-        return f"{said}; their markers are of the dictionary {best}: put that at the end of --board."
-    return f"{said}; there are markers of {board.dictionary}: check the numbers of squares, columns first."
+        return f"{problem}; the markers are of the dictionary {best}, append it to --board."
+    return f"{problem}, but markers of {board.dictionary}; check the numbers of squares, columns first."
 
 
 def _counted(n_images: int) -> str:

@@ -1,10 +1,10 @@
-"""A drive with labels as stereo pairs with a truth: a folder that `simulate` or the demo writes, or one like it.
+"""Stereo pairs with true disparities, read from a labelled drive: a folder as written by `simulate` or the demo.
 
     left.mp4  right.mp4  rig.yaml (or calib.txt)  truth.csv (or truth.txt, label.txt: KITTI tracking labels)
 
-Objects are the labels that `ranging.evaluation.truth` scores (not truncated, at most partly hidden, of a
-road class), their true disparity f B / distance. The distance is that of the visible surface on the ray through the box
-centre, from truth.csv; else from the label's 3-D box.
+Objects are the labels that `ranging.evaluation.truth` evaluates (not truncated, at most partly occluded, of a road
+class); their true disparity is f B / distance. The distance is that of the visible surface on the ray through the box
+centre, from truth.csv, else from the label's 3-D box.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from track_range.video.recording import Recording, open_recording
 
 LEFT, RIGHT = "left.mp4", "right.mp4"
 LABELS = ("truth.csv", "truth.txt", "label.txt")
-"""The best first."""
+"""Names of label files; the first one that exists is used."""
 
 
 def is_drive(folder: Path) -> bool:
@@ -32,12 +32,12 @@ def is_drive(folder: Path) -> bool:
 
 
 def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 0.0) -> Iterator[StereoPair]:
-    """The pairs of a drive in order of time, named by frame; those without an object that counts too.
+    """The pairs of a drive in order of time, named by frame; pairs without evaluated objects are included.
 
     Args:
-        folder: of the drive.
+        folder: the drive.
         rig: a rig file; None = the one in the folder.
-        row_offset_px: y_right - y_left, taken out of the right images.
+        row_offset_px: y_right - y_left, corrected in the right images.
 
     Raises:
         VideoError: a video is missing or cannot be used.
@@ -48,27 +48,34 @@ def read_drive(folder: Path, *, rig: Path | None = None, row_offset_px: float = 
     recording, rectified = open_pair(folder / LEFT, folder / RIGHT, rig, align=rows)
     with closing(recording):
         truth = read_truth(_labels(folder), rectified.left, recording.calibration.left_from_reference_m)
-        truth = truth.select(_counts(truth))
+        truth = truth.select(_is_evaluated(truth))
         for frame in recording.frames:
             if frame.right is None:
                 continue
-            here = truth.select(truth.frame == frame.index)
+            objects = truth.select(truth.frame == frame.index)
             yield StereoPair(
                 f"{frame.index:06d}",
                 frame.left,
                 frame.right,
-                here.xyxy_px,
-                rectified.left.fx_px * rectified.baseline_m / here.distance_m,
+                objects.xyxy_px,
+                rectified.left.fx_px * rectified.baseline_m / objects.distance_m,
                 rectified,
                 recording.calibration.file_notes,
-                track_id=here.track_id,
+                track_id=objects.track_id,
             )
 
 
 def open_pair(
     left: Path, right: Path, rig: Path | None, *, align: str | Alignment = "off", has_checks: bool = False
 ) -> tuple[Recording, StereoRig]:
-    """Open a calibrated pair, with its rectified rig; `rig` None = the file beside the left video.
+    """Open a calibrated pair; returns the recording and its rectified rig.
+
+    Args:
+        left: the left video.
+        right: the right video.
+        rig: a rig file; None = the one next to the left video.
+        align: see `open_recording`.
+        has_checks: see `open_recording`.
 
     Raises:
         VideoError: a video cannot be used.
@@ -77,16 +84,17 @@ def open_pair(
     recording = open_recording(left, right, rig=rig, align=align, has_checks=has_checks)
     if recording.rig is None:
         recording.close()
-        raise RigError(f"{left}: no rig.yaml or calib.txt beside it; give the cameras with --rig FILE.")
+        raise RigError(f"{left}: no rig.yaml or calib.txt next to it; give the calibration file with --rig FILE.")
     return recording, recording.rig
 
 
-def _counts(truth: Truth) -> BoolArray:
+def _is_evaluated(truth: Truth) -> BoolArray:
+    """(N,) objects of a road class in the evaluated range of distances."""
     return (truth.class_id >= 0) & (truth.distance_m >= BANDS_M[0]) & (truth.distance_m <= BANDS_M[-1])
 
 
 def _labels(folder: Path) -> Path:
-    found = next((folder / name for name in LABELS if (folder / name).is_file()), None)
-    if found is None:
-        raise PairFileError(f"{folder}: no {' or '.join(LABELS)} in it: its objects are not known.")
-    return found
+    labels = next((folder / name for name in LABELS if (folder / name).is_file()), None)
+    if labels is None:
+        raise PairFileError(f"{folder}: expected labels in {', '.join(LABELS[:-1])} or {LABELS[-1]}, found none.")
+    return labels

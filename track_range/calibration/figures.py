@@ -1,4 +1,4 @@
-"""A calibration's figures, as `calibrate --json` keeps them: cameras, standard deviations, views, what was left out."""
+"""The figures of a calibration for `calibrate --json`: cameras, standard deviations, used and rejected views."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from typing import Any
 
 import numpy as np
 
-from track_range.calibration.board_search import FoundViews
+from track_range.calibration.board_search import BoardSearch
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.stereo.calibration.coverage import view_shape
 from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration
 
 
-def mono_figures(found: CameraCalibration, search: FoundViews) -> dict[str, Any]:
-    """Of one camera."""
+def mono_figures(calibration: CameraCalibration, search: BoardSearch) -> dict[str, Any]:
+    """The figures of one camera as plain values for JSON."""
     return {
-        "camera": _camera_figures(found),
-        "rms_px": found.rms_px,
-        "views": [_view_figures(fit) for fit in found.fits],
-        "rejected": _rejected_figures([*search.rejected, *found.rejected]),
+        "camera": _camera_figures(calibration),
+        "rms_px": calibration.rms_px,
+        "views": [_view_figures(fit) for fit in calibration.fits],
+        "rejected": _rejected_figures([*search.rejected, *calibration.rejected]),
         "notes": search.notes,
-        "warnings": list(found.coverage.warnings),
+        "warnings": list(calibration.coverage.warnings),
     }
 
 
-def pair_figures(found: PairCalibration, search: FoundViews) -> dict[str, Any]:
-    """Of a rig."""
+def pair_figures(calibration: PairCalibration, search: BoardSearch) -> dict[str, Any]:
+    """The figures of a rig as plain values for JSON."""
     warnings = [
         f"{name}: {text}"
-        for name, eye in (("left", found.left), ("right", found.right))
-        for text in eye.coverage.warnings
+        for name, camera in (("left", calibration.left), ("right", calibration.right))
+        for text in camera.coverage.warnings
     ]
     return {
-        "left": _camera_figures(found.left),
-        "right": _camera_figures(found.right),
-        "right_from_left": found.rig.right_from_left.tolist(),
-        "baseline_m": found.rig.baseline_m,
-        "baseline_sd_m": found.baseline_sd_m,
-        "rms_px": found.rms_px,
-        "rows_px": found.rows_px,
-        "held_out_rows_px": found.held_out_rows_px,
+        "left": _camera_figures(calibration.left),
+        "right": _camera_figures(calibration.right),
+        "right_from_left": calibration.rig.right_from_left.tolist(),
+        "baseline_m": calibration.rig.baseline_m,
+        "baseline_sd_m": calibration.baseline_sd_m,
+        "rms_px": calibration.rms_px,
+        "rows_px": calibration.rows_px,
+        "held_out_rows_px": calibration.held_out_rows_px,
         "views": [
             {
                 **_view_figures(fit.left),
@@ -50,18 +50,19 @@ def pair_figures(found: PairCalibration, search: FoundViews) -> dict[str, Any]:
                 "right_rms_px": fit.right.rms_px,
                 "rows_px": fit.rows_px,
             }
-            for fit in found.fits
+            for fit in calibration.fits
         ],
-        "rejected": _rejected_figures([*search.rejected, *found.rejected]),
+        "rejected": _rejected_figures([*search.rejected, *calibration.rejected]),
         "notes": search.notes,
         "warnings": warnings,
     }
 
 
-def _camera_figures(found: CameraCalibration) -> dict[str, Any]:
-    coverage = asdict(found.coverage)
+def _camera_figures(calibration: CameraCalibration) -> dict[str, Any]:
+    coverage = asdict(calibration.coverage)
     del coverage["warnings"]
-    return {**asdict(found.camera), "sd": asdict(found.std), "rms_px": found.rms_px, "coverage": coverage}
+    std = asdict(calibration.std)
+    return {**asdict(calibration.camera), "sd": std, "rms_px": calibration.rms_px, "coverage": coverage}
 
 
 def _view_figures(fit: ViewFit) -> dict[str, Any]:
@@ -75,5 +76,5 @@ def _rejected_figures(rejected: Sequence[RejectedView]) -> list[dict[str, str]]:
 
 
 def tilt_deg(fit: ViewFit) -> float:
-    """Angle between the board's plane and the image plane."""
+    """Angle between the board and the image plane, degrees."""
     return float(np.degrees(np.arccos(np.clip(abs(fit.board_to_camera[2, 2]), 0, 1))))

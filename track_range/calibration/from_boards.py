@@ -1,4 +1,4 @@
-"""Calibration of one camera or a pair from images of a board: a rig file, the residual of each view, a picture."""
+"""Calibration of one camera or a pair from images of a board: rig file, residuals of the views, picture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from track_range.calibration.board_images import board_images
-from track_range.calibration.board_search import FoundViews, find_views
+from track_range.calibration.board_search import BoardSearch, find_views
 from track_range.calibration.figures import mono_figures, pair_figures
 from track_range.calibration.picture import calibration_picture
 from track_range.calibration.settings import CalibrationSettings
@@ -25,10 +25,10 @@ from track_range.stereo.calibration.two_cameras import PairCalibration, calibrat
 from track_range.stereo.rig_formats.rig_yaml import save_camera, save_rig
 
 _BOARD_M = (0.1, 20.0)
-"""Usual distance of a board; others make a wrong --square-mm likely."""
+"""Plausible range of the median distance of the board, m; outside, --square-mm is probably wrong."""
 
-_SOFT_PX = 6.0
-"""Edges wider than this in most views: out of focus."""
+_OUT_OF_FOCUS_PX = 6.0
+"""Median edge width of the views, px, from which the images count as out of focus."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +36,12 @@ class BoardCalibration:
     """A camera or a pair of cameras calibrated from images of a board.
 
     Attributes:
-        found: the views of the board.
+        search: the views of the board.
         result: the calibration.
-        figures: everything that was measured, as plain values for JSON.
+        figures: all measured values, as plain values for JSON.
     """
 
-    found: FoundViews
+    search: BoardSearch
     result: CameraCalibration | PairCalibration
     figures: dict[str, Any]
 
@@ -54,11 +54,11 @@ class BoardCalibration:
 
     @property
     def warnings(self) -> list[str]:
-        """What looks wrong, but not wrong enough to refuse."""
+        """Warnings for the user about implausible results."""
         return list(self.figures["warnings"])
 
     def save(self, settings: CalibrationSettings) -> list[Path]:
-        """Write the rig, the picture and, where `settings.json_file` is given, the figures; the files' names.
+        """Write the rig, the picture and, if `settings.json_file` is given, the figures; returns the files' paths.
 
         Raises:
             OutputError, RigError: a file cannot be written.
@@ -81,38 +81,38 @@ def calibrate(settings: CalibrationSettings, progress: StepProgress = no_progres
     """Find the board in the images and calibrate; nothing is written before `BoardCalibration.save`.
 
     Raises:
-        UsageError: no source or two, or text that describes no board.
+        UsageError: not exactly one source, or an invalid board.
         ImageFileError, VideoError: images cannot be read.
-        CalibrationError: the views do not suffice for a calibration.
+        CalibrationError: the views are not sufficient for a calibration.
         OutputError: a result would overwrite an image.
     """
     return calibrate_views(find_boards(settings, progress), settings, progress)
 
 
-def find_boards(settings: CalibrationSettings, progress: StepProgress = no_progress) -> FoundViews:
-    """The views of the board in the images, the first half of `calibrate`."""
+def find_boards(settings: CalibrationSettings, progress: StepProgress = no_progress) -> BoardSearch:
+    """Search the images for the board; the first part of `calibrate`."""
     images = board_images(_sources(settings))
     outputs = (settings.out, picture_file(settings), settings.json_file)
     board = _board(settings)
     check_outputs([file for file in outputs if file is not None], images.files)
-    with progress("looking for boards") as advance:
+    with progress("searching for boards") as advance:
         return find_views(images, board, advance)
 
 
 def calibrate_views(
-    found: FoundViews, settings: CalibrationSettings, progress: StepProgress = no_progress
+    search: BoardSearch, settings: CalibrationSettings, progress: StepProgress = no_progress
 ) -> BoardCalibration:
-    """The calibration from views of the board, the second half of `calibrate`."""
+    """Calibrate from the views of the board; the second part of `calibrate`."""
     result: CameraCalibration | PairCalibration
     with progress("calibrating") as advance:
         if settings.stereo is None:
-            views = [shot[0] for shot in found.shots]
+            views = [shot[0] for shot in search.shots]
             result = calibrate_camera(views, n_distortion_coefficients=settings.lens_terms, advance=advance)
-            measured = mono_figures(result, found)
+            measured = mono_figures(result, search)
         else:
-            pairs = [(shot[0], shot[1]) for shot in found.shots]
+            pairs = [(shot[0], shot[1]) for shot in search.shots]
             result = calibrate_pair(pairs, n_distortion_coefficients=settings.lens_terms, advance=advance)
-            measured = pair_figures(result, found)
+            measured = pair_figures(result, search)
     board = _board(settings)
     figures = {
         "board": board.name,
@@ -120,19 +120,19 @@ def calibrate_views(
         "sources": list(_sources(settings)),
         **measured,
     }
-    calibration = BoardCalibration(found, result, figures)
-    figures["warnings"] += _warnings(found, calibration.cameras)
+    calibration = BoardCalibration(search, result, figures)
+    figures["warnings"] += _warnings(search, calibration.cameras)
     return calibration
 
 
 def picture_file(settings: CalibrationSettings) -> Path:
-    """Where the picture of residuals and coverage goes."""
+    """Path of the picture of residuals and coverage."""
     return settings.picture or settings.out.parent / f"{settings.out.stem}.png"
 
 
 def _sources(settings: CalibrationSettings) -> tuple[str, ...]:
     if (settings.mono is None) == (settings.stereo is None):
-        raise UsageError("give --mono IMAGES, or --stereo LEFT RIGHT.")
+        raise UsageError("expected one source of images; give --mono IMAGES or --stereo LEFT RIGHT.")
     return (settings.mono,) if settings.mono is not None else settings.stereo or ()
 
 
@@ -143,18 +143,19 @@ def _board(settings: CalibrationSettings) -> Board:
         raise UsageError(f"--board, --square-mm: {error}") from error
 
 
-def _warnings(found: FoundViews, cameras: Mapping[str, CameraCalibration]) -> list[str]:
-    """What looks wrong, but not wrong enough to refuse."""
+def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> list[str]:
+    """Sentences for the user about an implausible distance, blur, and images of different size."""
     warnings = []
     first = next(iter(cameras.values()))
     distance_m = float(np.median([fit.board_to_camera[2, 3] for fit in first.fits]))
     if not _BOARD_M[0] <= distance_m <= _BOARD_M[1]:
-        warnings.append(f"the boards stand {distance_m:.3g} m away: is --square-mm right?")
-    if float(np.median([view.edge_px for shot in found.shots for view in shot])) > _SOFT_PX:
-        warnings.append("most images are out of focus; the lens should be focused and fixed before it is calibrated.")
-    sizes = {f"{each.camera.width_px}x{each.camera.height_px} px" for each in cameras.values()}
+        warnings.append(f"the median distance of the boards is {distance_m:.3g} m; check --square-mm.")
+    if float(np.median([view.edge_px for shot in search.shots for view in shot])) > _OUT_OF_FOCUS_PX:
+        warnings.append("most images are out of focus; focus and lock the lens before calibrating.")
+    cameras_px = [calibration.camera for calibration in cameras.values()]
+    sizes = {f"{camera.width_px}x{camera.height_px} px" for camera in cameras_px}
     if len(sizes) > 1:
         warnings.append(
-            f"images of the two cameras differ in size ({', '.join(sorted(sizes))}); a run needs videos of one size."
+            f"images of the two cameras differ in size ({', '.join(sorted(sizes))}); a run needs videos of equal size."
         )
     return warnings

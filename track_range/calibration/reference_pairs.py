@@ -1,11 +1,11 @@
-"""Pairs with objects whose distance or disparity the user knows: what the alignment of a rig is fitted on.
+"""Stereo pairs with objects of known distance or disparity, to which the alignment of a rig is fitted.
 
-    DIR          KITTI 2015's layout, or a drive's left.mp4, right.mp4, rig.yaml and truth.csv (KITTI: label.txt)
-    LABELS       KITTI tracking labels of two videos, or a CSV as `--truth` takes
-    FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown), of two videos, frames
-                 counted from 0
+    DIR          KITTI 2015's layout, or a drive: left.mp4, right.mp4, rig.yaml and truth.csv (KITTI: label.txt)
+    LABELS       KITTI tracking labels of two videos, or a CSV file as for `--truth`
+    FILE.csv     frame,x1,y1,x2,y2 and distance_m or disparity_px (and id, -1 = unknown) of two videos; frames count
+                 from 0
 
-A distance is that of the visible surface in the middle of the box, along the left camera's axis.
+A distance is that of the visible surface at the box centre, along the left camera's optical axis.
 """
 
 from __future__ import annotations
@@ -31,13 +31,22 @@ from track_range.video.recording import Recording
 _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
 _PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
+"""Accepted range of each kind of value."""
+
 _LARGEST_NUMBER = 2**53
-"""Largest number of a frame or object; larger ones are not distinguished as float64."""
+"""Largest frame number or object id; float64 cannot represent all larger integers."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
-    """Objects of a drive, one row per object and frame: (N,) frame, id (-1 = unknown), (N, 4) box, (N,) true px."""
+class _KnownObjects:
+    """Objects of a drive, one row per object and frame.
+
+    Attributes:
+        frame: (N,) frame number.
+        track_id: (N,) id, -1 = unknown.
+        xyxy_px: (N, 4) box.
+        true_px: (N,) true disparity.
+    """
 
     frame: IntArray
     track_id: IntArray
@@ -48,18 +57,23 @@ class _Known:
 def reference_pairs(reference: Path, *, stereo: tuple[Path, Path] | None, rig: Path | None) -> Iterator[StereoPair]:
     """The pairs with their known objects, read one by one.
 
+    Args:
+        reference: a file or folder of one of the kinds above.
+        stereo: left and right video, for a file.
+        rig: a rig file; None = the one next to the images.
+
     Raises:
-        UsageError: a file without the two videos, or a folder with them.
-        PairFileError, LabelFileError, VideoError, RigError: what is read cannot be used.
+        UsageError: a file without videos, or a folder with videos.
+        PairFileError, LabelFileError, VideoError, RigError: an input cannot be used.
     """
     if not reference.exists():
-        raise LabelFileError(f"{reference}: there is no such file or folder.")
+        raise LabelFileError(f"{reference}: no such file or folder; check the name.")
     if reference.is_dir():
         if stereo is not None:
-            raise UsageError("--reference DIR brings its own images: leave --stereo out, or give a file.")
+            raise UsageError("--reference DIR includes the images; omit --stereo, or give a file.")
         return _folder_pairs(reference, rig)
     if stereo is None:
-        raise UsageError("--reference FILE has objects of two videos: give them with --stereo LEFT RIGHT.")
+        raise UsageError("--reference FILE needs the videos of its objects; give them with --stereo LEFT RIGHT.")
     return _video_pairs(reference, *open_pair(*stereo, rig))
 
 
@@ -77,36 +91,36 @@ def _video_pairs(reference: Path, recording: Recording, rectified: StereoRig) ->
         for frame in recording.frames:
             if frame.index > last:
                 return
-            here = known.frame == frame.index
-            if frame.right is None or not here.any():
+            is_in_frame = known.frame == frame.index
+            if frame.right is None or not is_in_frame.any():
                 continue
             yield StereoPair(
                 f"{frame.index:06d}",
                 frame.left,
                 frame.right,
-                known.xyxy_px[here],
-                known.true_px[here],
+                known.xyxy_px[is_in_frame],
+                known.true_px[is_in_frame],
                 rectified,
                 recording.calibration.file_notes,
-                track_id=_identities(known, here),
+                track_id=_ids(known, is_in_frame),
             )
 
 
-def _identities(known: _Known, here: BoolArray) -> IntArray:
-    """Of the objects of a frame; none where one of them is unknown, since identities are for all or for none."""
-    ids = known.track_id[here]
+def _ids(known: _KnownObjects, is_in_frame: BoolArray) -> IntArray:
+    """Ids of the objects of a frame; empty if the id of any object of the drive is unknown."""
+    ids = known.track_id[is_in_frame]
     return ids if (known.track_id >= 0).all() else np.zeros(0, np.int64)
 
 
-def _of_labels(path: Path, recording: Recording, rig: StereoRig) -> _Known:
+def _of_labels(path: Path, recording: Recording, rig: StereoRig) -> _KnownObjects:
     truth = read_truth(path, rig.left, recording.calibration.left_from_reference_m)
     truth = truth.select((truth.class_id >= 0) & np.isfinite(truth.distance_m))
     if not len(truth):
-        raise LabelFileError(f"{path}: no object in it is labelled well enough to know its distance.")
-    return _Known(truth.frame, truth.track_id, truth.xyxy_px, rig.left.fx_px * rig.baseline_m / truth.distance_m)
+        raise LabelFileError(f"{path}: expected objects of a road class with a known distance, found none.")
+    return _KnownObjects(truth.frame, truth.track_id, truth.xyxy_px, rig.left.fx_px * rig.baseline_m / truth.distance_m)
 
 
-def _of_table(path: Path, rig: StereoRig) -> _Known:
+def _of_table(path: Path, rig: StereoRig) -> _KnownObjects:
     expected = "a header and rows of frame,x1,y1,x2,y2 and either distance_m or disparity_px (and id, if known)"
     table = read_csv_table(path, LabelFileError, expected)
     given = [name for name in _KNOWN if name in table]
@@ -116,16 +130,16 @@ def _of_table(path: Path, rig: StereoRig) -> _Known:
     box = np.stack([table.finite(name) for name in _BOX], axis=1)
     low, high = _PLAUSIBLE[given[0]]
     table.check(given[0], value, (value >= low) & (value <= high), f"{low:g} .. {high:g}")
-    _check_whole(table, "frame", least=0)
+    _check_integers(table, "frame", minimum=0)
     ids = np.full(len(table), -1)
     if "id" in table:
-        _check_whole(table, "id", least=-1)
+        _check_integers(table, "id", minimum=-1)
         ids = table.numbers("id").astype(np.int64)
     true_px = value if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value
-    return _Known(frame.astype(np.int64), ids, box, true_px)
+    return _KnownObjects(frame.astype(np.int64), ids, box, true_px)
 
 
-def _check_whole(table: CsvTable, name: str, *, least: int) -> None:
+def _check_integers(table: CsvTable, name: str, *, minimum: int) -> None:
     numbers = table.numbers(name)
-    is_valid = (numbers >= least) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)
-    table.check(name, numbers, is_valid, f"a whole number from {least}")
+    is_valid = (numbers >= minimum) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)
+    table.check(name, numbers, is_valid, f"an integer >= {minimum}")

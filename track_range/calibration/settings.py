@@ -8,6 +8,7 @@ from typing import Annotated
 from track_range.foundation.options import Options, option
 
 OFF, LEAVE_TWO_OUT = "off", "leave-two-out"
+"""Values of --align that name no file."""
 
 
 class CalibrationSettings(Options):

@@ -1,4 +1,4 @@
-"""Errors of stereo matchers on pairs whose true disparities are known."""
+"""Evaluation of stereo matchers on pairs with known disparities."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from track_range.stereo.matching.box_matchers import MATCHER_NAMES, Measured, me
 
 
 def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
-    """Errors, sigma and times per matcher, with intervals, as plain values for JSON.
+    """Errors, calibration of sigma and times per matcher, with confidence intervals, as plain values for JSON.
 
     Raises:
-        UsageError: an unknown matcher, or leave-two-out where there are no pairs to leave out.
-        PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig, the alignment cannot be used.
+        UsageError: an unknown matcher, or leave-two-out for a drive or too few pairs.
+        PairFileError, RigError, VideoError, LabelFileError: the pairs, their rig or the alignment cannot be used.
     """
     _check_names(settings.matchers)
     known = None if settings.align in (OFF, LEAVE_TWO_OUT) else load_alignment(Path(settings.align))
-    n_pairs = _expected(settings)
+    n_pairs = _n_pairs(settings)
     with progress("pairs") as advance:
         pairs = _counted(_pairs(settings, known), advance, n_pairs)
         measured = measure_pairs(pairs, settings.matchers)
     if not len(measured.objects):
-        raise PairFileError(f"{settings.pairs}: no object in it of which enough is known to measure against.")
+        raise PairFileError(f"{settings.pairs}: expected objects of known disparity, found none.")
     columns, alignment = _aligned(measured, settings, known)
     matchers = _with_times(matcher_figures(columns, measured.objects, seed=settings.seed), measured)
     return {
@@ -59,25 +59,27 @@ def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress =
 def _check_names(names: Sequence[str]) -> None:
     for name in names:
         if name not in MATCHER_NAMES:
-            raise UsageError(f"--matcher: '{name}' is no matcher; there are: {', '.join(MATCHER_NAMES)}.")
+            raise UsageError(f"--matcher {name}: expected one of {', '.join(MATCHER_NAMES)}.")
     if len(set(names)) < len(names):
-        raise UsageError("--matcher: one is named twice.")
+        raise UsageError("--matcher: expected different matchers, got one twice.")
 
 
-def _expected(settings: StereoEvaluationSettings) -> int | None:
-    """How many pairs there are, where it is known beforehand."""
+def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
+    """Number of pairs; None = unknown before the drive is read."""
     if not (is_kitti_2015(settings.pairs) or is_drive(settings.pairs)):
         raise PairFileError(
-            f"{settings.pairs}: neither a set like KITTI 2015 (image_2, image_3, disp_occ_0, obj_map) nor a drive "
-            "(left.mp4, right.mp4 and truth.csv or truth.txt) is there."
+            f"{settings.pairs}: expected a folder with KITTI 2015's image_2, image_3, disp_occ_0 and obj_map, or with "
+            "a drive's left.mp4, right.mp4 and truth.csv or truth.txt."
         )
     if not is_kitti_2015(settings.pairs):
         if settings.align == LEAVE_TWO_OUT:
-            raise UsageError(f"--align {LEAVE_TWO_OUT} is for sets of single pairs, and {settings.pairs} is a drive.")
+            raise UsageError(
+                f"--align {LEAVE_TWO_OUT}: expected a set of single pairs, but {settings.pairs} is a drive."
+            )
         return None
     n_pairs = len(pair_names(settings.pairs))
     if settings.align == LEAVE_TWO_OUT and n_pairs < 4:
-        raise UsageError(f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, {settings.pairs} has {n_pairs}.")
+        raise UsageError(f"--align {LEAVE_TWO_OUT}: expected at least 4 pairs, but {settings.pairs} has {n_pairs}.")
     return n_pairs
 
 
@@ -98,7 +100,7 @@ def _counted(
 def _aligned(
     measured: Measured, settings: StereoEvaluationSettings, known: Alignment | None
 ) -> tuple[dict[str, Column], Any]:
-    """The columns put right, and what by, for the figures."""
+    """The corrected disparities by matcher, and the applied alignment as plain values for JSON."""
     objects, columns = measured.objects, measured.columns
     n_pairs = len(objects.cameras)
     if settings.align != LEAVE_TWO_OUT:
@@ -110,11 +112,11 @@ def _aligned(
         for name, column in columns.items()
     }
     means = {
-        name: {"mean_offset_px": float(np.mean([each.offset_px for each in found.values()]))}
-        for name, found in by_pair.items()
+        name: {"mean_offset_px": float(np.mean([alignment.offset_px for alignment in alignments.values()]))}
+        for name, alignments in by_pair.items()
     }
     return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
 
 
 def _with_times(figures: dict[str, dict[str, Any]], measured: Measured) -> dict[str, dict[str, Any]]:
-    return {name: {**found, "ms_per_frame": round(measured.ms_per_frame[name], 3)} for name, found in figures.items()}
+    return {name: {**row, "ms_per_frame": round(measured.ms_per_frame[name], 3)} for name, row in figures.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from track_range.calibration.board_search import FoundViews
+from track_range.calibration.board_search import BoardSearch
 from track_range.calibration.figures import tilt_deg
 from track_range.calibration.from_boards import calibrate_views, find_boards
 from track_range.calibration.settings import CalibrationSettings
@@ -42,7 +42,7 @@ def _calibrate(settings: CalibrationSettings) -> None:
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
-def _print_search(found: FoundViews) -> None:
+def _print_search(found: BoardSearch) -> None:
     for note in found.notes:
         print_line(console, note)
     print_line(console, f"Board found in {len(found.shots)} of {found.n_images} {_views_of(found)}.")
@@ -59,7 +59,7 @@ def _print_rejected(rejected: Sequence[RejectedView]) -> None:
         print_line(console, f"Left out: {shown}: {views[0].reason if len(views) == 1 else kind}.")
 
 
-def _views_of(found: FoundViews) -> str:
+def _views_of(found: BoardSearch) -> str:
     return "pairs" if found.shots and len(found.shots[0]) == 2 else "images"
 
 
