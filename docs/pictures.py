@@ -64,7 +64,7 @@ def mono() -> None:
     scene.plot([0, 7.0], [1.2, 0.0], color=COLOUR["mono"], lw=1)
     scene.plot([1.3, 1.3], [1.2 - 1.3 * 1.2 / 7, 1.2 + 1.3 * 0.3 / 7], color=INK, lw=2.5)
     scene.annotate("h px", (1.3, 1.33), ha="center", color=INK)
-    _arrow(scene, (7.25, 0.0), (7.25, 1.5), "H m", (7.5, 0.7))
+    _arrow(scene, (7.35, 0.0), (7.35, 1.5), "H m", (7.85, 0.7))
     _arrow(scene, (0, -0.28), (7.0, -0.28), "d = f H / h", (3.5, -0.62))
 
     height_px = np.geomspace(12, 160, 60)
@@ -86,11 +86,11 @@ def ground() -> None:
     scene, plot = figure.subplots(1, 2, width_ratios=(1.15, 1))
     _side_view(scene)
     _car(scene, 7.0, 0.0)
-    scene.plot([0, 8.6], [1.2, 1.2], color=FAINT, lw=1, ls="--")
-    scene.text(8.6, 1.26, "horizon", ha="right", color=FAINT)
+    scene.plot([0, 6.9], [1.2, 1.2], color=FAINT, lw=1, ls="--")
+    scene.text(6.8, 1.28, "horizon", ha="right", color=FAINT)
     scene.plot([0, 7.0], [1.2, 0.0], color=COLOUR["ground"], lw=1)
-    scene.plot([1.3, 1.3], [1.2 - 1.3 * 1.2 / 7, 1.2], color=INK, lw=2.5)
-    scene.text(1.45, 0.98, "y_bottom - y_horizon", color=INK, fontsize=8)
+    scene.plot([2.2, 2.2], [1.2 - 2.2 * 1.2 / 7, 1.2], color=INK, lw=2.5)
+    scene.text(2.2, 1.32, "y_bottom - y_horizon", ha="center", color=INK, fontsize=8)
     _arrow(scene, (-0.25, 0.0), (-0.25, 1.2), "H", (-0.55, 0.55))
     scene.plot([7.0], [0.0], "o", color=COLOUR["ground"], ms=5)
     scene.text(6.95, -0.34, "contact point", ha="right", fontsize=8, color=COLOUR["ground"])
@@ -107,25 +107,26 @@ def ground() -> None:
 
 def lane() -> None:
     """The own lane in the image, the box in it, and the width in the row of its bottom edge."""
-    figure = Figure((7.4, 2.6))
+    figure = Figure((7.4, 2.5))
     scene = figure.subplots()
     scene.set(xlim=(0, 1240), ylim=(376, 120), aspect="equal")
     scene.axis("off")
     scene.add_patch(Rectangle((0, 120), 1240, 256, color="#eef1f3", lw=0))
-    scene.add_patch(Polygon([(610, 173), (-400, 376), (1620, 376)], color=ROAD, lw=0, clip_on=True))
+    scene.add_patch(Polygon([(610, 173), (-400, 376), (1620, 376)], color=ROAD, lw=0))
     for offset_m in (-1.75, 1.75, -5.25, 5.25):
         end = 610 + offset_m * (376 - 173) / CAMERA_HEIGHT_M
-        style = {"color": COLOUR["lane"], "lw": 2.5} if abs(offset_m) < 2 else {"color": "white", "lw": 2}
-        scene.plot([610, end], [173, 376], **style)
-    y_px = 255.0
+        is_own = abs(offset_m) < 2
+        scene.plot([610, end], [173, 376], color=COLOUR["lane"] if is_own else "white", lw=2.5 if is_own else 2)
+    y_px = 270.0
     half_px = 1.75 * (y_px - 173) / CAMERA_HEIGHT_M
-    scene.add_patch(Rectangle((565, 188), 92, y_px - 188, fill=False, color=INK, lw=2))
-    scene.annotate(
-        "", (610 - half_px, y_px), (610 + half_px, y_px), arrowprops={"arrowstyle": "<->", "color": COLOUR["lane"]}
-    )
-    scene.text(610, y_px + 24, "w px in the row of the bottom edge", ha="center", color=COLOUR["lane"])
-    scene.text(610, 356, "W m between the lines:   d = f W / w", ha="center", color=INK)
-    scene.text(20, 168, "horizon", color=FAINT)
+    scene.add_patch(Rectangle((555, 196), 110, y_px - 196, fill=False, color=INK, lw=2))
+    arrow = {"arrowstyle": "<->", "color": INK, "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
+    scene.annotate("", (610 - half_px, y_px), (610 + half_px, y_px), arrowprops=arrow)
+    scene.text(610, y_px + 22, "w px", ha="center", color=INK)
+    scene.text(610, 350, "W m between the lines", ha="center", color=COLOUR["lane"])
+    scene.text(1225, 230, "d = f W / w", ha="right", color=INK, fontsize=11)
+    scene.text(1225, 256, "in the row of the bottom edge", ha="right", color=INK)
+    scene.text(15, 165, "horizon", color=FAINT)
     scene.plot([0, 1240], [173, 173], color=FAINT, lw=0.8, ls="--")
     _save(figure, "lane.svg")
 
@@ -151,7 +152,7 @@ def stereo() -> None:
         share = sigma_px * distance_m / (FOCAL_PX * BASELINE_M)
         plot.plot(distance_m, 100 * share, style, color=COLOUR["stereo"], label=f"{sigma_px} px")
     plot.set(xlabel="distance, m", ylabel="error, %", ylim=(0, 8))
-    plot.legend(title="error of the disparity\n(f = 721 px, B = 0.54 m)")
+    plot.legend(title="disparity error\nf = 721 px, B = 0.54 m", loc="upper left")
     _save(figure, "stereo.svg")
 
 
@@ -235,9 +236,9 @@ def scenarios() -> None:
     for name in names:
         folder = _temporary() / name
         _track_range("simulate", "--out", str(folder), "--scenario", name, "--seconds", "2", "--fps", "2")
-        tile = cv2.resize(_frame(folder / "left.mp4", 3), (620, 188), interpolation=cv2.INTER_AREA)
-        cv2.putText(tile, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 3, cv2.LINE_AA)
-        cv2.putText(tile, name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+        tile = cv2.resize(_frame(folder / "left.mp4", 3), (500, 152), interpolation=cv2.INTER_AREA)
+        cv2.rectangle(tile, (0, 0), (12 * len(name) + 14, 26), (40, 40, 40), -1)
+        cv2.putText(tile, name, (8, 19), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255)))
     rows = [np.hstack(tiles[i : i + 2]) for i in range(0, len(tiles), 2)]
     _save_jpeg(np.vstack(rows), IMAGES / "scenarios.jpg", quality=80)
@@ -251,7 +252,7 @@ def report() -> None:
         return
     shot = _temporary() / "report.png"
     page = (_demo() / "report.html").as_uri()
-    window = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1200,1500"]
+    window = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1200,1080"]
     subprocess.run(
         [chromium, *window, "--virtual-time-budget=4000", f"--screenshot={shot}", page], check=True, capture_output=True
     )
@@ -288,7 +289,8 @@ def _longest_track() -> tuple[dict[str, Any], Any]:
     for _, track in table[table["class"] == "car"].groupby("track_id"):
         merged = track.merge(truth, on="frame", suffixes=("", "_true"))
         centre = (merged.x1 + merged.x2 - merged.x1_px - merged.x2_px).abs() / 2
-        merged = merged[centre < 8].groupby("frame").first()
+        merged = merged[centre < 8]
+        merged = merged[merged["id"] == merged["id"].mode().min()].set_index("frame")
         if len(merged) < 25 or merged.distance_m.max() > 60:
             continue
         length = float(np.isfinite(merged[["mono_m", "ground_m", "lane_m", "stereo_m"]]).all(axis=1).sum())

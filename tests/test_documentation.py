@@ -144,3 +144,9 @@ def test_pages_load_nothing_from_the_network():
     assert "font: false" in text
     assert "http" not in text
     assert not any("http" in path.read_text() for path in (PROJECT / "docs/assets").iterdir())
+
+
+def test_rig_file_of_the_page_loads(tmp_path):
+    (code,) = re.findall(r"```yaml\n(track_range_rig.*?)```", PAGES["docs/camera.md"], re.DOTALL)
+    (tmp_path / "rig.yaml").write_text(code)
+    assert tr.load_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.54)
