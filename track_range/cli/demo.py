@@ -13,7 +13,10 @@ from track_range.foundation.options import Options, option
 from track_range.results.output_files import make_folder
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
-from track_range.simulation.drive import write_drive
+from track_range.simulation.drive import DriveOptions, write_drive
+
+SCENARIO = "crossing"
+"""The camera's car stops for people and a cyclist, who stay in plain sight for seconds."""
 
 
 class DemoOptions(Options):
@@ -40,7 +43,13 @@ def _demo(options: DemoOptions) -> None:
     )
     print_line(console, f"A simulated stereo drive, with exact truth. {boxes}")
     with step_progress(console, "rendering") as progress:
-        drive = write_drive(options.out / "drive", seed=options.seed, seconds=options.seconds, progress=progress)
+        drive = write_drive(
+            options.out / "drive",
+            seed=options.seed,
+            seconds=options.seconds,
+            options=DriveOptions(scenario=SCENARIO),
+            progress=progress,
+        )
     settings = RunSettings(
         stereo=(drive.left, drive.right),
         rig=drive.rig,

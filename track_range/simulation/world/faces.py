@@ -7,7 +7,9 @@ and `down` down, so that along x down points away from who sees it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -27,6 +29,9 @@ SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}
 """Brightness of the sides of a box, in own axes."""
 
 N_PRISM_SIDES = 8
+
+LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
+"""Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; much as `SUN`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +122,92 @@ def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: fl
         ],
     )
     return [*faces, top]
+
+
+def ring(centre: Vector, radii: tuple[float, float], *, n_sides: int = N_PRISM_SIDES) -> FloatArray:
+    """(n_sides, 3) corners of a level ellipse round `centre` = (x, height above the road, z), `radii` along x and z."""
+    angles = np.pi + 2 * np.pi * (np.arange(n_sides) - 0.5) / n_sides
+    x, height, z = centre
+    corners = [x + radii[0] * np.cos(angles), np.full(n_sides, -height), z + radii[1] * np.sin(angles)]
+    return np.stack(corners, axis=1)
+
+
+def rings_across(start: Vector, end: Vector, radii_m: tuple[float, float], *, n_sides: int = 6) -> list[FloatArray]:
+    """Two (n_sides, 3) circles across the line from `start` to `end`, both (x, height above the road, z)."""
+    points = [np.array([x, -height, z]) for x, height, z in (start, end)]
+    axis = points[1] - points[0]
+    axis = axis / np.linalg.norm(axis)
+    side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 0.0, 1.0))
+    side = side / np.linalg.norm(side)
+    angles = 2 * np.pi * (np.arange(n_sides) - 0.5) / n_sides
+    circle = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * np.cross(axis, side)
+    return [point + radius * circle for point, radius in zip(points, radii_m, strict=True)]
+
+
+def loft(
+    rng: np.random.Generator,
+    low: FloatArray,
+    high: FloatArray,
+    bgr: Colour,
+    *,
+    contrast: float = 8.0,
+    others: Mapping[int, Colour] = MappingProxyType({}),
+) -> list[Face]:
+    """The sides between two rings (N, 3) of corners, lit by their slopes: trapezia where the rings are alike.
+
+    A trapezium is a parallelogram with its two outer triangles cut out. Side k lies between corners k - 1 and k;
+    `others` are the colours of sides that differ from `bgr`.
+    """
+    middle = (low.mean(axis=0) + high.mean(axis=0)) / 2
+    return [
+        _trapezium(rng, (high[k - 1], high[k]), (low[k - 1], low[k]), middle, paint=(others.get(k, bgr), contrast))
+        for k in range(len(low))
+    ]
+
+
+def lid(rng: np.random.Generator, corners: FloatArray, bgr: Colour, *, contrast: float = 8.0) -> Face:
+    """The level top of a ring (N, 3) of corners."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    along, down = (float(high[0] - low[0]), 0.0, 0.0), (0.0, 0.0, float(low[2] - high[2]))
+    corner = (float(low[0]), float(low[1]), float(high[2]))
+    face = coloured_face(rng, (corner, along, down), shaded(bgr, SUN["top"]), contrast=contrast)
+    shares = (corners[:, [0, 2]] - (low[0], high[2])) / (along[0], down[2])
+    cut_outside(face.texture, [(float(s), float(t)) for s, t in shares])
+    return face
+
+
+def _trapezium(
+    rng: np.random.Generator,
+    top: tuple[FloatArray, FloatArray],
+    bottom: tuple[FloatArray, FloatArray],
+    inside: FloatArray,
+    *,
+    paint: tuple[Colour, float],
+) -> Face:
+    """One side of `loft`: its upper and lower edge, a point inside the body, colour and contrast."""
+    edge = (top[1] - top[0]) + (bottom[1] - bottom[0])
+    edge = edge / np.linalg.norm(edge)
+    down = (bottom[0] + bottom[1] - top[0] - top[1]) / 2
+    centre = (top[0] + top[1] + bottom[0] + bottom[1]) / 4
+    if np.cross(edge, down) @ (inside - centre) < 0:
+        edge = -edge
+    normal = -np.cross(edge, down)
+    normal = normal / np.linalg.norm(normal)
+    upper_m, lower_m = (float(np.linalg.norm(end - start)) for start, end in (top, bottom))
+    width_m = max(upper_m, lower_m)
+    corner = (top[0] + top[1]) / 2 - edge * width_m / 2
+    light = float(np.array([LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT]) @ normal) + LIGHT_MEAN
+    bgr, contrast = paint
+    face = Face(
+        corner,
+        edge * width_m,
+        down,
+        plain(rng, (width_m, float(np.linalg.norm(down))), shaded(bgr, light), contrast=contrast),
+    )
+    off_top, off_bottom = (0.5 - 0.5 * length_m / width_m for length_m in (upper_m, lower_m))
+    if off_top + off_bottom > 0.02:
+        cut_outside(face.texture, [(off_top, 0), (1 - off_top, 0), (1 - off_bottom, 1), (off_bottom, 1)])
+    return face
 
 
 def shaded(bgr: Colour, light: float) -> Colour:

@@ -1,28 +1,40 @@
-"""What people, cyclists and motorcyclists are made of: eight-sided limbs, trunks and heads, and wheels."""
+"""What people, cyclists and motorcyclists are made of: rounded trunks and heads, tapered limbs, and wheels."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 
-from track_range.simulation.world.faces import Colour, Extent, Face, block, coloured_face, prism
-from track_range.simulation.world.painting import fill
+from track_range.simulation.world.faces import (
+    Colour,
+    Extent,
+    Face,
+    Vector,
+    block,
+    coloured_face,
+    lid,
+    loft,
+    prism,
+    ring,
+    rings_across,
+)
 from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures import RUBBER_BGR, cut_outside, paint_box, paint_wheel
 
 TOPS: tuple[Colour, ...] = (
-    (52, 44, 128),
-    (118, 74, 48),
-    (62, 66, 70),
-    (172, 170, 166),
-    (72, 92, 66),
-    (40, 38, 40),
-    (96, 120, 150),
-    (70, 140, 176),
+    (44, 36, 120),
+    (104, 58, 34),
+    (50, 52, 58),
+    (188, 186, 182),
+    (52, 70, 44),
+    (34, 32, 34),
+    (66, 54, 150),
+    (60, 150, 196),
 )
-TROUSERS: tuple[Colour, ...] = ((78, 58, 46), (44, 42, 42), (96, 100, 108), (92, 74, 62), (58, 70, 80))
+TROUSERS: tuple[Colour, ...] = ((70, 46, 34), (38, 36, 36), (44, 44, 50), (82, 56, 40), (40, 50, 60))
 SKIN: tuple[Colour, ...] = ((120, 148, 196), (92, 120, 168), (60, 84, 122))
 HAIR: tuple[Colour, ...] = ((30, 34, 42), (46, 66, 92), (84, 126, 160), (110, 110, 115))
 HELMETS: tuple[Colour, ...] = ((215, 215, 215), (40, 40, 44), (40, 40, 170), (140, 80, 40))
@@ -34,108 +46,148 @@ WHEEL_RADIUS_M = 0.34
 N_TYRE_PIECES = 10
 
 
+PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845
+"""Heights of a standing body, as shares of its height."""
+
+TRUNK = (
+    (PELVIS, 0.064, 0.102),
+    (0.52, 0.074, 0.108),
+    (WAIST, 0.068, 0.096),
+    (CHEST, 0.076, 0.112),
+    (SHOULDER, 0.062, 0.124),
+    (NECK, 0.036, 0.048),
+)
+"""Height, half depth and half width of the trunk, as shares of the body's height."""
+
+HEAD = ((0.16, 0.055, 0.042), (0.34, 0.086, 0.066), (0.62, 0.098, 0.077), (0.86, 0.085, 0.066), (1.0, 0.045, 0.035))
+"""Height, as a share of that of neck and head, half depth and half width in metres."""
+
+BARE_SIDES: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3, 4, 5, 6, 7), (4, 5, 6), (4, 5, 6), ())
+"""Sides of the head, ring by ring, that hair does not cover; 5 is the front."""
+
+
 def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """Somebody in mid-step: the arms fill the width of the 3-D box, trunk and legs its length."""
+    """A walker in mid-step: the hands fill the width of the 3-D box, the feet its length."""
     height, width, length = size_hwl_m
     top, trousers, skin = _one(rng, TOPS), _one(rng, TROUSERS), _one(rng, SKIN)
     x, z = length / 2, width / 2
-    hip, waist, neck = 0.47 * height, 0.60 * height, 0.835 * height
-    has_bag = rng.uniform() < 0.3
+    hip_z, has_bag = 0.055 * height, rng.uniform() < 0.3
     faces = [shadow(size_hwl_m, under=150)]
-    for side, step in ((1, -1), (-1, 1)):  # the left leg behind, the right one before; arms the other way round
-        near, far = sorted((side * 0.06 * z, side * 0.62 * z))
-        ahead = step * 0.38 * x
-        faces += _limb(rng, (ahead - 0.42 * x, ahead + 0.40 * x, 0.24 * height, hip, near, far), trousers, contrast=6.0)
-        shin = (1.35 * ahead - 0.30 * x, 1.35 * ahead + 0.28 * x, 0.045 * height, 0.26 * height, near, 0.92 * far)
-        faces += _limb(rng, _sorted_z(shin), trousers, contrast=6.0)
-        shoe = (1.35 * ahead - 0.32 * x, min(1.35 * ahead + 0.6 * x, x), 0.0, 0.055 * height, near, 0.95 * far)
-        faces += block(rng, _sorted_z(shoe), SHOE, contrast=4.0).values()
-        faces += _arm(rng, (-step * 0.22 * x, side * z), (height, z), (top, skin))
-    faces += prism(rng, (-0.72 * x, 0.72 * x, hip, waist, -0.60 * z, 0.60 * z), top, contrast=CLOTH_CONTRAST)
-    faces += prism(rng, (-0.80 * x, 0.80 * x, waist, neck, -0.74 * z, 0.74 * z), top, contrast=CLOTH_CONTRAST)
+    for side, step in ((1, -1), (-1, 1)):  # the left leg behind, the right one in front; the arms opposite
+        ankle = (step * (x - 0.13) - 0.03, 0.08 if step < 0 else 0.06, side * hip_z)
+        knee = (0.5 * ankle[0] + 0.05, 0.275 * height, side * 1.05 * hip_z)
+        hip = (0.0, (PELVIS + 0.03) * height, side * hip_z)
+        faces += _tube(rng, hip, knee, (0.062 * height, 0.046 * height), trousers)
+        faces += _tube(rng, _towards(knee, hip), ankle, (0.046 * height, 0.034 * height), trousers)
+        heel = -x if step < 0 else x - 0.27
+        shoe = (heel, heel + 0.27, 0.0, 0.075, side * hip_z - 0.045, side * hip_z + 0.045)
+        faces += block(rng, shoe, SHOE, contrast=4.0).values()
+        shoulder = (0.0, (SHOULDER - 0.015) * height, side * 0.112 * height)
+        elbow = (-step * 0.30 * x - 0.03, 0.625 * height, side * (z - 0.04))
+        wrist = (-step * 0.62 * x + 0.04, 0.49 * height, side * (z - 0.036))
+        palm = (wrist[0] + 0.03, wrist[1] - 0.09, side * (z - 0.034))
+        faces += _tube(rng, shoulder, elbow, (0.038 * height, 0.033 * height), top)
+        faces += _tube(rng, _towards(elbow, shoulder), wrist, (0.033 * height, 0.026 * height), top)
+        faces += _tube(rng, wrist, palm, (0.033, 0.030), skin)
+    rings = [ring((0.0, share * height, 0.0), (rx * height, rz * height)) for share, rx, rz in TRUNK]
+    for low, high in pairwise(rings):
+        faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
     if has_bag:
-        bag = (-x, -0.7 * x, waist, 0.8 * height, -0.5 * z, 0.5 * z)
+        bag = (-0.19, -0.06, WAIST * height, 0.79 * height, -0.15, 0.15)
         faces += block(rng, bag, _one(rng, TOPS), contrast=6.0).values()
-    return [*faces, *_head(rng, low=neck, high=height, skin=skin)]
-
-
-def _arm(
-    rng: np.random.Generator, at: tuple[float, float], body: tuple[float, float], look: tuple[Colour, Colour]
-) -> list[Face]:
-    """A sleeve and a hand, its outer side at `at` = (x, z)."""
-    (x, outer), (height, z), (cloth, skin) = at, body, look
-    inner = outer * 0.72
-    low, high = sorted((inner, outer))
-    sleeve = _limb(rng, (x - 0.30 * z, x + 0.30 * z, 0.49 * height, 0.82 * height, low, high), cloth, contrast=6.0)
-    hand = _limb(rng, (x - 0.18 * z, x + 0.22 * z, 0.43 * height, 0.49 * height, low, high), skin, contrast=4.0)
-    return [*sleeve, *hand]
-
-
-def _head(rng: np.random.Generator, *, low: float, high: float, skin: Colour) -> list[Face]:
-    """Neck, face and hair."""
-    chin = low + 0.22 * (high - low)
-    neck = _limb(rng, (-0.055, 0.055, low - 0.03, chin + 0.02, -0.055, 0.055), skin, contrast=4.0)
-    head = prism(rng, (-0.10, 0.10, chin, high, -0.08, 0.08), skin, contrast=4.0)
-    hair = _one(rng, HAIR)
-    for k, side in enumerate(head):  # 0 = back, 4 = front, 8 = top
-        reach = {3: 0.35, 4: 0.24, 5: 0.35, 8: 1.0}.get(k, 0.78)
-        fill(side.texture, (0, 0, 1, reach), hair)
-    fill(head[4].texture, (0.15, 0.42, 0.85, 0.50), tuple(0.55 * channel for channel in skin))
-    return [*neck, *head]
+    return [*faces, *_head(rng, x=0.015, low=NECK * height, high=height, skin=skin)]
 
 
 def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
     """A rider on two wheels; the wheels reach to both ends of the 3-D box, a bag closes it behind."""
     height, width, length = size_hwl_m
-    x, radius = length / 2, WHEEL_RADIUS_M
+    x, z, radius = length / 2, width / 2, WHEEL_RADIUS_M
     top, trousers, skin = _one(rng, TOPS), _one(rng, TROUSERS), _one(rng, SKIN)
-    hip, neck, z = 0.53 * height, 0.84 * height, width / 2
-    faces = [
-        shadow(size_hwl_m, under=120),
-        *prism(rng, (-0.34, 0.06, hip, 0.68 * height, -0.55 * z, 0.55 * z), top, contrast=CLOTH_CONTRAST),
-        *prism(rng, (-0.24, 0.22, 0.66 * height, neck, -0.72 * z, 0.72 * z), top, contrast=CLOTH_CONTRAST),
-    ]
-    for side, knee in ((1, 0.20), (-1, 0.05)):
-        near, far = sorted((side * 0.14 * z, side * 0.55 * z))
-        faces += _limb(rng, (knee - 0.26, knee + 0.06, 0.34 * height, 0.56 * height, near, far), trousers, contrast=6.0)
-        shin = (knee - 0.10, knee + 0.06, 0.22 - 0.08 * side, 0.36 * height, near, far)
-        faces += _limb(rng, shin, trousers, contrast=6.0)
-        faces += block(
-            rng, (knee - 0.08, knee + 0.16, 0.15 - 0.08 * side, 0.23 - 0.08 * side, near, far), SHOE
-        ).values()
-        near, far = sorted((side * 0.72 * z, side * z))
-        faces += _limb(rng, (0.08, 0.24, 0.62 * height, 0.80 * height, near, far), top, contrast=6.0)
-        faces += _limb(rng, (0.2, 0.5, 0.58 * height, 0.645 * height, near, far), top, contrast=6.0)
-    faces += [face.moved(np.array([0.12, 0.0, 0.0])) for face in _head(rng, low=neck, high=height, skin=skin)]
-    for centre in (-x + radius, x - radius):
-        faces += _wheel(rng, centre, radius)
-    frame: Colour = tuple(float(channel) for channel in rng.uniform(20, 150, 3))
-    parts: tuple[tuple[Extent, Colour], ...] = (
-        ((-x + radius, x - radius - 0.1, 0.52, 0.57, -0.02, 0.02), frame),
-        ((-0.22, -0.17, 0.32, 0.92, -0.02, 0.02), frame),
-        ((x - 0.52, x - 0.46, 0.45, 1.0, -0.025, 0.025), frame),
-        ((-0.36, -0.08, 0.88, 0.94, -0.08, 0.08), SHOE),
-        ((-x, -x + 0.36, 0.62, 0.86, -0.17, 0.17), (58, 74, 70)),
-        ((x - 0.52, x - 0.46, 0.98, 1.03, -0.27, 0.27), (60, 60, 60)),
+    neck, hip_z = 0.835 * height, 0.10
+    faces = [shadow(size_hwl_m, under=120)]
+    trunk = (
+        (-0.24, 0.52, 0.11, 0.17),
+        (-0.20, 0.60, 0.125, 0.165),
+        (-0.10, 0.70, 0.125, 0.19),
+        (0.02, 0.785, 0.11, 0.21),
     )
-    for extent, bgr in parts:
+    rings = [ring((at_x, share * height, 0.0), (rx, rz)) for at_x, share, rx, rz in trunk]
+    rings.append(ring((0.07, neck, 0.0), (0.065, 0.085)))
+    for low, high in pairwise(rings):
+        faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
+    for side, pedal in ((1, (0.10, 0.42)), (-1, (-0.06, 0.12))):
+        hip, ankle = (-0.18, 0.53 * height, side * hip_z), (pedal[0] - 0.07, pedal[1] + 0.10, side * 0.12)
+        knee = (0.27 if side > 0 else 0.14, 0.47 * height if side > 0 else 0.35 * height, side * 0.13)
+        faces += _tube(rng, hip, knee, (0.092, 0.065), trousers)
+        faces += _tube(rng, _towards(knee, hip), ankle, (0.062, 0.042), trousers)
+        shoe = (pedal[0] - 0.12, pedal[0] + 0.15, pedal[1], pedal[1] + 0.09, side * 0.12 - 0.045, side * 0.12 + 0.045)
+        faces += block(rng, shoe, SHOE, contrast=4.0).values()
+        shoulder, elbow = (0.02, 0.775 * height, side * 0.20), (0.22, 0.66 * height, side * (z - 0.045))
+        grip = (x - 0.44, 0.595 * height, side * (z - 0.06))
+        faces += _tube(rng, shoulder, elbow, (0.062, 0.047), top)
+        faces += _tube(rng, _towards(elbow, shoulder), grip, (0.047, 0.036), top)
+    faces += _head(rng, x=0.13, low=neck, high=height, skin=skin, helmet=_one(rng, HELMETS))
+    for centre in (-x + radius, x - radius):
+        faces += _bicycle_wheel(rng, centre, radius)
+    frame = _one(rng, BIKES)
+    crank, seat, head_tube = (-0.02, 0.28, 0.0), (-0.22, 0.88, 0.0), (x - 0.50, 0.90, 0.0)
+    rear, front, bar = (-x + radius, radius, 0.0), (x - radius, radius, 0.0), (x - 0.46, 1.02, 0.0)
+    for start, end in ((crank, seat), (crank, head_tube), (seat, head_tube), (crank, rear), (seat, rear), (front, bar)):
+        faces += _tube(rng, start, end, (0.02, 0.02), frame, n_sides=4)
+    blocks: tuple[tuple[Extent, Colour], ...] = (
+        ((-0.36, -0.08, 0.87, 0.93, -0.08, 0.08), SHOE),
+        ((-x, -x + 0.34, 0.62, 0.86, -0.14, 0.14), (58, 74, 70)),
+        ((x - 0.46, x - 0.42, 1.0, 1.04, -z, z), (60, 60, 60)),
+    )
+    for extent, bgr in blocks:
         faces += block(rng, extent, bgr, contrast=6.0).values()
     return faces
 
 
-def _limb(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: float) -> list[Face]:
-    """A box without its top, which another part covers: cheaper than a prism, and as good at this size."""
-    return list(block(rng, extent, bgr, contrast=contrast, sides=("back", "front", "left", "right")).values())
+def _tube(
+    rng: np.random.Generator, start: Vector, end: Vector, radii_m: tuple[float, float], bgr: Colour, *, n_sides: int = 6
+) -> list[Face]:
+    """A tapered limb between two points (x, height above the road, z)."""
+    low, high = rings_across(start, end, radii_m, n_sides=n_sides)
+    return loft(rng, low, high, bgr, contrast=6.0)
+
+
+def _towards(joint: Vector, before: Vector) -> Vector:
+    """A point a little before a joint, so that no gap opens where a limb bends."""
+    x, height, z = (0.9 * at + 0.1 * back for at, back in zip(joint, before, strict=True))
+    return x, height, z
+
+
+def _head(
+    rng: np.random.Generator, *, x: float, low: float, high: float, skin: Colour, helmet: Colour | None = None
+) -> list[Face]:
+    """Neck, face and hair, or a helmet; `x` is the middle of the head."""
+    tall, wide = high - low, 1.0 if helmet is None else 1.1
+    hair = _one(rng, HAIR) if helmet is None else helmet
+    shoulders = ring((x - 0.02, low - 0.03, 0.0), (0.058, 0.058), n_sides=6)
+    faces = loft(rng, shoulders, ring((x - 0.01, low + 0.3 * tall, 0.0), (0.052, 0.052), n_sides=6), skin)
+    rings = [ring((x, low + share * tall, 0.0), (wide * rx, wide * rz)) for share, rx, rz in HEAD]
+    for (under, over), bare in zip(pairwise(rings), BARE_SIDES, strict=True):
+        faces += loft(rng, under, over, hair, contrast=4.0, others=dict.fromkeys(bare, skin))
+    return [*faces, lid(rng, rings[-1], hair, contrast=4.0)]
+
+
+def _bicycle_wheel(rng: np.random.Generator, centre_x: float, radius: float) -> list[Face]:
+    """A tyre of flat pieces, and a disc of which only rim and spokes are left."""
+    disc, *tyre = _wheel(rng, centre_x, radius)
+    side = disc.texture.shape[0]
+    middle, rim = (side // 2, side // 2), round(0.45 * side)
+    kept = np.zeros(disc.texture.shape[:2], np.uint8)
+    cv2.circle(kept, middle, rim, 255, max(2, round(0.09 * side)))
+    for angle in np.arange(8) * np.pi / 4:
+        end = (round(middle[0] + rim * float(np.cos(angle))), round(middle[1] + rim * float(np.sin(angle))))
+        cv2.line(kept, middle, end, 255, 1)
+    disc.texture[:, :, 3] = np.minimum(disc.texture[:, :, 3], kept)
+    return [disc, *tyre]
 
 
 def _one(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
     return colours[int(rng.integers(len(colours)))]
-
-
-def _sorted_z(extent: Extent) -> Extent:
-    """The extent with its z from low to high."""
-    x0, x1, low, high, z0, z1 = extent
-    return x0, x1, low, high, min(z0, z1), max(z0, z1)
 
 
 def _wheel(rng: np.random.Generator, centre_x: float, radius: float, *, half_width: float = 0.022) -> list[Face]:

@@ -1,8 +1,8 @@
 """The drives that can be asked for by name; every one is another for another seed.
 
-town       the demo's: a straight street without pitch or roll      highway   three lanes, guard rails, 108 km/h
+town       a straight street without pitch or roll                  highway   three lanes, guard rails, 108 km/h
 city       a winding street, stop and go, buses, lights, signs      cut-in    a car moves in closely ahead, and brakes
-crossing   people and a cyclist cross before the stopping car       queue     stop and go, bumper to bumper
+crossing   the demo's: people and a cyclist cross the road          queue     stop and go, bumper to bumper
 empty      a country road with nobody on it                         night     the city by headlights
 """
 
