@@ -43,7 +43,7 @@ _OXTS_COLUMNS = 30
 
 
 class EgoSpeedError(UserError):
-    """An ego speed that cannot be used; the message says what was expected."""
+    """An ego speed that cannot be used; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,1 @@
-"""Errors of distances against ground truth."""
+"""Evaluation of distances and closing speeds against ground truth."""

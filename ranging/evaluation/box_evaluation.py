@@ -1,7 +1,7 @@
-"""How far box-only methods are from the truth of labelled boxes, per class and band, on drives they were not fitted on.
+"""Errors of box-only methods on labelled boxes, per class and distance band, with cross-validation over sequences.
 
-Errors are relative. A class's own figures are over 10-100 m, far ones over 30-100 m, bands over 5-100 m. A method
-that was fitted is judged leaving sequences out: fitted on the others, fold by fold.
+Errors are relative. The figures of a class cover 10-100 m, its far figures 30-100 m, its bands 5-100 m. Fitted methods
+are cross-validated: each fold of sequences is measured by a method that was fitted to the other sequences.
 """
 
 from __future__ import annotations
@@ -17,34 +17,37 @@ from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_r
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 
 CLASSES = tuple(CLASS_OF.values())
-"""What figures are given for, in their order."""
+"""Classes with figures, in the order of tables."""
 
 NEAREST_M, FAR_M = 10.0, 30.0
-"""A class's own figures begin at the first, `far_pct` at the second."""
+"""Smallest distance in m of the figures of a class, and of its far figures."""
 
 N_FOLDS = 7
+"""Folds of the cross-validation: 3 of KITTI's 21 sequences each."""
 
 CLOSING_HALF_SPAN_S = 0.5
-"""The true closing speed is the central difference of the label's distance over so long to either side."""
+"""Time in s before and after a label over which its true closing speed is the central difference of the distance."""
 
 Predictor = Callable[[BoxSet], MethodColumn]
+"""Function that measures boxes."""
+
 Fitter = Callable[[BoxSet], Predictor]
-"""What is fitted on some boxes and then measures others."""
+"""Function that fits a predictor to boxes."""
 
 
 def figures(boxes: BoxSet, distance_m: FloatArray, sigma_m: FloatArray | None = None) -> dict[str, dict[str, Any]]:
-    """Figures by class of (N,) measured distances, NaN = not measured, and their (N,) sigmas, where there are any."""
+    """Figures by class for (N,) measured distances, NaN = not measured, and their (N,) sigmas, None = unknown."""
     sigma_m = np.full(len(boxes), np.nan) if sigma_m is None else sigma_m
     column = MethodColumn(distance_m, sigma_m)
     present = [name for name in CLASSES if (boxes.class_name == name).any()]
-    return {name: _of_class(boxes, column, boxes.class_name == name) for name in present}
+    return {name: _class_figures(boxes, column, boxes.class_name == name) for name in present}
 
 
-def _of_class(boxes: BoxSet, column: MethodColumn, mine: BoolArray) -> dict[str, Any]:
+def _class_figures(boxes: BoxSet, column: MethodColumn, is_class: BoolArray) -> dict[str, Any]:
     true_m = boxes.distance_m
-    in_span = mine & (true_m >= NEAREST_M) & (true_m <= BANDS_M[-1])
+    in_span = is_class & (true_m >= NEAREST_M) & (true_m <= BANDS_M[-1])
     bands = [
-        {"from_m": low, "to_m": high, **score_rows(column, true_m, mine & (true_m >= low) & (true_m < high))}
+        {"from_m": low, "to_m": high, **score_rows(column, true_m, is_class & (true_m >= low) & (true_m < high))}
         for low, high in pairwise(BANDS_M)
     ]
     tracks = np.unique(np.stack([boxes.sequence, boxes.track_id])[:, in_span], axis=1)
@@ -60,7 +63,7 @@ def _of_class(boxes: BoxSet, column: MethodColumn, mine: BoolArray) -> dict[str,
 
 
 def folds(boxes: BoxSet, n_folds: int = N_FOLDS) -> Iterator[BoolArray]:
-    """(N,) masks of the boxes left out together: every `n_folds`-th sequence; one by one where there are fewer."""
+    """Masks (N,) of the boxes of each fold: every `n_folds`-th sequence, or single sequences if there are fewer."""
     for fold in range(min(n_folds, len(boxes.sequence_names))):
         left_out = boxes.sequence % n_folds == fold
         if left_out.any():
@@ -68,40 +71,43 @@ def folds(boxes: BoxSet, n_folds: int = N_FOLDS) -> Iterator[BoolArray]:
 
 
 def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """(N,) distances and sigmas of `boxes`, each fold by what was fitted on `train` without the fold's sequences.
+    """Distances and sigmas of `boxes`, with each fold measured by a method fitted to the other sequences of `train`.
 
-    `train` has the same sequences as `boxes`, but perhaps exact boxes. One sequence alone is fitted on itself.
+    Args:
+        boxes: N boxes to measure.
+        train: boxes of the same sequences to fit to, for example without noise.
+        fit: fits a method; a single sequence is fitted to itself.
     """
     parts = []
     for test in folds(boxes):
         others = train.select(~np.isin(train.sequence, np.unique(boxes.sequence[test])))
         parts.append((test, fit(others if len(others) else train)(boxes.select(test))))
-    return _put_together(parts, len(boxes))
+    return _combined(parts, len(boxes))
 
 
 def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
-    """As `cross_validated`, but each sequence by what was fitted on itself alone: how the paper was measured.
+    """Distances and sigmas of `boxes`, with each sequence measured by a method fitted to the same sequence of `train`.
 
-    It says how well a curve can fit, and nothing of other drives, other cars and other people.
+    This is the protocol of the paper. It shows how well a curve can fit, and not the error on other drives.
     """
     parts = []
     for number in np.unique(boxes.sequence):
         test = boxes.sequence == number
         parts.append((test, fit(train.select(train.sequence == number))(boxes.select(test))))
-    return _put_together(parts, len(boxes))
+    return _combined(parts, len(boxes))
 
 
-def _put_together(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> MethodColumn:
-    """(n,) from columns of the rows that masks name; what a part does not tell of its sigma is NaN."""
+def _combined(parts: Sequence[tuple[BoolArray, MethodColumn]], n: int) -> MethodColumn:
+    """Column of n rows from the columns of parts of the rows; NaN for unknown sigmas."""
     distance_m, sigma_m, systematic_m = np.full((3, n), np.nan)
-    for rows, found in parts:
-        distance_m[rows], sigma_m[rows] = found.distance_m, found.sigma_m
-        systematic_m[rows] = np.nan if found.sigma_systematic_m is None else found.sigma_systematic_m
+    for rows, part in parts:
+        distance_m[rows], sigma_m[rows] = part.distance_m, part.sigma_m
+        systematic_m[rows] = np.nan if part.sigma_systematic_m is None else part.sigma_systematic_m
     return MethodColumn(distance_m, sigma_m, systematic_m if np.isfinite(systematic_m).any() else None)
 
 
 def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:
-    """Rows of one frame after the other, sequence by sequence."""
+    """Row indices of each frame, in the order of sequences and frames."""
     order = np.lexsort((boxes.frame, boxes.sequence))
     key = np.stack([boxes.sequence, boxes.frame])[:, order]
     starts = np.flatnonzero(np.any(np.diff(key, axis=1, prepend=-1) != 0, axis=0))
@@ -109,7 +115,7 @@ def frame_rows(boxes: BoxSet) -> Iterator[IntArray]:
 
 
 def true_closing_mps(boxes: BoxSet) -> FloatArray:
-    """(N,) true closing speed; NaN where the track is not labelled about half a second before and after."""
+    """(N,) true closing speed in m/s; NaN unless the track is labelled about half a second before and after."""
     reach = round(CLOSING_HALF_SPAN_S / float(np.median(_steps_s(boxes)))) if len(boxes) > 1 else 1
     ids = {
         (int(s), int(t), int(f)): row
@@ -136,17 +142,17 @@ def _steps_s(boxes: BoxSet) -> FloatArray:
 
 
 def closing_figures(boxes: BoxSet, closing_mps: FloatArray) -> dict[str, dict[str, Any]]:
-    """By class: median and 95th percentile of the closing speed's error at 10-100 m, and over how many boxes."""
+    """Number of boxes, and median and 95th percentile of the closing speed error at 10-100 m, by class."""
     error = np.abs(closing_mps - true_closing_mps(boxes))
     in_span = np.isfinite(error) & (boxes.distance_m >= NEAREST_M)
-    found = {}
+    by_class = {}
     for name in CLASSES:
-        mine = error[in_span & (boxes.class_name == name)]
+        class_error = error[in_span & (boxes.class_name == name)]
         if (boxes.class_name == name).any():
-            median, p95 = np.percentile(mine, [50, 95]).round(4).tolist() if len(mine) else (None, None)
-            found[name] = {
-                "closing_n": len(mine),
+            median, p95 = np.percentile(class_error, [50, 95]).round(4).tolist() if len(class_error) else (None, None)
+            by_class[name] = {
+                "closing_n": len(class_error),
                 "closing_median_error_mps": median,
                 "closing_p95_error_mps": p95,
             }
-    return found
+    return by_class

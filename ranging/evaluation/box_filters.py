@@ -1,6 +1,6 @@
-"""Filters over time applied to the distances of labelled boxes, track by track, as in a run.
+"""Filters over time for the measured distances of labelled boxes, per track as in a run.
 
-The ego speed is unknown here: the paper's filter (`paper_filter`) takes it as 0, and the default one
+The ego speed is not known: the paper's filter (`paper_filter`) assumes 0, and the default one
 (`ranging.filtering.distance_filter`) estimates the relative speed.
 """
 
@@ -24,10 +24,10 @@ from track_range.ranging.ranges import Ranges
 FilterName = Literal["none", "paper", "default"]
 
 _Filter = Callable[[Ranges, float], FilteredRanges]
-"""From measured ranges and the time of a frame to filtered ranges."""
+"""Function from the measured ranges and the time of a frame to filtered ranges."""
 
 _NOISE_SHARE = 0.6
-"""Part of sigma that is independent from frame to frame, where the default filter starts."""
+"""Initial independent share of sigma for the default filter, that of mono."""
 
 
 def _default_filter() -> _Filter:
@@ -38,31 +38,31 @@ def _default_filter() -> _Filter:
 _FILTERS: Mapping[str, Callable[[], _Filter]] = {"paper": lambda: PaperFilter().update, "default": _default_filter}
 
 _UNKNOWN_SIGMA = 0.1
-"""Relative sigma of a method that gives none."""
+"""Relative sigma that is assumed for methods without a sigma (plain curves)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilteredColumn:
-    """A method's filtered distances and sigmas, and (N,) closing speed; NaN = unknown."""
+    """Filtered distances and sigmas of a method, and (N,) closing speed in m/s; NaN = unknown."""
 
     column: MethodColumn
     closing_mps: FloatArray
 
 
 def filtered(boxes: BoxSet, column: MethodColumn, filter_name: FilterName) -> FilteredColumn:
-    """The column through a filter; "none" leaves it as it is, without closing speeds."""
+    """Filtered distances of a method; for "none" the unfiltered ones, with NaN as closing speed."""
     if filter_name == "none":
         return FilteredColumn(column, np.full(len(boxes), np.nan))
     is_given = np.isfinite(column.sigma_m)
     sigma_m = np.where(is_given, column.sigma_m, _UNKNOWN_SIGMA * column.distance_m)
     distance_m, out_sigma_m, closing_mps = np.full((3, len(boxes)), np.nan)
-    sequence, smooth = -1, _FILTERS[filter_name]()
+    sequence, update = -1, _FILTERS[filter_name]()
     for rows in frame_rows(boxes):
         if boxes.sequence[rows[0]] != sequence:
-            sequence, smooth = boxes.sequence[rows[0]], _FILTERS[filter_name]()
+            sequence, update = boxes.sequence[rows[0]], _FILTERS[filter_name]()
         systematic_m = None if column.sigma_systematic_m is None else column.sigma_systematic_m[rows]
         measured = Ranges(boxes.track_id[rows], column.distance_m[rows], sigma_m[rows], systematic_m)
-        result = smooth(measured, float(boxes.time_s[rows[0]]))
+        result = update(measured, float(boxes.time_s[rows[0]]))
         distance_m[rows], out_sigma_m[rows] = result.ranges.distance_m, result.ranges.sigma_m
         closing_mps[rows] = -result.rate_mps
     return FilteredColumn(MethodColumn(distance_m, np.where(is_given.any(), out_sigma_m, np.nan)), closing_mps)

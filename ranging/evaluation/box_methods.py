@@ -1,4 +1,4 @@
-"""Methods that need boxes alone, run over labelled boxes: the registered ones as in a run, and plain curves."""
+"""Box-only methods on labelled boxes: registered ranging methods as in a run, and plain curves."""
 
 from __future__ import annotations
 
@@ -25,29 +25,30 @@ from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
 MIN_PLAIN_SAMPLES = 20
+"""Smallest number of boxes of a class to which a plain curve is fitted."""
 
 
 def box_methods() -> tuple[RangingMethod, ...]:
-    """The registered methods that need nothing but boxes and a camera."""
+    """The registered methods that require only boxes and a camera."""
     return tuple(method for method in methods() if not method.needs)
 
 
 def method_names() -> tuple[str, ...]:
-    """What can be measured, in the order of the tables; the last one is the fusion of the box methods."""
+    """Names of all methods that can be measured, in the order of tables; the last is the fusion of the box methods."""
     names = [method.name for method in box_methods()]
     return (*PLAIN_CURVES, *names, "+".join(names))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MethodOptions:
-    """How methods are fitted, and what is given to them.
+    """Options for fitting and measuring with box-only methods.
 
     Attributes:
-        curves: a curve file for mono; None = the packaged one.
-        is_cross_validated: mono is fitted anew instead, leaving out what it is tested on, as plain curves always are.
-        is_same_drive: mono and plain curves are fitted on the very drive that they are tested on.
-        box_sigma_px: standard deviation of one edge of the boxes; None = a detector's.
-        camera_height_m: for the ground plane; None = not known.
+        curves: curve file for mono; None = the packaged one.
+        is_cross_validated: mono is fitted by cross-validation instead; plain curves always are.
+        is_same_drive: mono and plain curves are fitted to the same drive that they measure.
+        box_sigma_px: standard deviation of one box edge; None = the noise model of a detector.
+        camera_height_m: camera height for the ground plane; None = unknown.
     """
 
     curves: Path | None = None
@@ -60,20 +61,24 @@ class MethodOptions:
 def measured_by(
     names: Sequence[str], boxes: BoxSet, train: BoxSet, options: MethodOptions | None = None
 ) -> dict[str, MethodColumn]:
-    """(N,) distances and sigmas of `boxes` by every one of `names` (of `method_names`).
+    """Distances and sigmas of N boxes, by method.
 
-    `train` are boxes of the same sequences, perhaps exact ones, that curves are fitted on.
+    Args:
+        names: methods among `method_names`.
+        boxes: N boxes to measure.
+        train: boxes of the same sequences to fit curves to, for example without noise.
+        options: fitting and measuring; None = the defaults.
     """
     options = options or MethodOptions()
-    tested = within_drives if options.is_same_drive else cross_validated
-    found = {name: tested(boxes, train, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES}
-    if not set(names) <= found.keys():
-        found |= _measured_by_rangers(boxes, train, options)
-    return {name: found[name] for name in names}
+    scheme = within_drives if options.is_same_drive else cross_validated
+    columns = {name: scheme(boxes, train, plain_fitter(PLAIN_CURVES[name])) for name in names if name in PLAIN_CURVES}
+    if not set(names) <= columns.keys():
+        columns |= _measured_by_rangers(boxes, train, options)
+    return {name: columns[name] for name in names}
 
 
 def _measured_by_rangers(boxes: BoxSet, train: BoxSet, options: MethodOptions) -> dict[str, MethodColumn]:
-    """The columns of all box methods and of their fusion; those that use a size model first, fitted as asked."""
+    """Columns of all box methods and of their fusion; methods with a size model are fitted according to `options`."""
     measured: dict[str, MethodColumn] = {}
     for method in box_methods():
         if method.uses_size_model and options.is_same_drive:
@@ -96,13 +101,14 @@ def ranger_columns(
     size_model: SizeModel | None = None,
     measured: Mapping[str, MethodColumn] | None = None,
 ) -> dict[str, MethodColumn]:
-    """Columns of the listed methods, measured frame by frame as in a run; every sequence has new rangers.
+    """Columns of the listed methods, measured frame by frame as in a run, with new rangers for each sequence.
 
     Args:
         boxes: N boxes.
-        listed: methods that need nothing but boxes.
-        options: how unsure the edges of the boxes are, and the height of the camera.
-        size_model: for methods that use one; they see the labels' own classes, the others those of a detector.
+        listed: methods that require only boxes.
+        options: noise of box edges, and camera height.
+        size_model: size model for the methods; they then get the labels' classes instead of a detector's. None = the
+            methods use none.
         measured: columns of methods measured before, which the listed ones may read.
 
     Raises:
@@ -125,9 +131,9 @@ def ranger_columns(
         ranges = {name: _ranges(column, tracks, rows) for name, column in (measured or {}).items()}
         for name, ranger in rangers.items():
             others = {other: ranges[other] for other in reads[name] if other in ranges}
-            ranges[name] = found = checked_ranges(name, ranger.measure_with(tracks, frame, others), tracks)
-            columns[name][:2, rows] = found.distance_m, found.sigma_m
-            columns[name][2, rows] = np.nan if found.sigma_systematic_m is None else found.sigma_systematic_m
+            ranges[name] = result = checked_ranges(name, ranger.measure_with(tracks, frame, others), tracks)
+            columns[name][:2, rows] = result.distance_m, result.sigma_m
+            columns[name][2, rows] = np.nan if result.sigma_systematic_m is None else result.sigma_systematic_m
     return {
         name: MethodColumn(column[0], column[1], column[2] if np.isfinite(column[2]).any() else None)
         for name, column in columns.items()
@@ -135,15 +141,15 @@ def ranger_columns(
 
 
 def fused_column(boxes: BoxSet, measured: Mapping[str, MethodColumn]) -> MethodColumn:
-    """The fusion of the columns, frame by frame as in a run."""
+    """Fusion of the columns of several methods, frame by frame as in a run."""
     fused = MethodColumn(*np.full((2, len(boxes)), np.nan))
     fusion = Fusion()
     for rows, tracks, frame, is_first in as_frames(boxes, boxes.class_id):
         if is_first:
             fusion = Fusion()
         ranges = {name: _ranges(column, tracks, rows) for name, column in measured.items()}
-        found = fusion.fuse(ranges, tracks.track_id, frame.time_s).ranges
-        fused.distance_m[rows], fused.sigma_m[rows] = found.distance_m, found.sigma_m
+        result = fusion.fuse(ranges, tracks.track_id, frame.time_s).ranges
+        fused.distance_m[rows], fused.sigma_m[rows] = result.distance_m, result.sigma_m
     return fused
 
 
@@ -153,20 +159,20 @@ def _ranges(column: MethodColumn, tracks: Tracks, rows: IntArray) -> Ranges:
 
 
 def plain_fitter(curve: PlainCurve) -> Fitter:
-    """One plain curve per class, without a sigma; NaN for a class that the boxes fitted on do not have."""
+    """Fitter of one plain curve per class, without sigma; classes with too few training boxes are not measured."""
 
     def fit(train: BoxSet) -> Predictor:
         fitted = {}
         for name in np.unique(train.class_name):
-            mine = train.select(train.class_name == name)
-            if len(mine) >= MIN_PLAIN_SAMPLES:
-                fitted[name] = curve.fit(mine.wh_over_f, mine.bearing, mine.distance_m)
+            samples = train.select(train.class_name == name)
+            if len(samples) >= MIN_PLAIN_SAMPLES:
+                fitted[name] = curve.fit(samples.wh_over_f, samples.bearing, samples.distance_m)
 
         def predict(boxes: BoxSet) -> MethodColumn:
             distance_m = np.full(len(boxes), np.nan)
-            for name, one in fitted.items():
+            for name, class_curve in fitted.items():
                 rows = boxes.class_name == name
-                distance_m[rows] = one.predict(boxes.wh_over_f[rows], boxes.bearing[rows])
+                distance_m[rows] = class_curve.predict(boxes.wh_over_f[rows], boxes.bearing[rows])
             return MethodColumn(distance_m, np.full(len(boxes), np.nan))
 
         return predict
@@ -175,11 +181,11 @@ def plain_fitter(curve: PlainCurve) -> Fitter:
 
 
 def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
-    """A method that uses a size model, with priors fitted to the training boxes."""
+    """Fitter of a method that uses a size model, with priors fitted to the training boxes."""
 
     def fit(train: BoxSet) -> Predictor:
         try:
-            model = fit_size_priors(labelled_sizes(train), source="left-out sequences not fitted on")
+            model = fit_size_priors(labelled_sizes(train), source="cross-validation")
         except CurveError:
             return lambda boxes: MethodColumn(*np.full((2, len(boxes)), np.nan))
         return lambda boxes: ranger_columns(boxes, [method], options, size_model=model)[method.name]
@@ -188,17 +194,17 @@ def size_fitter(method: RangingMethod, options: MethodOptions) -> Fitter:
 
 
 def _size_classes(boxes: BoxSet) -> IntArray:
-    """(N,) index into `SIZE_CLASSES` of the labels' own classes: a van is a van."""
+    """(N,) index into `SIZE_CLASSES` of the labels' classes, with vans separate from cars."""
     return np.array([SIZE_CLASSES.index(str(name)) for name in boxes.class_name], np.int64)
 
 
 def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tracks, Frame, bool]]:
-    """Frame by frame: rows, tracks, frame (blank, as wide as the image), and whether it is the first of a sequence."""
+    """Row indices, tracks, blank image of the right size, and whether it is the first of a sequence, for each frame."""
     sequence = -1
     for rows in frame_rows(boxes):
         n = len(rows)
-        named = boxes.track_id[rows]
-        track_id = named + 1 if (named >= 0).all() else np.arange(1, n + 1)
+        label_id = boxes.track_id[rows]
+        track_id = label_id + 1 if (label_id >= 0).all() else np.arange(1, n + 1)
         tracks = Tracks(track_id, boxes.xyxy_px[rows], class_id[rows], np.ones(n), np.ones(n, np.bool_))
         width_px, height_px = boxes.size_px[rows[0]].tolist()
         blank = np.broadcast_to(np.zeros(1, np.uint8), (height_px, width_px, 3))
@@ -208,7 +214,7 @@ def as_frames(boxes: BoxSet, class_id: IntArray) -> Iterator[tuple[IntArray, Tra
 
 
 def labelled_sizes(boxes: BoxSet) -> LabelledSizes:
-    """The boxes with their 3-D boxes, as the fit of the priors wants them."""
+    """The boxes with their 3-D boxes, in the form that `fit_size_priors` expects."""
     _, object_id = np.unique(np.stack([boxes.sequence, boxes.track_id]), axis=1, return_inverse=True)
     xyxy_px, border = boxes.xyxy_px, boxes.size_px[:, 0] - 2.5
     return LabelledSizes(

@@ -1,7 +1,7 @@
-"""The paper's Table 3 for all plain curves: how well each fits the boxes of a class, and how it does on other drives.
+"""Comparison of all plain curves on the boxes of a class, as in the paper's Table 3, and their error on other drives.
 
-residual sum of squares = sum (d_fitted - d)^2 over the boxes fitted on (Zhang et al., eq. 3 and Table 3)
-cross-validated error   = mean |d_fitted - d| / d, each sequence by a curve fitted on others
+residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et al., eq. 3 and Table 3)
+cross-validated error   = mean |d_fitted - d| / d, with each sequence measured by a curve fitted to other sequences
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, FittedCurve
 
 TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
-"""The paper's rows."""
+"""Distances in m of the rows of the paper's Table 3."""
 
-_NEAR = 0.05  # boxes within so much of a table's distance, relative, stand for it
+_NEAR = 0.05
+"""Largest relative difference from a distance of the table for boxes that are averaged in its row."""
 
 
 @dataclass(frozen=True, slots=True)
 class CurveFit:
-    """One curve on one class.
+    """One curve fitted to the boxes of one class.
 
     Attributes:
         class_name: the class.
         curve: name of the curve.
-        n: boxes.
-        residual_m2: residual sum of squares over the boxes fitted on.
-        fitted_error_pct: mean relative error over the same boxes.
-        other_drives_error_pct: mean relative error cross-validated by sequence; NaN = one sequence only.
-        at_m: mean distance that the fitted curve gives to boxes at each of `TABLE_DISTANCES_M`; NaN = none there.
+        n: number of boxes.
+        residual_m2: residual sum of squares over the fitted boxes.
+        fitted_error_pct: mean relative error over the fitted boxes.
+        other_drives_error_pct: mean relative error, cross-validated by sequence; NaN = one sequence only.
+        at_m: mean distance by the fitted curve of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes.
         predict: the fitted curve.
     """
 
@@ -49,24 +50,24 @@ class CurveFit:
 
 
 def compare_curves(boxes: BoxSet, class_name: str) -> list[CurveFit]:
-    """Every plain curve on the boxes of one class."""
-    mine = boxes.select(boxes.class_name == class_name)
-    return [_fit(mine, name) for name in PLAIN_CURVES]
+    """All plain curves, fitted to the boxes of one class."""
+    of_class = boxes.select(boxes.class_name == class_name)
+    return [_fit(of_class, name) for name in PLAIN_CURVES]
 
 
 def _fit(boxes: BoxSet, name: str) -> CurveFit:
     fitted: FittedCurve = PLAIN_CURVES[name].fit(boxes.wh_over_f, boxes.bearing, boxes.distance_m)
     distance_m = fitted.predict(boxes.wh_over_f, boxes.bearing)
-    is_many = len(list(folds(boxes))) > 1
-    others_m = cross_validated(boxes, boxes, plain_fitter(PLAIN_CURVES[name])).distance_m if is_many else np.nan
+    has_folds = len(list(folds(boxes))) > 1
+    others_m = cross_validated(boxes, boxes, plain_fitter(PLAIN_CURVES[name])).distance_m if has_folds else np.nan
     return CurveFit(
         class_name=str(boxes.class_name[0]),
         curve=name,
         n=len(boxes),
         residual_m2=float(((distance_m - boxes.distance_m) ** 2).sum()),
         fitted_error_pct=_error_pct(distance_m, boxes),
-        other_drives_error_pct=_error_pct(others_m, boxes) if is_many else np.nan,
-        at_m=tuple(_mean(distance_m, _at(boxes, true_m)) for true_m in TABLE_DISTANCES_M),
+        other_drives_error_pct=_error_pct(others_m, boxes) if has_folds else np.nan,
+        at_m=tuple(_mean(distance_m, _is_near(boxes, true_m)) for true_m in TABLE_DISTANCES_M),
         predict=fitted.predict,
     )
 
@@ -75,7 +76,7 @@ def _error_pct(distance_m: FloatArray | float, boxes: BoxSet) -> float:
     return float(100 * np.nanmean(np.abs(distance_m / boxes.distance_m - 1)))
 
 
-def _at(boxes: BoxSet, true_m: float) -> BoolArray:
+def _is_near(boxes: BoxSet, true_m: float) -> BoolArray:
     return np.asarray(np.abs(boxes.distance_m / true_m - 1) < _NEAR)
 
 

@@ -1,10 +1,10 @@
-"""How far a method's distances are from the truth, and whether its sigmas are honest.
+"""Errors of distances and closing speeds against ground truth, and calibration of their sigmas.
 
-Tracks are matched to labels frame by frame (one to one, greatest total IoU, at least 0.5, whatever their classes).
-Errors are relative, (measured - true) / true, over 5-100 m, of labels that are not truncated and at most partly hidden;
-those of closing speeds, where the truth knows them, are differences over the same labels.
-`coverage` is the share of matched track-frames that a method measured. The `common` figures are over the track-frames
-that every method measured, so that none can look good by refusing the hard ones.
+Tracks are matched to labels frame by frame: one to one, with the largest total IoU, each at least 0.5, regardless of
+class. Errors are relative, (measured - true) / true, over 5-100 m, for labels that are not truncated and at most partly
+occluded; errors of closing speeds are differences over the same labels. `coverage` is the share of matched track-frames
+that a method measured. The `common` figures cover the track-frames that all methods measured, so that methods are
+compared on the same objects.
 """
 
 from __future__ import annotations
@@ -23,19 +23,23 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.truth import Truth
 
 BANDS_M = (5.0, 10.0, 20.0, 30.0, 50.0, 100.0)
-"""Edges of the distance bands that errors are reported in."""
+"""Edges of the distance bands for which errors are reported."""
 
 MIN_IOU = 0.5
+"""Smallest intersection over union of a matched track and label, as in KITTI's evaluation of people and cyclists."""
 
 _MIN_COMMON_COVERAGE = 0.5
-"""A method that covers less has no say in what the common coverage is: it would leave nothing to compare on."""
+"""Smallest coverage of methods in the common figures; others would leave too few common track-frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class MethodColumn:
-    """One method's distances over a run's track-frames: (N,) metres and (N,) sigma, NaN = not measured.
+    """One method's distances of the N track-frames of a run.
 
-    `sigma_systematic_m` as in `Ranges`.
+    Attributes:
+        distance_m: (N,) distance, NaN = not measured.
+        sigma_m: (N,) standard deviation, NaN = not measured or unknown.
+        sigma_systematic_m: (N,) systematic part of sigma_m, as in `Ranges`; None = unknown.
     """
 
     distance_m: FloatArray
@@ -44,14 +48,14 @@ class MethodColumn:
 
 
 def match_truth(frame: IntArray, xyxy_px: FloatArray, truth: Truth) -> IntArray:
-    """(N,) row of `truth` that each track-frame matches, -1 where none."""
+    """(N,) row of `truth` that each track-frame matches, -1 = none."""
     matched = np.full(len(frame), -1)
     for number in np.intersect1d(frame, truth.frame):
         rows, labels = np.flatnonzero(frame == number), np.flatnonzero(truth.frame == number)
         overlap = iou(xyxy_px[rows], truth.xyxy_px[labels])
         row, label = linear_sum_assignment(np.where(overlap >= MIN_IOU, overlap, 0.0), maximize=True)
-        good = overlap[row, label] >= MIN_IOU
-        matched[rows[row[good]]] = labels[label[good]]
+        is_match = overlap[row, label] >= MIN_IOU
+        matched[rows[row[is_match]]] = labels[label[is_match]]
     return matched
 
 
@@ -62,33 +66,36 @@ def score_methods(
     is_road_class: BoolArray,
     kitti_type: npt.NDArray[np.str_],
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Scores of each method over its own coverage, and over the common one of those that cover half of it all.
+    """Scores of each method on the track-frames that it measured, and on those common to all methods.
+
+    Methods with a coverage below 0.5 are not part of the common scores.
 
     Args:
-        methods: columns of (N,) by method name.
-        true_m: (N,) true distance of each track-frame; NaN = no truth for it.
+        methods: columns of N track-frames by method name.
+        true_m: (N,) true distance of each track-frame; NaN = unknown.
         is_road_class: (N,) whether its label is of a road class; others (Van, Tram) appear in `by_class` only.
-        kitti_type: (N,) the label's own word.
+        kitti_type: (N,) type of its label.
     """
     in_span = (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
-    mine = {name: _score_with_bands(c, true_m, in_span=in_span & is_road_class) for name, c in methods.items()}
+    separate = {name: _score_with_bands(c, true_m, in_span=in_span & is_road_class) for name, c in methods.items()}
     for name, column in methods.items():
-        mine[name]["by_class"] = {
-            str(word): score_rows(column, true_m, in_span & (kitti_type == word))
-            for word in np.unique(kitti_type[in_span])
+        separate[name]["by_class"] = {
+            str(label_type): score_rows(column, true_m, in_span & (kitti_type == label_type))
+            for label_type in np.unique(kitti_type[in_span])
         }
-    ran = {name: column for name, column in methods.items() if (mine[name]["coverage"] or 0) >= _MIN_COMMON_COVERAGE}
-    everyone = in_span & is_road_class & np.all([np.isfinite(c.distance_m) for c in ran.values()] or [in_span], axis=0)
-    common = {name: _score_with_bands(c, true_m, in_span=everyone) for name, c in ran.items()}
-    return mine, common
+    compared = {name: c for name, c in methods.items() if (separate[name]["coverage"] or 0) >= _MIN_COMMON_COVERAGE}
+    is_measured = [np.isfinite(column.distance_m) for column in compared.values()]
+    in_common = in_span & is_road_class & np.all(is_measured or [in_span], axis=0)
+    common = {name: _score_with_bands(column, true_m, in_span=in_common) for name, column in compared.items()}
+    return separate, common
 
 
 def coverage_only(methods: Mapping[str, MethodColumn]) -> dict[str, Any]:
-    """What can be said of each method without a truth: how many track-frames it measured."""
-    nothing = np.full(len(next(iter(methods.values())).distance_m) if methods else 0, np.nan)
+    """Scores of each method without ground truth: coverage and sigma; errors are None."""
+    empty = np.zeros(0)
     return {
         name: {
-            **_figures(nothing[:0], nothing[:0]),
+            **_figures(empty, empty),
             "coverage": _share(np.isfinite(column.distance_m)),
             "n": int(np.isfinite(column.distance_m).sum()),
             "median_sigma_pct": _sigma_pct(column, np.isfinite(column.distance_m)),
@@ -112,7 +119,7 @@ def _band(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str
 
 
 def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
-    """Figures of one method over the `rows` (N,) that it measured; None where there is nothing to say."""
+    """Figures of one method over the measured ones of `rows` (N,); None = no measured rows."""
     measured = np.isfinite(column.distance_m) & rows
     error = column.distance_m[measured] / true_m[measured] - 1
     in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
@@ -125,7 +132,7 @@ def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dic
 
 
 def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: FloatArray) -> dict[str, Any] | None:
-    """Figures of closing speeds (N,) that are errors in m/s, over the rows with a truth; None where there is none."""
+    """Errors of (N,) closing speeds in m/s over the rows with a true one; None if there is no such row."""
     rows = np.isfinite(true_mps)
     if not rows.any():
         return None
@@ -145,13 +152,13 @@ def score_closing(closing_mps: FloatArray, sigma_mps: FloatArray, true_mps: Floa
 
 
 def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
-    """Median of what a method claims its relative error to be; None where it claims nothing."""
-    claimed = (column.sigma_m / column.distance_m)[measured & np.isfinite(column.sigma_m)]
-    return _rounded(100 * np.median(claimed)) if len(claimed) else None
+    """Median relative sigma of a method in per cent; None = no sigmas."""
+    sigma = (column.sigma_m / column.distance_m)[measured & np.isfinite(column.sigma_m)]
+    return _rounded(100 * np.median(sigma)) if len(sigma) else None
 
 
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
-    """Figures of relative errors and of errors in units of sigma; None where there is nothing to say."""
+    """Figures of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
     return {
         "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if len(error) else None,
         "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if len(error) else None,
@@ -161,13 +168,13 @@ def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
 
 
 def _within(in_sigmas: FloatArray) -> dict[str, float | None]:
-    """Shares of errors (N,) in units of sigma, NaN = sigma not told."""
+    """Shares of errors (N,) in units of sigma within 1 and 2; NaN = sigma unknown."""
     known = in_sigmas[np.isfinite(in_sigmas)]
     return {"within_1_sigma": _share(known <= 1), "within_2_sigma": _share(known <= 2)}
 
 
-def _share(yes: BoolArray) -> float | None:
-    return _rounded(yes.mean()) if len(yes) else None
+def _share(mask: BoolArray) -> float | None:
+    return _rounded(mask.mean()) if len(mask) else None
 
 
 def _rounded(value: Any) -> float:

@@ -1,4 +1,4 @@
-"""Errors of methods that need boxes alone, on labelled boxes with true distances."""
+"""Evaluation of box-only methods on labelled boxes with known distances."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 
 
 def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
-    """Errors and calibration of sigma per method and class, with the settings and notes, as plain values for JSON.
+    """Errors and calibration of sigma per method and class, with the settings and notes, as JSON values.
 
     Raises:
         LabelFileError, RigError, CurveError: labels, calibration or curves cannot be used.
@@ -33,23 +33,23 @@ def evaluate_ranges(settings: RangeEvaluationSettings) -> dict[str, Any]:
         box_sigma_px=settings.noise_px if settings.boxes == "labels" else None,
         camera_height_m=settings.camera_height_m,
     )
-    columns = measured_by(_chosen(settings) or method_names(), boxes, train, options)
+    columns = measured_by(_selected(settings) or method_names(), boxes, train, options)
     methods: dict[str, Any] = {}
     for name, column in columns.items():
-        smooth = filtered(boxes, column, settings.filter)
-        scores = figures(boxes, smooth.column.distance_m, smooth.column.sigma_m)
-        closing = closing_figures(boxes, smooth.closing_mps) if settings.filter != "none" else {}
-        methods[name] = {kind: {**score, **closing.get(kind, {})} for kind, score in scores.items()}
+        output = filtered(boxes, column, settings.filter)
+        scores = figures(boxes, output.column.distance_m, output.column.sigma_m)
+        closing = closing_figures(boxes, output.closing_mps) if settings.filter != "none" else {}
+        methods[name] = {class_name: {**score, **closing.get(class_name, {})} for class_name, score in scores.items()}
     return _figures(settings, boxes, methods)
 
 
-def _chosen(settings: RangeEvaluationSettings) -> tuple[str, ...]:
-    """The methods that are named."""
+def _selected(settings: RangeEvaluationSettings) -> tuple[str, ...]:
+    """Methods named in the settings; empty = all."""
     return tuple(name for name in settings.methods if name)
 
 
 def _check(settings: RangeEvaluationSettings) -> None:
-    unknown = [name for name in _chosen(settings) if name not in method_names()]
+    unknown = [name for name in _selected(settings) if name not in method_names()]
     if unknown:
         raise UsageError(f"--method {','.join(unknown)}: expected methods among {', '.join(method_names())}.")
     if settings.boxes != "labels" and not (settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"):

@@ -1,11 +1,10 @@
-"""The paper's filter: distance alone, all noise 0.1, predicted by the ego speed; one filterpy KalmanFilter per track.
+"""PaperFilter: the paper's Kalman filter of the distance, predicted by the ego speed, with filterpy.
 
-    d' = d - V t,  P' = P + Q        K = P' / (P' + R),  d = d' + K (z - d'),  P = (1 - K) P'        Q = R = 0.1
+    d' = d - V t,  P' = P + Q        K = P' / (P' + R),  d = d' + K (z - d'),  P = (1 - K) P'        Q = R = 0.1 m^2
 
-(Zhang et al., eq. 10-16.) Their eq. 15 reads d + V t, which is a target that the car drives away from; a static object
-in front of a moving car comes nearer by V t. R is 10 % of the distance in their words, 0.1 in their formula, and so
-here. Q is per frame, whatever its length. The filter lags behind targets that move themselves, with V unknown behind
-all that are not static.
+(Zhang et al., eq. 10-16.) Their eq. 15 has d + V t, but a static object in front of a moving car approaches by V t.
+R is 10 % of the distance in their text and 0.1 in their equation; the equation is used. Q is per frame, for any frame
+interval. The filter lags behind moving targets, and, if V is unknown, behind all targets with a relative speed.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_t
 from track_range.ranging.ranges import Ranges
 
 _NOISE_M2 = 0.1
-"""Q and R."""
+"""Q and R in m^2, from the paper."""
 
 _MAX_GAP_S = 1.0
-"""A track not measured for longer starts anew."""
+"""Longest time in s without a measurement; after it the filter of a track restarts."""
 
 
 @dataclass(slots=True)
 class _Track:
-    """The filter of one track, the time of its state, and of its last measurement."""
+    """Filter of one track, with the times of its state and of its last measurement in s."""
 
     kalman: Any
     time_s: float
@@ -36,19 +35,19 @@ class _Track:
 
 
 class PaperFilter:
-    """Filters distances as `DistanceFilters` do, without regard to their sigmas."""
+    """The paper's filter for all tracks of a video; sigmas of the measurements are not used."""
 
     def __init__(self) -> None:
         """Start without tracks."""
         self._tracks: dict[int, _Track] = {}
 
     def update(self, measured: Ranges, time_s: float, *, ego_speed_mps: float = math.nan) -> FilteredRanges:
-        """Every track's filtered range at `time_s`; the rate is the difference to the frame before.
+        """Filtered ranges of the tracks at `time_s`; the rate is the difference from the previous frame.
 
         Args:
             measured: distances of this frame; NaN = not measured.
-            time_s: of the frame.
-            ego_speed_mps: V; NaN = unknown, taken as 0.
+            time_s: time of the frame.
+            ego_speed_mps: ego speed V; NaN = unknown, 0 is assumed.
         """
         self._tracks = {i: track for i, track in self._tracks.items() if time_s - track.measured_s <= _MAX_GAP_S}
         distance_m, variance, rate_mps, rate_variance = np.full((4, len(measured)), np.nan)
@@ -75,12 +74,12 @@ class PaperFilter:
 
 
 def _kalman_filter(first_m: float) -> Any:
-    """A filter whose state is the first distance."""
-    from filterpy.kalman import KalmanFilter  # imported only where it is used, since it takes seconds
+    """A filterpy KalmanFilter with the first distance as its state."""
+    from filterpy.kalman import KalmanFilter  # a local import, since it takes seconds
 
     kalman = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)
     kalman.x = np.array([[first_m]])
     kalman.P = kalman.Q = kalman.R = np.array([[_NOISE_M2]])
-    kalman.F = kalman.H = np.eye(1)
-    kalman.B = -np.eye(1)
+    kalman.F = kalman.H = np.identity(1)
+    kalman.B = -np.identity(1)
     return kalman

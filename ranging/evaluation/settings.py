@@ -1,4 +1,4 @@
-"""Options of the evaluation of distances from labelled boxes."""
+"""RangeEvaluationSettings: options of the evaluation of distances on labelled boxes."""
 
 from __future__ import annotations
 

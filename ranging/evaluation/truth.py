@@ -1,9 +1,9 @@
-"""What is known to be true of a drive: boxes, identities and distances from KITTI tracking labels, or from a CSV.
+"""Truth: ground truth of a drive (boxes, identities, distances) from KITTI tracking labels or from a CSV file.
 
 The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
-frame. A CSV (`detection/formats/csv_labels.py`) says it as it is, and how fast the object comes nearer. KITTI's labels
-have 3-D boxes, which riders and people do not fill, in the frame of the rig's reference camera; they are shifted into
-the left one first.
+frame. A CSV file (`detection/formats/csv_labels.py`) contains it, with the closing speed. KITTI's labels have 3-D boxes
+in the frame of the rig's reference camera, which are shifted into that of the left camera; people and riders do not
+fill their boxes.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
 
 MAX_OCCLUDED = 1
-"""Labels hidden more than partly are not scored for distance: their boxes are guesses."""
+"""Largest KITTI occlusion level (1 = partly occluded) of labels that are scored for distance: boxes of others are
+guesses."""
 
 MIN_VISIBLE_SHARE = 0.5
-"""The same where a share is known: KITTI's partly hidden objects are seen by half at least."""
+"""Smallest visible share of objects that are scored for distance; corresponds to KITTI's "partly occluded"."""
 
 _CUT_PX = 1.0
-"""Boxes this near to the border are taken as cut by it; labels are clipped to the image."""
+"""Distance in px from the image border within which a label counts as cut; labels are clipped to the image."""
 
-_HIDDEN_SHARE = 0.2
-"""What is visible by less nobody can be asked to find: KITTI's "largely occluded" ends there."""
+_MIN_DETECTABLE_SHARE = 0.2
+"""Smallest visible share of objects that are scored for detection; corresponds to KITTI's "largely occluded"."""
 
 _SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
 
@@ -54,13 +55,13 @@ class Truth:
 
     Attributes:
         frame: (N,) frame number from 0.
-        track_id: (N,) the label's identity; -1 = DontCare.
-        kitti_type: (N,) the label's own word.
-        class_id: (N,) road class; -1 = to be ignored in detection and tracking scores.
+        track_id: (N,) identity of the object; -1 = DontCare.
+        kitti_type: (N,) type of the label, as in the file.
+        class_id: (N,) road class; -1 = ignored in detection and tracking scores.
         xyxy_px: (N, 4) box.
-        distance_m: (N,) to the visible surface; NaN = not known, or not to be scored (truncated, hidden).
-        closing_mps: (N,) how fast that shrinks; NaN = not known.
-        protocol: what errors are measured against, in words.
+        distance_m: (N,) distance of the visible surface; NaN = unknown, or not scored (truncated, occluded).
+        closing_mps: (N,) closing speed, the decrease of the distance per second; NaN = unknown.
+        protocol: description of the ground truth for users.
     """
 
     frame: IntArray
@@ -75,16 +76,21 @@ class Truth:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def select(self, keep: BoolArray | IntArray) -> Truth:
-        """The rows that a mask or an index array names."""
-        return replace(self, **{name: getattr(self, name)[keep] for name in _COLUMNS})
+    def select(self, rows: BoolArray | IntArray) -> Truth:
+        """The rows selected by a mask or an index array."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
 
 def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
-    """Read KITTI tracking labels, or a CSV, which its first line tells, as the truth for the left `camera`.
+    """Ground truth for the left `camera` from KITTI tracking labels or a CSV file, recognised by its first line.
+
+    Args:
+        path: file of labels.
+        camera: the left camera, undistorted.
+        left_from_reference_m: (3,) shift from the frame of KITTI's reference camera to that of the left camera.
 
     Raises:
-        LabelFileError: the file cannot be read, tells no distances (KITTI: has no 3-D boxes), or no identities.
+        LabelFileError: the file cannot be read, or has no distances (KITTI: no 3-D boxes) or no identities.
     """
     return _of_csv(path, camera) if is_label_csv(path) else _of_kitti(path, camera, left_from_reference_m)
 
@@ -101,7 +107,7 @@ def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
         frame=labels.frame,
         track_id=labels.track_id,
         kitti_type=labels.class_name,
-        class_id=np.where(labels.visible_share < _HIDDEN_SHARE, -1, labels.class_id),
+        class_id=np.where(labels.visible_share < _MIN_DETECTABLE_SHARE, -1, labels.class_id),
         xyxy_px=box_px,
         distance_m=np.where(scored, labels.distance_m, np.nan),
         closing_mps=labels.closing_mps,
@@ -129,11 +135,12 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
 
 
 def _check_identities(labels: KittiLabels, path: Path) -> None:
-    """Refuse object labels, which name no one, and an identity that is in two places at once."""
-    named = ~np.isin(labels.kitti_type, KITTI_IGNORED)
-    if (labels.track_id[named] < 0).any():
+    """Raise LabelFileError for object labels, which have no identities, and for an identity twice in a frame."""
+    is_object = ~np.isin(labels.kitti_type, KITTI_IGNORED)
+    if (labels.track_id[is_object] < 0).any():
         raise LabelFileError(f"{path}: expected KITTI tracking labels with track ids, got the id -1 of object labels.")
-    pairs, counts = np.unique(np.stack([labels.frame[named], labels.track_id[named]]), axis=1, return_counts=True)
+    identities = np.stack([labels.frame[is_object], labels.track_id[is_object]])
+    pairs, counts = np.unique(identities, axis=1, return_counts=True)
     if (counts > 1).any():
         frame, track_id = pairs[:, counts > 1][:, 0]
         raise LabelFileError(
@@ -142,7 +149,7 @@ def _check_identities(labels: KittiLabels, path: Path) -> None:
 
 
 def surface_of_labels_m(labels: KittiLabels, camera: PinholeCamera, left_from_reference_m: FloatArray) -> FloatArray:
-    """(N,) z at which the ray through each label's box centre meets its 3-D box; NaN where it misses."""
+    """(N,) z at which the ray through each label's box centre meets its 3-D box; NaN = it misses the box."""
     return surface_distance_m(
         camera.rays((labels.xyxy_px[:, :2] + labels.xyxy_px[:, 2:]) / 2),
         labels.location_m + left_from_reference_m,

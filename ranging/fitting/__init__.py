@@ -1,1 +1,1 @@
-"""Fitting of size models to labelled boxes."""
+"""Fitting of size models to labelled boxes with known distances."""

@@ -2,8 +2,8 @@
 
     class,x1,y1,x2,y2,distance_m,fx[,fy,cx,cy,track,sequence]
 
-Without a header the columns are taken in that order. Distances are the user's own truth, to whatever part of the object
-they were measured. Defaults: fy = fx; cx = the middle of what the boxes span; every box its own track; one sequence.
+A file without a header has the columns in this order. Distances are used as given, to any part of the object.
+Defaults: fy = fx; cx = the middle of the boxes' horizontal extent; a track per box; a single sequence.
 """
 
 from __future__ import annotations
@@ -20,19 +20,25 @@ from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
 COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")
-_NEEDED = COLUMNS[:6]
-_NUMBERS = (*COLUMNS[1:10],)
+"""Columns in the order of a file without a header."""
+
+_REQUIRED = COLUMNS[:6]
+_NUMERIC = (*COLUMNS[1:10],)
 
 
 def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, tuple[str, ...]]:
-    """Boxes and notes for the user; `focal_px` serves where there is no column fx.
+    """Boxes from a CSV file, and notes for the user.
+
+    Args:
+        path: the CSV file.
+        focal_px: focal length if the file has no column fx.
 
     Raises:
-        LabelFileError: not readable, a column or number missing, a class unknown, a box with x1 >= x2 or y1 >= y2, no
-            focal length.
+        LabelFileError: the file cannot be read, a column, number or focal length is missing, a class is unknown, or a
+            box has x1 >= x2 or y1 >= y2.
     """
     table = read_csv_table(path, LabelFileError, f"columns {','.join(COLUMNS[:7])}", default_header=COLUMNS)
-    table.require(_NEEDED)
+    table.require(_REQUIRED)
     table.refuse_duplicates(COLUMNS)
     if "fx" not in table and focal_px is None:
         raise LabelFileError(
@@ -41,7 +47,7 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
         )
     if not len(table):
         raise LabelFileError(f"{path}: expected at least one row below the header, got none.")
-    numbers = {name: _numbers(table, name) for name in _NUMBERS if name in table}
+    numbers = {name: _numbers(table, name) for name in _NUMERIC if name in table}
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
     for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():
         raise table.fault(row, "expected a box with x1 < x2 and y1 < y2.")
@@ -62,7 +68,7 @@ def _box_set(
     n = len(table)
     fx = numbers["fx"] if "fx" in numbers else np.full(n, focal_px)
     middle = np.full(n, (xyxy_px[:, 0].min() + xyxy_px[:, 2].max()) / 2)
-    words = table.texts("class")
+    class_texts = table.texts("class")
     names, number = np.unique(table.texts("sequence"), return_inverse=True)
     track = table.texts("track")
     name = table.path.name
@@ -75,8 +81,8 @@ def _box_set(
         frame=np.arange(n),
         time_s=np.arange(n, dtype=np.float64),
         track_id=np.unique(track, return_inverse=True)[1].astype(np.int64).reshape(n) if track[0] else np.arange(n),
-        kitti_type=np.array(words, np.str_),
-        class_name=np.array([_class(table, row, word) for row, word in enumerate(words)], np.str_),
+        kitti_type=np.array(class_texts, np.str_),
+        class_name=np.array([_class_name(table, row, text) for row, text in enumerate(class_texts)], np.str_),
         xyxy_px=xyxy_px,
         fxycxy_px=np.stack([fx, numbers.get("fy", fx), numbers.get("cx", middle), numbers.get("cy", 0 * fx)], axis=1),
         size_px=np.tile(np.ceil(xyxy_px[:, 2:].max(axis=0)).astype(np.int64) + 1, (n, 1)),
@@ -90,8 +96,8 @@ def _box_set(
     return boxes, tuple(notes)
 
 
-def _class(table: CsvTable, row: int, word: str) -> str:
-    name = "van" if word.lower() == "van" else ROAD_CLASS_OF.get(word.lower())
+def _class_name(table: CsvTable, row: int, text: str) -> str:
+    name = "van" if text.lower() == "van" else ROAD_CLASS_OF.get(text.lower())
     if name is None:
-        raise table.fault(row, f"expected a class among {', '.join(sorted(ROAD_CLASS_OF))}, got '{word}'.")
+        raise table.fault(row, f"expected a class among {', '.join(sorted(ROAD_CLASS_OF))}, got '{text}'.")
     return name

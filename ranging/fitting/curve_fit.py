@@ -1,8 +1,8 @@
-"""Fitting size curves on labelled boxes with known distances, and standard sizes for classes without labels.
+"""Fit of log-linear size curves to labelled boxes with known distances, and standard sizes for other classes.
 
-Least squares in log d with Huber's loss. The error that a curve makes on drives it has not seen is estimated by leaving
-one sequence out at a time: within a sequence the same few vehicles appear in hundreds of frames, so the residuals of
-the fit itself are far too small.
+The fit minimises the residuals of log d with a Huber loss. The error on other drives is estimated by leaving out one
+sequence at a time: within a sequence the same few vehicles appear in hundreds of frames, so the residuals of the fit
+are much smaller.
 """
 
 from __future__ import annotations
@@ -19,14 +19,19 @@ from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 
 NEAREST_M, FARTHEST_M = 5.0, 100.0
-"""Labels nearer are cut off by the image, labels farther are a few pixels high."""
+"""Range of distances in m to fit: nearer objects are cut by the image, farther ones are a few pixels high."""
 
 MIN_SAMPLES = 100
-"""Fewer boxes of a class are refused: a curve needs several objects at several distances."""
+"""Smallest number of boxes of a class for a fit, which requires several objects at several distances."""
 
 _MIN_SIGMA_RELATIVE = 0.03
-_SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))  # of log height and log width: distance always falls with size
-_HUBER_SCALE = 0.1  # residuals of log d beyond 10 % count linearly
+"""Smallest relative standard deviation of a curve."""
+
+_SLOPE_BOUNDS = ((-2.0, -0.1), (-1.0, 0.0))
+"""Bounds of the slopes of log d in log height and log width, so that the distance always decreases with size."""
+
+_HUBER_SCALE = 0.1
+"""Residual of log d beyond which the loss is linear: 10 % of the distance."""
 
 STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
     "motorcycle": (1.55, 0.15, "a motorcycle with its rider, 1.3-1.8 m"),
@@ -34,12 +39,20 @@ STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
     "traffic light": (0.95, 0.35, "three lamps of 200 or 300 mm with housing, 0.8-1.1 m; some have one, two or four"),
     "traffic sign": (0.70, 0.30, "round and octagonal signs of 600-900 mm"),
 }
-"""Height, its relative standard deviation, and from what: for classes that the labels do not have."""
+"""Height in m, its relative standard deviation, and the source, for classes without labels."""
 
 
 @dataclass(frozen=True, slots=True)
 class SizeSamples:
-    """Labelled boxes: class, sequence, (N, 2) width / fx and height / fy, tangent of the bearing, distance."""
+    """Labelled boxes to fit to.
+
+    Attributes:
+        road_class: (N,) class name.
+        sequence: (N,) index of the sequence.
+        wh_over_f: (N, 2) width / fx and height / fy.
+        bearing: (N,) tangent of the angle between the box centre and the camera's axis.
+        distance_m: (N,) distance.
+    """
 
     road_class: npt.NDArray[np.str_]
     sequence: IntArray
@@ -47,37 +60,40 @@ class SizeSamples:
     bearing: FloatArray
     distance_m: FloatArray
 
-    def select(self, keep: BoolArray | IntArray) -> SizeSamples:
-        """The rows that a mask or an index array names."""
-        return SizeSamples(*(getattr(self, field.name)[keep] for field in fields(self)))
+    def select(self, rows: BoolArray | IntArray) -> SizeSamples:
+        """The samples selected by a mask or an index array."""
+        return SizeSamples(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @classmethod
-    def joined(cls, parts: list[SizeSamples]) -> SizeSamples:
-        """Several sequences as one."""
+    def concatenated(cls, parts: list[SizeSamples]) -> SizeSamples:
+        """The samples of all parts."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
 def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:
-    """Curves of every class with enough samples, and standard sizes for the rest.
+    """Curves of all classes with enough samples, and of standard sizes for the others.
 
     Raises:
         CurveError: no class has `MIN_SAMPLES` boxes.
     """
     names, counts = np.unique(samples.road_class, return_counts=True)
-    enough = [str(name) for name, count in zip(names, counts, strict=True) if count >= MIN_SAMPLES]
-    if not enough:
+    fitted = [str(name) for name, count in zip(names, counts, strict=True) if count >= MIN_SAMPLES]
+    if not fitted:
         available = ", ".join(f"{n} {c}" for n, c in zip(names, counts, strict=True)) or "none"
         raise CurveError(f"expected at least {MIN_SAMPLES} labelled boxes of one class, got {available}.")
-    standard = {name: _standard_curve(name) for name in STANDARD_HEIGHTS_M if name not in enough}
+    standard = {name: _standard_curve(name) for name in STANDARD_HEIGHTS_M if name not in fitted}
     whole, height_only = (
-        {name: _fit_class(samples.select(samples.road_class == name), use_width=w, source=source) for name in enough}
-        for w in (True, False)
+        {
+            name: _fit_class(samples.select(samples.road_class == name), use_width=use_width, source=source)
+            for name in fitted
+        }
+        for use_width in (True, False)
     )
     return SizeCurves({**whole, **standard}, {**height_only, **standard})
 
 
 def leave_one_out_error(samples: SizeSamples, *, use_width: bool) -> FloatArray:
-    """(N,) relative error of each sample by the curve of its class fitted on the other sequences; one class only."""
+    """(N,) relative errors of samples of one class, by curves fitted to the other sequences; NaN = there is none."""
     error = np.full(len(samples.distance_m), np.nan)
     for sequence in np.unique(samples.sequence):
         left_out = samples.sequence == sequence
@@ -91,7 +107,7 @@ def leave_one_out_error(samples: SizeSamples, *, use_width: bool) -> FloatArray:
 def _fit_class(samples: SizeSamples, *, use_width: bool, source: str) -> SizeCurve:
     solution = _solve(samples, use_width=use_width)
     error = leave_one_out_error(samples, use_width=use_width)
-    if not np.isfinite(error).any():  # one sequence only: its own residuals are all there is
+    if not np.isfinite(error).any():  # a single sequence has only the residuals of the fit
         error = np.exp(_design(samples, use_width=use_width) @ solution) / samples.distance_m - 1
     intercept, per_log_height, *rest = (float(value) for value in solution)
     per_log_width, per_bearing = rest if use_width else (0.0, rest[0])
@@ -120,13 +136,14 @@ def _standard_curve(name: str) -> SizeCurve:
 
 
 def _design(samples: SizeSamples, *, use_width: bool) -> FloatArray:
+    """(N, 3 or 4) design matrix: 1, log height, log width if used, |tan bearing|."""
     log_w, log_h = np.log(samples.wh_over_f).T
     columns = [np.ones_like(log_h), log_h, *([log_w] if use_width else []), np.abs(samples.bearing)]
     return np.stack(columns, axis=1)
 
 
 def _solve(samples: SizeSamples, *, use_width: bool) -> FloatArray:
-    """Huber fit within `_SLOPE_BOUNDS`: few objects leave the slopes of height and width open, but not their sign."""
+    """(3 or 4,) coefficients of the Huber fit within `_SLOPE_BOUNDS`, which few objects do not determine well."""
     design, log_distance = _design(samples, use_width=use_width), np.log(samples.distance_m)
     free = (-np.inf, np.inf)
     low, high = np.array([free, *_SLOPE_BOUNDS[: 2 if use_width else 1], free]).T

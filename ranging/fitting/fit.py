@@ -1,4 +1,4 @@
-"""Fitting of size models to a user's own labels, and the paper's comparison of plain curves."""
+"""fit_sizes: fit of a size model to a user's labels, and the paper's comparison of plain curves."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from track_range.ranging.size_models.size_model import StoredSizeModel
 
 @dataclass(frozen=True, slots=True)
 class FittedSizes:
-    """What was fitted to labels.
+    """Result of `fit_sizes`.
 
     Attributes:
-        boxes: those fitted to.
-        name: of the model, of `MODEL_NAMES`.
-        model: None where only a comparison was asked for.
-        comparison: the plain curves of each class; empty where none was asked for.
-        notes: for the user.
+        boxes: boxes that were fitted to.
+        name: name of the model, one of `MODEL_NAMES`.
+        model: the fitted model; None = comparison only.
+        comparison: the plain curves by class; empty = no comparison.
+        notes: notes for the user.
     """
 
     boxes: BoxSet
@@ -38,10 +38,10 @@ class FittedSizes:
 
 
 def fit_sizes(settings: FitSettings) -> FittedSizes:
-    """Fit a size model to labelled boxes, and write it where `settings.out` is given.
+    """Fit a size model to labelled boxes, and write it to `settings.out`, if given.
 
     Raises:
-        LabelFileError, RigError, CurveError: labels or calibration cannot be used, or there are too few of them.
+        LabelFileError, RigError, CurveError: labels or calibration cannot be used, or there are too few labels.
         UsageError: settings that contradict each other.
     """
     _check(settings)
@@ -56,8 +56,8 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
     if settings.out is not None:
         model = fit_model(usable.boxes, name, source=_source(settings, usable.boxes))
         save_curves(model, settings.out)
-    refused = (f"Too few samples to fit a curve for {words}." for words in usable.refused)
-    return FittedSizes(usable.boxes, name, model, comparison, (*notes, *refused))
+    rejected = (f"Too few samples to fit a curve for {reason}." for reason in usable.rejected)
+    return FittedSizes(usable.boxes, name, model, comparison, (*notes, *rejected))
 
 
 def _check(settings: FitSettings) -> None:
@@ -82,15 +82,15 @@ def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
         raise UsageError("expected either --labels with --calib or --csv.")
     excluded = set(settings.leave_out) - {""}
     unknown = excluded - set(boxes.sequence_names)
-    if unknown:  # a slip here would fit on what is kept for testing
+    if unknown:  # an error, since a misspelt name would put test sequences into the fit
         raise LabelFileError(
             f"{settings.labels or settings.csv}: --leave-out names unknown sequences: {', '.join(sorted(unknown))}."
         )
-    is_out = np.array([name in excluded for name in boxes.sequence_names])[boxes.sequence]
-    return boxes.select(~is_out), notes
+    is_excluded = np.array([name in excluded for name in boxes.sequence_names])[boxes.sequence]
+    return boxes.select(~is_excluded), notes
 
 
 def _source(settings: FitSettings, boxes: BoxSet) -> str:
-    place = settings.labels or settings.csv
+    path = settings.labels or settings.csv
     used = ", ".join(boxes.sequence_names[k] or "one" for k in np.unique(boxes.sequence))
-    return f"{settings.source or (place.name if place else '')}, sequences {used}"
+    return f"{settings.source or (path.name if path else '')}, sequences {used}"

@@ -1,9 +1,9 @@
-"""BoxSet: labelled boxes of many drives with their true distances, as parallel arrays, without any video.
+"""BoxSet: labelled boxes of many drives with their true distances, as parallel arrays, without video.
 
-Truth is the z at which the ray through the label's box centre first meets its 3-D box, from the left colour camera
-(`ranging.evaluation.box_surface`); labels are shifted into its frame. Kept are boxes with a 3-D box at 5-100 m, not
-truncated, occluded <= 1, of the five labelled kinds: Van is a kind of its own here, although its road class may be car
-or truck. The box itself may then be blurred by pixel noise or be a detector's; the truth stays the label's.
+The true distance is the z at which the ray through the label's box centre first meets its 3-D box, in the frame of the
+left colour camera (`ranging.evaluation.box_surface`). Labels are used if they have a 3-D box at 5-100 m, are not
+truncated, have occluded <= 1 and one of five KITTI types, with vans as a separate class. The boxes may be those of the
+labels, with noise added, or those of a detector; the true distance is always that of the label.
 """
 
 from __future__ import annotations
@@ -32,24 +32,31 @@ CLASS_OF: Mapping[str, str] = {
     "Pedestrian": "person",
     "Cyclist": "bicycle",
 }
-"""KITTI types that are measured, and what their figures are called."""
+"""KITTI types that are measured, with their class names in the figures."""
 
-ROAD_CLASS_OF_KIND: Mapping[str, str] = {"van": "car"}
-"""Kinds that are no road class, and the one that a detector takes them for."""
+DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}
+"""Class names that are not road classes, with the road class that a detector reports for them."""
 
 FRAME_STEP_S = 0.1036
-"""Mean step of KITTI's frames in the tracking drives; their labels carry no times."""
+"""Mean frame interval of KITTI's tracking drives in s; their labels have no timestamps."""
 
 MIN_SCORE = 0.5
-"""Weaker detections are left out."""
+"""Smallest confidence of detections that are used."""
 
 REAR_VIEW_RAD, REAR_VIEW_M = 0.25, 10.0
-"""An object is seen from behind when alpha is this near -pi/2 and its lateral offset is smaller than that."""
+"""Largest difference of alpha from -pi/2 in rad, and largest lateral offset in m, of an object seen from behind."""
 
 _RRC_TYPE: Mapping[str, str] = {"Car": "Car", "Pedestrian": "Pedestrian"}
+"""KITTI type by folder of RRC detections."""
+
 _MIN_SIZE_PX = 1.0
+"""Smallest width and height of a box after noise was added."""
+
 _OBJECT_COLUMNS = (15, 16)
+"""Numbers of columns in a line of KITTI object labels, without and with a score; tracking labels have 17 or 18."""
+
 _OBJECT_GROUPS = 10
+"""Number of groups of images that serve as sequences for object labels, which have none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,22 +64,22 @@ class BoxSet:
     """Labelled boxes, one row per object and frame, ordered by sequence and frame.
 
     Attributes:
-        sequence_names: S names.
-        sequence: (N,) index into them.
+        sequence_names: names of the sequences.
+        sequence: (N,) index into `sequence_names`.
         frame: (N,) frame number.
         time_s: (N,) seconds from the sequence's first frame.
-        track_id: (N,) the label's identity, unique within a sequence.
-        kitti_type: (N,) the label's own word.
-        class_name: (N,) what its figures are called: car, van, truck, person, bicycle.
-        xyxy_px: (N, 4) the box to measure from: the label's, or a noisy or detected one.
+        track_id: (N,) identity of the object, unique within a sequence.
+        kitti_type: (N,) type of the label, as in the file.
+        class_name: (N,) class in the figures: car, van, truck, person, bicycle.
+        xyxy_px: (N, 4) box to measure: that of the label, with noise, or detected.
         fxycxy_px: (N, 4) fx, fy, cx, cy of the camera.
-        size_px: (N, 2) width and height of the image, as far as known from camera or boxes.
-        distance_m: (N,) truth.
+        size_px: (N, 2) width and height of the image, from the camera, or estimated from the boxes.
+        distance_m: (N,) true distance.
         alpha_rad: (N,) observation angle: -pi/2 = seen from behind.
         x_m: (N,) lateral offset.
-        size_hwl_m: (N, 3) height, width, length of the 3-D box; NaN where there is none.
-        rotation_y_rad: (N,) its yaw; NaN where there is none.
-        occluded: (N,) 0 = fully visible, 1 = partly hidden.
+        size_hwl_m: (N, 3) height, width, length of the 3-D box; NaN = no 3-D box.
+        rotation_y_rad: (N,) yaw of the 3-D box; NaN = no 3-D box.
+        occluded: (N,) 0 = fully visible, 1 = partly occluded.
     """
 
     sequence_names: tuple[str, ...]
@@ -95,10 +102,10 @@ class BoxSet:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def select(self, keep: BoolArray | IntArray) -> BoxSet:
-        """The rows that a mask or an index array names."""
-        rows = (getattr(self, field.name)[keep] for field in fields(self)[1:])
-        return BoxSet(self.sequence_names, *rows)
+    def select(self, rows: BoolArray | IntArray) -> BoxSet:
+        """The boxes selected by a mask or an index array."""
+        columns = (getattr(self, field.name)[rows] for field in fields(self)[1:])
+        return BoxSet(self.sequence_names, *columns)
 
     @property
     def wh_over_f(self) -> FloatArray:
@@ -107,79 +114,80 @@ class BoxSet:
 
     @property
     def bearing(self) -> FloatArray:
-        """(N,) tangent of the box centre's angle from the camera's axis in x."""
+        """(N,) tangent of the horizontal angle between the box centre and the camera's axis."""
         centre_px = (self.xyxy_px[:, 0] + self.xyxy_px[:, 2]) / 2
         return np.asarray((centre_px - self.fxycxy_px[:, 2]) / self.fxycxy_px[:, 0])
 
     @property
     def is_rear_view(self) -> BoolArray:
-        """(N,) seen from behind and not far to the side."""
-        off_rad = np.abs(np.angle(np.exp(1j * (self.alpha_rad + np.pi / 2))))
-        return np.asarray((off_rad < REAR_VIEW_RAD) & (np.abs(self.x_m) < REAR_VIEW_M))
+        """(N,) whether the object is seen from behind with a small lateral offset."""
+        angle_rad = np.abs(np.angle(np.exp(1j * (self.alpha_rad + np.pi / 2))))
+        return np.asarray((angle_rad < REAR_VIEW_RAD) & (np.abs(self.x_m) < REAR_VIEW_M))
 
     @property
     def class_id(self) -> IntArray:
-        """(N,) road class that a detector would give each box (a van is a car)."""
-        names = [ROAD_CLASS_OF_KIND.get(str(name), str(name)) for name in self.class_name]
+        """(N,) road class that a detector reports for each box; vans are cars."""
+        names = [DETECTED_CLASS_OF.get(str(name), str(name)) for name in self.class_name]
         return np.array([ROAD_CLASSES.index(name) for name in names], np.int64)
 
     def camera_at(self, row: int) -> PinholeCamera:
-        """The camera that saw a row."""
+        """The camera of the box `row`."""
         fx, fy, cx, cy = self.fxycxy_px[row].tolist()
         width, height = self.size_px[row].tolist()
         return PinholeCamera(fx, fy, cx, cy, width, height)
 
     def with_noise(self, noise_px: float, *, seed: int) -> BoxSet:
-        """The same objects, every edge of their boxes moved by normal noise; no box gets thinner than a pixel."""
+        """Boxes with Gaussian noise on every edge, at least 1 px wide and high."""
         noisy = self.xyxy_px + np.random.default_rng(seed).normal(0.0, noise_px, self.xyxy_px.shape)
-        middle, size = (noisy[:, :2] + noisy[:, 2:]) / 2, np.maximum(noisy[:, 2:] - noisy[:, :2], _MIN_SIZE_PX)
-        return replace(self, xyxy_px=np.concatenate([middle - size / 2, middle + size / 2], axis=1))
+        centre, size = (noisy[:, :2] + noisy[:, 2:]) / 2, np.maximum(noisy[:, 2:] - noisy[:, :2], _MIN_SIZE_PX)
+        return replace(self, xyxy_px=np.concatenate([centre - size / 2, centre + size / 2], axis=1))
 
 
 def box_set(labels: Path, calib: Path, *, boxes: str = "labels", noise_px: float = 0.0, seed: int = 0) -> BoxSet:
-    """Read KITTI tracking labels (NAME.txt per sequence), or object labels (a file per image), with their calibration.
+    """Boxes of KITTI tracking labels (NAME.txt per sequence) or object labels (a file per image), with calibration.
 
     Args:
         labels: folder of label files.
-        calib: folder of calib files of the same names.
+        calib: folder of calibration files with the same names.
         boxes: "labels", or "rrc:DIR" for detections DIR/Car/NAME.txt and DIR/Pedestrian/NAME.txt, matched to labels.
         noise_px: standard deviation of noise added to every edge.
-        seed: of the noise.
+        seed: random seed for the noise.
 
     Raises:
-        LabelFileError: no files, none with a 3-D box, nothing to measure, or detections that cannot be read.
-        RigError: a calibration is missing or cannot be read.
+        LabelFileError: no files, no 3-D boxes, no usable labels, or detections that cannot be read.
+        RigError: a calibration file is missing or cannot be read.
     """
     files = sorted(file for file in labels.glob("*.txt") if not file.name.startswith("."))
     if not files:
         raise LabelFileError(f"{labels}: expected label files such as 0000.txt, found none.")
-    found = [_sequence(file, calib / file.name, boxes) for file in files]
-    if not any(has_3d for _, has_3d in found):
+    sequences = [_sequence(file, calib / file.name, boxes) for file in files]
+    if not any(has_3d for _, has_3d in sequences):
         raise LabelFileError(f"{labels}: expected KITTI labels with 3-D boxes, found no label with a 3-D box.")
-    whole = _joined([part for part, _ in found], files)
-    if not len(whole):
+    usable = _concatenated([part for part, _ in sequences], files)
+    if not len(usable):
         raise LabelFileError(
             f"{labels}: found no usable label; expected {', '.join(CLASS_OF)} at {BANDS_M[0]:g}-{BANDS_M[-1]:g} m, "
             f"not truncated, occluded <= {MAX_OCCLUDED}{'' if boxes == 'labels' else ', with a matching detection'}."
         )
-    return whole.with_noise(noise_px, seed=seed) if noise_px > 0 else whole
+    return usable.with_noise(noise_px, seed=seed) if noise_px > 0 else usable
 
 
 def _sequence(file: Path, calib: Path, boxes: str) -> tuple[BoxSet, bool]:
-    """One file's boxes, as sequence 0, and whether any label has a 3-D box."""
+    """Usable boxes of one file, as sequence 0, and whether any of its labels has a 3-D box."""
     labels = _labels_in(file)
     camera, _ = load_camera(calib, size_px=None)
     shift_m = left_from_reference_m(calib, is_grey=False)
-    every = _rows(labels, camera, shift_m)
-    every = every if boxes == "labels" else _detected(every, labels, file.name, boxes)
-    span = (every.distance_m >= BANDS_M[0]) & (every.distance_m <= BANDS_M[-1])
-    seen = (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED) & labels.has_3d_box
-    keep = np.flatnonzero(span & seen & are_valid_boxes(every.xyxy_px) & (every.class_name != ""))
-    return every.select(keep[np.argsort(labels.frame[keep], kind="stable")]), bool(labels.has_3d_box.any())
+    box_set = _rows(labels, camera, shift_m)
+    box_set = box_set if boxes == "labels" else _detected(box_set, labels, file.name, boxes)
+    in_span = (box_set.distance_m >= BANDS_M[0]) & (box_set.distance_m <= BANDS_M[-1])
+    is_visible = (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
+    is_usable = in_span & is_visible & labels.has_3d_box & are_valid_boxes(box_set.xyxy_px)
+    rows = np.flatnonzero(is_usable & (box_set.class_name != ""))
+    return box_set.select(rows[np.argsort(labels.frame[rows], kind="stable")]), bool(labels.has_3d_box.any())
 
 
 def _labels_in(file: Path) -> KittiLabels:
-    """A tracking file, or the object labels of one image."""
+    """The labels of a tracking file, or the object labels of one image."""
     try:
         with file.open(encoding="utf-8-sig") as lines:
             n_columns = len(next((line.split() for line in lines if line.strip()), []))
@@ -189,7 +197,7 @@ def _labels_in(file: Path) -> KittiLabels:
 
 
 def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> BoxSet:
-    """Every label as a row, whether it is measured or not."""
+    """All labels of a file, usable or not."""
     n = len(labels)
     location_m = labels.location_m
     extent_px = np.ceil(np.max(labels.xyxy_px[:, 2:], axis=0, initial=0.0)).astype(np.int64) + 1
@@ -202,7 +210,7 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
         time_s=labels.frame.astype(np.float64) * FRAME_STEP_S,
         track_id=labels.track_id,
         kitti_type=labels.kitti_type,
-        class_name=np.array([CLASS_OF.get(str(word), "") for word in labels.kitti_type], np.str_),
+        class_name=np.array([CLASS_OF.get(str(kitti_type), "") for kitti_type in labels.kitti_type], np.str_),
         xyxy_px=labels.xyxy_px,
         fxycxy_px=np.tile([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px], (n, 1)),
         size_px=np.tile(np.where(size_px > 0, size_px, np.maximum(extent_px, middle_px)), (n, 1)),
@@ -215,56 +223,56 @@ def _rows(labels: KittiLabels, camera: PinholeCamera, shift_m: FloatArray) -> Bo
     )
 
 
-def _detected(every: BoxSet, labels: KittiLabels, name: str, boxes: str) -> BoxSet:
-    """The labels with the boxes of the detections that match them; NaN boxes where none does."""
+def _detected(box_set: BoxSet, labels: KittiLabels, name: str, boxes: str) -> BoxSet:
+    """All labels of a file with the boxes of matching detections; NaN = no match."""
     form, _, folder = boxes.partition(":")
     if form != "rrc" or not folder:
         raise LabelFileError(f"--boxes {boxes}: expected labels or rrc:DIR.")
-    xyxy_px = np.full((len(every), 4), np.nan)
-    for word, kitti_type in _RRC_TYPE.items():
-        path = Path(folder) / word / name
+    xyxy_px = np.full((len(box_set), 4), np.nan)
+    for subfolder, kitti_type in _RRC_TYPE.items():
+        path = Path(folder) / subfolder / name
         if not path.parent.is_dir():
             raise LabelFileError(f"{path.parent}: no such folder; rrc:DIR requires DIR/Car and DIR/Pedestrian.")
         if not path.is_file() or not path.read_text(encoding="utf-8-sig").strip():
-            continue  # nothing was found in this sequence
+            continue  # a sequence without detections
         recorded = read_detections(path, form="rrc")
-        strong = recorded.detections.score >= MIN_SCORE
-        found = recorded.detections.select(strong)
+        is_confident = recorded.detections.score >= MIN_SCORE
+        detections = recorded.detections.select(is_confident)
         row, detection = greedy_matches(
-            (labels.frame, labels.xyxy_px), (recorded.frame[strong], found.xyxy_px), score=found.score
+            (labels.frame, labels.xyxy_px), (recorded.frame[is_confident], detections.xyxy_px), score=detections.score
         )
-        right = labels.kitti_type[row] == kitti_type
-        xyxy_px[row[right]] = found.xyxy_px[detection[right]]
-    return replace(every, xyxy_px=xyxy_px)
+        is_type = labels.kitti_type[row] == kitti_type
+        xyxy_px[row[is_type]] = detections.xyxy_px[detection[is_type]]
+    return replace(box_set, xyxy_px=xyxy_px)
 
 
 def greedy_matches(
     labels: tuple[IntArray, FloatArray], detections: tuple[IntArray, FloatArray], *, score: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Rows of labels and of detections that belong together: the strongest detection takes its best free label first.
+    """Row indices of matching labels and detections: in the order of confidence, each to the free label of highest IoU.
 
     Args:
-        labels: (N,) frame and (N, 4) box of every label, of whatever type, so that a detection of a hidden or ignored
-            object is not taken for its neighbour's.
+        labels: (N,) frame and (N, 4) box of all labels, of any type, so that the detection of an occluded or ignored
+            object is not matched to its neighbour.
         detections: (M,) frame and (M, 4) box.
-        score: (M,) of the detections.
+        score: (M,) confidence of the detections.
     """
     pairs: list[tuple[int, int]] = []
     for number in np.intersect1d(labels[0], detections[0]):
-        rows, found = np.flatnonzero(labels[0] == number), np.flatnonzero(detections[0] == number)
-        found = found[np.argsort(-score[found], kind="stable")]
-        overlap = iou(detections[1][found], labels[1][rows])
-        for one, detection in enumerate(found):
-            best = int(np.argmax(overlap[one]))
-            if overlap[one, best] >= MIN_IOU:
+        rows, indices = np.flatnonzero(labels[0] == number), np.flatnonzero(detections[0] == number)
+        indices = indices[np.argsort(-score[indices], kind="stable")]
+        overlap = iou(detections[1][indices], labels[1][rows])
+        for i, detection in enumerate(indices):
+            best = int(np.argmax(overlap[i]))
+            if overlap[i, best] >= MIN_IOU:
                 pairs.append((int(rows[best]), int(detection)))
                 overlap[:, best] = -1.0
-    both = np.array(pairs, np.int64).reshape(-1, 2)
-    return both[:, 0], both[:, 1]
+    matches = np.array(pairs, np.int64).reshape(-1, 2)
+    return matches[:, 0], matches[:, 1]
 
 
-def _joined(parts: Sequence[BoxSet], files: Sequence[Path]) -> BoxSet:
-    """Sequences as one set; object labels, an image each, become ten groups: nothing says which drive is which."""
+def _concatenated(parts: Sequence[BoxSet], files: Sequence[Path]) -> BoxSet:
+    """All sequences as one set; images with object labels form ten groups, since their drives are unknown."""
     is_images = len(parts) > 1 and all((part.track_id < 0).all() for part in parts)
     names = tuple(f"group-{k}" for k in range(_OBJECT_GROUPS)) if is_images else tuple(file.stem for file in files)
     numbers = [k * _OBJECT_GROUPS // len(parts) if is_images else k for k in range(len(parts))]

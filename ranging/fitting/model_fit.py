@@ -1,9 +1,9 @@
-"""Fitting, by name, every model of sizes that a run can use, on labelled boxes.
+"""Fit of size models by name, to labelled boxes.
 
-cuboids       priors over sizes (`prior_fit.py`): wants labels with 3-D boxes
-log-linear    one curve per class (`curve_fit.py`)
-the others    plain curves of one size, made safe (`plain_curves.SAFE_CURVES`); their sigma is the error that they
-              make on sequences that they are not fitted on
+cuboids       priors over sizes (`prior_fit.py`), from labels with 3-D boxes
+log-linear    one log-linear curve per class (`curve_fit.py`)
+others        monotonic plain curves of one box measure (`plain_curves.SAFE_CURVES`); sigma is their error on left-out
+              sequences
 """
 
 from __future__ import annotations
@@ -27,47 +27,55 @@ from track_range.ranging.size_models.tables import TableCurve, TableSizes
 CUBOIDS, LOG_LINEAR = "cuboids", "log-linear"
 
 MODEL_NAMES = (CUBOIDS, LOG_LINEAR, *SAFE_CURVES)
-"""What can be fitted."""
+"""Names of the size models that can be fitted."""
 
 _MIN_SIGMA_RELATIVE = 0.03
-_MIN_SPREAD = 1.3
-"""Smallest ratio of a class's 95th and 5th percentile of height that tells a curve from a point."""
+"""Smallest relative standard deviation of a curve."""
+
+_MIN_HEIGHT_RATIO = 1.3
+"""Smallest ratio of the 95th to the 5th percentile of box heights of a class that determines a curve."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsableBoxes:
-    """Boxes of the classes that a curve can be fitted on, and a phrase on each class that has too little for it."""
+    """Boxes of classes with enough data for a curve.
+
+    Attributes:
+        boxes: the boxes.
+        rejected: name of and reason for each class that was removed.
+    """
 
     boxes: BoxSet
-    refused: tuple[str, ...]
+    rejected: tuple[str, ...]
 
 
 def usable_boxes(boxes: BoxSet) -> UsableBoxes:
-    """Without classes of fewer than `MIN_SAMPLES` boxes, or of one size throughout.
+    """The boxes without classes of fewer than `MIN_SAMPLES` boxes or with boxes of a single size.
 
     Raises:
         CurveError: no class is left.
     """
-    refused, good = [], np.zeros(len(boxes), np.bool_)
+    rejected, is_usable = [], np.zeros(len(boxes), np.bool_)
     for name in np.unique(boxes.class_name):
-        mine = boxes.class_name == name
-        low, high = np.percentile(boxes.wh_over_f[mine, 1], [5, 95])
-        if mine.sum() < MIN_SAMPLES:
-            refused.append(f"{name} ({mine.sum()} boxes, at least {MIN_SAMPLES} required)")
-        elif high / low < _MIN_SPREAD:
-            refused.append(f"{name} (all boxes of the same size, several distances required)")
+        is_class = boxes.class_name == name
+        low, high = np.percentile(boxes.wh_over_f[is_class, 1], [5, 95])
+        if is_class.sum() < MIN_SAMPLES:
+            rejected.append(f"{name} ({is_class.sum()} boxes, at least {MIN_SAMPLES} required)")
+        elif high / low < _MIN_HEIGHT_RATIO:
+            rejected.append(f"{name} (all boxes of the same size, several distances required)")
         else:
-            good |= mine
-    if not good.any():
-        raise CurveError(f"too few samples to fit a curve for any class: {', '.join(refused) or 'no labelled boxes'}.")
-    return UsableBoxes(boxes.select(good), tuple(refused))
+            is_usable |= is_class
+    if not is_usable.any():
+        reasons = ", ".join(rejected) or "no labelled boxes"
+        raise CurveError(f"too few samples to fit a curve for any class: {reasons}.")
+    return UsableBoxes(boxes.select(is_usable), tuple(rejected))
 
 
 def fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
-    """The model `name` (of `MODEL_NAMES`) fitted on boxes.
+    """The model `name`, one of `MODEL_NAMES`, fitted to boxes.
 
     Raises:
-        CurveError: too few of them, or no 3-D boxes for cuboids.
+        CurveError: too few boxes, or no 3-D boxes for cuboids.
     """
     if name == CUBOIDS:
         return fit_size_priors(labelled_sizes(boxes), source=source)
@@ -77,29 +85,30 @@ def fit_model(boxes: BoxSet, name: str, *, source: str) -> StoredSizeModel:
 
 
 def log_linear(boxes: BoxSet, *, source: str) -> SizeCurves:
-    """Log-linear curves, and standard sizes for classes that the boxes do not have."""
+    """Log-linear curves, with standard sizes for classes without boxes."""
     samples = SizeSamples(boxes.class_name, boxes.sequence, boxes.wh_over_f, boxes.bearing, boxes.distance_m)
     return fit_curves(samples, source=source)
 
 
 def table_model(boxes: BoxSet, name: str, *, source: str) -> TableSizes:
-    """A safe plain curve per class with enough boxes."""
+    """A monotonic plain curve for each class with enough boxes."""
     curves, measure = {}, ""
-    for kind in (kind for kind in SIZE_CLASSES if (boxes.class_name == kind).sum() >= MIN_SAMPLES):
-        mine = boxes.select(boxes.class_name == kind)
-        fitted = SAFE_CURVES[name].fit(mine.wh_over_f, mine.bearing, mine.distance_m)
+    class_names = [class_name for class_name in SIZE_CLASSES if (boxes.class_name == class_name).sum() >= MIN_SAMPLES]
+    for class_name in class_names:
+        samples = boxes.select(boxes.class_name == class_name)
+        fitted = SAFE_CURVES[name].fit(samples.wh_over_f, samples.bearing, samples.distance_m)
         if not isinstance(fitted, FittedTable):
             raise TypeError(f"{name}: expected a curve of one box measure")
         measure = fitted.measure.__name__
-        sigma = max(_error_on_other_drives(mine, name, fitted), _MIN_SIGMA_RELATIVE)
-        curves[kind] = TableCurve(table=fitted, sigma_relative=sigma, n=len(mine), source=source)
+        sigma = max(_error_on_other_drives(samples, name, fitted), _MIN_SIGMA_RELATIVE)
+        curves[class_name] = TableCurve(table=fitted, sigma_relative=sigma, n=len(samples), source=source)
     if not curves:
         raise CurveError(f"expected at least {MIN_SAMPLES} labelled boxes of one class, got fewer.")
     return TableSizes(measure, curves)
 
 
 def _error_on_other_drives(boxes: BoxSet, name: str, fitted: FittedTable) -> float:
-    """Root mean square of the relative error, leaving sequences out; where there is one, of the fit itself."""
+    """Root mean square of the cross-validated relative error; of the fit itself if there is a single sequence."""
     distance_m: FloatArray = fitted.predict(boxes.wh_over_f, boxes.bearing)
     if len(list(folds(boxes))) > 1:
         distance_m = cross_validated(boxes, boxes, plain_fitter(SAFE_CURVES[name])).distance_m

@@ -1,4 +1,4 @@
-"""Options of fitting size models."""
+"""FitSettings: options of the fit of size models."""
 
 from __future__ import annotations
 

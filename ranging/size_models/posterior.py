@@ -49,7 +49,7 @@ _TRAPEZOIDS[:, 0] -= 0.5
 """(G, G) trapezoidal rule: `_TRAPEZOIDS @ density` is the integral from the first grid point to each one."""
 
 _NOT_ON_THE_ROAD = 0.003
-"""Likelihood, per unit of tangent, of a bottom edge that is not on the road but, say, on a bridge or a balcony."""
+"""Likelihood, per unit of tangent, of a bottom edge that is not on the road but on a bridge or balcony."""
 
 _T_COMPONENTS = ((0.5, 0.8), (0.35, 2.0), (0.15, 5.0))
 """(weight, scale) of Gaussians that approximate Student's t with 2 degrees of freedom."""
