@@ -1,1 +1,1 @@
-"""Lane lines: detection by networks or by edges, and the choice of the own lane."""
+"""Detection of lane lines with networks or edges, and tracking of the ego lane."""

@@ -1,12 +1,12 @@
-"""What lane networks mean by their outputs: pixels on lines, in the part of the image that they were shown.
+"""Decoders of lane networks' outputs into pixels on lines.
 
-    segmentation  [1, 2, h, w] or [1, 1, h, w]      a pixel is on a line where its score (last channel) wins
+    segmentation  [1, 2, h, w] or [1, 1, h, w]      a pixel is on a line if the score of the last channel is the larger
     curves        [1, K, 2] scores, [1, K, 8] rows  LSTR (Liu et al., WACV 2021): y0, y1, k, f, m, n, b, b' with
                                                     x = k / (y - f)^2 + m / (y - f) + n + b y - b', all in 0..1
-    row anchors   [1, cells + 1, rows, 4]           Ultra Fast Lane Detection (Qin et al., ECCV 2020): in each of some
-                                                    fixed rows, the cell of each of four lines; the last one means none
+    row anchors   [1, cells + 1, rows, 4]           Ultra Fast Lane Detection (Qin et al., ECCV 2020): in each of a few
+                                                    fixed rows, scores of the cells of four lines; the last = no line
 
-Decoders return pixels of the network's input, pixel centres at whole numbers, and the number of the line of each.
+Decoders return pixels of the network's input, with pixel centres at integers, and the line number of each pixel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from track_range.detection.lanes.markings import run_middles
 from track_range.foundation.arrays import FloatArray, FloatArray32, IntArray
 
 Points = tuple[FloatArray, IntArray]
-"""(N, 2) pixels and the (N,) number of the line of each, -1 = not told."""
+"""(N, 2) pixels on lines and (N,) their line numbers, -1 = unknown."""
 
 ROW_ANCHORS: Mapping[int, FloatArray] = {
     18: np.array(
@@ -29,39 +29,53 @@ ROW_ANCHORS: Mapping[int, FloatArray] = {
     ),
     56: np.arange(64.0, 285.0, 4.0),
 }
-"""Rows of a 288-row input that CULane heads (18) and TuSimple heads (56) look at: the published `culane_row_anchor` and
-`tusimple_row_anchor`."""
+"""Rows of CULane heads (18) and TuSimple heads (56) in an input of 288 rows: `culane_row_anchor` and
+`tusimple_row_anchor` of the official implementation."""
 
 ROW_ANCHOR_LINES = 4
+"""Number of lines of a row-anchor head."""
 
 _ANCHOR_IMAGE_ROWS = 288.0
-_CURVE_SAMPLES = 40
-_CURVE_SCORE = 0.5
-_EVERY_ROW = 2  # of a mask: neighbouring rows say the same
-_WIDEST_RUN = 0.08  # of the mask's width: wider ones are stop lines, or lines that run together far ahead
+"""Height of the input that `ROW_ANCHORS` refers to, in pixels."""
+
+_N_CURVE_SAMPLES = 40
+"""Number of pixels per curve."""
+
+_MIN_CURVE_SCORE = 0.5
+"""Smallest probability of a curve."""
+
+_ROW_STEP = 2
+"""Every second row of a mask is used, because neighbouring rows are redundant."""
+
+_MAX_RUN = 0.08
+"""Largest width of a run of line pixels, as a fraction of the mask's width; wider runs are stop lines or distant lines
+that merge."""
 
 
 def mask_points(scores: FloatArray32) -> Points:
-    """Middles of the runs of line pixels in every other row of scores (channels, h, w)."""
+    """Centres of the runs of line pixels in every second row of scores (channels, h, w)."""
     on_line = scores[1] > scores[0] if len(scores) == 2 else scores[0] > _even(scores[0])
-    rows = np.arange(0, on_line.shape[0], _EVERY_ROW)
-    row, x = run_middles(on_line[rows], widest_px=_WIDEST_RUN * on_line.shape[1])
+    rows = np.arange(0, on_line.shape[0], _ROW_STEP)
+    row, x = run_middles(on_line[rows], widest_px=_MAX_RUN * on_line.shape[1])
     xy = np.stack([x, rows[row]], axis=1).astype(np.float64)
     return xy, np.full(len(xy), -1, np.int64)
 
 
 def _even(scores: FloatArray32) -> float:
-    """The score that is neither line nor road: half where scores are probabilities, zero where they are logits."""
+    """The score at which line and road are equally likely: 0.5 for probabilities, 0 for logits."""
     return 0.5 if scores.min() >= 0.0 and scores.max() <= 1.0 else 0.0
 
 
 def curve_points(logits: FloatArray32, curves: FloatArray32, input_hw: tuple[int, int]) -> Points:
-    """Samples of the curves that score more than a half, of logits (K, 2) and curves (K, 8)."""
-    good = np.flatnonzero(softmax(logits.astype(np.float64), axis=1)[:, 1] > _CURVE_SCORE)
+    """Pixels of the curves (K, 8) whose probability, from logits (K, 2), exceeds `_MIN_CURVE_SCORE`.
+
+    x = k / (y - f)^2 + m / (y - f) + n + b y - b'        x, y as fractions of the input size `input_hw`
+    """
+    good = np.flatnonzero(softmax(logits.astype(np.float64), axis=1)[:, 1] > _MIN_CURVE_SCORE)
     first, last, k, f, m, n, b, b_end = curves[good].astype(np.float64).T[:, :, None]
-    # The far end of a curve is where it turns most wildly, and past f its equation has a pole.
-    share = np.linspace(0.0, 0.85, _CURVE_SAMPLES)
-    y = np.maximum(first, last) - share * np.abs(last - first)
+    # The far 15 % are left out: the curve is least accurate there, and its equation has a pole at y = f.
+    fraction = np.linspace(0.0, 0.85, _N_CURVE_SAMPLES)
+    y = np.maximum(first, last) - fraction * np.abs(last - first)
     with np.errstate(divide="ignore", invalid="ignore"):
         x = k / (y - f) ** 2 + m / (y - f) + n + b * y - b_end
     inside = np.isfinite(x) & (x >= 0.0) & (x <= 1.0) & (y > f) & (y <= 1.0)
@@ -70,21 +84,23 @@ def curve_points(logits: FloatArray32, curves: FloatArray32, input_hw: tuple[int
 
 
 def row_anchor_points(scores: FloatArray32, input_hw: tuple[int, int]) -> Points:
-    """Expected places of the lines of scores (cells + 1, rows, lines) in the rows where they are.
+    """Pixels of lines from scores (cells + 1, rows, lines).
 
-    Cell c holds x from c to c + 1 cell widths (the published demonstration draws its right edge, c + 1: half a cell to
-    the right of what the labels say); the place is the mean over the cells by their probability, as published.
+        x = sum over cells c of p(c) (c + 0.5) * cell width,        p = softmax of the scores without the last cell
+
+    Cell c covers x from c to c + 1 cell widths. The official demonstration draws c + 1, which is half a cell to the
+    right of the labels.
     """
     n_cells = len(scores) - 1
     cell_px = (input_hw[1] - 1) / (n_cells - 1)
     probability = softmax(scores[:-1].astype(np.float64), axis=0)
     x = (np.einsum("c,crl->rl", np.arange(n_cells) + 0.5, probability)) * cell_px
-    there = scores.argmax(axis=0) < n_cells
+    is_visible = scores.argmax(axis=0) < n_cells
     y = ROW_ANCHORS[scores.shape[1]] / _ANCHOR_IMAGE_ROWS * input_hw[0]
-    row, line = np.nonzero(there)
+    row, line = np.nonzero(is_visible)
     return np.stack([x[row, line], y[row]], axis=1), line.astype(np.int64)
 
 
 def is_row_anchor_shape(shape: npt.NDArray[np.int64] | tuple[int, ...]) -> bool:
-    """Whether an output is a row-anchor head's."""
+    """Whether an output of this shape is that of a row-anchor head."""
     return len(shape) == 4 and shape[1] > 2 and shape[2] in ROW_ANCHORS and shape[3] == ROW_ANCHOR_LINES

@@ -1,11 +1,12 @@
-r"""EdgeLaneFinder: the own lane's lines without a network, from pairs of edges.
+r"""EdgeLaneFinder: detection of the ego lane's lines without a network, from pairs of edges.
 
-    grey          ____         paint is a bar between two edges, darker on both sides: the response at its middle is
-             ____|    |____    min(I(x) - I(x - s), I(x) - I(x + s)), s a little more than the bar's width, which grows
-                 <-- s -->     with the rows below the horizon; the brightest bars of each row are taken as markings
+    grey          ____         Paint is a bright bar between two edges. The response at its centre is
+             ____|    |____    min(I(x) - I(x - s), I(x) - I(x + s)), with s a little more than the width of the bar,
+                 <-- s -->     which grows with the row below the horizon. The strongest bars of each row are markings.
 
-Then as for networks: Hough, least squares. Yellow paint on pale concrete is seen in yellow, (R + G) / 2 - B, not in
-grey. Where there is no paint, or shadows are stronger than it, nothing is found: a network is the better choice.
+The Hough transform and the least-squares fit are the same as for networks. Yellow paint on pale concrete is detected in
+the yellow channel, (R + G) / 2 - B, instead of grey. Without paint, or if shadows have more contrast than the paint, no
+lines are found; use a network in such scenes.
 """
 
 from __future__ import annotations
@@ -22,22 +23,43 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_sh
 
 Float32Array = npt.NDArray[np.float32]
 
-_WIDTH_PX = 640  # images are shrunk by a whole number, to about this width: other factors take ten times as long
-_EVERY_ROW = 2
-_FARTHEST = 0.05  # image heights below the horizon where looking begins: farther up, paint is one pixel among houses
-_BANDS = 5  # of rows, each with one width of paint
-_PAINT = 0.13  # s per row below the horizon: 0.2 m seen from 1.5 m
-_MIN_CONTRAST = 14.0  # grey levels
-_DEVIATIONS = 4.0  # of the steps, as long as s, that a row's own texture makes
+_WIDTH_PX = 640
+"""Approximate width of the downscaled image; only integer factors, because others take ten times as long."""
+
+_ROW_STEP = 2
+"""Every second row is searched."""
+
+_MIN_DEPTH = 0.05
+"""First row searched, in image heights below the horizon; closer to the horizon, paint is one pixel wide."""
+
+_N_BANDS = 5
+"""Number of bands of rows, each with one value of s."""
+
+_PAINT_SLOPE = 0.13
+"""s per row below the horizon, for a line of 0.2 m seen from a height of 1.5 m."""
+
+_MIN_CONTRAST = 14.0
+"""Smallest response of a bar, in grey levels."""
+
+_MIN_TEXTURE_RATIO = 4.0
+"""Smallest response of a bar, in robust standard deviations of differences over s in its row."""
+
 _SIGMA_PX = 1.0
-_GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float32)  # of blue, green, red
+"""Standard deviation of a marking's x, in pixels of the downscaled image."""
+
+_GREY_AND_YELLOW = np.array([[1 / 3, 1 / 3, 1 / 3], [-1.0, 0.5, 0.5]], np.float32)
+"""Weights of blue, green and red in the grey and the yellow channel."""
 
 
 class EdgeLaneFinder:
-    """Finds lanes by their paint."""
+    """Detector of lane lines by their painted bars; see the module's description.
+
+    Attributes:
+        notes: notes for the user; empty.
+    """
 
     def __init__(self) -> None:
-        """Know nothing yet."""
+        """Start without a lane."""
         self.notes: tuple[str, ...] = ()
         self._lane = OwnLane()
 
@@ -58,60 +80,62 @@ class EdgeLaneFinder:
 
 
 def paint_points(image: Image, horizon_px: float) -> FloatArray:
-    """(N, 2) middles of bright bars in every other row of an image, (H, W, 3) BGR, below the horizon.
+    """(N, 2) centres of bright bars in every second row below the horizon.
 
-    The horizon, in the image's rows, may lie above the image.
+    Args:
+        image: (H, W, 3) uint8 BGR.
+        horizon_px: row of the horizon; it may be above the image.
     """
     first = _first_row(horizon_px, len(image))
-    channels = _channels(image[first::_EVERY_ROW])
-    found = []
-    for rows in np.array_split(np.arange(len(channels[0])), _BANDS):
+    channels = _channels(image[first::_ROW_STEP])
+    points = []
+    for rows in np.array_split(np.arange(len(channels[0])), _N_BANDS):
         if not len(rows):
             continue
         band = slice(rows[0], rows[-1] + 1)
-        reach = max(round(_PAINT * (first + _EVERY_ROW * float(rows.mean()) - horizon_px)), 3)
+        reach = max(round(_PAINT_SLOPE * (first + _ROW_STEP * float(rows.mean()) - horizon_px)), 3)
         bars = [_bars(channel[band], reach) for channel in channels]
         row, x = run_middles(_peaks(np.maximum(*bars), reach))
-        found.append(np.stack([x, first + _EVERY_ROW * rows[row]], axis=1))
-    return np.concatenate(found) if found else np.zeros((0, 2))
+        points.append(np.stack([x, first + _ROW_STEP * rows[row]], axis=1))
+    return np.concatenate(points) if points else np.zeros((0, 2))
 
 
 def _first_row(horizon_px: float, height_px: int) -> int:
-    """Where looking begins, for an image that has the horizon in that row."""
-    return int(np.clip(horizon_px + _FARTHEST * height_px, 0, max(height_px - _BANDS, 0)))
+    """First row to search in an image with this height and horizon."""
+    return int(np.clip(horizon_px + _MIN_DEPTH * height_px, 0, max(height_px - _N_BANDS, 0)))
 
 
 def _shrunk(image: Image, shrink: int) -> Image:
-    """An image a whole number of times smaller; what is left over at the right and below is cut off."""
+    """The image downscaled by an integer factor; a remainder at the right and bottom is cropped."""
     if shrink == 1:
         return image
     height, width = (side // shrink for side in image.shape[:2])
-    whole = image[: height * shrink, : width * shrink]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    cropped = image[: height * shrink, : width * shrink]
+    return np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _channels(bgr: Image) -> tuple[Float32Array, Float32Array]:
-    """Grey and yellow, a little smoothed along the rows."""
+    """Grey and yellow channel (H, W), smoothed over 3 pixels along the rows."""
     both = cv2.transform(np.asarray(bgr, np.float32), _GREY_AND_YELLOW)
     grey, yellow = cv2.split(cv2.blur(both, (3, 1)))
     return np.asarray(grey, np.float32), np.asarray(yellow, np.float32)
 
 
 def _bars(channel: Float32Array, reach: int) -> Float32Array:
-    """How much each pixel is brighter than both neighbours `reach` away; 0 at the image's sides."""
+    """(H, W) difference of each pixel to the brighter of its neighbours at `reach` pixels; 0 below a threshold."""
     response = np.zeros_like(channel)
     if channel.shape[1] <= 2 * reach:
         return response
     step = channel[:, reach:] - channel[:, :-reach]
-    # Texture sets the bar: asphalt in broken shade has no paint that could be told from it.
+    # Paint must exceed the texture of its row, for example the pattern of shade on asphalt.
     texture = 1.48 * np.median(np.abs(step[:, ::3]), axis=1, keepdims=True)
     inner = np.minimum(step[:, :-reach], -step[:, reach:])
-    response[:, reach:-reach] = inner * (inner > np.maximum(_MIN_CONTRAST, _DEVIATIONS * texture))
+    response[:, reach:-reach] = inner * (inner > np.maximum(_MIN_CONTRAST, _MIN_TEXTURE_RATIO * texture))
     return response
 
 
 def _peaks(response: Float32Array, reach: int) -> BoolArray:
-    """Where a row's response is the largest within `reach`: the middle of the bar's top."""
+    """(H, W) mask of the largest responses within `reach` in each row, the centres of bars."""
     smooth = cv2.blur(response, (max(reach | 1, 3), 1))
     highest = cv2.dilate(smooth, np.ones((1, 2 * reach + 1), np.uint8))
     return np.asarray((smooth == highest) & (response > 0))

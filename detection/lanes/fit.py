@@ -1,10 +1,10 @@
-"""Fitting a lane to the pixels of its two lines: least squares about what is expected, with Tukey's biweight.
+"""Robust least-squares fit of a lane to the pixels of its two lines, with a prior and Tukey's biweight.
 
-    minimise  sum_i rho((x_i - x(y_i)) / sigma_i) + (state - expected)' P^-1 (state - expected)
+    minimise over s  sum_i rho((x_i - x(y_i; s)) / sigma_i) + (s - s0)' P^-1 (s - s0)
 
-A few rounds of reweighting (Beaton and Tukey 1974). Neighbouring pixels of a line err together, so all of its pixels
-count as no more than a few independent ones. With only one line in sight the other stays where
-the expected width puts it.
+s is the lane state, s0 and P are the mean and covariance of the expected state. The minimum is found by iterative
+reweighting (Beaton and Tukey 1974). Errors of neighbouring pixels are correlated, so the pixels of a line have the
+weight of only a few independent ones. If only one line is visible, the other follows from the expected width.
 """
 
 from __future__ import annotations
@@ -18,26 +18,41 @@ from track_range.detection.lanes.model import LaneState
 from track_range.foundation.arrays import BoolArray, FloatArray
 
 SIDES = (-1.0, 1.0)
-"""Left and right, as `LaneState` takes them."""
+"""`side` of the left and the right line in `LaneState`'s methods."""
 
-_ROUNDS = 4
-_FIRST_GATE, _LAST_GATE = 0.10, 0.03  # lane widths that a pixel may be off, in the first and in the last round
+_N_ROUNDS = 4
+"""Number of reweighting iterations."""
+
+_FIRST_GATE, _LAST_GATE = 0.10, 0.03
+"""Largest distance of a line's pixels from it in the first and the last iteration, in lane widths."""
+
 _TUKEY = 4.0
-_PAINT = 0.01  # lane widths: where across a line of 0.1 to 0.3 m its middle is seen
-_INDEPENDENT = 8.0  # pixels of a line, at most
+"""Residual in sigmas from which pixels have no weight (Tukey's constant)."""
+
+_PAINT_SIGMA = 0.01
+"""Standard deviation in lane widths of the detected centre of a painted line, which is 0.1 to 0.3 m wide."""
+
+_MAX_INDEPENDENT = 8.0
+"""Largest total weight of a line's pixels, in independent pixels."""
+
 _MIN_PIXELS = 6
-_EDGE = 0.12  # lane widths beside a line that are still of its paint, for double lines
-_MIN_SPAN = 0.06  # image heights that a line must be seen over
+"""Smallest number of pixels of a visible line."""
+
+_MARGIN = 0.12
+"""Distance from the lines in lane widths within which markings are not clutter, for double lines."""
+
+_MIN_SPAN = 0.06
+"""Smallest extent in y of a visible line, in image heights."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneFit:
-    """A lane and where its lines were seen.
+    """Result of a fit.
 
     Attributes:
-        state: the lane.
-        seen_px: top and bottom row of the left and of the right line; None = that line was not seen.
-        clutter: markings between the lines per marking on them, in the rows where they are seen.
+        state: the fitted lane.
+        seen_px: top and bottom row of the pixels of the left and of the right line; None = line not visible.
+        clutter: number of markings between the lines divided by the number on them, in the rows of the lines.
     """
 
     state: LaneState
@@ -46,49 +61,50 @@ class LaneFit:
 
 
 def fit_lane(markings: Markings, expected: LaneState, lines: tuple[int, int] = (-1, -1)) -> LaneFit:
-    """The lane near `expected` that the markings show.
+    """The lane fitted to the markings near `expected`.
 
     Args:
-        markings: pixels of any lines.
-        expected: where to look, with its covariance as the prior.
-        lines: numbers of the left and the right line among the markings; -1 = whatever is near.
+        markings: pixels on any lines.
+        expected: the prior, and the initial value of the fit.
+        lines: numbers of the left and the right line among the markings; -1 = all markings near the line.
     """
     state = expected
     seen: list[BoolArray] = []
     prior = np.asarray(np.linalg.inv(expected.covariance), np.float64)
-    for gate in np.geomspace(_FIRST_GATE, _LAST_GATE, _ROUNDS).tolist():
+    for gate in np.geomspace(_FIRST_GATE, _LAST_GATE, _N_ROUNDS).tolist():
         seen = [_pixels(markings, state, side, number, gate) for side, number in zip(SIDES, lines, strict=True)]
         state = _updated(markings, expected, prior, about=state, seen=seen)
-    left, right = (_span(markings.xy_px[mine, 1]) for mine in seen)
+    left, right = (_span(markings.xy_px[is_on_line, 1]) for is_on_line in seen)
     return LaneFit(state, (left, right), _clutter(markings, state, seen))
 
 
 def _pixels(markings: Markings, state: LaneState, side: float, number: int, gate: float) -> BoolArray:
-    """Which markings belong to a line; none of them if they are too few."""
+    """(N,) mask of the markings that belong to a line; none if they are too few."""
     x, y = markings.xy_px.T
     width_px = state.width_px(y)
     off_px = np.abs(x - state.x_px(y, side))
-    mine = (width_px > 0) & (off_px < gate * width_px + 2 * markings.sigma_px)
+    is_on_line = (width_px > 0) & (off_px < gate * width_px + 2 * markings.sigma_px)
     if number >= 0:
-        mine &= markings.line == number
-    enough = mine.sum() >= _MIN_PIXELS and np.ptp(y[mine]) >= _MIN_SPAN * state.image_hw[0]
-    return np.asarray(mine & enough)
+        is_on_line &= markings.line == number
+    is_visible = is_on_line.sum() >= _MIN_PIXELS and np.ptp(y[is_on_line]) >= _MIN_SPAN * state.image_hw[0]
+    return np.asarray(is_on_line & is_visible)
 
 
 def _updated(
     markings: Markings, expected: LaneState, prior: FloatArray, *, about: LaneState, seen: list[BoolArray]
 ) -> LaneState:
-    """One round: expected, known to the information `prior`, and the pixels weighted by how well they fit `about`."""
+    """One iteration: the state from the prior, with information matrix `prior`, and pixels weighted about `about`."""
     information = prior
     pull = information @ expected.mean
-    for side, mine in zip(SIDES, seen, strict=True):
-        if not mine.any():
+    for side, is_on_line in zip(SIDES, seen, strict=True):
+        if not is_on_line.any():
             continue
-        x, y = markings.xy_px[mine].T
+        x, y = markings.xy_px[is_on_line].T
         rows = about.rows(y, side)
-        sigma_px = np.hypot(markings.sigma_px, _PAINT * about.width_px(y))
-        off = (x - rows @ about.mean) / sigma_px
-        weight = np.maximum(1 - (off / _TUKEY) ** 2, 0.0) ** 2 / sigma_px**2 * min(1.0, _INDEPENDENT / mine.sum())
+        sigma_px = np.hypot(markings.sigma_px, _PAINT_SIGMA * about.width_px(y))
+        residual = (x - rows @ about.mean) / sigma_px
+        share = min(1.0, _MAX_INDEPENDENT / is_on_line.sum())
+        weight = np.maximum(1 - (residual / _TUKEY) ** 2, 0.0) ** 2 / sigma_px**2 * share
         information = information + (rows * weight[:, None]).T @ rows
         pull = pull + rows.T @ (weight * x)
     covariance = np.asarray(np.linalg.inv(information), np.float64)
@@ -96,13 +112,13 @@ def _updated(
 
 
 def _clutter(markings: Markings, state: LaneState, seen: list[BoolArray]) -> float:
-    """Markings between the lines per marking on them."""
+    """Number of markings between the lines divided by the number on them, in the rows of the lines."""
     on_lines = seen[0] | seen[1]
     if not on_lines.any():
         return 0.0
     x, y = markings.xy_px.T
     across = (x - state.x_px(y, SIDES[0])) / np.maximum(state.width_px(y), 1.0)
-    between = (across > _EDGE) & (across < 1 - _EDGE) & (y >= y[on_lines].min()) & (y <= y[on_lines].max())
+    between = (across > _MARGIN) & (across < 1 - _MARGIN) & (y >= y[on_lines].min()) & (y <= y[on_lines].max())
     return float(between.sum() / on_lines.sum())
 
 

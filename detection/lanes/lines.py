@@ -1,7 +1,7 @@
-r"""LaneLines: the own lane's two lines, each x_px as a polynomial of y_px, and the protocol of who finds them.
+r"""LaneLines: the two lines of the ego lane, and the `LaneFinder` protocol.
 
-vanishing   .         x(y) = c0 + c1 y + c2 y^2, left and right of the lane that the camera drives in; on a flat road
-point      / \        their distance w(y) grows linearly from the row of the vanishing point down.
+vanishing   .         Each line is x(y) = c0 + c1 y + c2 y^2 in pixels. On a flat road, the distance w(y) of the two
+point      / \        lines grows linearly from the row of the vanishing point downwards.
     left  /   \  right
          /  w  \
 """
@@ -21,10 +21,10 @@ class LaneLine:
     """One painted line (or kerb) in an image.
 
     Attributes:
-        coefficients: (3,) of x_px as a polynomial of y_px, the constant first.
-        covariance: (3, 3) of the coefficients; what is not seen, nearer or farther, becomes less sure by it.
-        y_top_px: the highest row in which the line was seen.
-        y_bottom_px: the lowest one.
+        coefficients: (3,) c0, c1, c2 of x_px as a polynomial of y_px.
+        covariance: (3, 3) covariance of the coefficients.
+        y_top_px: highest row in which the line was seen.
+        y_bottom_px: lowest row in which the line was seen.
     """
 
     coefficients: FloatArray
@@ -36,12 +36,10 @@ class LaneLine:
         check_shape("coefficients", self.coefficients, (3,))
         check_shape("covariance", self.covariance, (3, 3))
         if not self.y_top_px <= self.y_bottom_px:
-            raise ValueError(
-                f"a line seen from row {self.y_top_px} down to {self.y_bottom_px}: top above bottom wanted"
-            )
+            raise ValueError(f"expected y_top_px <= y_bottom_px, got {self.y_top_px} and {self.y_bottom_px}")
 
     def x_px(self, y_px: FloatArray) -> FloatArray:
-        """Where the line is in the given rows, of the same shape."""
+        """X of the line in the given rows, in the shape of `y_px`."""
         c = self.coefficients
         return np.asarray(c[0] + y_px * (c[1] + y_px * c[2]))
 
@@ -50,7 +48,7 @@ class LaneLine:
         return np.asarray(self.coefficients[1] + 2.0 * y_px * self.coefficients[2])
 
     def sigma_px(self, y_px: FloatArray) -> FloatArray:
-        """Standard deviation of x in the given rows; it grows outside those in which the line was seen."""
+        """Standard deviation of x in the given rows, in the shape of `y_px`."""
         powers = np.stack([np.ones_like(y_px), y_px, y_px**2], axis=-1)
         variance = np.einsum("...i,ij,...j->...", powers, self.covariance, powers)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
@@ -58,15 +56,15 @@ class LaneLine:
 
 @dataclass(frozen=True, slots=True)
 class LaneLines:
-    """The own lane's two lines in one image; None = not seen."""
+    """The left and the right line of the ego lane in one image; None = not seen."""
 
     left: LaneLine | None = None
     right: LaneLine | None = None
 
     def horizon_px(self) -> tuple[float, float] | None:
-        """Row of the vanishing point, and its standard deviation; None as there.
+        """Row of the vanishing point and its standard deviation; None if there is no vanishing point.
 
-        The lines meet where their distance, known to sigma, is 0: as much of a row as it grows by in one is unsure.
+        sigma_y = sigma_w / (dw/dy), for the distance w of the lines
         """
         point = self.vanishing_point_px()
         if point is None or self.left is None or self.right is None:
@@ -77,30 +75,34 @@ class LaneLines:
         return point[1], sigma_px / opening
 
     def vanishing_point_px(self) -> tuple[float, float] | None:
-        """(x, y) in which the two lines meet, the horizon's row on a flat road; None where they do not, far ahead.
+        """(x, y) in which the two lines meet, on the horizon of a flat road; None if they do not.
 
-        Of curved lines: where the straight parts of their equal bends meet.
+        For curved lines, which have the same curvature, it is where their distance becomes 0.
         """
         if self.left is None or self.right is None:
             return None
-        constant, slope, bend = self.right.coefficients - self.left.coefficients
-        if abs(bend) > 1e-9 or slope <= 0.0:
+        constant, slope, curvature = self.right.coefficients - self.left.coefficients
+        if abs(curvature) > 1e-9 or slope <= 0.0:
             return None
         y_px = -constant / slope
         return float(self.left.x_px(np.array(y_px))), float(y_px)
 
 
 class LaneFinder(Protocol):
-    """Finds the own lane's lines in the images of one video; may remember what it saw."""
+    """Detector of the ego lane's lines in the images of one video; may track them over time.
+
+    Attributes:
+        notes: notes for the user.
+    """
 
     notes: tuple[str, ...]
 
     def find(self, image: Image, time_s: float) -> LaneLines:
-        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`; times of one finder increase."""
+        """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`, which increases from call to call."""
         ...
 
 
 def points(line: LaneLine, *, n: int = 24) -> FloatArray:
-    """(n, 2) pixels along a line, from its highest row seen to its lowest, to draw it by."""
+    """(n, 2) pixels along a line between the rows in which it was seen, for drawing."""
     y_px = np.linspace(line.y_top_px, line.y_bottom_px, n)
     return np.stack([line.x_px(y_px), y_px], axis=1)

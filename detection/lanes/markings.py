@@ -1,7 +1,7 @@
-"""Markings: pixels that are taken for painted lines, and the straight lines that may run through them.
+"""Markings: pixels on painted lines, and proposals of straight lines through them.
 
-A network that tells lines apart numbers its pixels; of others, straight lines are proposed by a Hough transform, which
-bridges the gaps of dashed lines. Either way a proposal is x = a + b y, and its support the share of rows it explains.
+Networks that distinguish lines number their pixels, and each number gives one proposal. Otherwise lines are proposed by
+a Hough transform, which bridges the gaps of dashed lines. A proposal is x = a + b y with a support from 0 to 1.
 """
 
 from __future__ import annotations
@@ -13,25 +13,36 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
-_CANVAS_WIDTH_PX = (
-    480  # the Hough transform's picture: its cost grows with the votes, and paint is wider than its pixel
-)
+_CANVAS_WIDTH_PX = 480
+"""Width of the Hough transform's image; smaller than the input to save time, larger than needed to separate lines."""
+
 _MIN_VOTES = 6
-_MAX_VOTED, _MAX_PROPOSALS = 400, 40
-_APART = 0.015  # of the image's width: proposals that are nearer in both a near and a middle row are one line
-_MAX_SLOPE = 3.5  # |dx/dy|; a line of the own lane has up to 2.5, flatter ones are of other lanes, and of houses
-_TOLERANCE = 0.006  # of the image's width, that a straight proposal may miss its pixels by
+"""Smallest number of votes of a line in the Hough transform."""
+
+_MAX_HOUGH_LINES, _MAX_PROPOSALS = 400, 40
+"""Largest number of lines from the Hough transform, and of proposals."""
+
+_MIN_DISTANCE = 0.015
+"""Smallest distance of two proposals in a near or a middle row, in image widths."""
+
+_MAX_SLOPE = 3.5
+"""Largest |dx/dy| of a proposal; lines of the ego lane have up to 2.5."""
+
+_TOLERANCE = 0.006
+"""Largest distance of a pixel from the straight line that it supports, in image widths."""
+
 _MIN_POINTS = 4
+"""Smallest number of pixels of a numbered line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Markings:
-    """What one finder saw in one image.
+    """Pixels on lines in one image.
 
     Attributes:
-        xy_px: (N, 2) pixels on lines, at most one per line and row.
-        line: (N,) number of the line that each belongs to, -1 = not told.
-        sigma_px: standard deviation of one pixel's x.
+        xy_px: (N, 2) pixels, at most one per line and row.
+        line: (N,) line number of each pixel, -1 = unknown.
+        sigma_px: standard deviation of a pixel's x.
     """
 
     xy_px: FloatArray
@@ -44,19 +55,19 @@ class Markings:
 
     @classmethod
     def unnumbered(cls, xy_px: FloatArray, sigma_px: float) -> Markings:
-        """Pixels of nobody knows which lines."""
+        """Pixels (N, 2) without line numbers."""
         return cls(xy_px, np.full(len(xy_px), -1, np.int64), sigma_px)
 
 
 @dataclass(frozen=True, slots=True)
 class Proposals:
-    """Straight lines x = a + b y.
+    """K straight lines x = a + b y.
 
     Attributes:
-        constant: (K,) a, px.
+        constant: (K,) a in pixels.
         slope: (K,) b.
-        support: (K,) 0..1, square root of the pixels that each explains, of those of the best: dashes count.
-        line: (K,) the number that the finder gave it; -1 = none.
+        support: (K,) square root of the number of pixels on the line relative to the best line, 0..1.
+        line: (K,) line number of the markings; -1 = unknown.
     """
 
     constant: FloatArray
@@ -69,7 +80,7 @@ class Proposals:
 
 
 def proposals(markings: Markings, image_hw: tuple[int, int]) -> Proposals:
-    """The straight lines that markings may be on; K may be 0."""
+    """Straight lines through the markings of an image, (height, width) `image_hw`; K may be 0."""
     numbered = markings.line >= 0
     lines = _numbered_lines(markings) if numbered.any() else _hough_lines(markings.xy_px, image_hw)
     constant, slope, line = lines
@@ -80,62 +91,64 @@ def proposals(markings: Markings, image_hw: tuple[int, int]) -> Proposals:
 
 
 def run_middles(is_marked: BoolArray, *, widest_px: float = np.inf) -> tuple[IntArray, FloatArray]:
-    """Row and middle column of each run of marked pixels (h, w), but of those wider than `widest_px`."""
+    """Row and centre column of each run of marked pixels in a mask (h, w), without runs wider than `widest_px`."""
     padded = np.zeros((len(is_marked), is_marked.shape[1] + 2), np.int8)
     padded[:, 1:-1] = is_marked
     step = np.diff(padded, axis=1)
     row, first = np.nonzero(step == 1)
     last = np.nonzero(step == -1)[1] - 1
-    narrow = last - first < widest_px
-    return row[narrow].astype(np.int64), ((first + last) / 2)[narrow]
+    is_narrow = last - first < widest_px
+    return row[is_narrow].astype(np.int64), ((first + last) / 2)[is_narrow]
 
 
 def _numbered_lines(markings: Markings) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Straight lines through the nearer half of each numbered line's pixels."""
-    found = []
+    """Constant, slope and number of a straight line through the lower half of each numbered line's pixels."""
+    rows = []
     for number in np.unique(markings.line):
         x, y = markings.xy_px[markings.line == number].T
         near = y >= np.median(y)
         if near.sum() >= _MIN_POINTS and np.ptp(y[near]) > 0:
             slope, constant = np.polyfit(y[near], x[near], 1)
-            found.append((constant, slope, number))
-    table = np.array(found, np.float64).reshape(-1, 3)
+            rows.append((constant, slope, number))
+    table = np.array(rows, np.float64).reshape(-1, 3)
     return table[:, 0], table[:, 1], table[:, 2].astype(np.int64)
 
 
 def _hough_lines(xy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, FloatArray, IntArray]:
-    """The strongest straight lines through pixels."""
+    """Constant, slope and number -1 of the strongest straight lines through pixels (N, 2)."""
     scale = _CANVAS_WIDTH_PX / image_hw[1]
     canvas = np.zeros((round(image_hw[0] * scale) + 1, _CANVAS_WIDTH_PX + 1), np.uint8)
     x, y = np.rint(xy_px.T * scale).astype(np.int64)
     canvas[np.clip(y, 0, canvas.shape[0] - 1), np.clip(x, 0, _CANVAS_WIDTH_PX)] = 1
-    found = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
+    lines = cv2.HoughLines(canvas, 1.0, np.pi / 180, _MIN_VOTES)
     rho, theta = (
-        np.zeros((0, 2)).T if found is None else np.asarray(found, np.float64).reshape(-1, found.shape[-1]).T[:2]
+        np.zeros((0, 2)).T if lines is None else np.asarray(lines, np.float64).reshape(-1, lines.shape[-1]).T[:2]
     )
     steep = np.abs(np.tan(theta)) < _MAX_SLOPE
-    rho, theta = rho[steep][:_MAX_VOTED], theta[steep][:_MAX_VOTED]
+    rho, theta = rho[steep][:_MAX_HOUGH_LINES], theta[steep][:_MAX_HOUGH_LINES]
     constant, slope = rho / np.cos(theta) / scale, -np.tan(theta)
-    kept = _strongest(constant[:, None] + slope[:, None] * np.array([0.95, 0.7]) * image_hw[0], _APART * image_hw[1])
+    kept = _strongest(
+        constant[:, None] + slope[:, None] * np.array([0.95, 0.7]) * image_hw[0], _MIN_DISTANCE * image_hw[1]
+    )
     return constant[kept], slope[kept], np.full(len(kept), -1, np.int64)
 
 
-def _strongest(x_px: FloatArray, apart_px: float) -> IntArray:
-    """Indices of the lines (L, 2), strongest first, that are not a neighbour of a stronger one."""
+def _strongest(x_px: FloatArray, min_distance_px: float) -> IntArray:
+    """Indices of the lines, given by x in two rows (L, 2) and strongest first, that are not close to a stronger one."""
     kept: list[int] = []
-    left = np.ones(len(x_px), np.bool_)
-    while left.any() and len(kept) < _MAX_PROPOSALS:
-        best = int(left.argmax())
+    is_left = np.ones(len(x_px), np.bool_)
+    while is_left.any() and len(kept) < _MAX_PROPOSALS:
+        best = int(is_left.argmax())
         kept.append(best)
-        left &= np.abs(x_px - x_px[best]).max(axis=1) > apart_px
+        is_left &= np.abs(x_px - x_px[best]).max(axis=1) > min_distance_px
     return np.array(kept, np.int64)
 
 
 def _support(markings: Markings, lines: tuple[FloatArray, FloatArray, IntArray], *, tolerance_px: float) -> FloatArray:
-    """(K,) pixels that each line explains; of numbered lines, their own alone."""
+    """(K,) number of pixels on each line; of numbered lines, only pixels with their number."""
     constant, slope, line = lines
     x, y = markings.xy_px.T
-    # Across the line, not along the row: a flat line far to the side is as well defined as a steep one.
-    miss_px = np.abs(x - constant[:, None] - slope[:, None] * y) / np.hypot(1.0, slope)[:, None]
-    mine = (line[:, None] < 0) | (line[:, None] == markings.line)
-    return np.asarray((mine & (miss_px < tolerance_px)).sum(axis=1), np.float64)
+    # The distance is perpendicular to the line, so that flat lines at the side are not at a disadvantage.
+    distance_px = np.abs(x - constant[:, None] - slope[:, None] * y) / np.hypot(1.0, slope)[:, None]
+    is_candidate = (line[:, None] < 0) | (line[:, None] == markings.line)
+    return np.asarray((is_candidate & (distance_px < tolerance_px)).sum(axis=1), np.float64)

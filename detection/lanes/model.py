@@ -1,10 +1,10 @@
-r"""LaneState: two parallel lines on a flat road as five numbers with their covariance, and what to expect of them.
+r"""LaneState: two parallel lines on a flat road as five parameters with their covariance, and their prediction.
 
-    t = (y - y0) / H        midline  m(t) = a + b t + c t^2        width  w(t) = d + s t        x = m -+ w / 2
+    t = (y - y0) / H        centre line  m(t) = a + b t + c t^2        width  w(t) = d + s t        x = m -+ w / 2
 
-The lines bend alike, and on a flat road their distance is linear in the row: w = 0 at the horizon, and s / H = lane
-width / camera height whatever the focal length (2.1 for 3.5 m seen from 1.65 m). The process noise says what changes
-fast (the midline, by steering; the horizon, by pitching) and what hardly does (s).
+H is the image height. Both lines have the same curvature, and on a flat road their distance is linear in the row: w = 0
+at the horizon, and s / H = lane width / camera height for any focal length (2.1 for 3.5 m seen from 1.65 m). The
+process noise is large for the centre line (steering) and the horizon (pitching), and small for s.
 """
 
 from __future__ import annotations
@@ -17,25 +17,30 @@ from track_range.detection.lanes.lines import LaneLine
 from track_range.foundation.arrays import FloatArray
 
 WIDTH_SLOPE, WIDTH_SLOPE_LOG_SIGMA = 2.3, 0.35
-"""Lane width / camera height and its spread: 2.1 with the camera on a car's roof, 2.5 behind a windscreen, 1.4 in a
-truck."""
+"""Typical lane width / camera height and the standard deviation of its logarithm: the ratio is 2.1 with the camera on
+the roof of a car, 2.5 behind a windscreen, 1.4 in a truck."""
 
 HORIZON, HORIZON_SIGMA = 0.48, 0.12
-"""Row of the horizon, in image heights, of cameras that look ahead."""
+"""Typical row of the horizon of a forward-looking camera and its standard deviation, in image heights."""
 
-_REFERENCE_ROW = 0.75  # y0, in image heights
-_LOOSE = np.array([0.3, 0.6, np.nan, np.nan, 0.5])  # of a, b (d, s apart) and c before anything is seen, image heights
-_RANDOM_WALK = np.array([0.15, 0.25, 0.03, 0.04, 0.2])  # per root second, image heights
+_REFERENCE_ROW = 0.75
+"""y0, in image heights."""
+
+_PRIOR_SIGMA = np.array([0.3, 0.6, np.nan, np.nan, 0.5])
+"""Initial standard deviations of a, b and c, in image heights; those of d and s follow from the observed width."""
+
+_RANDOM_WALK = np.array([0.15, 0.25, 0.03, 0.04, 0.2])
+"""Process noise of a, b, d, s, c as a standard deviation, in image heights per root second."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneState:
-    """What is believed of the own lane.
+    """Estimate of the ego lane.
 
     Attributes:
-        mean: (5,) a, b, d, s, c, in px.
-        covariance: (5, 5).
-        image_hw: of the images they belong to.
+        mean: (5,) a, b, d, s, c in pixels.
+        covariance: (5, 5) covariance of `mean`.
+        image_hw: (height, width) of the images.
     """
 
     mean: FloatArray
@@ -46,37 +51,37 @@ class LaneState:
     def from_straight_lines(
         cls, left: tuple[float, float], right: tuple[float, float], image_hw: tuple[int, int]
     ) -> LaneState:
-        """A loose belief about two lines x = constant + slope y."""
+        """A wide prior about two lines, given as (constant, slope) of x = constant + slope y."""
         height = image_hw[0]
         (x_left, x_right) = (constant + slope * _REFERENCE_ROW * height for constant, slope in (left, right))
         slopes = np.array([left[1], right[1]]) * height
         mean = np.array([(x_left + x_right) / 2, slopes.mean(), x_right - x_left, slopes[1] - slopes[0], 0.0])
-        sigma = _LOOSE * height
-        spread = WIDTH_SLOPE_LOG_SIGMA * abs(mean[3])
-        sigma[2:4] = np.hypot(spread * (_REFERENCE_ROW - HORIZON), mean[3] * HORIZON_SIGMA), spread
+        sigma = _PRIOR_SIGMA * height
+        slope_sigma = WIDTH_SLOPE_LOG_SIGMA * abs(mean[3])
+        sigma[2:4] = np.hypot(slope_sigma * (_REFERENCE_ROW - HORIZON), mean[3] * HORIZON_SIGMA), slope_sigma
         return cls(mean, np.diag(sigma**2), image_hw)
 
     def after(self, step_s: float) -> LaneState:
-        """The belief some time later, without a look."""
+        """The prediction for `step_s` later."""
         noise = np.diag((_RANDOM_WALK * self.image_hw[0]) ** 2 * step_s)
         return LaneState(self.mean, self.covariance + noise, self.image_hw)
 
     @property
     def horizon_px(self) -> float:
-        """The row in which the lines meet."""
+        """Row in which the lines meet."""
         return float(self.image_hw[0] * (_REFERENCE_ROW - self.mean[2] / self.mean[3]))
 
     @property
     def vanishing_x_px(self) -> float:
-        """Where the midline's straight part is in the row where the lines meet, px."""
+        """X of the tangent to the centre line at y0, in the row in which the lines meet."""
         return float(self.mean[0] - self.mean[1] * self.mean[2] / self.mean[3])
 
     def width_px(self, y_px: FloatArray) -> FloatArray:
-        """Distance of the lines in each row; negative above the horizon."""
+        """Distance w of the lines in the given rows; negative above the horizon."""
         return np.asarray(self.mean[2] + self.mean[3] * self._t(y_px))
 
     def rows(self, y_px: FloatArray, side: float) -> FloatArray:
-        """(N, 5) dx/dstate in each row; side -1 = left, +1 = right."""
+        """(N, 5) derivatives of x with respect to the state in the given rows (N,); side -1 = left, +1 = right."""
         t = self._t(y_px)
         rows = np.empty((len(t), 5))
         rows[:, 0], rows[:, 1], rows[:, 4] = 1.0, t, t * t
@@ -84,20 +89,20 @@ class LaneState:
         return rows
 
     def x_px(self, y_px: FloatArray, side: float) -> FloatArray:
-        """(N,) x of a line in each row."""
+        """(N,) x of a line in the given rows (N,); side -1 = left, +1 = right."""
         a, b, d, s, c = self.mean.tolist()
         half = side / 2
         t = self._t(y_px)
         return np.asarray((a + half * d) + t * ((b + half * s) + c * t))
 
     def line(self, side: float, *, y_top_px: float, y_bottom_px: float) -> LaneLine:
-        """One of the lines, as a polynomial of y."""
+        """One of the lines as a polynomial of y; side -1 = left, +1 = right."""
         height, shift = self.image_hw[0], _REFERENCE_ROW
         # 1, t and t^2 in powers of y
         of_t = np.array([[1.0, -shift, shift**2], [0.0, 1 / height, -2 * shift / height], [0.0, 0.0, 1 / height**2]])
         of_state = np.array([[1.0, 0, side / 2, 0, 0], [0, 1.0, 0, side / 2, 0], [0, 0, 0, 0, 1.0]])
-        whole = of_t @ of_state
-        return LaneLine(whole @ self.mean, whole @ self.covariance @ whole.T, y_top_px, y_bottom_px)
+        transform = of_t @ of_state
+        return LaneLine(transform @ self.mean, transform @ self.covariance @ transform.T, y_top_px, y_bottom_px)
 
     def _t(self, y_px: FloatArray) -> FloatArray:
         return y_px / self.image_hw[0] - _REFERENCE_ROW

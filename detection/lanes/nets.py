@@ -1,9 +1,10 @@
-"""NetLaneFinder: the own lane's lines by an ONNX network, told apart by the shapes of its outputs.
+"""NetLaneFinder: detection of the ego lane's lines with an ONNX network.
 
-Segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection, CULane and TuSimple heads); what
-their outputs mean is in `lane_decoders`. Each is shown the part of the image that looks most like what it was trained
-on: LSTR, trained with one camera, otherwise draws lines toward that camera's horizon, by 10 % of the lane's width on
-others; TwinLiteNet loses thin lines in images that are wider than 16:9 and squeezed.
+Supported are segmentation (TwinLiteNet), curves (LSTR) and row anchors (Ultra Fast Lane Detection, CULane and TuSimple
+heads), which are recognised by the shapes of their outputs (`detection.lanes.decoders`). The network's input is the
+part of the image that is most similar to its training images. Otherwise LSTR, which was trained with one camera, draws
+lines towards the horizon of that camera, with errors of 10 % of the lane width, and TwinLiteNet misses thin lines in
+images wider than 16:9.
 """
 
 from __future__ import annotations
@@ -30,25 +31,30 @@ from track_range.detection.models.onnx_session import BoundNetwork, ModelError, 
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
 
 _IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
-_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))  # its own, of blue, green, red
+"""Mean and standard deviation of red, green and blue in ImageNet, of pixels / 255."""
+
+_LSTR = ((0.40789654, 0.44719302, 0.47026115), (0.28863828, 0.27408164, 0.27809835))
+"""Mean and standard deviation of blue, green and red in LSTR's training, of pixels / 255."""
+
 _UNSCALED = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
-_LOOKS = 5  # of one image, at most, while it is not known where to look
+_MAX_VIEWS = 5
+"""Largest number of views of one image while the row of the horizon is unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Family:
-    """A kind of lane network.
+    """A family of lane networks.
 
     Attributes:
-        is_rgb: the channels' order.
-        scale: mean and standard deviation of the channels in that order, of pixels / 255.
-        sigma_px: standard deviation of one point's x, in the network's input.
-        horizon: row of the horizon in the images it was trained on, in image heights, and their shape below; None = it
-            has seen all kinds, and is shown the whole image.
-        aim: how far from there the horizon may be, in image heights, without the network being asked again.
-        aspect: width / height of what it is shown.
-        input_hw: of a network that leaves its size open.
+        is_rgb: the channel order is RGB, otherwise BGR.
+        scale: mean and standard deviation of the channels in this order, of pixels / 255.
+        sigma_px: standard deviation of a pixel's x in the network's input.
+        horizon: row of the horizon in the training images, in image heights; None = varied, so that the input is the
+            whole image.
+        aim: largest distance of the horizon from that row, in image heights, before the view is changed.
+        aspect: width / height of the view.
+        input_hw: (height, width) of an input of variable size.
     """
 
     is_rgb: bool
@@ -66,21 +72,21 @@ _ROW_ANCHORS = _Family(is_rgb=True, scale=_IMAGENET, sigma_px=2.0, input_hw=(288
 
 
 CLASSICAL = "classical"
-"""Name of the lane finder that needs no network, `edges.EdgeLaneFinder`."""
+"""Name of the lane finder without a network, `edges.EdgeLaneFinder`."""
 
 
 class NetLaneFinder:
-    """Finds lanes with one network.
+    """Detector of lane lines with a network.
 
     Attributes:
-        notes: sentences for the user.
+        notes: notes for the user.
     """
 
     def __init__(self, model: Path, runtime: Runtime | None = None) -> None:
         """Load the network and run it once.
 
         Raises:
-            ModelError: no such model, or its outputs are no lane network's.
+            ModelError: the model cannot be read, or is not a known lane network.
         """
         session = OnnxSession(model, runtime)
         self.notes = session.notes
@@ -92,7 +98,7 @@ class NetLaneFinder:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`.
 
         Raises:
-            ModelError: the network fails.
+            ModelError: onnxruntime fails.
             ValueError: the image is not (H, W, 3).
         """
         check_shape("image", image, (None, None, 3))
@@ -100,24 +106,26 @@ class NetLaneFinder:
         is_new = self._lane.state is None
         view = self._view(image_hw)
         lines = LaneLines()
-        for _ in range(_LOOKS):
+        for _ in range(_MAX_VIEWS):
             lines = self._lane.update(self._markings(image, view), time_s, image_hw)
-            aimed, view = view, self._view(image_hw)
+            previous, view = view, self._view(image_hw)
             if (
                 not is_new
-                or abs(view.top_px - aimed.top_px) < self._family.aim * image_hw[0]
+                or abs(view.top_px - previous.top_px) < self._family.aim * image_hw[0]
                 or self._lane.state is None
             ):
                 break
-            self._lane.forget()  # the same image again is no second witness
+            self._lane.reset()  # the same image is not independent evidence
         return lines
 
     def _view(self, image_hw: tuple[int, int]) -> _View:
+        """The view for the tracked lane."""
         state = self._lane.state
         at_px = None if state is None else (state.vanishing_x_px, state.horizon_px)
         return _View.of(image_hw, self._family, at_px)
 
     def _markings(self, image: Image, view: _View) -> Markings:
+        """The markings that the network detects in a view of the image."""
         self._write(image[view.rows, view.columns])
         xy, line = self._decode(self._network.run())
         scale = np.array([view.width_px / self._input_hw[1], view.height_px / self._input_hw[0]])
@@ -125,7 +133,7 @@ class NetLaneFinder:
         return Markings(xy_px, line, self._family.sigma_px * float(scale[0]))
 
     def _write(self, part: Image) -> None:
-        """Put part of an image into the network's input."""
+        """Write part of an image into the network's input."""
         pixels = cv2.resize(part, self._input_hw[::-1], interpolation=cv2.INTER_LINEAR)
         mean, deviation = self._family.scale
         for channel in range(3):
@@ -136,7 +144,7 @@ class NetLaneFinder:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """The part of an image that a network is shown."""
+    """The part of an image that is the network's input, in pixels."""
 
     left_px: int
     top_px: int
@@ -145,7 +153,7 @@ class _View:
 
     @classmethod
     def of(cls, image_hw: tuple[int, int], family: _Family, vanishing_px: tuple[float, float] | None) -> _View:
-        """The largest part whose horizon lies where the family expects it; all of the image if it does not care."""
+        """The largest view with the horizon in the family's row; the whole image if the family has no such row."""
         height, width = image_hw
         if family.horizon is None:
             return cls(0, 0, width, height)
@@ -170,14 +178,18 @@ _Decode = Callable[[Sequence[FloatArray32]], Points]
 
 
 def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
-    """The family of a network by its outputs, its buffers, and what reads its outputs."""
+    """Family, bound network and decoder of a session.
+
+    Raises:
+        ModelError: not a known lane network.
+    """
     _, channels, height, width = session.input_shape
     if channels != 3:
         shape = "[" + ", ".join("any" if side is None else str(side) for side in session.input_shape) + "]"
-        raise ModelError(f"{session.path}: no lane network: one input [1, 3, height, width] wanted, {shape} found.")
+        raise ModelError(f"{session.path}: expected a lane network with an input [1, 3, height, width], got {shape}.")
     if height and width:
         return _matched(session, session.bound((height, width)), (height, width))
-    for family in (_SEGMENTATION, _ROW_ANCHORS):  # a network that leaves its size open: of no size but its own it fails
+    for family in (_SEGMENTATION, _ROW_ANCHORS):  # variable size: the network fails with the size of another family
         input_hw = (height or family.input_hw[0], width or family.input_hw[1])
         try:
             return _matched(session, session.bound(input_hw), input_hw)
@@ -189,6 +201,7 @@ def _opened(session: OnnxSession) -> tuple[_Family, BoundNetwork, _Decode]:
 def _matched(
     session: OnnxSession, network: BoundNetwork, input_hw: tuple[int, int]
 ) -> tuple[_Family, BoundNetwork, _Decode]:
+    """Family, bound network and decoder by the shapes of the outputs."""
     shapes = network.output_shapes
     names = list(shapes)
     masks = [name for name, shape in shapes.items() if _is_mask(shape)]
@@ -202,10 +215,10 @@ def _matched(
     if masks:
         mask = names.index(_lane_mask(masks))
         return _SEGMENTATION, network, lambda out: _scaled(mask_points(out[mask][0]), out[mask].shape[2:], input_hw)
-    found = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
+    outputs = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
     raise ModelError(
-        f"{session.path}: no lane network that is known here: outputs {found} found; known are masks [1, 2, h, w], "
-        "curves [1, K, 2] with [1, K, 8] (LSTR), and row anchors [1, 201, 18, 4] or [1, 101, 56, 4]."
+        f"{session.path}: expected a lane network with masks [1, 2, h, w], curves [1, K, 2] and [1, K, 8] (LSTR), or "
+        f"row anchors [1, 201, 18, 4] or [1, 101, 56, 4]; got outputs {outputs}."
     )
 
 
@@ -214,21 +227,21 @@ def _is_mask(shape: tuple[int, ...]) -> bool:
 
 
 def _lane_mask(names: Sequence[str]) -> str:
-    """Which of several masks is that of lines; by its name, else the last (after the drivable area)."""
+    """Name of the mask of lines: by the name, else the last mask (after that of the drivable area)."""
     named = [name for name in names if any(word in name.lower() for word in ("lane", "line", "ll"))]
     return (named or list(names))[-1]
 
 
 def _scaled(points: Points, mask_hw: tuple[int, ...], input_hw: tuple[int, int]) -> Points:
-    """Points of a mask in the input's pixels."""
+    """Points of a mask in pixels of the network's input."""
     scale: FloatArray = np.array([input_hw[1] / mask_hw[1], input_hw[0] / mask_hw[0]])
     return (points[0] + 0.5) * scale - 0.5, points[1]
 
 
 def open_lane_finder(name_or_path: str, runtime: Runtime | None = None) -> LaneFinder:
-    """The classical finder, or the network in a file.
+    """The `EdgeLaneFinder` for `CLASSICAL`, otherwise a `NetLaneFinder` with the network at this path.
 
     Raises:
-        ModelError: no such file, or no lane network.
+        ModelError: the file cannot be read, or is not a known lane network.
     """
     return EdgeLaneFinder() if name_or_path == CLASSICAL else NetLaneFinder(Path(name_or_path), runtime)

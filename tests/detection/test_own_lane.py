@@ -1,4 +1,4 @@
-"""Choosing, fitting and following the own lane on exact roads."""
+"""Choice, fit and tracking of the ego lane on exact roads."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def markings(*lines_m, numbered=False, sigma=0.0, seed=0, **more):
     return Markings(xy, number.astype(np.int64), 1.0)
 
 
-def followed(lane, times_s, seen):
+def tracked(lane, times_s, seen):
     lines = None
     for time_s in times_s:
         lines = lane.update(seen, time_s, HW)
@@ -62,8 +62,8 @@ def test_bend_moves_both_lines_alike():
 
 def test_outliers_do_not_move_the_lines():
     rng = np.random.default_rng(3)
-    strays = rng.uniform([0, 200], [640, 355], (60, 2))
-    xy = np.concatenate([markings(-1.75, 1.75).xy_px, strays])
+    outliers = rng.uniform([0, 200], [640, 355], (60, 2))
+    xy = np.concatenate([markings(-1.75, 1.75).xy_px, outliers])
     lines = OwnLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
     assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.03)
 
@@ -78,17 +78,17 @@ def test_markings_everywhere_are_not_a_lane():
 def test_single_line_continues_but_starts_no_lane():
     lane = OwnLane()
     assert lane.update(markings(1.75), 0.0, HW).right is None
-    followed(lane, [0.1, 0.2, 0.3], markings(-1.75, 1.75))
-    lines = lane.update(markings(1.95), 0.4, HW)  # the camera went 0.2 m to the left, the left line is not seen
+    tracked(lane, [0.1, 0.2, 0.3], markings(-1.75, 1.75))
+    lines = lane.update(markings(1.95), 0.4, HW)  # the camera moved 0.2 m to the left, the left line is not visible
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.95, ROWS), abs=3.0)
-    assert lines.left is not None  # not forgotten yet, and less sure than the one that is seen
+    assert lines.left is not None  # still reported, with a larger sigma than the visible line
     assert (lines.left.sigma_px(ROWS) > lines.right.sigma_px(ROWS)).all()
 
 
 def test_lost_line_expires_after_half_a_second():
     for step_s in (0.04, 0.2):
         lane = OwnLane()
-        followed(lane, [0.0, step_s], markings(-1.75, 1.75))
+        tracked(lane, [0.0, step_s], markings(-1.75, 1.75))
         gone = [lane.update(markings(1.75), step_s + t, HW).left is None for t in np.arange(step_s, 1.0, step_s)]
         times_s = np.arange(step_s, 1.0, step_s)
         assert gone == (times_s > 0.5 + 1e-9).tolist()
@@ -96,12 +96,12 @@ def test_lost_line_expires_after_half_a_second():
 
 def test_both_lines_vanish():
     lane = OwnLane()
-    nothing = Markings.unnumbered(np.zeros((0, 2)), 1.0)
-    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
-    lines = lane.update(nothing, 0.3, HW)
+    no_markings = Markings.unnumbered(np.zeros((0, 2)), 1.0)
+    tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    lines = lane.update(no_markings, 0.3, HW)
     assert lines.left is not None
     assert lines.left.sigma_px(ROWS).min() > 3.0
-    lines = lane.update(nothing, 0.7, HW)
+    lines = lane.update(no_markings, 0.7, HW)
     assert lines.left is None
     assert lines.right is None
     assert lane.state is None
@@ -109,7 +109,7 @@ def test_both_lines_vanish():
 
 def test_gap_in_time_resets_the_lane():
     lane = OwnLane()
-    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     assert lane.update(markings(1.75), 5.0, HW).right is None
 
 
@@ -123,7 +123,7 @@ def test_crossing_lines_are_not_a_lane():
 
 def test_lines_that_cross_later_end_the_lane():
     lane = OwnLane()
-    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     y = np.arange(200.0, 355.0, 2.0)
     crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
     swapped = Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0)
@@ -152,18 +152,18 @@ def test_lane_change_is_followed():
     for i in range(60):  # 3.5 m to the right in three seconds
         shift_m = 3.5 * i / 60
         lines = lane.update(markings(*(x_m - shift_m for x_m in four)), i * 0.05, HW)
-    lines = followed(lane, [3.0, 3.2, 3.4], markings(*(x_m - 3.5 for x_m in four)))
+    lines = tracked(lane, [3.0, 3.2, 3.4], markings(*(x_m - 3.5 for x_m in four)))
     assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2.0)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
 
 
 def test_wrong_lane_is_corrected_soon():
-    """The dashes at the left come into sight late; until then the line beyond them is all there is."""
+    """The dashes at the left become visible late; until then only the line beyond them is visible."""
     lane = OwnLane()
-    without, whole = markings(-5.25, 1.75), markings(-5.25, -1.75, 1.75)
+    without, complete = markings(-5.25, 1.75), markings(-5.25, -1.75, 1.75)
     times_s = np.arange(0, 0.5, 0.1)
-    assert followed(lane, times_s, without).left.x_px(ROWS) == pytest.approx(road_x_px(-5.25, ROWS), abs=2)
-    assert followed(lane, times_s + 0.5, whole).left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2)
+    assert tracked(lane, times_s, without).left.x_px(ROWS) == pytest.approx(road_x_px(-5.25, ROWS), abs=2)
+    assert tracked(lane, times_s + 0.5, complete).left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=2)
 
 
 def test_dashes_preferred_to_distant_kerb():
@@ -176,32 +176,32 @@ def test_dashes_preferred_to_distant_kerb():
 
 def test_new_image_size_resets_the_lane():
     lane = OwnLane()
-    followed(lane, [0.0, 0.1], markings(-1.75, 1.75))
+    tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     assert lane.update(markings(1.75), 0.2, (720, 1280)).right is None
 
 
 def test_proposals_bridge_dashes():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 2 == 0]
-    found = proposals(Markings.unnumbered(np.concatenate([line_pixels(-1.75), dashes]), 1.0), HW)
-    assert found.support.max() == 1.0
+    lines = proposals(Markings.unnumbered(np.concatenate([line_pixels(-1.75), dashes]), 1.0), HW)
+    assert lines.support.max() == 1.0
     slope = 1.75 / 1.5
-    near = np.abs(found.slope - slope) < 0.1
+    near = np.abs(lines.slope - slope) < 0.1
     assert near.any()
-    assert found.support[near].max() == pytest.approx(np.sqrt(len(dashes) / len(line_pixels(0.0))), abs=0.1)
+    assert lines.support[near].max() == pytest.approx(np.sqrt(len(dashes) / len(line_pixels(0.0))), abs=0.1)
 
 
 @pytest.mark.parametrize(("horizon_px", "is_lane"), [(170.0, True), (235.0, True), (285.0, False)])
 def test_implausible_pair_is_not_a_lane(horizon_px, is_lane):
-    """Alone, a vanishing point at the side is passable; with a horizon far down it is not."""
+    """A vanishing point at the side alone is plausible; together with a low horizon it is not."""
     slope = np.array([-0.9, 1.6])
     lines = Proposals(420.0 - slope * horizon_px, slope, np.array([0.9, 1.0]), np.array([-1, -1]))
     assert (own_pair(lines, HW, None) is not None) == is_lane
 
 
 def test_no_pair_of_fewer_than_two_lines():
-    nothing = Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
-    assert own_pair(nothing, HW, None) is None
+    no_lines = Proposals(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+    assert own_pair(no_lines, HW, None) is None
     assert len(proposals(Markings.unnumbered(np.zeros((0, 2)), 1.0), HW)) == 0
 
 
