@@ -34,7 +34,7 @@ WORDS = [
     r"says?",
     r"nobody",
     r"mend(?:ed|s|ing)?",
-    r"(?<!np\.)(?<!torch\.)eyes?",
+    r"(?<!np\.)(?<!torch\.)(?<!bird's-)(?<!bird's )(?<!birds )eyes?",
     r"looks of",
     r"look(?:s|ed)? (?:upon|through)",
     r"of (?:its|their|your) own",

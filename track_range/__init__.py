@@ -7,7 +7,7 @@
         print(frame.index, frame.tracks.track_id, frame.ranges["fused"].distance_m)
     table = run.to_arrow()
 
-Every name below is imported when it is first used, so that `import track_range` takes no time.
+Every name below is imported when it is first used, so that `import track_range` is fast.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ _MODULE_OF = {
     "WriterError": "results.writers",
     "OutputError": "results.output_files",
 }
-"""Module of each public name, under track_range; with the name there where it is another one."""
+"""Module of each public name, relative to track_range; "module:NAME" where the name differs there."""
 
 __all__ = ["__version__", *_MODULE_OF]
 
@@ -129,7 +129,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'track_range' has no attribute {name!r}")
     module, _, attribute = _MODULE_OF[name].partition(":")
     value = getattr(import_module(f"track_range.{module}"), attribute or name)
-    globals()[name] = value  # found directly from now on
+    globals()[name] = value  # later uses do not call __getattr__
     return value
 
 

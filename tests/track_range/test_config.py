@@ -17,18 +17,18 @@ def test_the_results_are_named_after_the_left_video():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
-        ({**PAIR, "mono": Path("m.mp4")}, "give either --stereo LEFT RIGHT or --mono VIDEO"),
-        ({**PAIR, "detections": Path("d.txt")}, "give --detector or --detections, not both"),
-        ({**PAIR, "disparity": True, "sgbm": False}, "--disparity shows what dense stereo finds"),
-        ({"mono": Path("m.mp4"), "detector": "m", "disparity": True}, "--disparity shows what dense stereo finds"),
-        ({**PAIR, "threads": -1}, "--threads: Input should be greater than or equal to 0"),
+        ({}, "--mono"),
+        ({**PAIR, "mono": Path("m.mp4")}, "--mono"),
+        ({**PAIR, "detections": Path("d.txt")}, "--detections"),
+        ({**PAIR, "disparity": True, "sgbm": False}, "--disparity"),
+        ({"mono": Path("m.mp4"), "detector": "m", "disparity": True}, "--disparity"),
+        ({**PAIR, "threads": -1}, "--threads: "),
         ({**PAIR, "start_s": float("nan")}, "--start: "),
-        ({**PAIR, "device": "abacus"}, "--device: Input should be 'auto', 'cpu', 'cuda' or 'tensorrt'"),
-        ({"mono": Path("m.mp4"), "detector": "m", "rig": Path("r"), "focal_px": 7.0}, "--rig or --focal-px, not both"),
-        ({"mono": Path("m.mp4"), "detector": "m", "focal_px": -7.0}, "--focal-px: Input should be greater than 0"),
-        ({"mono": Path("m.mp4"), "detector": "m", "focal_px": float("inf")}, "--focal-px: Input should be a finite"),
-        ({**PAIR, "folder_fps": float("inf")}, "--folder-fps: Input should be less than or equal to 1000"),
+        ({**PAIR, "device": "abacus"}, "--device: "),
+        ({"mono": Path("m.mp4"), "detector": "m", "rig": Path("r"), "focal_px": 7.0}, "--focal-px"),
+        ({"mono": Path("m.mp4"), "detector": "m", "focal_px": -7.0}, "--focal-px: "),
+        ({"mono": Path("m.mp4"), "detector": "m", "focal_px": float("inf")}, "--focal-px: "),
+        ({**PAIR, "folder_fps": float("inf")}, "--folder-fps: "),
     ],
 )
 def test_contradictions_are_one_sentence(given, message):
@@ -41,55 +41,55 @@ def test_contradictions_are_one_sentence(given, message):
 def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = settings_from({**PAIR, "classes": ("car", "bus"), "duration_s": 2.0, "sgbm": False})
-    save_settings(settings, tmp_path / "settings.yaml", found={"fps": 10.0})
+    save_settings(settings, tmp_path / "settings.yaml", detected={"fps": 10.0})
     again = settings_from({"duration_s": 3.0}, tmp_path / "settings.yaml")
     assert again.stereo == (tmp_path / "left.mp4", tmp_path / "right.mp4")
     assert (again.classes, again.sgbm, again.duration_s) == (("car", "bus"), False, 3.0)
     (tmp_path / "classes.txt").write_text("person\ncar\n")
-    save_settings(settings_from({**PAIR, "names": "classes.txt"}), tmp_path / "named.yaml", found={})
+    save_settings(settings_from({**PAIR, "names": "classes.txt"}), tmp_path / "named.yaml", detected={})
     assert settings_from({}, tmp_path / "named.yaml").names == str(tmp_path / "classes.txt")
     (tmp_path / "net.onnx").touch()
     for word, kept in (("yolov5n", "yolov5n"), ("net.onnx", str(tmp_path / "net.onnx"))):  # a name stays a name
-        save_settings(settings_from({**PAIR, "detector": word}), tmp_path / "word.yaml", found={})
+        save_settings(settings_from({**PAIR, "detector": word}), tmp_path / "word.yaml", detected={})
         assert settings_from({}, tmp_path / "word.yaml").detector == kept
     single = {"mono": Path("m.mp4"), "detector": "m.onnx", "rig": Path("rig.yaml")}
-    save_settings(settings_from(single), tmp_path / "single.yaml", found={})
+    save_settings(settings_from(single), tmp_path / "single.yaml", detected={})
     assert settings_from({"focal_px": 700.0}, tmp_path / "single.yaml").rig is None
     mono = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")}, tmp_path / "settings.yaml")
     assert (mono.stereo, mono.detector, mono.mono) == (None, None, Path("m.mp4"))
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "word"),
     [
-        ("a: [", "not YAML"),
-        ("just text", "no 'track_range_settings: 1'"),
-        ("track_range_settings: 1", "a section 'run:' wanted"),
-        ("track_range_settings: 1\nrun: {1: 2}", "a section 'run:' wanted"),
+        ("a: [", "YAML"),
+        ("just text", "track_range_settings"),
+        ("track_range_settings: 1", "run:"),
+        ("track_range_settings: 1\nrun: {1: 2}", "run:"),
         (
             yaml.safe_dump({"track_range_settings": 1, "run": {"colour": "red", "detector": "m"}}),
-            "colour: unknown option",
+            "colour",
         ),
         (
             yaml.safe_dump({"track_range_settings": 1, "run": {"sgbm_options": {"block_size": 4}}}),
-            "sgbm_options: sgbm's block_size is 4: an odd number",
+            "sgbm_options: .*block_size",
         ),
         (
             yaml.safe_dump({"track_range_settings": 1, "run": {"sgbm_options": {"blocks": 5}}}),
-            "sgbm_options: sgbm has no 'blocks'",
+            "sgbm_options: .*blocks",
         ),
     ],
 )
-def test_settings_files_that_cannot_be_used(tmp_path, content, message):
+def test_unusable_settings_files(tmp_path, content, word):
     file = tmp_path / "settings.yaml"
     file.write_text(content)
-    with pytest.raises(ConfigError, match=message) as raised:
+    with pytest.raises(ConfigError, match=rf"settings\.yaml: .*{word}") as raised:
         settings_from({}, file)
     assert not isinstance(raised.value, UsageError)
 
 
 def test_a_missing_settings_file(tmp_path):
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match="none.yaml"):
         settings_from({}, tmp_path / "none.yaml")
 
 
@@ -102,7 +102,7 @@ def test_the_packaged_detector_is_taken_where_none_is_named(tmp_path):
     assert settings_from({"mono": Path("m.mp4")}).detector == "road"
     boxes = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")})
     assert boxes.detector is None
-    save_settings(settings_from({"mono": Path("m.mp4")}), tmp_path / "s.yaml", found={})
+    save_settings(settings_from({"mono": Path("m.mp4")}), tmp_path / "s.yaml", detected={})
     assert settings_from({}, tmp_path / "s.yaml").detector == "road"
     again = settings_from({"detections": Path("d.txt")}, tmp_path / "s.yaml")
     assert (again.detector, again.detections) == (None, Path("d.txt"))
@@ -119,12 +119,12 @@ def test_reid_needs_a_tracker_that_compares_appearance() -> None:
 def test_dense_parameters_and_the_alignment_survive_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     chosen = {"mode": "hh", "block_size": 7}
-    save_settings(settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}), tmp_path / "s.yaml", found={})
+    save_settings(settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}), tmp_path / "s.yaml", detected={})
     again = settings_from({}, tmp_path / "s.yaml")
     assert (again.sgbm_options, again.align) == (chosen, "off")
     (tmp_path / "hand.yaml").write_text("track_range_settings: 1\nrun: {align: off}\n")
     assert settings_from(PAIR, tmp_path / "hand.yaml").align == "off"
     (tmp_path / "align.yaml").touch()
-    save_settings(settings_from({**PAIR, "align": "align.yaml"}), tmp_path / "s.yaml", found={})
+    save_settings(settings_from({**PAIR, "align": "align.yaml"}), tmp_path / "s.yaml", detected={})
     assert settings_from({}, tmp_path / "s.yaml").align == str(tmp_path / "align.yaml")
     assert settings_from(PAIR).align == "auto"

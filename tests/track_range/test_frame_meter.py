@@ -42,5 +42,5 @@ def test_one_frame_has_no_rate() -> None:
 def test_a_live_run_says_how_late_it_is_and_what_it_left_out() -> None:
     """Images of 100.0, 100.1 and 100.4 s were ready at 100.2, 100.35 and 100.45 s; frames 5, 6 and 9."""
     meter = meter_of([100.2, 100.35, 100.45], [(5, 0.0), (6, 0.1), (9, 0.4)], Eye(100.0))
-    assert meter.captions() == ("8.0 fps", "50 ms behind", "2 dropped")
+    assert meter.captions() == ("8.0 fps", "latency 50 ms", "2 dropped")
     assert meter.notes == ("Results came a median of 200 ms after the camera's images, 250 ms at most.",)

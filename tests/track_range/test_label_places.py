@@ -82,7 +82,7 @@ def placed(boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] 
     n = len(boxes)
     sizes_px = np.array([[[130.0, 46.0]] * n, [[90.0, 20.0]] * n])
     found = LabelPlacer().place(
-        range(n), np.array(boxes), sizes_px, taken=np.zeros((0, 4)), image_px=image_px, urgent=[urgent] * n
+        range(n), np.array(boxes), sizes_px, occupied=np.zeros((0, 4)), image_px=image_px, urgent=[urgent] * n
     )
     return [None if one is None else one[0] for one in found]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.track_range.overlay_results import BOX, HEIGHT, WIDTH, result
 from track_range.overlay.annotator import Overlay
-from track_range.overlay.disparity_view import SCALE_M, DisparityPicture, SidePicture
+from track_range.overlay.disparity_view import SCALE_M, DisparityPicture, StackedPicture
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
@@ -19,7 +19,7 @@ def disparity_at(metres: float) -> np.ndarray:
 
 def test_the_upper_half_is_the_overlay_and_the_lower_one_the_disparities() -> None:
     found = result([], disparity=disparity_at(20.0))
-    both = SidePicture(Overlay(), RIG).draw(found)
+    both = StackedPicture(Overlay(), RIG).draw(found)
     assert both.shape == (2 * HEIGHT, WIDTH, 3)
     assert np.array_equal(both[:HEIGHT], Overlay().draw(found))
     lower = both[HEIGHT:]
@@ -43,7 +43,7 @@ def test_boxes_are_outlined_on_the_disparities() -> None:
 
 
 def test_without_dense_stereo_the_lower_half_is_black_but_for_the_scale() -> None:
-    lower = SidePicture(Overlay(), RIG).draw(result([]))[HEIGHT:]
+    lower = StackedPicture(Overlay(), RIG).draw(result([]))[HEIGHT:]
     assert not lower[:300].any()
 
 

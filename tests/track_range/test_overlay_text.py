@@ -17,7 +17,7 @@ from track_range.overlay.labels import (
     sigma_text,
     text_sizes_px,
 )
-from track_range.overlay.text import Pen
+from track_range.overlay.text_renderer import TextRenderer
 from track_range.run.frame_result import FrameResult
 
 
@@ -69,7 +69,9 @@ def test_a_bar_is_as_long_as_it_says_and_its_text_is_read_on_either_part() -> No
     place = np.array([10.0, 10.0, 213.0, 30.0])  # 200 px behind the stripe
     for filled in (0.0, 0.25, 0.75, 1.0):
         canvas = grey(60, 300)
-        Pen().write(canvas, [[Span("TTC 3.0 s  closing 6.2 m/s", 14, 700, (255, 255, 255), AMBER, filled)]], place)
+        TextRenderer().write(
+            canvas, [[Span("TTC 3.0 s  closing 6.2 m/s", 14, 700, (255, 255, 255), AMBER, filled)]], place
+        )
         columns = np.flatnonzero(painted(canvas, AMBER)[11])
         assert len(columns) == round(200 * filled)
         if filled:

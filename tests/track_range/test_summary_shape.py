@@ -8,7 +8,7 @@ import pytest
 
 from track_range.report.page import report_page
 from track_range.results.columns import no_rows
-from track_range.results.summary_shape import fitting_summary
+from track_range.results.summary_shape import valid_summary
 
 WHOLE: dict[str, Any] = {
     "frames": 3,
@@ -29,7 +29,7 @@ WHOLE: dict[str, Any] = {
 
 
 def test_a_whole_summary_stays_as_it_is() -> None:
-    assert fitting_summary(WHOLE) == (WHOLE, [])
+    assert valid_summary(WHOLE) == (WHOLE, [])
 
 
 @pytest.mark.parametrize(
@@ -61,16 +61,16 @@ def test_a_whole_summary_stays_as_it_is() -> None:
     ],
 )
 def test_what_does_not_fit_is_named_left_out_and_harms_no_page(part: dict[str, Any], told: str) -> None:
-    found, misfits = fitting_summary(WHOLE | part)
-    assert misfits == [told]
+    found, invalid = valid_summary(WHOLE | part)
+    assert invalid == [told]
     assert "<h2>Accuracy</h2>" in report_page(found, no_rows())
 
 
 def test_the_rest_of_a_section_is_kept() -> None:
     notes = ["one", 2, *"abcdefgh", 10, "three"]  # item 10 goes before item 2
-    found, misfits = fitting_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": notes})
+    found, invalid = valid_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": notes})
     assert found == {"stages_ms": {"detect": 3.0}, "notes": ["one", *"abcdefgh", "three"]}
-    assert misfits == ["notes.1", "notes.10", "stages_ms.read"]
+    assert invalid == ["notes.1", "notes.10", "stages_ms.read"]
 
 
 @pytest.mark.parametrize(
@@ -82,12 +82,12 @@ def test_the_rest_of_a_section_is_kept() -> None:
     ],
 )
 def test_figures_beyond_all_reason_are_left_out(part: dict[str, Any], name: str) -> None:
-    summary, misfits = fitting_summary(WHOLE | part)
-    assert misfits == [name]
+    summary, invalid = valid_summary(WHOLE | part)
+    assert invalid == [name]
     assert "<html" in report_page(summary, no_rows())
 
 
 @pytest.mark.parametrize("part", [{"methods": {"fused": {"n": -4, "within_1_sigma": 0.5}}}, {"wall_s": 1e-300}])
 def test_figures_that_no_run_has_make_a_page_all_the_same(part: dict[str, Any]) -> None:
-    summary, _ = fitting_summary(WHOLE | part)
+    summary, _ = valid_summary(WHOLE | part)
     assert "<html" in report_page(summary, no_rows())

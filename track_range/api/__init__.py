@@ -1,1 +1,1 @@
-"""What `import track_range` offers beside types and runs: parts for use on their own, and evaluations."""
+"""Python API: detector, tracker and calibration files for separate use, and evaluations."""

@@ -1,4 +1,4 @@
-"""Evaluations as functions: the options of `track-range evaluate ...` as keyword arguments, figures as a dictionary."""
+"""Evaluations as functions: options of `track-range evaluate` as keyword arguments, figures as a dictionary."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from track_range.sequences.settings import TrackEvaluationSettings
 
 
 def evaluate_ranges(labels: str | Path, calib: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of the methods that need boxes alone, on KITTI labels; as `evaluate ranges --json`.
+    """Distance errors of the methods that need only boxes, on KITTI labels; as `track-range evaluate ranges --json`.
 
     Args:
-        labels: folder of KITTI tracking labels, NAME.txt per sequence.
-        calib: folder of calib files with the same names.
-        options: as those of the command, with underscores: `noise_px=2`, `cross_validate=True`, `filter="default"`.
+        labels: folder of KITTI tracking labels, NAME.txt for each sequence.
+        calib: folder of KITTI calibration files with the same names.
+        options: options of the command, with underscores: `noise_px=2`, `cross_validate=True`, `filter="default"`.
 
     Raises:
-        UsageError: an option that is unknown or wrong.
-        LabelFileError, RigError, CurveError: files that cannot be used.
+        UsageError: an option is unknown or invalid.
+        LabelFileError, RigError, CurveError: a file cannot be used.
     """
     return _evaluate_ranges(RangeEvaluationSettings.of({"labels": labels, "calib": calib, **options}))
 
 
 def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
-    """Distance errors of stereo matchers on pairs of known disparity; as `evaluate stereo --json`.
+    """Distance errors of stereo matchers on pairs with true disparities; as `track-range evaluate stereo --json`.
 
     Example:
         >>> import track_range as tr
@@ -39,25 +39,25 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
 
     Args:
         pairs: folder in the layout of KITTI 2015, or of a drive with labels.
-        options: as those of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`, `seed=0`.
+        options: options of the command: `matchers=("patch", "sgbm")`, `align="leave-two-out"`, `seed=0`.
 
     Raises:
-        UsageError: an option that is unknown or wrong.
-        PairFileError, RigError, VideoError, LabelFileError: files that cannot be used.
+        UsageError: an option is unknown or invalid.
+        PairFileError, RigError, VideoError, LabelFileError: a file cannot be used.
     """
     return _evaluate_stereo(StereoEvaluationSettings.of({"pairs": pairs, **options}))
 
 
 def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> dict[str, Any]:
-    """HOTA, CLEAR and identity metrics of tracks against ground truth; as `evaluate tracks --json`.
+    """HOTA, CLEAR and identity metrics of tracks against ground truth; as `track-range evaluate tracks --json`.
 
     Args:
         truth: ground truth in MOT or KITTI format: a file, or a folder of sequences.
         results: tracks in either format.
-        options: as those of the command: `truth_format="kitti"`, `road_class="car"`, `compare="motmetrics"`.
+        options: options of the command: `truth_format="kitti"`, `road_class="car"`, `compare="motmetrics"`.
 
     Raises:
-        UsageError: an option that is unknown or wrong.
-        MotFormatError, LabelFileError: files that cannot be used.
+        UsageError: an option is unknown or invalid.
+        MotFormatError, LabelFileError: a file cannot be used.
     """
     return _evaluate_tracks(TrackEvaluationSettings.of({"truth": truth, "results": results, **options}))

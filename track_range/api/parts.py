@@ -1,4 +1,4 @@
-"""The parts of a run for use on their own, with the options of the command line as keyword arguments.
+"""Detector, tracker and calibration files for separate use, with the options of the command line as keyword arguments.
 
 detector, tracker = tr.Detector("road"), tr.Tracker()
 ranger = tr.StereoRanger(tr.load_rig("rig.yaml"))
@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+
 from track_range.detection.detections import Detections
-from track_range.detection.models.download import pull
-from track_range.detection.models.lookup import DEFAULT_MODEL, find_model, models_folder
+from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.foundation.arrays import Image
 from track_range.run.detector_options import DetectorOptions, open_detector
+from track_range.run.ready_model import ready_model
 from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration
@@ -25,7 +27,7 @@ from track_range.tracking.tracks import Tracks
 
 
 def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_grey: bool = False) -> StereoRig:
-    """The pair of cameras of a calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's.
+    """Stereo rig of a calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's format.
 
     Example:
         >>> import track_range as tr
@@ -33,18 +35,18 @@ def load_rig(path: str | Path, *, size_px: tuple[int, int] | None = None, is_gre
         True
 
     Args:
-        path: the file.
-        size_px: (width, height) of the images; None = the file's own. KITTI's files give none.
-        is_grey: whether to take the grey pair of a KITTI file that also has the colour one.
+        path: calibration file.
+        size_px: (width, height) of the images; None = as in the file. KITTI's files do not contain it.
+        is_grey: whether to use the grey pair of a KITTI file that also has a colour pair.
 
     Raises:
-        RigError: the file cannot be read, holds one camera, or gives no image size where none is given here.
+        RigError: the file cannot be read, contains a single camera, or has no image size and `size_px` is None.
     """
     rig, _ = load_calibration(Path(path), size_px=size_px, is_grey=is_grey)
     if not isinstance(rig, StereoRig):
         raise RigError(f"{path}: expected two cameras, found one.")
     if not rig.left.width_px:
-        raise RigError(f"{path}: it gives no image size; give size_px=(width, height) of the images.")
+        raise RigError(f"{path}: expected an image size, found none; give size_px=(width, height).")
     return rig
 
 
@@ -71,22 +73,23 @@ class Detector:
         device: Device = "auto",
         classes: Sequence[str] = (),
     ) -> None:
-        """Load a model, downloading it first where it is a name of the catalogue that is not in the cache.
+        """Load a model; a model of the catalogue is downloaded to the cache folder first.
 
         Args:
-            model: an ONNX file, or a name of `track-range models list`.
-            names: class names in the network's order; None = the model's own.
-            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = the model's own.
-            letterbox: placement and grey of the padding, such as "centred-114"; None = the family's.
-            min_score: confidence below which boxes are dropped: 0.25, or "0.1,car=0.3".
-            size: longer side of the network's input, px, where the model leaves it open.
-            threads: threads of the network; 0 = one per core.
+            model: an ONNX file, or a name from `track-range models list`.
+            names: class names in the order of the network; None = those in the model file.
+            anchors: anchors of raw YOLO heads, "81,82 135,169 344,319 / 23,27 ..."; None = those in the model file.
+            letterbox: placement of the image and grey level of the padding, such as "centred-114"; None = that of the
+                network family.
+            min_score: minimum confidence of boxes: 0.25, or "0.1,car=0.3".
+            size: longer side of the network input in px, for a network of variable input size.
+            threads: CPU threads of the network; 0 = one per core.
             device: "auto", "cpu", "cuda" or "tensorrt".
             classes: road classes to detect; empty = all.
 
         Raises:
-            ModelError, DownloadError: the model cannot be used, or not be fetched.
-            ClassNameError, ConfigError: a class, name or threshold is wrong.
+            ModelError, DownloadError: the model cannot be used or downloaded.
+            ClassNameError, ConfigError: a class, name or threshold is invalid.
         """
         options = DetectorOptions(
             names=None if names is None else ",".join(names),
@@ -98,22 +101,20 @@ class Detector:
             device=device,
             classes=tuple(classes),
         )
-        found = find_model(model)
-        path = found.path if found.entry is None or found.origin != "catalogue" else pull(found.entry, models_folder())
-        self._network = open_detector(path, options)
+        self._network = open_detector(ready_model(model, Console(quiet=True)), options)
 
     @property
     def class_names(self) -> tuple[str, ...]:
-        """Names of the network's classes, road classes or not."""
+        """Names of all classes of the network."""
         return tuple(self._network.model.names)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the model: where its class names come from, fall-backs of the device."""
+        """Sentences on the model: source of its class names, fallback of the device."""
         return self._network.notes
 
     def detect(self, image: Image) -> Detections:
-        """The road users in `image`, (H, W, 3) uint8 BGR, best score first; boxes in its pixels.
+        """Road users in `image`, (H, W, 3) uint8 BGR, highest score first; boxes in pixels of the image.
 
         Raises:
             ValueError: the image has another shape or type.
@@ -122,7 +123,7 @@ class Detector:
 
 
 class Tracker:
-    """Gives detections of successive frames identities.
+    """Multi-object tracker: assigns identities to the detections of successive frames.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -137,16 +138,16 @@ class Tracker:
     def __init__(
         self, name: str = "deepsort", *, reid: str | Path | None = None, threads: int = 0, device: Device = "auto"
     ) -> None:
-        """Start without tracks.
+        """Create a tracker without tracks.
 
         Args:
-            name: "deepsort" (motion and appearance), "sort" (motion alone), a registered tracker or `module:Class`.
+            name: "deepsort" (motion and appearance), "sort" (motion only), a registered tracker or `module:Class`.
             reid: an ONNX re-identification network for appearance; None = the built-in descriptor.
-            threads: threads of that network; 0 = one per core.
-            device: where it runs.
+            threads: CPU threads of that network; 0 = one per core.
+            device: device that runs that network.
 
         Raises:
-            TrackerError: no tracker of that name.
+            TrackerError: there is no such tracker.
             ModelError: the re-identification network cannot be used.
         """
         runtime = Runtime(device=device, n_threads=threads)
@@ -154,14 +155,14 @@ class Tracker:
         self._tracker = create_tracker(name, options)
 
     def update(self, detections: Detections, time_s: float, image: Image | None = None) -> Tracks:
-        """The confirmed tracks at `time_s`, in seconds, later than at the last call.
+        """Confirmed tracks after an update with the detections of one frame.
 
         Args:
             detections: boxes of this frame, in pixels of the image.
-            time_s: seconds from the first frame.
-            image: (H, W, 3) uint8 BGR for appearance and camera motion; None = boxes alone.
+            time_s: seconds from the first frame; must increase from call to call.
+            image: (H, W, 3) uint8 BGR, for appearance and camera motion; None = boxes only.
 
         Raises:
-            TrackerError: the tracker of another package returned no Tracks.
+            TrackerError: the tracker of another package did not return Tracks.
         """
         return checked_tracks(self._tracker, self._tracker.update(detections, time_s, image))

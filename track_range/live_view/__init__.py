@@ -1,1 +1,1 @@
-"""The live page and window."""
+"""Live view of a run in a browser."""

@@ -1,6 +1,6 @@
-"""LiveView: the overlay while a run goes on, in a browser: the newest frame only, drawn when somebody asks for it.
+"""LiveView: the overlay of a run in progress, in a browser; only the newest frame is drawn, and only on request.
 
-results --> [ the newest ] <-- viewers' threads: draw, once for all of them         offering a result never waits
+results --> [ newest ] <-- threads of the connections: draw, once for all of them         offering a result never waits
 """
 
 from __future__ import annotations
@@ -22,26 +22,29 @@ from track_range.live_view.server import LOOPBACK, LivePage
 from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import lower_thread_priority
 
-_QUALITY = 80  # of JPEG; at 100 a picture takes thrice the bytes
-_WHERE = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
+_QUALITY = 80
+"""JPEG quality in per cent; at 100 a picture is three times as large."""
+
+_ADDRESS = re.compile(r"(?:(?P<host>[^\s/]+):)?(?P<port>\d{1,5})")
 
 
 class LiveView:
-    """Serves a run's newest results on a page; a context manager.
+    """Live page with the newest result of a run; a context manager.
 
     Args:
-        host, port: where; port 0 = any that is free.
-        wants_browser: whether to open one, where there is a screen.
+        host: address to listen on.
+        port: port to listen on; 0 = any free port.
+        opens_browser: whether to open a browser, if there is a screen.
 
     Attributes:
-        page: the page.
+        page: server of the page.
 
     Raises:
-        PageError: the page cannot be served there.
+        PageError: the page cannot be served at this address.
     """
 
-    def __init__(self, host: str, port: int, *, wants_browser: bool = False) -> None:
-        self._wants_browser = wants_browser
+    def __init__(self, host: str, port: int, *, opens_browser: bool = False) -> None:
+        self._opens_browser = opens_browser
         self._picture: Callable[[FrameResult], Image] = lambda result: result.frame.left
         self._newest: FrameResult | None = None
         self._number, self._is_over = 0, False
@@ -59,22 +62,22 @@ class LiveView:
         self.page.close()
 
     def begin(self, draw: Callable[[FrameResult], Image]) -> str:
-        """Results are about to come, to be drawn so, in one thread at a time; a sentence for the user."""
+        """Set the function that draws results, called from one thread at a time; returns a sentence for the user."""
         self._picture = draw
-        if self._wants_browser and has_screen() and webbrowser.open(self.page.url):
+        if self._opens_browser and has_screen() and webbrowser.open(self.page.url):
             return f"Live view in your browser: {self.page.url}"
         elsewhere = self.page.url_elsewhere
-        others = f", or {elsewhere} on other machines; whoever reaches this port sees it" if elsewhere else ""
+        others = f", or {elsewhere} on other machines (visible to anyone who can reach this port)" if elsewhere else ""
         return f"Live view: open {self.page.url} in a browser{others}."
 
     def offer(self, result: FrameResult) -> None:
-        """Take a result in place of the last one offered, drawn or not."""
+        """Replace the newest result; returns immediately."""
         with self._changed:
             self._newest, self._number = result, self._number + 1
             self._changed.notify_all()
 
     def next_picture(self, number: int) -> tuple[bytes, int]:
-        """The newest result as JPEG and its number, once there is one after `number`; empty = the run is over."""
+        """Wait for a result after `number`; returns it as JPEG with its number, or empty bytes after the run."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_over or self._number > number)
             if self._number <= number:
@@ -90,32 +93,32 @@ class LiveView:
 
 
 def open_view(*, show: bool, serve: str | None) -> LiveView | None:
-    """The view that `--show` and `--serve` ask for; None = neither is wanted.
+    """Live view for the options `--show` and `--serve`; None without both.
 
     Raises:
-        UsageError: `serve` makes no sense.
-        PageError: it cannot be served there.
+        UsageError: `serve` is not a port or an address with a port.
+        PageError: the page cannot be served at this address.
     """
     if not show and serve is None:
         return None
-    host, port = (LOOPBACK, 0) if serve is None else place_of_page(serve)
-    return LiveView(host, port, wants_browser=show)
+    host, port = (LOOPBACK, 0) if serve is None else parse_address(serve)
+    return LiveView(host, port, opens_browser=show)
 
 
-def place_of_page(text: str) -> tuple[str, int]:
-    """Host and port of `--serve PORT` or `--serve HOST:PORT`; without a host, this machine alone.
+def parse_address(text: str) -> tuple[str, int]:
+    """Host and port of `--serve PORT` or `--serve HOST:PORT`; the loopback address without a host.
 
     Raises:
-        UsageError: neither.
+        UsageError: the text is neither.
     """
-    found = _WHERE.fullmatch(text)
-    if found is None or int(found["port"]) > 65535:
-        raise UsageError(f"--serve: a port such as 8000, or an address and a port, not '{text}'.")
-    return (found["host"] or LOOPBACK).strip("[]"), int(found["port"])
+    match = _ADDRESS.fullmatch(text)
+    if match is None or int(match["port"]) > 65535:
+        raise UsageError(f"--serve: expected a port such as 8000, or HOST:PORT, got '{text}'.")
+    return (match["host"] or LOOPBACK).strip("[]"), int(match["port"])
 
 
 def has_screen() -> bool:
-    """Whether a browser with windows can be expected here."""
+    """Whether this machine seems to have a screen, so that a browser can be opened."""
     if not sys.platform.startswith("linux"):
         return True
     return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

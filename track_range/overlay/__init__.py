@@ -1,1 +1,1 @@
-"""Drawing of results on frames."""
+"""Overlay and disparity videos: drawing of results on frames."""

@@ -1,9 +1,9 @@
-r"""BirdsEye: an inset that shows the road from above, to scale: where each track is, and how sure that is.
+r"""BirdsEye: inset with a bird's-eye view of the road, to scale: positions of the tracks and their uncertainty.
 
-+---------+   Up is forward (z), right is right (x), one scale for both; lines across are equal distances. A track is
-| --- 40  |   a dot in its colour with a bar of one sigma to either side along its ray; hollow = predicted, a ring in
-|   |o    |   amber or red = a collision is near. The scale is one of `RANGES_M`: it grows at once when a track is
-| --|- 20 |   farther, and shrinks when none has been for a while.
++---------+   Forward (z) is up, x is to the right, both at the same scale; horizontal lines mark distances. A track is
+| --- 40  |   a dot in its colour with a bar of one sigma in both directions along its ray; hollow = predicted; a ring
+|   |o    |   in amber or red = imminent collision. The range is one of `RANGES_M`: it grows immediately when a track
+| --|- 20 |   is farther, and shrinks when none has been for some seconds.
 |  \./    |
 +---------+
 """
@@ -25,53 +25,64 @@ from track_range.stereo.geometry.camera import PinholeCamera
 Point = tuple[int, int]
 
 RANGES_M = (30.0, 60.0, 90.0, 120.0)
-"""How far the inset may show."""
+"""Possible ranges of the inset in metres."""
 
-_CALM_S = 3.0  # so long must all tracks be nearer before the scale changes
-_HEIGHT_SHARE, _WIDTH_SHARE = 0.42, 0.3  # of the image, at most
-_ASPECT = 0.8  # width / height
-_EGO_ROOM = 0.06  # of the height, below the camera
-_N_LINES = 3  # distances marked
+_SHRINK_DELAY_S = 3.0
+"""Seconds for which all tracks must be nearer before the range shrinks."""
+
+_HEIGHT_SHARE, _WIDTH_SHARE = 0.42, 0.3
+"""Largest height and width of the inset as fractions of the image's."""
+
+_ASPECT = 0.8
+"""Width / height of the inset."""
+
+_EGO_MARGIN = 0.06
+"""Part of the inset's height that is below the camera."""
+
+_N_LINES = 3
+"""Number of marked distances."""
+
 _FAINT = (95, 95, 95)
+"""BGR colour of the grid."""
 
 
 @dataclass(slots=True)
 class Scale:
-    """How far the inset shows, in metres, at each time."""
+    """Range of the inset in metres, over time."""
 
     range_m: float = RANGES_M[0]
     _needed_s: float = -np.inf
 
     def update(self, farthest_m: float, time_s: float) -> None:
-        """Take the farthest track of a frame, 0 = there is none; times increase."""
-        wanted_m = next((far_m for far_m in RANGES_M if farthest_m <= far_m), RANGES_M[-1])
-        if wanted_m >= self.range_m:
+        """Update with the farthest track of a frame in metres (0 = no track); times must increase."""
+        needed_m = next((far_m for far_m in RANGES_M if farthest_m <= far_m), RANGES_M[-1])
+        if needed_m >= self.range_m:
             self._needed_s = time_s
-            self.range_m = wanted_m
-        elif time_s - self._needed_s > _CALM_S:
-            self.range_m = wanted_m
+            self.range_m = needed_m
+        elif time_s - self._needed_s > _SHRINK_DELAY_S:
+            self.range_m = needed_m
 
 
 class BirdsEye:
     """Draws the insets of one video.
 
     Attributes:
-        camera: of the images; predicted tracks and its field of view need it, None = these are left out.
+        camera: camera of the images, for predicted tracks and the field of view; None = without these.
     """
 
     def __init__(self, camera: PinholeCamera | None = None) -> None:
-        """Begin a video."""
+        """Create the inset of a new video."""
         self.camera = camera
         self._scale = Scale()
         self._font = cv2.FontFace("sans")
         self._grids: dict[tuple[int, int, float], Image] = {}
 
     def place(self, image_px: tuple[int, int]) -> FloatArray:
-        """(4,) where the inset stands in an image (W, H): at the lower left; empty in an image too small for one."""
+        """(4,) rectangle of the inset in an image (W, H), at the lower left; empty if the image is too small."""
         width, height = image_px
-        tall = min(_HEIGHT_SHARE * height, _WIDTH_SHARE * width / _ASPECT)
-        tall = round(tall) if tall >= 60 else 0
-        return np.array([0, height - tall, round(_ASPECT * tall), height], np.float64)
+        inset_px = min(_HEIGHT_SHARE * height, _WIDTH_SHARE * width / _ASPECT)
+        inset_px = round(inset_px) if inset_px >= 60 else 0
+        return np.array([0, height - inset_px, round(_ASPECT * inset_px), height], np.float64)
 
     def draw(self, canvas: Image, result: FrameResult) -> None:
         """Draw the inset of one frame."""
@@ -85,32 +96,32 @@ class BirdsEye:
         np.right_shift(inset, 2, out=inset)
         cv2.max(inset, self._grid((bottom - top, right - left)), dst=inset)
         far_first = np.flatnonzero(known)[np.argsort(-ground_m[known, 1])]
-        for row, (at, *bar) in zip(far_first.tolist(), self._marks(ground_m[far_first], inset), strict=True):
-            self._draw_track(inset, result, row, at=at, bar=bar)
+        for row, (centre, *bar) in zip(far_first.tolist(), self._marks(ground_m[far_first], inset), strict=True):
+            self._draw_track(inset, result, row, centre=centre, bar=bar)
 
     def ground_m(self, result: FrameResult) -> FloatArray:
-        """(N, 3) x, z and sigma of z of each track, from the fused distance, else the filtered one; NaN = unknown."""
+        """(N, 3) x, z and sigma of z of each track in metres, from the fused or filtered distance; NaN = unknown."""
         n = len(result.tracks)
         ground_m = np.full((n, 3), np.nan)
         ground_m[:, :2] = result.xyz_m[:, ::2]
         if "fused" in result.ranges:
             ground_m[:, 2] = result.ranges["fused"].sigma_m
         if self.camera is not None and "fused_kf" in result.ranges:
-            found = result.ranges["fused_kf"]
+            filtered = result.ranges["fused_kf"]
             centre_px = (result.tracks.xyxy_px[:, :2] + result.tracks.xyxy_px[:, 2:]) / 2
-            carried = self.camera.rays(centre_px)[:, ::2] * found.distance_m[:, None]
-            filled = np.hstack([carried, found.sigma_m[:, None]])
-            ground_m = np.where(np.isfinite(ground_m).all(axis=1, keepdims=True), ground_m, filled)
+            predicted_m = self.camera.rays(centre_px)[:, ::2] * filtered.distance_m[:, None]
+            fallback_m = np.hstack([predicted_m, filtered.sigma_m[:, None]])
+            ground_m = np.where(np.isfinite(ground_m).all(axis=1, keepdims=True), ground_m, fallback_m)
         return ground_m
 
     def pixels(self, x_m: FloatArray, z_m: FloatArray, inset_hw: tuple[int, int]) -> FloatArray:
-        """(..., 2) pixels in an inset of this height and width."""
+        """(..., 2) pixels in an inset of the given height and width."""
         height, width = inset_hw
-        px_per_m = (1 - _EGO_ROOM) * height / self._scale.range_m
-        return np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_ROOM) * height - z_m * px_per_m], axis=-1)
+        px_per_m = (1 - _EGO_MARGIN) * height / self._scale.range_m
+        return np.stack([width / 2 + x_m * px_per_m, (1 - _EGO_MARGIN) * height - z_m * px_per_m], axis=-1)
 
     def _grid(self, hw: tuple[int, int]) -> Image:
-        """What is under the tracks, on black; the same until the scale changes."""
+        """Background of the tracks on black, cached by size and range."""
         key = (*hw, self._scale.range_m)
         if key not in self._grids:
             self._grids[key] = self._new_grid(hw)
@@ -131,39 +142,37 @@ class BirdsEye:
             text = f"{z_m:.0f} m" if number == _N_LINES else f"{z_m:.0f}"
             cv2.putText(grid, text, (3, y + size_px), GREY, self._font, size_px, 450)
         half = max(2, hw[0] // 60)
-        foot = ego[1] + 2 * half
-        cv2.fillConvexPoly(grid, np.array([(ego[0] - half, foot), (ego[0] + half, foot), ego]), WHITE)
+        base_y = ego[1] + 2 * half
+        cv2.fillConvexPoly(grid, np.array([(ego[0] - half, base_y), (ego[0] + half, base_y), ego]), WHITE)
         cv2.rectangle(grid, (0, 0), (hw[1] - 1, hw[0] - 1), _FAINT, 1)
         return grid
 
     def _slopes(self) -> list[float]:
-        """How x / z is at the left and the right edge of the camera's view; none where it is not known."""
+        """Ratio x / z at the left and the right edge of the camera's field of view; empty without a camera."""
         if self.camera is None:
             return []
         return [(u_px - self.camera.cx_px) / self.camera.fx_px for u_px in (0.0, self.camera.width_px - 1.0)]
 
     def _marks(self, ground_m: FloatArray, inset: Image) -> list[list[Point]]:
-        """Of each track: its place, and the ends of its bar."""
+        """Pixels of the centre of each track and of the two ends of its bar."""
         z_m, sigma_m = ground_m[:, 1], ground_m[:, 2]
-        share = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
-        points_m = (ground_m[:, None, :2] * share[:, :, None]).reshape(-1, 2)
+        scale = np.stack([np.ones_like(z_m), 1 - sigma_m / z_m, 1 + sigma_m / z_m], axis=1)
+        points_m = (ground_m[:, None, :2] * scale[:, :, None]).reshape(-1, 2)
         points = self._points(points_m, (inset.shape[0], inset.shape[1]))
         return [points[first : first + 3] for first in range(0, len(points), 3)]
 
-    def _draw_track(self, inset: Image, result: FrameResult, row: int, *, at: Point, bar: Sequence[Point]) -> None:
+    def _draw_track(self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]) -> None:
         colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))
-        alarm, seen = (
-            alarm_colour(float(result.ttc_s[row]), may_hit=result.may_hit(row)),
-            bool(result.tracks.observed[row]),
-        )
-        cv2.circle(inset, at, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
-        if not seen:
-            cv2.circle(inset, at, radius, BLACK, -1, cv2.LINE_AA)
-        cv2.circle(inset, at, radius, colour, -1 if seen else 1, cv2.LINE_AA)
+        alarm = alarm_colour(float(result.ttc_s[row]), may_hit=result.may_hit(row))
+        is_observed = bool(result.tracks.observed[row])
+        cv2.circle(inset, centre, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
+        if not is_observed:
+            cv2.circle(inset, centre, radius, BLACK, -1, cv2.LINE_AA)
+        cv2.circle(inset, centre, radius, colour, -1 if is_observed else 1, cv2.LINE_AA)
         cv2.line(inset, bar[0], bar[1], colour, 1, cv2.LINE_AA)
 
     def _points(self, points_m: npt.ArrayLike, hw: tuple[int, int]) -> list[Point]:
-        """Pixels of x, z (N, 2) in the inset; those far outside are brought near it, since drawing takes 16 bits."""
+        """Pixels in the inset of (N, 2) points x, z in metres; clipped far outside, as drawing takes 16-bit pixels."""
         x_m, z_m = np.asarray(points_m, np.float64).T
         limit = 5.0 * max(hw)
         pixels = np.rint(np.clip(self.pixels(x_m, z_m, hw), -limit, limit)).astype(int)

@@ -1,9 +1,9 @@
-"""Where labels stand: beside their boxes, inside the image, and never on one another.
+"""Layout of labels: near their boxes, inside the image, and without overlap.
 
-Each label tries its places in order, near ones first; near boxes choose first, and what is taken stays taken. A place
-costs the area of boxes that it covers and its number in the list; the place a label had in the frame before costs
-less, so that labels do not jump. A label that finds no room, or would hide much of what lies behind, is cut short; one
-that finds none even so is left out.
+Labels are placed greedily in the given order. Each gets the free candidate position of the lowest cost: the area of
+boxes it covers, plus a term that grows along the list of candidates (near ones first), minus a bonus for the position
+in the previous frame, so that labels do not jump. A label without a free position, or at a high cost, is shortened; if
+that does not help either, it is omitted.
 """
 
 from __future__ import annotations
@@ -17,26 +17,25 @@ from track_range.foundation.arrays import BoolArray, FloatArray
 BESIDE = ((0, 0, 0, -1), (1, 0, -1, -1), (0, 1, 0, 0), (1, 1, -1, 0), (1, 0, 0, 0), (0, 0, -1, 0), (0, 0, 0, 0))
 AWAY = tuple((0, 0, across, -1 - up) for up in (0, 1, 2, 3, 4, -1, -2) for across in (0, 0.5, -0.5, 1, -1, 1.5, -1.5))
 PLACES = np.array(BESIDE + AWAY, np.float64).reshape(-1, 2, 2)
-"""(K, 2, 2) where a label may stand, best first: its upper left corner minus the box's, in box widths and heights,
-then label widths and heights: above the box, below, beside it, inside it, then away from it in growing steps."""
+"""(K, 2, 2) candidate positions of a label, best first: offset of its upper left corner from that of the box, as a
+multiple of the box size plus a multiple of the label size. First at the box and inside it, then farther away."""
 
 _STEP_COST = 0.01
-"""Of the label's own area: what one step down the list costs, beside the area of boxes covered."""
+"""Cost of each step along the list of candidates, as a fraction of the label's area."""
 
-_HABIT = 0.1
-"""Of the label's own area: how much better another place must be than the one of the frame before."""
+_PREVIOUS_BONUS = 0.1
+"""Bonus for the position in the previous frame, as a fraction of the label's area."""
 
-
-_HIDES = 0.3
-"""Of the label's own area: a full label that costs more is cut short if that helps."""
+_MAX_COST = 0.3
+"""Cost above which a full label is shortened if that reduces the cost, as a fraction of the label's area."""
 
 
 class LabelPlacer:
-    """Finds room for the labels of one video, frame by frame."""
+    """Places the labels of one video, frame by frame."""
 
     def __init__(self) -> None:
-        """Begin a video."""
-        self._habits: dict[tuple[int, int], int] = {}
+        """Create the layout of a new video."""
+        self._previous: dict[tuple[int, int], int] = {}
 
     def place(
         self,
@@ -44,56 +43,56 @@ class LabelPlacer:
         boxes: FloatArray,
         sizes_px: FloatArray,
         *,
-        taken: FloatArray,
+        occupied: FloatArray,
         image_px: tuple[int, int],
         urgent: Sequence[bool],
     ) -> list[tuple[int, FloatArray] | None]:
-        """Which size each label takes, and where (4,) it stands; None = nowhere.
+        """Size (0 = full, 1 = short) and rectangle (4,) of each label; None = no free position.
 
         Args:
-            ids: whose label it is; what comes first chooses first.
-            boxes: (N, 4) boxes, no NaN.
-            sizes_px: (2, N, 2) width and height of full labels, and of short ones.
-            taken: (M, 4) what is not free.
+            ids: track IDs of the labels, in the order of placement.
+            boxes: (N, 4) boxes of the tracks, without NaN.
+            sizes_px: (2, N, 2) width and height of the full and the short labels.
+            occupied: (M, 4) rectangles that labels must not cover.
             image_px: (W, H).
-            urgent: labels that are cut short only where they find no room.
+            urgent: (N,) whether a label is shortened only if the full one has no free position.
         """
-        habits, self._habits = self._habits, {}
-        found: list[tuple[int, FloatArray] | None] = []
-        full = _candidates(boxes, sizes_px[0], image_px, [habits.get((0, track_id)) for track_id in ids])
+        previous, self._previous = self._previous, {}
+        placements: list[tuple[int, FloatArray] | None] = []
+        full = _candidates(boxes, sizes_px[0], image_px, [previous.get((0, track_id)) for track_id in ids])
         for i, track_id in enumerate(ids):
-            tried = full[0][i], full[1][i]
-            size, number = 0, free_place(*tried, taken)
-            if number is None or (not urgent[i] and tried[1][number] > _HIDES * sizes_px[0, i].prod()):
-                habit = [habits.get((1, track_id))]
-                short = [part[0] for part in _candidates(boxes, sizes_px[1, i : i + 1], image_px, habit, row=i)]
-                other = free_place(short[0], short[1], taken)
-                if other is not None and (number is None or short[1][other] < tried[1][number]):
-                    size, number, tried = 1, other, (short[0], short[1])
+            places, costs = full[0][i], full[1][i]
+            size, number = 0, free_place(places, costs, occupied)
+            if number is None or (not urgent[i] and costs[number] > _MAX_COST * sizes_px[0, i].prod()):
+                last = [previous.get((1, track_id))]
+                short = [part[0] for part in _candidates(boxes, sizes_px[1, i : i + 1], image_px, last, row=i)]
+                short_number = free_place(short[0], short[1], occupied)
+                if short_number is not None and (number is None or short[1][short_number] < costs[number]):
+                    size, number, places = 1, short_number, short[0]
             if number is not None:
-                self._habits[size, track_id] = number
-                taken = np.vstack([taken, tried[0][number]])
-            found.append(None if number is None else (size, tried[0][number]))
-        return found
+                self._previous[size, track_id] = number
+                occupied = np.vstack([occupied, places[number]])
+            placements.append(None if number is None else (size, places[number]))
+        return placements
 
 
 def _candidates(
     boxes: FloatArray,
     size_px: FloatArray,
     image_px: tuple[int, int],
-    habits: list[int | None],
+    previous: list[int | None],
     *,
     row: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, K, 4) places and their (N, K) costs, of all boxes or of that in `row`; inf for what the image cannot hold."""
+    """(N, K, 4) candidate rectangles and (N, K) costs, for all boxes or that in `row`; inf if larger than the image."""
     places = label_places(boxes if row is None else boxes[row : row + 1], size_px, image_px)
-    costs = place_costs(places, boxes, habits)
+    costs = place_costs(places, boxes, previous)
     costs[(size_px > image_px).any(axis=1)] = np.inf
     return places, costs
 
 
 def label_places(boxes: FloatArray, size_px: FloatArray, image_px: tuple[int, int]) -> FloatArray:
-    """(N, K, 4) places for labels of (N, 2) widths and heights at (N, 4) boxes, best first, in an image (W, H)."""
+    """(N, K, 4) candidate rectangles of labels of size (N, 2) at (N, 4) boxes in an image (W, H), best first."""
     spans = np.stack([boxes[:, 2:] - boxes[:, :2], size_px], axis=1)
     corner = boxes[:, None, :2] + np.einsum("kij,nij->nkj", PLACES, spans)
     corner = np.clip(corner, 0.0, np.maximum(np.array(image_px) - size_px, 0.0)[:, None]).round()
@@ -101,31 +100,31 @@ def label_places(boxes: FloatArray, size_px: FloatArray, image_px: tuple[int, in
 
 
 def shared_areas(places: FloatArray, others: FloatArray) -> FloatArray:
-    """(..., K) area in px that each of (..., K, 4) boxes shares with (M, 4) others, summed over these."""
+    """(..., K) area in px^2 that each of (..., K, 4) rectangles shares with (M, 4) others, summed over these."""
     corners = places[..., None]
     width = np.minimum(corners[..., 2, :], others[:, 2]) - np.maximum(corners[..., 0, :], others[:, 0])
     height = np.minimum(corners[..., 3, :], others[:, 3]) - np.maximum(corners[..., 1, :], others[:, 1])
     return np.asarray(np.einsum("...m,...m->...", np.maximum(width, 0.0), np.maximum(height, 0.0)), np.float64)
 
 
-def place_costs(places: FloatArray, boxes: FloatArray, habits: list[int | None] | None = None) -> FloatArray:
-    """(N, K) what each of (N, K, 4) places costs; `habits`: the place that each label had before, None = it is new."""
+def place_costs(places: FloatArray, boxes: FloatArray, previous: list[int | None] | None = None) -> FloatArray:
+    """(N, K) costs in px^2 of (N, K, 4) candidates; `previous`: candidate of each label in the last frame, or None."""
     w, h = (places[:, 0, 2:] - places[:, 0, :2]).T
     costs = shared_areas(places, boxes) + np.outer(_STEP_COST * w * h, np.arange(places.shape[1]))
-    for row, habit in enumerate(habits or ()):
-        if habit is not None:
-            costs[row, habit] -= _HABIT * w[row] * h[row]
+    for row, number in enumerate(previous or ()):
+        if number is not None:
+            costs[row, number] -= _PREVIOUS_BONUS * w[row] * h[row]
     return costs
 
 
-def free_place(places: FloatArray, costs: FloatArray, taken: FloatArray) -> int | None:
-    """Which of (K, 4) places is the cheapest that covers no label in `taken`; None if all do, or cost inf."""
-    costs = np.where(covered(places, taken), np.inf, costs)
+def free_place(places: FloatArray, costs: FloatArray, occupied: FloatArray) -> int | None:
+    """Index of the cheapest of (K, 4) candidates that is free and has a finite cost; None if there is none."""
+    costs = np.where(covered(places, occupied), np.inf, costs)
     number = int(np.argmin(costs))
     return number if np.isfinite(costs[number]) else None
 
 
-def covered(places: FloatArray, taken: FloatArray) -> BoolArray:
-    """(K,) whether each of (K, 4) places shares any pixel with one of (M, 4) others."""
-    shares = (places[:, None, :2] < taken[:, 2:]) & (places[:, None, 2:] > taken[:, :2])
+def covered(places: FloatArray, occupied: FloatArray) -> BoolArray:
+    """(K,) whether each of (K, 4) rectangles overlaps one of (M, 4) others."""
+    shares = (places[:, None, :2] < occupied[:, 2:]) & (places[:, None, 2:] > occupied[:, :2])
     return np.asarray((shares[..., 0] & shares[..., 1]).any(axis=1))

@@ -1,9 +1,9 @@
-"""Text of the overlay: what a track's label and the corners say, and how text is drawn on its backing.
+"""Texts of the overlay: label of a track, and texts in the upper corners.
 
-+------------------------+   large the fused distance and its sigma, then class and id in the track's colour;
-| 22.4 m ±0.7   car 12   |   what each method says, by the letters of the registry;
-| M 23.1  S 22.4  G 22.0 |   when the gap shrinks: time to collision and closing speed, on a bar that fills as the
-|#TTC 3.6 s##closing 6.2 |   time runs out, amber or red; "passes in" and no bar for what is not on our way.
++------------------------+   fused distance (large) and its sigma, class and track ID in the colour of the track;
+| 22.4 m ±0.7   car 12   |   distance by each method, after its letter in the registry;
+| M 23.1  S 22.4  G 22.0 |   for a closing object time to collision and closing speed, on a bar that fills as the time
+|#TTC 3.6 s##closing 6.2 |   decreases, amber or red if urgent; "passes in" without a bar if it will pass beside.
 +------------------------+
 """
 
@@ -18,19 +18,19 @@ from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
 
 CLOSING_SHOWN_MPS = 0.5
-"""Slower closing is within the distance filter's noise on a standing gap."""
+"""Smallest closing speed that is shown, in m/s; slower ones are within the noise of the distance filter."""
 
 TTC_SHOWN_S = 30.0
-"""A longer time to collision warns of nothing; the closing speed alone is shown."""
+"""Longest time to collision that is shown, in seconds; beyond it only the closing speed is shown."""
 
 BAR_S = 8.0
-"""The bar of the time to collision is empty at this much, full at none."""
+"""Time to collision in seconds at which its bar is empty; at 0 s it is full."""
 
 LONGEST_NAME = 24
-"""Letters of a class's name that are shown."""
+"""Longest class name that is shown in full, in characters."""
 
 _LEAST_ASPECT = 0.75
-"""Height / width of an old television's picture."""
+"""Largest height / width of an image (4:3) up to which the text size follows the height."""
 
 BOLD, REGULAR = 700, 450
 """Font weights, 100..900."""
@@ -41,8 +41,12 @@ class Span:
     """A piece of text in one size and colour.
 
     Attributes:
-        fill: the colour of the bar behind the text; None = no bar.
-        filled: how much of the line's length that takes, 0..1.
+        text: the text.
+        size_px: font size in pixels.
+        weight: font weight, 100..900.
+        bgr: colour of the text.
+        fill: colour of the bar behind the line; None = no bar.
+        filled: length of the bar as a fraction of the line, 0..1.
     """
 
     text: str
@@ -58,41 +62,41 @@ Lines = Sequence[Line]
 
 
 def text_sizes_px(image_px: tuple[int, int]) -> tuple[int, int, int]:
-    """Large text, small text and stroke for an image (W, H): 15, 11, 2 at 374 rows; 26, 18, 3 at 1280 x 720.
+    """Large text, small text and stroke width in px for an image (W, H): 26, 18 and 3 at 1280 x 720.
 
-    An upright image has the text of one as wide that lies: labels are as wide there.
+    In images taller than 4:3 the sizes follow the width, which limits the width of labels.
     """
     height_px = min(image_px[1], _LEAST_ASPECT * image_px[0])
     return round(4 + 0.03 * height_px), max(11, round(3.5 + 0.02 * height_px)), max(1, round(1 + 0.0025 * height_px))
 
 
 def distance_text(distance_m: float) -> str:
-    """Metres with one decimal, from 100 m with none; "-" for NaN."""
+    """Distance in metres with one decimal, from 100 m on without; "-" for NaN."""
     if not math.isfinite(distance_m):
         return "-"
     return f"{distance_m:.0f}" if distance_m >= 99.95 else f"{distance_m:.1f}"
 
 
 def sigma_text(sigma_m: float) -> str:
-    """As a distance, but never ±0.0: below 0.1 m with two decimals."""
+    """Sigma in metres as a distance, but with two decimals below 0.1 m."""
     return f"{sigma_m:.2f}" if sigma_m < 0.095 else distance_text(sigma_m)
 
 
 def shown_name(name: str) -> str:
-    """A class's name on one line, and no longer than a label has room for."""
-    line = "".join(letter if letter.isprintable() else " " for letter in name)
+    """Class name on one line, shortened to `LONGEST_NAME` characters."""
+    line = "".join(character if character.isprintable() else " " for character in name)
     return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
 
 
 def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
-    """The fused distance and its sigma, else the filtered ones (a predicted box is not measured); NaN = unknown."""
+    """Fused or else filtered distance and its sigma in metres (predicted boxes are only filtered); NaN = unknown."""
     known = (result.ranges[name] for name in ("fused", "fused_kf") if name in result.ranges)
-    pairs = ((float(found.distance_m[row]), float(found.sigma_m[row])) for found in known)
+    pairs = ((float(ranges.distance_m[row]), float(ranges.sigma_m[row])) for ranges in known)
     return next((pair for pair in pairs if math.isfinite(pair[0])), (math.nan, math.nan))
 
 
 def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], sizes_px: tuple[int, int]) -> Lines:
-    """One to three lines for a track: fused distance and identity, the methods, the closing speed."""
+    """Label of a track in one to three lines: fused distance and identity, distances by method, closing speed."""
     large_px, small_px = sizes_px
     tracks, ranges = result.tracks, result.ranges
     identity = f"{shown_name(class_names[int(tracks.class_id[row])])} {int(tracks.track_id[row])}"
@@ -114,9 +118,9 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
 
 
 def closing_span(closing_mps: float, ttc_s: float, size_px: int, *, may_hit: bool = True) -> Span | None:
-    """Time to collision and closing speed on a bar, amber or red where urgent; None where the gap does not shrink.
+    """Time to collision and closing speed on a bar, amber or red if urgent; None for objects that do not close in.
 
-    What does not come at us has no bar: it passes.
+    Objects that will pass beside have no bar.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
@@ -130,7 +134,7 @@ def closing_span(closing_mps: float, ttc_s: float, size_px: int, *, may_hit: boo
 def corner_lines(
     result: FrameResult, size_px: int, *, status: Sequence[str] = (), warning: str = ""
 ) -> tuple[Lines, Lines]:
-    """What the two upper corners say: frame number and time, status, a warning; the legend of letters and strokes."""
+    """Texts of the upper left corner (frame number, time, status, warning) and of the upper right one (legend)."""
     clock = [Span(f"frame {result.frame.index}", size_px, BOLD, WHITE)]
     clock += [Span(text, size_px, REGULAR, WHITE) for text in (f"{result.frame.time_s:.2f} s", *status)]
     if warning:

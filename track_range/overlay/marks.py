@@ -1,4 +1,4 @@
-"""Marks on the picture itself: boxes, inner windows, leaders from labels to boxes, and the own lane's lines."""
+"""Drawing of boxes, inner windows, leader lines from labels to boxes, and the lines of the own lane."""
 
 from __future__ import annotations
 
@@ -12,20 +12,27 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.overlay.colours import BLACK, LANE_COLOUR, Bgr
 from track_range.stereo.matching.patches import inner_halves
 
-_DASH = 7  # line widths from dash to dash
+_DASH = 7
+"""Distance between the starts of dashes, in line widths."""
+
 _MIN_WINDOW_PX = 8
+"""Smallest side in pixels of an inner window that is drawn."""
+
 _CORNERS = np.array([(0, 1), (0, 3), (2, 1), (2, 3)])
-"""(4, 2) which of a window's left, top, right and bottom are each corner's x and y."""
+"""(4, 2) indices into (left, top, right, bottom) of the x and y of each corner of a window."""
 
 _ARMS = np.array([[(x, 0), (0, 0), (0, y)] for x in (1, -1) for y in (1, -1)], np.int32)
-"""(4, 3, 2) the stroke at each corner, in arm lengths inward: one end, the corner, the other end."""
+"""(4, 3, 2) polyline at each corner, in arm lengths inwards: one end, the corner, the other end."""
 
 _LANE_POINTS = 8
-_CORNER_SHARE = 0.2  # of an inner window's shorter side
+"""Points of the polyline of a lane line."""
+
+_CORNER_SHARE = 0.2
+"""Arm length of a corner as a fraction of the shorter side of the inner window."""
 
 
 def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: bool) -> None:
-    """Outline one box on a dark seam, dashed for a predicted one; parts outside the image are not drawn."""
+    """Draw the outline of a box with a dark border, dashed for a predicted box."""
     x1, y1, x2, y2 = np.rint(box).astype(int).tolist()
     if not dashed:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), BLACK, line_px + 2)
@@ -40,9 +47,9 @@ def draw_box(canvas: Image, box: FloatArray, *, bgr: Bgr, line_px: int, dashed: 
 
 
 def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr]) -> None:
-    """The four corners of the inner half of each box, where stereo looks; none on a box too small to see them."""
-    found = inner_halves(boxes, canvas.shape[:2], margin_px=0, min_side_px=_MIN_WINDOW_PX)
-    patches = [(patch, bgr) for patch, bgr in zip(found, colours, strict=True) if patch is not None]
+    """Draw the corners of the inner half of each box, which the patch matcher uses; small boxes are skipped."""
+    halves = inner_halves(boxes, canvas.shape[:2], margin_px=0, min_side_px=_MIN_WINDOW_PX)
+    patches = [(patch, bgr) for patch, bgr in zip(halves, colours, strict=True) if patch is not None]
     edges = np.array([(patch.left, patch.top, patch.right, patch.bottom) for patch, _ in patches], np.int32).reshape(
         -1, 4
     )
@@ -56,7 +63,7 @@ def draw_inner_windows(canvas: Image, boxes: FloatArray, colours: Sequence[Bgr])
 
 
 def draw_leader(canvas: Image, place: FloatArray, box: FloatArray, *, bgr: Bgr, line_px: int) -> None:
-    """A thinner line from a label to its box, where a gap lies between them."""
+    """Draw a thin line from a label to its box if there is a gap between them."""
     (left, top, right, bottom), (x1, y1, x2, y2) = place.tolist(), box.tolist()
     (start_x, end_x, gap_x), (start_y, end_y, gap_y) = _nearest(left, right, x1, x2), _nearest(top, bottom, y1, y2)
     if max(gap_x, gap_y) > 2:
@@ -66,9 +73,9 @@ def draw_leader(canvas: Image, place: FloatArray, box: FloatArray, *, bgr: Bgr, 
 
 
 def _nearest(low: float, high: float, other_low: float, other_high: float) -> tuple[int, int, float]:
-    """Where two spans of an axis are nearest, on the first and on the second, and the gap between, < 0 = they overlap.
+    """Nearest points of two intervals of an axis, and the gap between them (negative = overlap).
 
-    Overlapping spans take the same place: a leader is the shortest line.
+    Overlapping intervals share the point, so that a leader is the shortest line.
     """
     shared_low, shared_high = max(low, other_low), min(high, other_high)
     if shared_low <= shared_high:
@@ -78,7 +85,7 @@ def _nearest(low: float, high: float, other_low: float, other_high: float) -> tu
 
 
 def draw_lanes(canvas: Image, lanes: LaneLines, *, line_px: int) -> None:
-    """The own lane's lines, as far as they were seen."""
+    """Draw the lines of the own lane over the range in which they were detected."""
     size_px = np.array(canvas.shape[1::-1], np.float64)
     for line in (lanes.left, lanes.right):
         if line is None:

@@ -1,4 +1,4 @@
-"""Videos of a run in progress, overlay.mp4 and disparity.mp4: drawn and encoded in a thread of their own."""
+"""Videos of a run in progress (overlay.mp4, disparity.mp4), drawn and encoded in a separate thread."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from track_range.run.stage_clock import StageClock
 from track_range.video.writer import VideoWriter
 
 _QUANTIZER = 28
-"""To the eye as good as x264's crf 23; a frame of KITTI 0003 takes 2.7 ms and 57 kB in place of 3.3 ms and 72 kB."""
+"""Constant quantizer of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)."""
 
-_WRITE_BEHIND = 4  # frames that may wait to be drawn before the run waits for them
-
+_MAX_QUEUED = 4
+"""Most frames that may wait to be drawn; then `write` blocks."""
 
 Draw = Callable[[FrameResult], Image]
-"""A picture of a result, (H, W, 3) uint8 BGR; called from one thread."""
+"""Draws a result as (H, W, 3) uint8 BGR; called from one thread."""
 
 
 @dataclass(frozen=True, slots=True)
 class VideoFormat:
-    """Width and height, and nominal frame rate."""
+    """(Width, height) in pixels and nominal frame rate of a video."""
 
     size_px: tuple[int, int]
     fps: float
 
 
 class ResultVideo:
-    """Draws each result and writes it; an error while writing reaches the caller at a later frame."""
+    """Draws and encodes results in a thread; an error is raised in the caller at a later frame."""
 
     def __init__(self, path: Path, draw: Draw, *, form: VideoFormat, clock: StageClock) -> None:
-        """Begin the video; `clock` is told the time under "write".
+        """Create the video; its time is added to the stage "write" of `clock`.
 
         Raises:
-            VideoError: it cannot be written there.
+            VideoError: the file cannot be written.
         """
         width_px, height_px = form.size_px
         self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=form.fps, quantizer=_QUANTIZER)
@@ -62,9 +62,9 @@ class ResultVideo:
             self._writer.close()
 
     def write(self, result: FrameResult) -> None:
-        """Hand over one frame; waits only when several are waiting already."""
+        """Queue one frame; blocks only if `_MAX_QUEUED` frames are waiting."""
         self._waiting.append(self._thread.submit(self._draw, result))
-        if len(self._waiting) > _WRITE_BEHIND:
+        if len(self._waiting) > _MAX_QUEUED:
             self._waiting.popleft().result()
 
     def _draw(self, result: FrameResult) -> None:

@@ -1,1 +1,1 @@
-"""Result files of a run."""
+"""Results of a run: columns, tables in memory, and files."""

@@ -1,7 +1,7 @@
-"""The columns of a run's rows (one row per track and frame), each declared once: name, unit, decimals, source.
+"""Columns of the rows of a run (one row per track and frame): name, unit, decimals and source of each.
 
-tracks.csv, the table in memory, and every other format with rows are written from this declaration. The order of the
-first columns is a contract with the readers of tracks.csv; those of further ranging methods follow at the end.
+tracks.csv, the table in memory and all other formats with rows are written from this declaration. The order of the
+first columns is fixed for readers of tracks.csv; the columns of further ranging methods follow at the end.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ Columns = Mapping[str, npt.NDArray[Any]]
 """Rows by column: `class` as str, all others float64 with NaN = not measured."""
 
 NOT_METHODS = ("truth", "scored_truth", "x", "y")
-"""Columns NAME_m that are not the distance of a method."""
+"""Names NAME of columns NAME_m that are not the distance of a method."""
 
 ColumnKind = Literal["number", "whole", "flag", "class"]
 
 
 @dataclass(frozen=True, slots=True)
 class ResultColumn:
-    """One column.
+    """Declaration of a column.
 
     Attributes:
         name: heading.
-        unit: "" for none.
-        kind: of its values: number = float64, NaN = not measured; whole = int64; flag = bool; class = index of
+        unit: unit of the values; "" = none.
+        kind: type of the values: number = float64, NaN = not measured; whole = int64; flag = bool; class = index of
             `ROAD_CLASSES`, written as its name.
-        decimals: of a number, in files and in tables; values are rounded to them.
-        read: values (N,) of a frame's N tracks.
+        decimals: decimals of numbers, to which values are rounded in files and tables.
+        read: returns the (N,) values of the N tracks of a frame.
     """
 
     name: str
@@ -48,11 +48,11 @@ class ResultColumn:
     decimals: int = 3
 
     def rounded(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Values with the column's decimals, if it has any."""
+        """Numbers rounded to the decimals of the column; other values unchanged."""
         return np.round(values.astype(np.float64), self.decimals) if self.kind == "number" else values
 
     def text(self, result: FrameResult) -> list[str]:
-        """The values of a frame as tracks.csv has them; empty = not measured."""
+        """Values of a frame as text for tracks.csv; empty = not measured."""
         values = np.asarray(self.read(result)).tolist()
         if self.kind == "class":
             return [ROAD_CLASSES[class_id] for class_id in values]
@@ -95,29 +95,29 @@ def result_columns() -> tuple[ResultColumn, ...]:
 
 
 def column_names() -> list[str]:
-    """The header of tracks.csv."""
+    """Column names in the header of tracks.csv."""
     return [column.name for column in result_columns()]
 
 
 def methods_with_sigma() -> list[str]:
-    """Names of all distances that have a sigma (methods, "fused", filtered ones as NAME_kf), in the summary's order."""
+    """Names of all distances with a sigma (methods, "fused", filtered ones as NAME_kf), in the order of the summary."""
     names = [name.removesuffix("_sigma_m") for name in column_names() if name.endswith("_sigma_m")]
     return sorted(names, key=lambda name: name.endswith("_kf"))
 
 
 def methods_measured(columns: Columns) -> list[str]:
-    """Names of the methods that have at least one distance, in the columns' order."""
+    """Names of the distances with at least one value, in the order of the columns."""
     names = [name.removesuffix("_m") for name in columns if name.endswith("_m") and not name.endswith("_sigma_m")]
     return [name for name in names if name not in NOT_METHODS and bool(np.isfinite(columns[f"{name}_m"]).any())]
 
 
 def no_rows() -> dict[str, npt.NDArray[Any]]:
-    """The columns of a run that tracked nothing."""
+    """Columns of a run without tracks: zero rows."""
     return {name: np.zeros(0, np.str_ if name == "class" else np.float64) for name in column_names()}
 
 
 def _method_columns() -> Iterator[ResultColumn]:
-    """NAME_m and NAME_sigma_m of every ranging method, the same of its filter where it has one."""
+    """Columns NAME_m and NAME_sigma_m of every ranging method, and of its filter if it has one."""
     for method in methods():
         for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
             yield _distance(name)

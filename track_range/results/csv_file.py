@@ -16,7 +16,7 @@ from track_range.run.frame_result import FrameResult
 
 
 class CsvWriter:
-    """Writes tracks.csv; every finished frame is on the disk. An empty cell = not measured."""
+    """Writer of tracks.csv, flushed after every frame. An empty cell = not measured."""
 
     files = ("tracks.csv",)
 
@@ -38,12 +38,12 @@ class CsvWriter:
 
 
 def read_tracks_csv(path: Path) -> Columns:
-    """The columns of a tracks.csv: `class` as str, the others float64 with NaN for an empty cell.
+    """Columns of a tracks.csv: `class` as str, the others as float64 with NaN for an empty cell.
 
-    Rows with another number of cells than the header, such as the last one of a killed run, are left out.
+    Rows with a different number of cells than the header, such as the last one of a killed run, are skipped.
 
     Raises:
-        OutputError: the file is not there, or not a tracks.csv.
+        OutputError: the file cannot be read, or is not a tracks.csv.
     """
     import pyarrow as pa
     from pyarrow import ArrowException
@@ -53,7 +53,7 @@ def read_tracks_csv(path: Path) -> Columns:
         with path.open(encoding="utf-8", newline="") as file:
             header = next(csv.reader(file))
         if len(set(header)) < len(header):
-            raise ValueError("a column twice")
+            raise ValueError("duplicate column")
         table = arrow_csv.read_csv(
             pa.BufferReader(path.read_bytes()),
             read_options=arrow_csv.ReadOptions(use_threads=False),
@@ -63,7 +63,7 @@ def read_tracks_csv(path: Path) -> Columns:
             ),
         )
     except (OSError, ValueError, StopIteration, csv.Error, ArrowException) as error:
-        raise OutputError(f"{path}: not a readable tracks.csv.") from error
+        raise OutputError(f"{path}: cannot be read as the tracks.csv of a run.") from error
     columns = {name: table.column(name) for name in header}
     return {
         name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)

@@ -1,4 +1,4 @@
-"""RunFolder: the results of a run, read from its folder; files may be missing or damaged.
+"""RunFolder: results of a run read from its folder, where files may be missing or damaged.
 
 A killed run leaves settings.yaml and tracks.csv up to its last complete frame, but no summary.json. Coverage, errors
 and tracking metrics are then computed from the rows, with the ground truth if its file still exists.
@@ -23,7 +23,7 @@ from track_range.results.columns import Columns, column_names, methods_measured,
 from track_range.results.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
 from track_range.results.summary import range_scores, track_scores
-from track_range.results.summary_shape import fitting_summary
+from track_range.results.summary_shape import valid_summary
 from track_range.results.truth import MatchedTruth, matched_truth, with_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
@@ -32,25 +32,28 @@ from track_range.stereo.rig_formats.reading import left_from_reference_m
 Sections = Mapping[str, Any]
 
 _NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
-"""Columns that every row needs; a file of an earlier version may lack others."""
+"""Required columns; files of earlier versions may lack others."""
 
 _LARGEST = 2.0**53
-"""Whole numbers up to here are exact in float64."""
+"""Largest integer up to which all integers are exact in float64."""
 
 _MOST_NAMED = 5
+"""Most values of wrong types that a note names."""
+
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
+"""Settings that are inputs of a run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFolder:
-    """The results of a run.
+    """Results of a run.
 
     Attributes:
-        folder: of the results.
+        folder: folder of the results.
         summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
-        columns: tracks.csv by column, with `truth_m` and `scored_truth_m` where the ground truth could be read.
-        settings: the section `run` of settings.yaml; empty without that file.
-        missing: sentences on what could not be read.
+        columns: tracks.csv by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
+        settings: section `run` of settings.yaml; empty without that file.
+        missing: sentences on files that are missing or cannot be read.
     """
 
     folder: Path
@@ -64,15 +67,17 @@ def read_run_folder(folder: Path) -> RunFolder:
     """Read the files of a run.
 
     Raises:
-        OutputError: it is not the folder of a run, or its tracks.csv is another file.
+        OutputError: the folder does not contain a run, or its tracks.csv has other columns.
     """
     if not folder.is_dir():
-        raise OutputError(f"{folder}: no such folder; expected the folder of a run's results.")
+        raise OutputError(f"{folder}: expected the result folder of a run, found no such folder.")
     missing: list[str] = []
     summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
     columns = _columns_of(folder, missing)
     if summary is None and columns is None:
-        raise OutputError(f"{folder}: expected the folder of a run, found neither tracks.csv nor summary.json in it.")
+        raise OutputError(
+            f"{folder}: expected the result folder of a run, found neither tracks.csv nor summary.json in it."
+        )
     run = _section(settings, "run")
     rows = no_rows() if columns is None else columns
     truth = _truth_of(run, _section(settings, "found"), missing)
@@ -123,13 +128,14 @@ def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     return None
 
 
-def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | None:
-    """The ground truth of the run; None where there was none or it can no longer be read."""
+def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | None:
+    """Ground truth of the run; None if there was none or it can no longer be read."""
     if not run.get("truth"):
         return None
     try:
-        camera = _camera(found)
-        shift_m = left_from_reference_m(Path(found["rig"]), is_grey=False) if found.get("rig") else np.zeros(3)
+        camera = _camera(detected)
+        rig = detected.get("rig")
+        shift_m = left_from_reference_m(Path(rig), is_grey=False) if rig else np.zeros(3)
         return read_truth(Path(run["truth"]), camera, shift_m)
     except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
         reason = f"settings.yaml has no {error.args[0]}" if isinstance(error, KeyError) else error
@@ -137,19 +143,19 @@ def _truth_of(run: Sections, found: Sections, missing: list[str]) -> Truth | Non
         return None
 
 
-def _camera(found: Sections) -> PinholeCamera:
-    """The left camera of the run.
+def _camera(detected: Sections) -> PinholeCamera:
+    """Left camera of the run, from the section `found` of settings.yaml.
 
     Raises:
-        KeyError: settings.yaml does not hold it.
+        KeyError: the section lacks a property of the camera.
     """
-    (width_px, height_px), (cx_px, cy_px) = found["image_size_px"], found["principal_point_px"]
-    focal_px = float(found["focal_px"])
-    return PinholeCamera(focal_px, float(found.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
+    (width_px, height_px), (cx_px, cy_px) = detected["image_size_px"], detected["principal_point_px"]
+    focal_px = float(detected["focal_px"])
+    return PinholeCamera(focal_px, float(detected.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
 
 
 def _summary_from_rows(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
-    """The part of a summary that can be computed from the rows."""
+    """Sections of a summary that can be computed from the rows."""
     truth = None if matched is None else matched.truth
     frame = columns["frame"].astype(np.int64)
     first, last = (int(frame.min()), int(frame.max())) if len(frame) else (0, -1)
@@ -169,63 +175,66 @@ def _summary_from_rows(columns: Columns, matched: MatchedTruth | None, run: Sect
 
 
 def _checked_summary(folder: Path, summary: Sections, settings: Sections, missing: list[str]) -> dict[str, Any]:
-    """The summary with the camera and the settings from settings.yaml, without files that do not exist.
+    """Summary with the camera and the settings from settings.yaml, without files that do not exist.
 
-    Values of a wrong type are left out; what is missing goes to the notes.
+    Values of wrong types are omitted; missing files and omitted values are added to the notes.
     """
     files = _section(summary, "files")
-    lost = [name for name in files.values() if not (folder / str(name)).is_file()]
-    missing += [f"{name} is missing: it cannot be shown." for name in lost]
-    found = _section(settings, "found")
-    camera = {key: found[key] for key in ("focal_px", "baseline_m", "versions") if found.get(key) is not None}
+    absent = [name for name in files.values() if not (folder / str(name)).is_file()]
+    missing += [f"{name} is missing and cannot be shown." for name in absent]
+    detected = _section(settings, "found")
+    camera = {key: detected[key] for key in ("focal_px", "baseline_m", "versions") if detected.get(key) is not None}
     run = {key: value for key, value in _section(settings, "run").items() if value not in ([], {})}
     merged = {**camera, "settings": run, "starts_s": run.get("start_s", 0.0), **summary}
-    merged["files"] = {key: name for key, name in files.items() if name not in lost}
-    checked, misfits = fitting_summary(merged)
-    if misfits:
-        more = "" if len(misfits) <= _MOST_NAMED else f" and {len(misfits) - _MOST_NAMED} more"
+    merged["files"] = {key: name for key, name in files.items() if name not in absent}
+    checked, invalid = valid_summary(merged)
+    if invalid:
+        more = "" if len(invalid) <= _MOST_NAMED else f" and {len(invalid) - _MOST_NAMED} more"
         missing.append(
-            f"summary.json and settings.yaml have values of unexpected types, which are left out: "
-            f"{', '.join(misfits[:_MOST_NAMED])}{more}."
+            f"summary.json and settings.yaml contain values of unexpected types, which are ignored: "
+            f"{', '.join(invalid[:_MOST_NAMED])}{more}."
         )
     return {**checked, "notes": [*missing, *(checked.get("notes") or [])]}
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
-    """A tracks.csv by column, without damaged rows; a sentence with their number is added to `missing`.
+    """Columns of a tracks.csv without damaged rows; their number is added to `missing` as a sentence.
 
     Raises:
         OutputError: the file cannot be read, or is not a tracks.csv.
     """
     columns = read_tracks_csv(path)
     if not columns.keys() >= _NEEDED_COLUMNS:
-        raise OutputError(f"{path}: not a tracks.csv (no {', '.join(sorted(_NEEDED_COLUMNS - columns.keys()))}).")
-    whole = whole_rows(columns)
-    n_broken = int(np.sum(~whole))
-    if n_broken:
-        missing.append(f"{n_broken} of {len(whole)} rows of tracks.csv are damaged and left out.")
+        raise OutputError(
+            f"{path}: expected the tracks.csv of a run, but columns are missing: "
+            f"{', '.join(sorted(_NEEDED_COLUMNS - columns.keys()))}."
+        )
+    is_valid = valid_rows(columns)
+    n_invalid = int(np.sum(~is_valid))
+    if n_invalid:
+        missing.append(f"{n_invalid} of {len(is_valid)} rows of tracks.csv are damaged and ignored.")
     if _ends_within_a_row(path):
-        missing.append("tracks.csv ends in the middle of a row: later rows are lost.")
-    n_rows = int(np.sum(whole))
-    # Columns that an earlier version did not write are empty; not so sigmas, which mark the methods to be scored.
+        missing.append("tracks.csv ends in the middle of a row, so later rows are missing.")
+    n_rows = int(np.sum(is_valid))
+    # Columns that an earlier version did not write are empty, except sigmas, which mark the methods to be scored.
     empty = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
-    return empty | {name: values[whole] for name, values in columns.items()}
+    return empty | {name: values[is_valid] for name, values in columns.items()}
 
 
 def _ends_within_a_row(path: Path) -> bool:
     with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)  # it has a header at least
+        file.seek(-1, os.SEEK_END)  # the file contains at least a header
         return file.read() != b"\n"
 
 
-def whole_rows(columns: Columns) -> BoolArray:
-    """(N,) mask of rows with a frame, a time, an identity that is unique in the frame, and a box."""
+def valid_rows(columns: Columns) -> BoolArray:
+    """(N,) mask of rows with a frame number, a time, a track ID that is unique in the frame, and a box."""
     frame, track_id = columns["frame"], columns["track_id"]
     edges = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
-    whole: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
+    is_valid: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
     for number, lowest in ((frame, 0), (track_id, 1)):
-        whole &= (number >= lowest) & (number <= _LARGEST) & (number == np.floor(number))
-    rows = np.flatnonzero(whole)
+        is_valid &= (number >= lowest) & (number <= _LARGEST) & (number == np.floor(number))
+    rows = np.flatnonzero(is_valid)
     _, first = np.unique(np.stack([frame, track_id], axis=1)[rows], axis=0, return_index=True)
     is_first = np.zeros(len(frame), np.bool_)
     is_first[rows[first]] = True

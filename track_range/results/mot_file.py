@@ -12,7 +12,7 @@ from track_range.tracking.mot_format import mot_lines
 
 
 class MotWriter:
-    """Writes mot.txt; every finished frame is on the disk."""
+    """Writer of mot.txt, flushed after every frame."""
 
     files = ("mot.txt",)
 

@@ -1,4 +1,4 @@
-"""Files that a user asked for: written whole or not at all, with errors as one sentence; checks before the work."""
+"""Output files: atomic writing, checks before the work begins, and errors as one sentence."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from track_range.foundation.errors import UserError
 
 
 class OutputError(UserError):
-    """Results that cannot be written; the message says where and why."""
+    """Results cannot be written; the message names the file and the reason."""
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, in UTF-8 (see `foundation.atomic_files`).
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: the file cannot be written.
     """
     write_bytes(path, text.encode("utf-8"))
 
@@ -27,7 +27,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file atomically (see `foundation.atomic_files`).
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: the file cannot be written.
     """
     try:
         atomic_files.write_bytes(path, content)
@@ -36,10 +36,10 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder, with its parents, and make sure that files can be written there.
+    """Create a folder with its parents, and check that files can be written to it.
 
     Raises:
-        OutputError: it is a file, or cannot be created or written to.
+        OutputError: the path is a file, or the folder cannot be created or written to.
     """
     probe = folder / ".writable"
     try:
@@ -47,46 +47,50 @@ def make_folder(folder: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise OutputError(f"{folder}: no results can be written there ({describe(error)}).") from error
+        raise OutputError(
+            f"{folder}: results cannot be written to this folder ({describe(error)}); choose another one."
+        ) from error
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
-    """Refuse files that cannot be written before the work that they are to hold, not after it; folders are made.
+    """Check output files before the work begins, and create their folders.
 
     Raises:
-        OutputError: one is a folder, cannot be written, is named twice, or is among the inputs.
+        OutputError: a path is a folder, cannot be written, is given twice, or is an input.
     """
     read = {path.resolve() for path in inputs}
     for number, file in enumerate(outputs):
         if file.is_dir():
-            raise OutputError(f"{file}: it is a folder; name a file in it.")
+            raise OutputError(f"{file}: expected a file, found a folder; give the path of a file in it.")
         if file.resolve() in read:
-            raise OutputError(f"{file} is an input or a result and would be overwritten: choose another file.")
+            raise OutputError(f"{file}: this input or result would be overwritten; choose another file.")
         if file.resolve() in {other.resolve() for other in outputs[:number]}:
-            raise OutputError(f"{file} is to be written twice: choose another file for one of them.")
+            raise OutputError(f"{file}: given for two outputs; choose another file for one of them.")
         make_folder(file.parent)
 
 
-def clear_results(folder: Path, names: Sequence[str], *, keep: Iterable[Path]) -> None:
-    """Remove the files of an earlier run, so that all files in the folder are of one run; folders are left.
+def clear_results(folder: Path, names: Sequence[str], *, except_for: Iterable[Path]) -> None:
+    """Remove the files of an earlier run, so that all files in the folder are of one run; sub-folders remain.
 
     Args:
-        folder: of the results.
-        names: of the files to remove.
-        keep: inputs of this run.
+        folder: folder of the results.
+        names: names of the files to remove.
+        except_for: inputs of this run, which must not be removed.
 
     Raises:
         OutputError: one of the files is an input, or cannot be removed.
     """
-    inputs = {path.resolve() for path in keep}
+    inputs = {path.resolve() for path in except_for}
     for name in names:
         file = folder / name
         if file.resolve() in inputs:
-            raise OutputError(f"{file} is an input of this run and would be overwritten: choose another --out folder.")
+            raise OutputError(f"{file}: this input would be overwritten; choose another --out folder.")
     try:
         for name in names:
             if not (folder / name).is_dir():
                 (folder / name).unlink(missing_ok=True)
     except OSError as error:
         reason = describe(error)
-        raise OutputError(f"{folder}: an earlier run's files cannot be removed ({reason}).") from error
+        raise OutputError(
+            f"{folder}: files of an earlier run cannot be removed ({reason}); choose another --out folder."
+        ) from error

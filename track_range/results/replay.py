@@ -1,4 +1,4 @@
-"""Frame results made again from the rows of a run, without images, for writers that come after it."""
+"""Frame results reconstructed from the rows of a run, without images, for writing files after the run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterable[str]) -> Iterator[FrameResult]:
-    """One result per frame, also for frames without tracks (their time is NaN); numbers have the rows' decimals.
+    """One result per frame; frames without tracks have the time NaN, and numbers are rounded as in the rows.
 
     Args:
         columns: rows in the order of their frames, `RunTable.to_columns()`.

@@ -1,6 +1,6 @@
-"""summary.json: what a run measured, how well, and how fast.
+"""summary.json: coverage and errors of the methods, tracking metrics and run times.
 
-Figures without `_pct` are fractions 0..1, except the MOT metrics, which are per cent, and counts.
+Figures without `_pct` are fractions 0..1, except MOT metrics, which are in per cent, and counts.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 
 def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:
-    """The `methods` and `common` sections for the methods that ran; `closing` where the truth knows speeds."""
+    """Sections `methods` and `common` for the methods that ran; `closing` if the ground truth contains speeds."""
     known = [name for name in methods_with_sigma() if name in methods]
-    names = [*known, *sorted(set(methods) - set(known))]  # those of a package that is not installed here come last
+    names = [*known, *sorted(set(methods) - set(known))]  # methods of packages that are not installed here come last
     by_name = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names}
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
@@ -43,17 +43,17 @@ def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collec
     is_road_class = labelled & (truth.class_id[row] >= 0)
     kitti_type = np.where(labelled, truth.kitti_type[row], "")
     own, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
-    in_span = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
+    in_range = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
     closing = score_closing(
-        columns["closing_mps"], columns["closing_sigma_mps"], np.where(in_span, truth.closing_mps[row], np.nan)
+        columns["closing_mps"], columns["closing_sigma_mps"], np.where(in_range, truth.closing_mps[row], np.nan)
     )
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
-    """The `tracks` section: the number of tracks and, with ground truth, the MOT metrics over its classes.
+    """Section `tracks`: the number of tracks and, with ground truth, the MOT metrics over its classes.
 
-    As in KITTI's benchmark, labels under 25 px high are ignored, and so are tracks under 25 px that match none.
+    As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks less than 25 px high.
     """
     track_id = columns["track_id"].astype(np.int64)
     counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
@@ -82,15 +82,15 @@ def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dic
 
 
 def _json_number(value: float) -> float | None:
-    """The value for JSON: null for NaN, which is a ratio without a denominator."""
+    """Value for JSON; None for NaN (a ratio with denominator 0)."""
     return None if np.isnan(value) else round(value, 4)
 
 
 def stage_times_ms(busy_s: Mapping[str, float], n_frames: int) -> dict[str, float]:
-    """Milliseconds per frame of each stage."""
+    """Run time of each stage in ms per frame."""
     return {name: round(1e3 * seconds / max(n_frames, 1), 3) for name, seconds in busy_s.items()}
 
 
 def write_summary(path: Path, summary: Mapping[str, Any]) -> None:
-    """Write summary.json, whole or not at all; NaN is not JSON and may not be in it."""
+    """Write summary.json atomically; raises ValueError for NaN, which is not valid JSON."""
     write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")

@@ -1,6 +1,6 @@
-"""What a summary.json holds, for reading one that was damaged, edited, or written by another version.
+"""Schema of summary.json, for reading files that were damaged, edited, or written by another version.
 
-Values of another type are left out, and the rest is kept; keys that are not listed here may hold anything.
+Values of wrong types are omitted, and the rest is used; keys that are not listed here may have any value.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
-"""No figure of a run is larger; null = unknown."""
+"""Finite number, or null = unknown; the limits are larger than any figure of a run."""
 Text = Annotated[str, Field(strict=True)] | None
 
 
@@ -20,7 +20,7 @@ class _Section(BaseModel):
 
 
 class _Figures(_Section):
-    """A section whose further keys are figures too."""
+    """Section in which all other keys are figures too."""
 
     __pydantic_extra__: dict[str, Figure]
 
@@ -75,27 +75,27 @@ class _Summary(_Section):
     notes: list[Text] = []
 
 
-def fitting_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The part of a summary whose values have the right types, and the dotted names of those that were left out."""
-    kept, misfits = _copied(summary), list[str]()
+def valid_summary(summary: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Part of a summary with values of the right types, and the dotted names of the omitted values."""
+    valid, invalid = _copied(summary), list[str]()
     while True:
         try:
-            _Summary.model_validate(kept)
+            _Summary.model_validate(valid)
         except ValidationError as error:
-            # Without a key that it needs, a section as a whole is left out.
+            # A section without a required key is omitted as a whole.
             places = {e["loc"][:-1] if e["type"] == "missing" else e["loc"] for e in error.errors()}
             ordered = sorted(
                 places, key=lambda place: [(-1, part) if isinstance(part, str) else (part, "") for part in place]
             )
-            misfits += [".".join(str(part) for part in place) for place in ordered]
+            invalid += [".".join(str(part) for part in place) for place in ordered]
             for place in reversed(ordered):  # the last item of a list first
-                _remove(kept, place)
+                _remove(valid, place)
         else:
-            return kept, misfits
+            return valid, invalid
 
 
 def _copied(value: Any) -> Any:
-    """The value with mappings and lists that can be changed; keys are strings."""
+    """Deep copy with mutable mappings and lists; keys are strings."""
     if isinstance(value, Mapping):
         return {str(key): _copied(part) for key, part in value.items()}
     return [_copied(part) for part in value] if isinstance(value, list) else value

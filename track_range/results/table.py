@@ -1,9 +1,9 @@
-"""RunTable: the rows of a run as columns in Apache Arrow's format, collected while the run goes on.
+"""RunTable: rows of a run in Apache Arrow's columnar format, collected during the run.
 
 frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> pyarrow.Table, memory-mapped
 
-Only the buffer is held in memory, so that memory stays flat over hours; a run with fewer rows than one batch writes
-nothing. The file is deleted with the `RunTable`.
+Only the buffer is held in memory, so that memory use does not grow over hours; a run with fewer rows than one batch
+writes no file. The file is deleted with the `RunTable`.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_PER_BATCH = 8192
-"""A few MB: rows of about a minute."""
+"""Rows per batch, a few MB: about a minute of video."""
 
 
 class RunTable:
-    """The rows of a run, one per track and frame; also a context manager.
+    """Rows of a run, one per track and frame; also a context manager.
 
     Args:
-        rows_per_batch: rows that are held in memory before they are written to the disk.
+        rows_per_batch: number of rows that are held in memory before they are written to disk.
     """
 
     def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:
@@ -69,9 +69,9 @@ class RunTable:
             self._buffer, self._n_buffered = [], 0
 
     def to_arrow(self) -> pa.Table:
-        """The rows so far as a `pyarrow.Table`, mapped from the temporary file where there is one.
+        """Rows so far as a `pyarrow.Table`, memory-mapped from the temporary file if there is one.
 
-        Null = not measured; `class` is a dictionary of names; the metadata of a field has its unit.
+        Null = not measured; `class` is a dictionary column of names; the metadata of a field contains its unit.
         """
         import pyarrow as pa
 
@@ -79,7 +79,7 @@ class RunTable:
         return pa.Table.from_batches([*stored, self._buffered()])
 
     def to_pandas(self) -> Any:
-        """The rows so far as a `pandas.DataFrame`.
+        """Rows so far as a `pandas.DataFrame`.
 
         Raises:
             ImportError: pandas is not installed.
@@ -87,12 +87,12 @@ class RunTable:
         return self.to_arrow().to_pandas()
 
     def to_columns(self) -> dict[str, npt.NDArray[Any]]:
-        """The rows so far as `track_range.results.columns.Columns`, equal to those that are read from tracks.csv."""
+        """Rows so far as `track_range.results.columns.Columns`, equal to those read from tracks.csv."""
         table = self.to_arrow()
         return {column.name: _as_numpy(table.column(column.name), column) for column in self.columns}
 
     def close(self) -> None:
-        """Delete the temporary file; tables that were made from it stay valid."""
+        """Delete the temporary file; tables made from it remain valid."""
         self._buffer, self._n_buffered = [], 0
         if self._file is not None:
             self._file.close()
@@ -131,10 +131,10 @@ def _as_numpy(values: pa.ChunkedArray, column: ResultColumn) -> npt.NDArray[Any]
 
 
 class _BatchFile:
-    """Record batches in a file of a temporary folder, readable while it grows.
+    """File of record batches in a temporary folder, readable while it grows.
 
     Raises:
-        OutputError: it cannot be created.
+        OutputError: the file cannot be created.
     """
 
     def __init__(self, schema: pa.Schema) -> None:
@@ -142,7 +142,9 @@ class _BatchFile:
 
         try:
             folder = tempfile.mkdtemp(prefix="track-range-")
-            self._remove = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)  # also when it is dropped
+            self._remove = weakref.finalize(
+                self, shutil.rmtree, folder, ignore_errors=True
+            )  # also when garbage-collected
             self._path = Path(folder) / "rows.arrows"
             self._file = pa.OSFile(str(self._path), "wb")
             self._writer = pa.ipc.new_stream(self._file, schema)
@@ -153,7 +155,7 @@ class _BatchFile:
         """Add a batch.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: the batch cannot be written.
         """
         try:
             self._writer.write_batch(batch)
@@ -161,7 +163,7 @@ class _BatchFile:
             raise _not_stored(self._path, error) from error
 
     def batches(self) -> list[pa.RecordBatch]:
-        """All batches, mapped into memory."""
+        """All batches, memory-mapped."""
         import pyarrow as pa
 
         with pa.ipc.open_stream(pa.memory_map(str(self._path))) as reader:

@@ -1,4 +1,4 @@
-"""The ground truth of a run's rows, matched once for the summary, the tables and the report."""
+"""Ground truth matched to the rows of a run, for the summary, the tables and the report."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from track_range.results.columns import Columns
 
 @dataclass(frozen=True, slots=True)
 class MatchedTruth:
-    """The truth of each of N rows (a track in a frame).
+    """Ground truth of N rows (a track in a frame each).
 
     Attributes:
         truth: the labels.
-        row: (N,) row of `truth` that matches; -1 = none.
-        distance_m: (N,) its true distance; NaN = none.
+        row: (N,) index of the matching label in `truth`; -1 = no match.
+        distance_m: (N,) true distance of the matching label in metres; NaN = no match.
     """
 
     truth: Truth
@@ -29,16 +29,16 @@ class MatchedTruth:
 
 
 def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
-    """The rows of a run matched to the truth."""
+    """Ground truth matched to the rows of a run by frame and box overlap."""
     row = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
     distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
     return MatchedTruth(truth, row, distance_m)
 
 
 def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
-    """The columns with `truth_m` of each row, and `scored_truth_m`, without vans, trams and what is too near or far.
+    """Columns with `truth_m`, the true distance, and `scored_truth_m`, only of objects that count for the errors.
 
-    NaN = no label matches the row, or it is not scored.
+    Not scored are other classes (such as vans and trams) and distances out of range. NaN = no match, or not scored.
     """
     truth, row, truth_m = matched.truth, matched.row, matched.distance_m
     is_road_class = (row >= 0) & (truth.class_id[row] >= 0) if len(truth) else np.zeros(len(row), np.bool_)
@@ -47,5 +47,5 @@ def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
 
 
 def boxes_px(columns: Columns) -> FloatArray:
-    """(N, 4) boxes x1, y1, x2, y2."""
+    """(N, 4) boxes x1, y1, x2, y2 in pixels."""
     return np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)

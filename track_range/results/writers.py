@@ -1,7 +1,7 @@
-"""Writers of results: one class per format, chosen by name (`--write csv,mot`).
+"""Result writers: one class per format, chosen by name (`--write csv,mot`).
 
-A writer is one file with a class as `ResultWriter` describes it and one registration: a line in `_registered`,
-an entry point of the group `track_range.result_writers` in another package, or a call of `register_writer`.
+A writer is a class that implements `ResultWriter`, registered by a line in `_registered`, by an entry point of the
+group `track_range.result_writers` in another package, or by a call of `register_writer`.
 """
 
 from __future__ import annotations
@@ -25,26 +25,28 @@ if TYPE_CHECKING:
     from track_range.stereo.geometry.rig import StereoRig
 
 ENTRY_POINT_GROUP = "track_range.result_writers"
+"""Group of the entry points of writers in other packages."""
 
 DEFAULT_WRITERS = ("csv", "mot")
+"""Writers of a run without `--write`."""
 
 _RUN_FILES = ("summary.json", "settings.yaml", "overlay.mp4", "disparity.mp4", "report.html")
-"""Files that a run itself writes."""
+"""Files that a run writes besides those of its writers."""
 
 
 class WriterError(UserError):
-    """No such writer, a class that is none, or files that cannot be a writer's."""
+    """There is no such writer, or it cannot be used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunInfo:
-    """What is known of a run before its first frame.
+    """Properties of a run that are known before its first frame.
 
     Attributes:
-        camera: the left camera, rectified (one camera: undistorted).
-        rig: the rectified pair; None = one camera, or an uncalibrated pair.
-        fps: nominal frames per second.
-        settings: the section `run` of settings.yaml.
+        camera: left camera, rectified (one camera: undistorted).
+        rig: rectified stereo rig; None = one camera, or an uncalibrated pair.
+        fps: nominal frame rate.
+        settings: section `run` of settings.yaml.
     """
 
     camera: PinholeCamera
@@ -54,20 +56,20 @@ class RunInfo:
 
 
 class ResultWriter(Protocol):
-    """One format of results; made without arguments, used for one run.
+    """Writer of one format; created without arguments, used for one run.
 
-    The calls are one `open`, a `write` per frame, one `close`. An OSError becomes a sentence that names the file. What
-    has been written when the program is killed should be readable: flush after each frame where the format allows it.
+    `open` is called once, `write` for each frame, `close` once. An OSError is reported with the names of the files.
+    Files should be readable after the program is killed: flush after each frame if the format allows it.
 
     Attributes:
-        files: plain names of the files and folders that it writes in the folder of the results; no other writer of the
-            run and not the run itself may write one of them. The next run into the folder removes these files.
+        files: names, without folder, of the files that it writes to the output folder; they must differ from the files
+            of the run and of its other writers. The next run into the folder removes them.
     """
 
     files: tuple[str, ...]
 
     def open(self, info: RunInfo, folder: Path) -> None:
-        """Create the files in the folder of the results, which exists."""
+        """Create the files in the existing output folder."""
         ...
 
     def write(self, result: FrameResult) -> None:
@@ -75,41 +77,41 @@ class ResultWriter(Protocol):
         ...
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
-        """Finish the files; `summary` is what summary.json holds, None where the run ended before that."""
+        """Finish the files; `summary` is the content of summary.json, None if the run ended before it."""
         ...
 
 
 WriterFactory = Callable[[], ResultWriter]
-"""Makes a writer; a class."""
+"""Function without arguments that returns a writer, usually its class."""
 
 _registered: dict[str, WriterFactory | str] = {
     "csv": "track_range.results.csv_file:CsvWriter",
     "mot": "track_range.results.mot_file:MotWriter",
 }
-"""Writers by name; a string "package.module:Class" is imported when it is used."""
+"""Writers by name; a string "package.module:Class" is imported on first use."""
 
 
 def register_writer(name: str, factory: WriterFactory | str) -> None:
-    """Add a writer, for this process.
+    """Register a writer for this process.
 
     Args:
-        name: for `--write`.
-        factory: the class, or "package.module:Class", which is imported when it is used.
+        name: name for `--write`.
+        factory: class of the writer, or "package.module:Class", which is imported on first use.
 
     Raises:
-        WriterError: another writer has this name.
+        WriterError: the name is in use.
     """
     if name in writer_names():
-        raise WriterError(f"the name of the writer '{name}' is in use.")
+        raise WriterError(f"the name '{name}' is already used by another writer; choose another name.")
     _registered[name] = factory
 
 
 @contextmanager
 def registered_writer(name: str, factory: WriterFactory | str) -> Iterator[None]:
-    """A writer that is registered inside of the with-block only.
+    """Context in which a writer is registered.
 
     Raises:
-        WriterError: as `register_writer`.
+        WriterError: the name is in use.
     """
     register_writer(name, factory)
     try:
@@ -119,15 +121,15 @@ def registered_writer(name: str, factory: WriterFactory | str) -> Iterator[None]
 
 
 def writer_names() -> tuple[str, ...]:
-    """Names that `--write` accepts: registered writers first, then those of entry points."""
+    """Names that `--write` accepts: registered writers, then those of entry points."""
     return tuple(dict.fromkeys([*_registered, *sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))]))
 
 
 def create_writer(name: str) -> ResultWriter:
-    """A new writer.
+    """New writer of the given name.
 
     Raises:
-        WriterError: there is none of that name, it cannot be imported, or it is no `ResultWriter`.
+        WriterError: there is no writer of that name, it cannot be imported, or it does not implement `ResultWriter`.
     """
     points = [point.value for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
     factory = _registered.get(name, points[0] if points else None)
@@ -135,7 +137,7 @@ def create_writer(name: str) -> ResultWriter:
         raise WriterError(f"unknown format '{name}': expected {', '.join(writer_names())}.")
     try:
         writer = (_imported(factory) if isinstance(factory, str) else factory)()
-    except Exception as error:  # whatever another package's module raises: runs without this writer go on
+    except Exception as error:  # other packages may raise anything; runs without this writer are not affected
         reason = f"{type(error).__name__}: {error}"
         raise WriterError(f"the writer '{name}' ({factory}) cannot be used: {reason}.") from error
     _check_writer(name, writer)
@@ -143,24 +145,24 @@ def create_writer(name: str) -> ResultWriter:
 
 
 def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
-    """New writers of one run, in this order; a name that is given twice counts once.
+    """New writers for a run, in this order; duplicate names are ignored.
 
     Raises:
-        WriterError: as `create_writer`, or two of them write one file.
+        WriterError: a writer cannot be created, or two writers write the same file.
     """
     writers = {name: create_writer(name) for name in dict.fromkeys(names)}
     writer_of: dict[str, str] = {}
     for name, writer in writers.items():
         for file in writer.files:
             if (other := writer_of.setdefault(file.casefold(), name)) != name:
-                raise WriterError(f"the writers '{other}' and '{name}' both write {file}: choose one of them.")
+                raise WriterError(f"the writers '{other}' and '{name}' both write {file}; choose one of them.")
     return tuple(writers.values())
 
 
 def result_names() -> tuple[str, ...]:
-    """Names of all files that a run may leave in its folder, whatever writers it uses.
+    """Names of all files that a run may write to its folder, with any writers.
 
-    Writers that cannot be used are left out: they are errors of the runs that choose them.
+    Writers that cannot be used are skipped; they are reported by runs that choose them.
     """
     names: list[str] = []
     for name in writer_names():
@@ -176,10 +178,10 @@ def _imported(path: str) -> WriterFactory:
 
 
 def _check_writer(name: str, writer: Any) -> None:
-    """Refuse an object that is no `ResultWriter`, and files outside of the folder or of the run itself.
+    """Check that an object implements `ResultWriter`, and that its files are in the folder and not files of the run.
 
     Raises:
-        WriterError: it cannot be used.
+        WriterError: the writer cannot be used.
     """
     for method in ("open", "write", "close"):
         if not callable(getattr(writer, method, None)):
@@ -188,25 +190,28 @@ def _check_writer(name: str, writer: Any) -> None:
     if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
         raise WriterError(f"the writer '{name}': expected `files`, a tuple of file names, got {files!r}.")
     for file in files:
-        # PureWindowsPath knows the separators of all systems, and drives
+        # PureWindowsPath recognises drives and the separators of all systems
         if file in ("", ".", "..") or PureWindowsPath(file).name != file or not file.isprintable():
-            raise WriterError(f"the writer '{name}': expected plain file names without a folder, got {file!r}.")
+            raise WriterError(f"the writer '{name}': expected file names without a folder, got {file!r}.")
         if file.casefold() in _RUN_FILES:
-            raise WriterError(f"the writer '{name}': expected files of its own, but the run itself writes {file}.")
+            raise WriterError(f"the writer '{name}': expected names that the run does not use, got {file}.")
     if len({file.casefold() for file in files}) < len(files):
         raise WriterError(f"the writer '{name}': expected each file once, got {', '.join(files)}.")
 
 
 class OpenWriters:
-    """The writers of a run in progress; a context manager that closes those that `close` did not.
+    """Writers of a run in progress; a context manager that closes those that `close` did not.
 
     Args:
-        names: of writers; one that is given twice counts once.
-        info: of the run.
-        folder: of the results.
+        names: names of the writers; duplicates are ignored.
+        info: properties of the run.
+        folder: output folder.
+
+    Attributes:
+        files: names of all files of the writers.
 
     Raises:
-        WriterError: there is no writer of a name, it cannot be used, or two of them write one file.
+        WriterError: a writer cannot be used, or two writers write the same file.
         OutputError: a file cannot be created.
     """
 
@@ -235,7 +240,7 @@ class OpenWriters:
         """Add one frame to all files.
 
         Raises:
-            OutputError: a file cannot be written, the disk is full, say; the message names the file.
+            OutputError: a file cannot be written; the message names the file.
         """
         for writer in self._open:
             with self._errors_of(writer, "writing failed"):
@@ -245,7 +250,7 @@ class OpenWriters:
         """Finish all files; a second call does nothing.
 
         Raises:
-            OutputError: a file cannot be finished, unless `write` has raised for this one already.
+            OutputError: a file cannot be finished, unless `write` has already raised for it.
         """
         failures: list[OutputError] = []
         while self._open:
@@ -260,10 +265,10 @@ class OpenWriters:
             raise failures[0]
 
     @contextmanager
-    def _errors_of(self, writer: ResultWriter, what: str) -> Iterator[None]:
+    def _errors_of(self, writer: ResultWriter, problem: str) -> Iterator[None]:
         try:
             yield
         except OSError as error:
             self._failed = writer
             files = ", ".join(str(self._folder / file) for file in writer.files)
-            raise OutputError(f"{files}: {what} ({describe(error)}).") from error
+            raise OutputError(f"{files}: {problem} ({describe(error)}).") from error

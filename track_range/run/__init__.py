@@ -1,1 +1,1 @@
-"""A run: settings, pipeline and session."""
+"""A run: settings, pipeline, session and output folder."""

@@ -1,4 +1,4 @@
-"""Where the boxes of a run come from: a detector network, or a file of the user's own."""
+"""Source of the boxes of a run: a detector network, a detector object, or a file of recorded detections."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from track_range.stereo.geometry.frames import Frame
 
 @dataclass(frozen=True, slots=True)
 class BoxSource:
-    """The first stage of a run.
+    """Detection stage of a run.
 
     Attributes:
-        detect: boxes of a frame.
-        frames: (M,) frame numbers that a file of boxes has boxes for; empty for a detector.
-        found: what settings.yaml should say of it.
-        notes: sentences for the user, on what it is and, later, on what it did.
+        detect: returns the boxes of a frame.
+        frames: (M,) frame numbers with recorded boxes; empty for a detector.
+        description: properties for the section `found` of settings.yaml.
+        notes: returns the sentences for the user so far.
     """
 
     detect: Callable[[Frame], Detections]
     frames: IntArray
-    found: dict[str, Any]
+    description: dict[str, Any]
     notes: Callable[[], tuple[str, ...]]
 
 
@@ -41,73 +41,61 @@ def open_box_source(
     rectified_boxes: Callable[[FloatArray], FloatArray],
     ready_model: Callable[[str], Path],
 ) -> BoxSource:
-    """The detector or the file that the settings name; boxes of a file are taken to the frames' rectified pixels.
+    """The detector or the recorded detections of the settings.
 
-    `ready_model` finds the file that the detector's word means.
+    Args:
+        settings: of the run.
+        rectified_boxes: converts (N, 4) boxes of the recorded images to rectified pixels.
+        ready_model: returns the file of a model by name or path, downloading it first if necessary.
 
     Raises:
-        ModelError, DownloadError, LabelFileError: it cannot be used.
+        ModelError, DownloadError, LabelFileError: the detector or the file cannot be used.
         ClassNameError: a class in the settings is unknown.
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
         return _recorded(settings.detections, class_id, rectified_boxes)
     path = ready_model(settings.detector or "")
-    network = open_detector(path, detector_options(settings))
+    network = open_detector(path, DetectorOptions.of(settings))
     detector: Detector = network
     session = network.session
-    found = {
+    description = {
         "file": path.name,
         "sha256": session.sha256(),
         "family": network.model.family,
         "names": list(network.model.names),
         "device": session.device,
     }
-    nothing = np.zeros(0, np.int64)
     return BoxSource(
         detect=lambda frame: detector.detect(frame.left),
-        frames=nothing,
-        found={"detector": found},
+        frames=np.zeros(0, np.int64),
+        description={"detector": description},
         notes=lambda: network.notes,
     )
 
 
 def boxes_of(detector: Detector) -> BoxSource:
-    """Boxes of a detector of the user's own, an object with `detect(image)`.
+    """Source of the boxes of a detector object with `detect(image)`.
 
-    `BoxSource.detect` raises DetectorError where that returns no `Detections`.
+    Its `detect` raises DetectorError if the object does not return `Detections`.
     """
     return BoxSource(
         detect=lambda frame: checked_detections(detector, detector.detect(frame.left)),
         frames=np.zeros(0, np.int64),
-        found={"detector": {"class": f"{type(detector).__module__}:{type(detector).__qualname__}"}},
+        description={"detector": {"class": f"{type(detector).__module__}:{type(detector).__qualname__}"}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
     )
 
 
-def detector_options(settings: RunSettings) -> DetectorOptions:
-    """What a run's settings say of its detector."""
-    return DetectorOptions(
-        names=settings.names,
-        anchors=settings.anchors,
-        letterbox=settings.letterbox,
-        min_score=settings.min_score,
-        size_px=settings.size_px,
-        threads=settings.threads,
-        device=settings.device,
-        classes=settings.classes,
-    )
-
-
 def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
-    # MOTChallenge files name no class: a single --classes names it, else they are people, as MOTChallenge's are
+    # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
     recorded = read_detections(path, unnamed_class_id=class_id[0] if len(class_id) == 1 else 0)
     if not recorded.is_rectified:
         boxes = recorded.detections
         recorded = replace(recorded, detections=replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px)))
 
     def detect(frame: Frame) -> Detections:
-        found = recorded.at(frame.index)
-        return found.select(np.isin(found.class_id, class_id)) if class_id else found
+        detections = recorded.at(frame.index)
+        return detections.select(np.isin(detections.class_id, class_id)) if class_id else detections
 
     return BoxSource(detect, np.unique(recorded.frame), {"detections": path.name}, lambda: recorded.notes)

@@ -1,4 +1,4 @@
-"""Puts the pipeline of a run together from its settings and its source."""
+"""Opens the recording of a run and builds its pipeline from the settings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
-from track_range.results.writers import create_writers
 from track_range.run.box_source import BoxSource
 from track_range.run.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
@@ -23,7 +22,7 @@ from track_range.video.uncalibrated import ASSUMED_BASELINE_M
 
 
 def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> Recording:
-    """The recording that the settings name; errors as of `open_recording`."""
+    """The recording of the settings; raises the errors of `open_recording`."""
     left, right = settings.stereo or (settings.left, None)
     return open_recording(
         left,
@@ -46,23 +45,21 @@ def open_pipeline(
     *,
     tracker: Tracker | None = None,
 ) -> Pipeline:
-    """The pipeline that the settings ask for and the source allows.
+    """The pipeline of the settings, with the methods that the source allows.
 
     Args:
         settings: of the run.
         source: the opened recording.
-        boxes: where detections come from.
-        size_model: sizes of road users, for monocular distances.
-        tracker: in place of the settings' tracker.
+        boxes: source of the detections.
+        size_model: size model of the mono method.
+        tracker: replaces the tracker of the settings.
 
     Raises:
-        ModelError: the network for appearance or for lanes cannot be used.
-        TrackerError: the tracker cannot be made.
-        EgoSpeedError: the ego speed cannot be used.
-        MethodError: ranging methods of other packages read each other in a circle.
-        WriterError: one of the result writers cannot be used.
+        ModelError: the re-identification or lane network cannot be used.
+        TrackerError: the tracker cannot be created.
+        EgoSpeedError: the ego speed cannot be read.
+        MethodError: ranging methods of other packages depend on each other in a cycle.
     """
-    create_writers(settings.write)  # an error before the results of an earlier run are removed
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
     pair = source.calibration.uncalibrated
     context = MethodContext(

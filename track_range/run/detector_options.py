@@ -1,10 +1,11 @@
-"""What the command line says of a detector: names, thresholds, and the words that mean a model."""
+"""Options of a detector as the command line takes them: class names, confidence thresholds, device."""
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 from track_range.detection.classes import road_class_ids
 from track_range.detection.models.lookup import models_folder
@@ -16,16 +17,17 @@ from track_range.foundation.errors import ConfigError, UsageError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorOptions:
-    """Options that every command with a detector takes; None = not given.
+    """Options of a detector; None = not given.
 
     Attributes:
-        names: class names of the network, `a,b,c` or a file with one per line.
-        anchors, letterbox: see `detection.models.metadata`.
-        min_score: `0.25`, or `0.1,car=0.3,person=0.2` where classes have thresholds of their own.
-        size_px: longer side of the network's input where the model leaves it open; None = the model's own.
-        threads: of the network; 0 = one per core.
-        device: where it runs.
-        classes: road classes wanted; empty = all.
+        names: class names of the network, `a,b,c` or a file with one name per line.
+        anchors: see `detection.models.metadata`.
+        letterbox: see `detection.models.metadata`.
+        min_score: minimum confidence, `0.25`, or `0.1,car=0.3,person=0.2` with separate thresholds for classes.
+        size_px: longer side of the network input for a network of variable input size; None = that in the model file.
+        threads: CPU threads of the network; 0 = one per core.
+        device: device that runs the network.
+        classes: road classes to detect; empty = all.
     """
 
     names: str | None = None
@@ -37,43 +39,49 @@ class DetectorOptions:
     device: Device = "auto"
     classes: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, settings: object) -> Self:
+        """Options from the attributes of the same names that `settings` has; defaults for the others."""
+        names = (field.name for field in fields(cls))
+        return cls(**{name: getattr(settings, name) for name in names if hasattr(settings, name)})
+
 
 def open_detector(path: Path, options: DetectorOptions, *, lowest_score: float | None = None) -> YoloDetector:
-    """The detector in `path`; `lowest_score` sets all thresholds aside (an evaluation wants the weakest boxes too).
+    """The detector in `path`; a `lowest_score` replaces all thresholds, for evaluations over all confidences.
 
     Raises:
         ModelError: the model cannot be used.
         ClassNameError: a class in the options is unknown.
-        ConfigError: names or thresholds are wrong.
+        ConfigError: invalid names or thresholds.
     """
     default = YoloSettings()
-    least, by_class = thresholds(options.min_score, otherwise=default.min_score)
+    min_score, by_class = thresholds(options.min_score, otherwise=default.min_score)
     settings = YoloSettings(
-        min_score=least if lowest_score is None else lowest_score,
+        min_score=min_score if lowest_score is None else lowest_score,
         class_min_score=by_class if lowest_score is None else (),
         class_id=tuple(int(i) for i in road_class_ids(options.classes)),
         size_px=options.size_px,
     )
-    told = ModelOptions(names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox)
+    model_options = ModelOptions(names=class_names(options.names), anchors=options.anchors, letterbox=options.letterbox)
     runtime = Runtime(device=options.device, n_threads=options.threads, engine_folder=_engine_folder(options.device))
-    return YoloDetector(path, settings, options=told, runtime=runtime)
+    return YoloDetector(path, settings, options=model_options, runtime=runtime)
 
 
 def _engine_folder(device: Device) -> Path | None:
-    """Where TensorRT's engines are kept, beside the downloaded models."""
+    """Folder of the engines built by TensorRT, in the cache folder; None for other devices, or if it cannot be made."""
     if device != "tensorrt":
         return None
     folder = models_folder().with_name("engines")
-    with suppress(OSError):  # without it, TensorRT builds its engine anew each time
+    with suppress(OSError):  # without the folder, TensorRT rebuilds its engine in each run
         folder.mkdir(parents=True, exist_ok=True)
     return folder if folder.is_dir() else None
 
 
 def class_names(option: str | None) -> tuple[str, ...] | None:
-    """Class names from `a,b,c` or from a file with one per line.
+    """Class names from `a,b,c` or from a file with one name per line; None if the option is None.
 
     Raises:
-        ConfigError: no such file, or nothing in it.
+        ConfigError: the file cannot be read, or a name is empty.
     """
     if option is None:
         return None
@@ -84,30 +92,32 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
         try:
             names = tuple(line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip())
         except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"--names {option}: no readable text file with one name per line.") from error
+            raise ConfigError(f"--names {option}: expected a text file with one class name per line.") from error
     if not all(names) or not names:
-        raise ConfigError(f"--names {option}: class names wanted, a,b,c or a file with one per line.")
+        raise ConfigError(f"--names {option}: expected class names, a,b,c or a file with one name per line.")
     return names
 
 
 def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tuple[int, float], ...]]:
-    """The score below which boxes are dropped, and (class id, score) of the classes with one of their own.
+    """Minimum confidence of boxes, and (class id, minimum confidence) of classes with separate thresholds.
 
     Raises:
-        UsageError: a number is not from 0 to 1, or there are two without a class.
+        UsageError: a threshold is not from 0 to 1, or there are two without a class.
         ClassNameError: a class is unknown.
     """
-    least, by_class = None, []
+    min_score, by_class = None, []
     for part in option.split(",") if option else ():
-        name, is_of_class, number = part.rpartition("=")
+        name, separator, number = part.rpartition("=")
         score = _score(number)
-        if is_of_class:
+        if separator:
             by_class += [(int(class_id), score) for class_id in road_class_ids([name])]
-        elif least is None:
-            least = score
+        elif min_score is None:
+            min_score = score
         else:
-            raise UsageError(f"--min-score {option}: one number for all classes, then class=number, parted by commas.")
-    return (otherwise if least is None else least), tuple(by_class)
+            raise UsageError(
+                f"--min-score {option}: expected one number for all classes, then class=number, separated by commas."
+            )
+    return (otherwise if min_score is None else min_score), tuple(by_class)
 
 
 def _score(text: str) -> float:
@@ -116,5 +126,7 @@ def _score(text: str) -> float:
     except ValueError:
         score = -1.0
     if not 0 <= score <= 1:
-        raise UsageError(f"--min-score: '{text.strip()}' is no score from 0 to 1, such as 0.25 or 0.1,car=0.3.")
+        raise UsageError(
+            f"--min-score: expected confidences from 0 to 1, such as 0.25 or 0.1,car=0.3, got '{text.strip()}'."
+        )
     return score

@@ -1,4 +1,4 @@
-"""FrameResult: everything that a run knows about one frame."""
+"""FrameResult: tracks, distances and times to collision of one frame."""
 
 from __future__ import annotations
 
@@ -59,5 +59,5 @@ class FrameResult:
         return self.frame.time_s
 
     def may_hit(self, row: int) -> bool:
-        """False where the track in this row is known to pass beside the camera."""
+        """False if the track in this row is known to pass beside the camera."""
         return self.misses is None or bool(self.misses.may_hit[row])

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while files are being written.
+"""Handling of Ctrl-C and SIGTERM while files are being written.
 
 with stop_on_interrupt():               the first signal raises KeyboardInterrupt, later ones are ignored
     for frame in frames:
@@ -22,11 +22,11 @@ _Handler = Callable[[int, FrameType | None], None] | signal.Handlers
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[None]:
-    """While inside, the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored.
+    """Context in which the first Ctrl-C or SIGTERM raises KeyboardInterrupt; later ones are ignored.
 
-    The first one lets threads, videos and the summary end in order, which a second one would cut short.
+    After the first signal, threads, videos and the summary are finished in order, which a second one would prevent.
     """
-    handled = _signals_heeded()
+    handled = _active_signals()
 
     def stop(number: int, at: FrameType | None) -> None:
         for signal_number in handled:
@@ -39,13 +39,13 @@ def stop_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """While inside, Ctrl-C and SIGTERM wait, so that what belongs together is finished.
+    """Context in which Ctrl-C and SIGTERM are deferred to the end of the block.
 
     Raises:
-        KeyboardInterrupt: at the end of the block, if there was one.
+        KeyboardInterrupt: at the end of the block, if a signal was received.
     """
     received: list[int] = []
-    with _handled_signals(_signals_heeded(), lambda number, at: received.append(number)):
+    with _handled_signals(_active_signals(), lambda number, at: received.append(number)):
         yield
     if received:
         handler = signal.getsignal(received[0])
@@ -55,18 +55,18 @@ def defer_interrupts() -> Iterator[None]:
 
 
 def ignore_interrupts() -> AbstractContextManager[None]:
-    """While inside, Ctrl-C and SIGTERM are ignored."""
+    """Context in which Ctrl-C and SIGTERM are ignored."""
     return _handled_signals((signal.SIGINT, signal.SIGTERM), signal.SIG_IGN)
 
 
-def _signals_heeded() -> list[signal.Signals]:
-    """SIGINT and SIGTERM, as far as they are not ignored already, as in the background of a shell or under nohup."""
+def _active_signals() -> list[signal.Signals]:
+    """SIGINT and SIGTERM, without those that are ignored already (background job of a shell, nohup)."""
     return [number for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) != signal.SIG_IGN]
 
 
 @contextmanager
 def _handled_signals(numbers: Iterable[signal.Signals], handler: _Handler) -> Iterator[None]:
-    """While inside, these signals have this handler; afterwards the previous one."""
+    """Context in which `handler` handles the signals; their previous handlers are restored afterwards."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -74,5 +74,5 @@ def _handled_signals(numbers: Iterable[signal.Signals], handler: _Handler) -> It
     try:
         yield
     finally:
-        for number, earlier in previous.items():
-            signal.signal(number, earlier)
+        for number, previous_handler in previous.items():
+            signal.signal(number, previous_handler)

@@ -1,4 +1,4 @@
-"""The folder of a run: rows and videos while it goes on, figures and the report at its end."""
+"""Output folder of a run: rows and videos are written during the run, figures and the report at its end."""
 
 from __future__ import annotations
 
@@ -15,24 +15,26 @@ from track_range.report.tables import markdown
 from track_range.results.columns import Columns
 from track_range.results.output_files import check_outputs, clear_results, make_folder, write_text
 from track_range.results.summary import write_summary
-from track_range.results.writers import OpenWriters, result_names
+from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.frame_result import FrameResult
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, absolute_settings, save_settings
 
 
 def check_folder(settings: RunSettings, folder: Path) -> None:
-    """Refuse files that could not be written at the end, or that are among the inputs, before any work is done.
+    """Check, before any work is done, that outputs can be written and do not overwrite inputs.
 
     Raises:
-        OutputError: there is such a file.
+        OutputError: a file cannot be written, or is an input.
+        WriterError: one of the result writers cannot be used.
     """
+    create_writers(settings.write)
     tables = [settings.table] if settings.table is not None else []
     check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
 
 
 def input_files(settings: RunSettings) -> list[Path]:
-    """Every file that a run reads."""
+    """All files that a run reads."""
     files = (
         *(video for video in (*(settings.stereo or ()), settings.mono) if isinstance(video, Path)),
         *(settings.rig, settings.detections, settings.truth, settings.curves, settings.reid),
@@ -42,30 +44,30 @@ def input_files(settings: RunSettings) -> list[Path]:
 
 
 class RunFolder:
-    """The files of a run in progress; a context manager that closes what `finish` did not.
+    """Output files of a run in progress; a context manager that closes what `finish` did not.
 
     Attributes:
-        folder: where they are.
-        videos: file by name of the picture ("overlay", "disparity").
+        folder: the output folder.
+        videos: file names by video ("overlay", "disparity").
         files: names of all files that the run writes.
     """
 
     def __init__(self, session: RunSession, folder: Path, *, has_videos: bool = True) -> None:
-        """Make the folder, remove an earlier run's files, and begin those of this run.
+        """Create the folder, remove the files of an earlier run, and open those of this run.
 
         Args:
-            session: the run, opened.
-            folder: where to write.
-            has_videos: False where there are no images any more.
+            session: the opened run.
+            folder: the output folder.
+            has_videos: whether videos are written; False if the images are no longer available.
 
         Raises:
-            OutputError, VideoError, WriterError: something cannot be written.
+            OutputError, VideoError, WriterError: a file cannot be written.
         """
         self.folder, self._session = folder, session
         settings, recording, clock = session.settings, session.source, session.pipeline.clock
         make_folder(folder)
-        clear_results(folder, result_names(), keep=input_files(settings))
-        save_settings(settings, folder / "settings.yaml", found=session.found())
+        clear_results(folder, result_names(), except_for=input_files(settings))
+        save_settings(settings, folder / "settings.yaml", detected=session.detected())
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
         self.videos = {name: f"{name}.mp4" for name in drawn}
         with ExitStack() as opening:
@@ -87,10 +89,10 @@ class RunFolder:
         self._open.__exit__(kind, error, at)
 
     def write(self, result: FrameResult) -> None:
-        """Write the rows of a frame, and hand it to the threads of the videos.
+        """Write the rows of a frame, and pass it to the threads that write the videos.
 
         Raises:
-            OutputError, VideoError: writing failed, now or at an earlier frame.
+            OutputError, VideoError: writing failed for this or an earlier frame.
         """
         with self._session.pipeline.clock.stage("write"):
             self._writers.write(result)
@@ -98,22 +100,22 @@ class RunFolder:
             video.write(result)
 
     def finish_videos(self) -> None:
-        """Draw and encode what is waiting, and close the videos.
+        """Draw and encode the queued frames, and close the videos.
 
         Raises:
-            VideoError: writing failed, now or at an earlier frame.
+            VideoError: writing failed for this or an earlier frame.
         """
         self._videos_open.close()
 
     def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
-        """Write summary.json, report.html and the Markdown tables, and close the rows' files.
+        """Write summary.json, report.html and the Markdown tables, and close the files of the rows.
 
         Args:
             summary: the figures of the run.
-            columns: its rows, with the truth where there is one.
+            columns: rows of the run, with the ground truth if there is one.
 
         Raises:
-            OutputError: one cannot be written.
+            OutputError: a file cannot be written.
         """
         settings = self._session.settings
         try:

@@ -1,10 +1,10 @@
-r"""The loop of a run: frames in, one result per frame out; reading, inference and writing overlap.
+r"""The pipeline of a run: yields one result per frame; reading, inference and writing overlap in threads.
 
     reading thread -> lanes thread -> detection thread -> caller's thread -------------------> FrameResult
     decode            lane lines      boxes               track, measure, fuse, filter
                                       \---> background work of rangers ---/
 
-The way of one image is `Pipeline.run`, which lists the threads, and `Pipeline.result`, which lists the steps.
+`Pipeline.run` starts the threads; `Pipeline.result` lists the steps for one frame.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from track_range.tracking.tracker import Tracker
 from track_range.tracking.tracks import Tracks
 
 FUSED_NOISE_SHARE = 0.35
-"""Part of the fused sigma that is independent from frame to frame, where the distance filter starts."""
+"""Initial fraction of the fused sigma that is independent between frames, for the distance filter."""
 
 _LANE_INTERVAL_S = 0.09
-"""Between two searches for lane lines: the lane hardly moves in between, and finders take time."""
+"""Minimum time in seconds between two detections of lane lines; lanes change slowly, and detection is expensive."""
 
 _T = TypeVar("_T")
 
 
 def noise_shares() -> dict[str, float]:
-    """Distances with a filter over time, and the part of their sigma that is independent from frame to frame.
+    """Initial fraction of sigma that is independent between frames, for each distance with a filter over time.
 
-    The filters start with it and learn it from their innovations. Fusion uses the methods' error sources as declared.
+    The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
     """
     filtered = {method.name: method.noise_share for method in methods() if method.is_filtered}
     return {**filtered, "fused": FUSED_NOISE_SHARE}
@@ -58,11 +58,11 @@ def noise_shares() -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class QueueDepths:
-    """How many frames each thread may be ahead of the next one.
+    """Number of frames that each thread may be ahead of the next one.
 
     Attributes:
-        read: frames decoded and waiting.
-        lanes: frames whose lane lines are known and that wait for detection.
+        read: decoded frames that wait for the lane detector.
+        lanes: frames with lane lines that wait for the detector.
         detected: frames with boxes that wait for the caller.
     """
 
@@ -72,24 +72,24 @@ class QueueDepths:
 
 
 LIVE_DEPTHS = QueueDepths(read=1, lanes=1, detected=1)
-"""For a camera: frames do not wait, so that results are as new as can be."""
+"""Queue depths for cameras, as short as possible to reduce latency."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Pipeline:
-    """The stages of one run, and their state.
+    """Stages of a run and their state.
 
     Attributes:
         camera: the left camera, undistorted.
-        detect: boxes of a frame.
-        tracker: gives them identities.
+        detect: returns the boxes of a frame.
+        tracker: assigns identities to boxes.
         rangers: the ranging methods by name, in the order in which they measure (`registry.create_rangers`).
-        lane_finder: finds the lines of the own lane; None = off.
+        lane_finder: detects the lines of the own lane; None = off.
         ego_speed: speed of the camera; None = unknown.
-        shared_sigma: relative error that all methods share, from an uncalibrated focal length.
-        depths: frames that each thread may be ahead.
-        notes: sentences for the user on the parts of the pipeline.
-        clock: time by stage.
+        shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
+        depths: queue depths of the threads.
+        notes: sentences for the user about the parts of the pipeline.
+        clock: time spent by stage.
     """
 
     camera: PinholeCamera
@@ -114,9 +114,9 @@ class Pipeline:
         self._course = CollisionCourse(self.camera)
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
-        """The results of each frame in order; closing the generator ends the threads."""
+        """Results of the frames in order; closing the generator ends the threads."""
         with ExitStack() as stack:
-            # Closed in reverse order: the threads first, the last one of them first, so that none still reads when
+            # Closed in reverse order: first the threads, beginning with the last one, so that none still reads when
             # the videos are closed; then the rangers.
             stack.callback(self._close_rangers)
 
@@ -133,7 +133,7 @@ class Pipeline:
                 yield self.result(frame, lanes, detections)
 
     def result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
-        """What is known of one frame, from its lane lines and boxes; frames come in order."""
+        """Result of one frame from its lane lines and boxes; frames must be passed in order."""
         tracks = self._tracks(frame, detections)
         ranges = self._ranges(frame, lanes, tracks)
         with self.clock.stage("fuse"):
@@ -147,13 +147,15 @@ class Pipeline:
                 ttc_s=motion.ttc_s,
                 ttc_sigma_s=motion.ttc_sigma_s,
                 xyz_m=self._points_m(tracks, ranges["fused"].distance_m),
-                disparity=next((it.disparity for it in self.rangers.values() if it.disparity is not None), None),
+                disparity=next(
+                    (ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None), None
+                ),
                 lanes=lanes,
                 misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
             )
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterable[tuple[Frame, LaneLines | None]]:
-        """Frames with the lines of the lane, searched for ten times per second; in between the last ones found."""
+        """Frames with the lane lines, detected about ten times per second; the last ones are used in between."""
         lanes, due_s = None, -math.inf
         for frame in frames:
             if self.lane_finder is not None and frame.time_s >= due_s:
@@ -165,7 +167,7 @@ class Pipeline:
     def _with_detections(
         self, frames: Iterable[tuple[Frame, LaneLines | None]]
     ) -> Iterator[tuple[Frame, LaneLines | None, Detections]]:
-        """Frames with their boxes; rangers that work in the background begin beside the detector."""
+        """Frames with their boxes; rangers that work in the background are started before the detector."""
         for frame, lanes in frames:
             for ranger in self.rangers.values():
                 ranger.start(frame)
@@ -178,10 +180,10 @@ class Pipeline:
             return checked_tracks(self.tracker, self.tracker.update(detections, frame.time_s, frame.left))
 
     def _ranges(self, frame: Frame, lanes: LaneLines | None, tracks: Tracks) -> dict[str, Ranges]:
-        """Distances of the tracks by each method.
+        """Distances of the tracks by method.
 
         Raises:
-            MethodError: a ranger of another package returned no ranges, or those of other tracks.
+            MethodError: a ranger of another package did not return ranges of these tracks.
         """
         ranges: dict[str, Ranges] = {}
         for name, ranger in self.rangers.items():
@@ -194,32 +196,32 @@ class Pipeline:
         return ranges
 
     def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges]) -> FilteredRanges:
-        """Distance and speed of the tracks by all methods together; adds fused and filtered distances to `ranges`."""
+        """Filtered fused distance and speed of the tracks; adds the fused and filtered distances to `ranges`."""
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
         ego_mps = math.nan if self.ego_speed is None else self.ego_speed.at(frame.time_s)
         filtered = self._filters.update(
             ranges, frame.time_s, conditions={"fused": fused.condition}, ego_speed_mps=ego_mps
         )
-        ranges |= {f"{name}_kf": each.ranges for name, each in filtered.items()}
+        ranges |= {f"{name}_kf": state.ranges for name, state in filtered.items()}
         motion = filtered["fused"]
         if not self.shared_sigma:
             return motion
-        # A wrong scale makes speeds wrong by as much; times to collision do not depend on it.
-        wider_mps = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
-        return replace(motion, rate_sigma_mps=wider_mps)
+        # An error of the scale affects speeds by the same factor, but not times to collision.
+        rate_sigma_mps = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
+        return replace(motion, rate_sigma_mps=rate_sigma_mps)
 
     def _with_shared_error(self, ranges: Mapping[str, Ranges]) -> Mapping[str, Ranges]:
-        """With wider sigmas: neither fusing nor filtering reduces an error that all methods share."""
+        """Ranges with sigma increased by the shared error, which neither fusion nor filtering reduces."""
         if not self.shared_sigma:
             return ranges
         return {
-            name: replace(found, sigma_m=np.hypot(found.sigma_m, self.shared_sigma * found.distance_m))
-            for name, found in ranges.items()
+            name: replace(measured, sigma_m=np.hypot(measured.sigma_m, self.shared_sigma * measured.distance_m))
+            for name, measured in ranges.items()
         }
 
     def _points_m(self, tracks: Tracks, distance_m: FloatArray) -> FloatArray:
-        """(N, 3) points at these depths on the rays through the centres of the boxes."""
+        """(N, 3) points in metres at the given depths on the rays through the box centres."""
         centre_px = (tracks.xyxy_px[:, :2] + tracks.xyxy_px[:, 2:]) / 2
         return self.camera.rays(centre_px) * distance_m[:, None]
 

@@ -1,9 +1,9 @@
-"""prefetch: the next items of a stage are made in a thread while the caller works on this one.
+"""prefetch: computes the next items of a stage in a thread while the caller processes the current one.
 
     items -> thread -> [ at most `depth` items ] -> caller
 
-Stages that leave Python's lock (decoding, inference, encoding) then run beside each other, and the time of a frame is
-that of the slowest stage, not the sum of all.
+Stages that release the GIL (decoding, inference, encoding) then run in parallel, and the time per frame is that of the
+slowest stage instead of the sum of all.
 """
 
 from __future__ import annotations
@@ -19,20 +19,23 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 _SWITCH_INTERVAL_S = 0.0005
-_NICENESS = 15  # of 19: a thirtieth of the weight of an ordinary thread
+"""Switch interval of the interpreter during a run; a thread waits at most so long for the GIL (default: 5 ms)."""
+
+_NICENESS = 15
+"""Niceness (0..19) of low-priority threads; the scheduler weight is a thirtieth of that of an ordinary thread."""
 
 
 def lower_thread_priority() -> None:
-    """Lower the priority of the calling thread and of those that it starts (Linux only).
+    """Lower the priority of the calling thread and of the threads it starts (Linux only).
 
-    With fewer cores than busy threads, decoding and drawing would else take turns with inference, which all wait for.
+    With fewer cores than busy threads, decoding and drawing would otherwise slow down inference, the bottleneck.
     """
-    if sys.platform == "linux":  # elsewhere a niceness belongs to the whole process
+    if sys.platform == "linux":  # on other systems niceness applies to the whole process
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
 
 
 class _SwitchInterval:
-    """The interpreter's switch interval, short while at least one run needs it."""
+    """Switch interval of the interpreter, shortened while at least one run is in progress."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -57,9 +60,9 @@ _switch_interval = _SwitchInterval()
 
 @contextmanager
 def short_switch_interval() -> Iterator[None]:
-    """Within this context a thread that comes back from inference waits at most 0.5 ms for Python's lock.
+    """Context in which a thread that returns from inference waits at most 0.5 ms for the GIL.
 
-    The default, 5 ms, is a tenth of a frame. It is restored when the last of several runs has ended.
+    The default, 5 ms, is a tenth of the time per frame. It is restored at the end of the last concurrent run.
     """
     _switch_interval.acquire()
     try:
@@ -69,19 +72,19 @@ def short_switch_interval() -> Iterator[None]:
 
 
 def prefetch(items: Iterable[T], *, depth: int, low_priority: bool = False) -> Generator[T, None, None]:
-    """The same items in the same order, made in a thread that is at most `depth` items ahead.
+    """Yield the items in order, computed in a thread that is at most `depth` items ahead.
 
-    The thread starts with the first item asked for. It ends, and closes `items` if that is a generator, when the items
-    end, when they raise (the error reaches the caller in the items' place) or when the generator returned here is
-    closed or collected; closing waits for the item that is just being made.
+    The thread starts when the first item is requested. It ends, and closes `items` if that is a generator, when the
+    items end, when they raise (the error is raised in the caller), or when the returned generator is closed or
+    garbage-collected; closing waits for the item in progress.
 
     Args:
-        items: iterated in the thread alone.
-        depth: items waiting or being made beyond the one that the caller holds, at least 1.
+        items: iterated only in the thread.
+        depth: number of items queued or in progress, besides the one that the caller holds; at least 1.
         low_priority: see `lower_thread_priority`.
 
     Raises:
-        ValueError: `depth` below 1.
+        ValueError: `depth` is below 1.
     """
     if depth < 1:
         raise ValueError(f"depth: expected at least 1, got {depth}")
@@ -90,9 +93,9 @@ def prefetch(items: Iterable[T], *, depth: int, low_priority: bool = False) -> G
 
 def _consume(items: Iterable[T], depth: int, low_priority: bool) -> Generator[T, None, None]:
     queue: ClosableQueue[T] = ClosableQueue(depth)
-    # A daemon, so that a caller who dies with the generator still in a traceback does not keep the program from ending.
+    # A daemon thread, so that the program can end while a traceback still refers to the generator.
     thread = threading.Thread(target=_produce, args=(items, queue, low_priority), name="prefetch", daemon=True)
-    del items  # from here on they are the thread's alone
+    del items  # now referenced only by the thread
     thread.start()
     try:
         while queue.wait_for_item():
@@ -101,9 +104,9 @@ def _consume(items: Iterable[T], depth: int, low_priority: bool) -> Generator[T,
             raise queue.error
     finally:
         queue.close()
-        if thread is not threading.current_thread():  # the garbage collector may close us inside our own thread
+        if thread is not threading.current_thread():  # the garbage collector may close the generator inside the thread
             thread.join()
-        queue.error = None  # its traceback holds this frame, which holds the queue
+        queue.error = None  # breaks a reference cycle: error -> traceback -> this frame -> queue
 
 
 def _produce(items: Iterable[T], queue: ClosableQueue[T], low_priority: bool) -> None:
@@ -119,17 +122,17 @@ def _produce(items: Iterable[T], queue: ClosableQueue[T], low_priority: bool) ->
                 except StopIteration:
                     break
                 queue.put(item)
-                del item  # the caller's alone now: an image must not live on in this frame
+                del item  # so that this frame does not keep an image alive
         finally:
             if isinstance(source, Generator):
                 source.close()
-    except BaseException as raised:  # whatever it is, the caller must see it
+    except BaseException as raised:  # every error is raised in the caller
         error = raised
     queue.finish(error)
 
 
 class ClosableQueue(Generic[T]):
-    """A bounded queue that producer and consumer can end; `queue.Queue.shutdown` exists from Python 3.13 on only."""
+    """Bounded queue that producer and consumer can end (`queue.Queue.shutdown` requires Python 3.13)."""
 
     def __init__(self, depth: int) -> None:
         self.error: BaseException | None = None
@@ -137,41 +140,41 @@ class ClosableQueue(Generic[T]):
         self._items: deque[T] = deque()
         self._is_finished = False
         self._is_closed = False
-        self._changed = threading.Condition()  # its lock is re-entrant: the collector may call close() inside put()
+        self._changed = threading.Condition()  # re-entrant: the garbage collector may call close() inside put()
 
     def wait_for_room(self) -> bool:
-        """Producer: wait until an item may be made; False = the consumer takes no more."""
+        """Producer: wait until there is room for an item; False = the queue was closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_closed or len(self._items) < self._depth)
             return not self._is_closed
 
     def put(self, item: T) -> None:
-        """Producer: add an item, unless the consumer takes no more."""
+        """Producer: add an item, unless the queue was closed."""
         with self._changed:
             if not self._is_closed:
                 self._items.append(item)
                 self._changed.notify_all()
 
     def finish(self, error: BaseException | None) -> None:
-        """Producer: there are no more items, because of an error or not."""
+        """Producer: mark the end of the items, with the error that caused it, if any."""
         with self._changed:
             self.error, self._is_finished = error, True
             self._changed.notify_all()
 
     def wait_for_item(self) -> bool:
-        """Consumer: wait for an item; False = there are no more."""
+        """Consumer: wait for an item; False = there are no more items."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_finished or bool(self._items))
             return bool(self._items)
 
     def get(self) -> T:
-        """Consumer: the oldest item, of which there is one."""
+        """Consumer: remove and return the oldest item; the queue must not be empty."""
         with self._changed:
             self._changed.notify_all()
             return self._items.popleft()
 
     def close(self) -> None:
-        """Consumer: take no more items."""
+        """Consumer: close the queue and discard its items."""
         with self._changed:
             self._is_closed = True
             self._items.clear()

@@ -1,4 +1,4 @@
-"""What commands say while they work: progress bars, and lines as they are."""
+"""Progress bars of commands."""
 
 from __future__ import annotations
 
@@ -11,23 +11,26 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 
 class _Advance:
-    """Moves a progress bar by one frame and keeps its rate up to date."""
+    """Callable that advances a progress bar by one frame and updates its frame rate."""
 
     def __init__(self, progress: Progress, n_frames: int | None) -> None:
         self._progress = progress
         self._task = progress.add_task("frames", total=n_frames, fps=0.0)
-        self._began_s = time.perf_counter()
+        self._start_s = time.perf_counter()
         self._n = 0
 
     def __call__(self) -> None:
         self._n += 1
-        fps = self._n / max(time.perf_counter() - self._began_s, 1e-9)
+        fps = self._n / max(time.perf_counter() - self._start_s, 1e-9)
         self._progress.update(self._task, completed=self._n, fps=fps)
 
 
 @contextmanager
 def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[[], None]]:
-    """A bar with frames, rate and time left; the callable moves it by one frame. Without a terminal: nothing."""
+    """Progress bar with frames, frame rate and remaining time; yields a callable that advances it by one frame.
+
+    Nothing is shown if the console is not a terminal.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -41,7 +44,7 @@ def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[
 
 @contextmanager
 def step_progress(console: Console, text: str) -> Iterator[Callable[[int, int | None], None]]:
-    """A bar that goes when the work is done; the callable tells steps done, and of how many."""
+    """Progress bar that disappears at the end; yields a callable that takes the number of finished and of all steps."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
         task = progress.add_task(text, total=None)

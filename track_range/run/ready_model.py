@@ -1,4 +1,4 @@
-"""The ONNX file that a word on the command line means, fetched with a bar where it is not here yet."""
+"""Local file of a detector given by name or path, downloaded with a progress bar if necessary."""
 
 from __future__ import annotations
 
@@ -11,22 +11,28 @@ from track_range.detection.models.download import pull
 from track_range.detection.models.lookup import find_model, models_folder
 
 
-def ready_model(word: str | Path, console: Console) -> Path:
-    """A file, a packaged, a cached or a catalogue model, in that order; the licence is told before a download.
+def ready_model(name_or_path: str | Path, console: Console) -> Path:
+    """ONNX file of a model: an existing file, else a packaged, cached or catalogue model, in that order.
+
+    A model of the catalogue is downloaded to the cache folder.
+
+    Args:
+        name_or_path: a file, or a name from `track-range models list`.
+        console: for the licence notice and the progress bar of a download.
 
     Raises:
-        ModelError: nothing has that name.
-        DownloadError: it cannot be fetched.
+        ModelError: there is no such model.
+        DownloadError: the model cannot be downloaded.
     """
-    found = find_model(word)
-    if found.origin != "catalogue" or found.entry is None:
-        return found.path
-    console.print(found.entry.notice, highlight=False, markup=False, soft_wrap=True)
+    model = find_model(name_or_path)
+    if model.origin != "catalogue" or model.entry is None:
+        return model.path
+    console.print(model.entry.notice, highlight=False, markup=False, soft_wrap=True)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task(found.entry.name, total=None)
+        task = progress.add_task(model.entry.name, total=None)
         return pull(
-            found.entry,
+            model.entry,
             models_folder(),
             lambda done_bytes, total_bytes: progress.update(task, completed=done_bytes, total=total_bytes),
         )

@@ -1,10 +1,10 @@
-"""Run: one recording, read, detected, tracked and ranged frame by frame; `track-range run` is a thin user of it.
+"""Run: detection, tracking and ranging of one recording, frame by frame; `track-range run` is built on it.
 
     open      recording, calibration, detector, tracker, methods, ground truth
-    iterate   one FrameResult per frame; rows are kept as columns, and written where a folder is given
-    finish    the figures of the whole run (`summary`), summary.json and report.html
+    iterate   one FrameResult per frame; rows are collected, and written if there is an output folder
+    finish    figures of the whole run (`summary`), summary.json and report.html
 
-Nothing is written unless `out=` or `write()` names a folder.
+Files are written only if `out=` or `write()` gives a folder.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """One pass over one recording. Iterate it once; afterwards it holds the rows and the figures.
+    """One pass over one recording: iterate it once; afterwards it provides the rows and the figures.
 
     Example:
         >>> import track_range as tr
@@ -66,8 +66,8 @@ class Run:
         'focal length'
 
     Attributes:
-        settings: everything that decides what the run computes.
-        files: what a finished run has written.
+        settings: settings of the run.
+        files: files written by a finished run.
     """
 
     def __init__(
@@ -81,17 +81,17 @@ class Run:
         """Prepare a run; nothing is opened yet.
 
         Args:
-            settings: as `RunSettings` or `track-range run --settings` take them; files are written where `out` is set.
-            detector: an object with `detect(image) -> Detections`, in place of the settings' model.
-            tracker: an object with `update(detections, time_s, image) -> Tracks`, in place of the settings' tracker.
-            progress: whether to show progress bars (in a notebook too), or the Rich console to show them on.
+            settings: settings of the run; files are written if `out` is set.
+            detector: an object with `detect(image) -> Detections`, instead of the model of the settings.
+            tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of that in the settings.
+            progress: whether to show progress bars (also in a notebook), or the Rich console to show them on.
 
         Raises:
-            ConfigError: there are a detector and recorded detections.
+            ConfigError: both a detector and recorded detections are given.
         """
         if detector is not None and settings.detections is not None:
-            raise ConfigError("expected a detector or detections, got both.")
-        # what settings.yaml cannot repeat is named in it as module:Class
+            raise ConfigError("expected either a detector or detections, got both.")
+        # objects are recorded in settings.yaml by their class, as module:Class
         objects = {"detector": detector, "tracker": tracker}
         named = {key: _class_name(value) for key, value in objects.items() if value is not None}
         self.settings = settings.model_copy(update=named)
@@ -112,12 +112,12 @@ class Run:
         Args:
             left: recording of the left camera.
             right: recording of the right camera.
-            options: as those of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
+            options: options of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
                 `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
                 `detect` and `update`, `progress` shows progress bars.
 
         Raises:
-            ConfigError: an option that is unknown, wrong, or contradicts another one.
+            ConfigError: an option is unknown or invalid, or contradicts another one.
         """
         return cls._of({"stereo": (str(left), str(right))}, options)
 
@@ -126,7 +126,7 @@ class Run:
         """A run on the video, image folder or stream of one camera; see `stereo` for the options.
 
         Raises:
-            ConfigError: an option that is unknown, wrong, or contradicts another one.
+            ConfigError: an option is unknown or invalid, or contradicts another one.
         """
         return cls._of({"mono": str(video)}, options)
 
@@ -137,13 +137,13 @@ class Run:
             if hasattr(options.get(name), method):
                 objects[name] = options.pop(name)
         progress = options.pop("progress", False)
-        given = {_field_of(name): _plain(name, value) for name, value in options.items()}
-        return cls(settings_from({**source, **given}), **objects, progress=progress)
+        values = {_field_of(name): _plain(name, value) for name, value in options.items()}
+        return cls(settings_from({**source, **values}), **objects, progress=progress)
 
     # -- open -----------------------------------------------------------------------------------------------------
 
     def open(self) -> Self:
-        """Open everything that the run reads, so that wrong inputs are found before the first frame.
+        """Open all inputs, so that unusable ones are reported before the first frame.
 
         Raises:
             VideoError, RigError, ModelError, LabelFileError, ...: an input cannot be used.
@@ -157,9 +157,9 @@ class Run:
     def _opened(self) -> RunSession:
         settings = self.settings
         curves = load_curves(settings.curves)
-        began_s = time.perf_counter()
+        start_s = time.perf_counter()
         recording = open_input(settings, partial(step_progress, self._console))
-        opened_s = time.perf_counter() - began_s  # the first pair is decoded by now
+        opened_s = time.perf_counter() - start_s  # includes decoding of the first frames
         calibration = recording.calibration
         opened_s -= calibration.alignment.estimation_s if calibration.alignment else 0.0
         with ExitStack() as on_error:
@@ -189,7 +189,7 @@ class Run:
         )
 
     def close(self) -> None:
-        """End the run: what it has written so far is finished, and the recording closed."""
+        """End the run: finish its files and close the recording."""
         self._is_closed = True
         frames = self._frames() if self._frames is not None else None
         if frames is not None:
@@ -206,28 +206,28 @@ class Run:
     # -- iterate --------------------------------------------------------------------------------------------------
 
     def __iter__(self) -> Generator[FrameResult, None, None]:
-        """The frames in order, once; leaving the loop early ends the run, which keeps what it has seen.
+        """Results of the frames in order, once; leaving the loop early ends the run with the frames processed so far.
 
         Raises:
             RuntimeError: the run was iterated before, or is closed.
         """
         if self._frames is not None:
-            raise RuntimeError("expected a run that was not iterated yet; make a new one, or use its rows (to_arrow)")
+            raise RuntimeError("expected a run that was not iterated yet; create a new one, or use its rows (to_arrow)")
         if self._is_closed:
-            raise RuntimeError("expected an open run, but it was closed; make a new one")
+            raise RuntimeError("expected an open run, but it was closed; create a new one")
         frames = self._processed()
-        self._frames = weakref.ref(frames)  # the loop alone holds it, so that leaving the loop ends the run
+        self._frames = weakref.ref(frames)  # a weak reference: when the loop drops the generator, the run ends
         return frames
 
     def _processed(self) -> Generator[FrameResult, None, None]:
-        """Every frame through the pipeline; what fails or is stopped after the first frame is finished before."""
+        """Results of all frames; a run that fails or is stopped after the first frame is finished before the error."""
         session = self.session
         with ExitStack() as stack:
             stack.enter_context(closing(session.source))
             files = None if self._folder is None else stack.enter_context(RunFolder(session, self._folder))
-            began_s = time.perf_counter()
+            start_s = time.perf_counter()
             try:
-                yield from self._each_frame(session, files)
+                yield from self._frame_results(session, files)
                 if files is not None:
                     files.finish_videos()
             except (GeneratorExit, KeyboardInterrupt, Exception) as error:
@@ -237,14 +237,14 @@ class Run:
                 if files is not None:
                     with suppress(UserError):  # the first error is the one to report
                         files.finish_videos()
-            session.wall_s = time.perf_counter() - began_s + session.opened_s
+            session.wall_s = time.perf_counter() - start_s + session.opened_s
             session.pipeline.clock.busy_s["read"] = session.source.inputs.busy_s
             with ignore_interrupts():
                 self._finish(files)
         if session.stopped_by is not None:
             raise session.stopped_by
 
-    def _each_frame(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
+    def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
         with (
             short_switch_interval(),
             closing(session.pipeline.run(session.source.frames)) as results,
@@ -260,7 +260,7 @@ class Run:
                 yield result
 
     def _finish(self, files: RunFolder | None) -> None:
-        """The figures of the run, and the files that hold them."""
+        """Compute the figures of the run, and finish its files."""
         session, rows = self.session, self.session.table.to_columns()
         matched = None if session.truth is None else matched_truth(rows, session.truth)
         self._summary = {**session.summary(rows, matched), "files": {} if files is None else files.videos}
@@ -269,13 +269,13 @@ class Run:
             self.files = tuple(files.folder / name for name in files.files)
 
     def write(self, folder: str | Path) -> Path:
-        """Process all frames and write their files into `folder`: tracks.csv, mot.txt, overlay.mp4, summary.json, ...
+        """Process all frames and write tracks.csv, mot.txt, overlay.mp4, summary.json and the other files to `folder`.
 
-        After an iteration everything but the videos is written, from the rows.
+        After an iteration all files except the videos are written, from the rows.
 
         Raises:
-            OutputError: the folder cannot be written to.
-            RuntimeError: the iteration is still going on.
+            OutputError: a file cannot be written.
+            RuntimeError: the iteration is still in progress.
         """
         folder = Path(folder)
         if self._frames is None:
@@ -285,11 +285,11 @@ class Run:
             return folder
         if self._summary is None:
             raise RuntimeError(
-                "expected a run that is finished or not begun: leave its loop or close() it first, or give out= to "
+                "expected a run that is finished or not started: leave its loop or close() it first, or give out= to "
                 "write while iterating"
             )
         if self._folder is not None and folder.resolve() == self._folder.resolve():
-            return folder  # written while iterating, videos included
+            return folder  # already written while iterating, including videos
         session = self.session
         check_folder(self.settings, folder)
         with RunFolder(session, folder, has_videos=False) as files:
@@ -298,42 +298,42 @@ class Run:
             self._finish(files)
         return folder
 
-    # -- what came of it ------------------------------------------------------------------------------------------
+    # -- results --------------------------------------------------------------------------------------------------
 
     @property
     def session(self) -> RunSession:
-        """Everything that the run has opened."""
+        """Opened inputs and state of the run; opens them if necessary."""
         if self._session is None:
             self.open()
         return cast(RunSession, self._session)
 
     @property
     def camera(self) -> PinholeCamera:
-        """The left camera that the rectified frames seem to come from."""
+        """Camera model of the rectified left frames."""
         return self.session.source.camera
 
     @property
     def rig(self) -> StereoRig | None:
-        """The rectified pair; None for one camera, or without calibration."""
+        """Rectified stereo rig; None for one camera, or without calibration."""
         return self.session.source.rig
 
     @property
     def n_frames(self) -> int | None:
-        """Number of frames to expect; None = unknown."""
+        """Expected number of frames; None = unknown."""
         return self.session.source.n_frames
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user so far: assumptions made, problems seen."""
+        """Sentences for the user so far: assumptions and problems."""
         return self.session.notes
 
     @property
     def is_finished(self) -> bool:
-        """Whether the last frame was processed, or the run was stopped after some."""
+        """Whether the figures are available: all frames were processed, or the run was stopped after some."""
         return self._summary is not None
 
     def draw(self, result: FrameResult) -> Image:
-        """The overlay of a frame, (H, W, 3) uint8 BGR; call it from one thread, in the order of the frames."""
+        """Overlay of a frame, (H, W, 3) uint8 BGR; to be called from one thread, in the order of the frames."""
         if self._overlay is None:
             session = self.session
             self._overlay = overlay_picture(session.settings, session.source, session.meter.captions)
@@ -341,7 +341,7 @@ class Run:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What summary.json holds: errors and coverage of each method, tracks, speed, notes.
+        """Content of summary.json: errors and coverage of each method, tracks, speed, notes.
 
         Raises:
             RuntimeError: the run is not finished.
@@ -351,11 +351,11 @@ class Run:
         return self._summary
 
     def to_arrow(self) -> pa.Table:
-        """The rows seen so far, one per track and frame, with the columns of tracks.csv; null = not measured."""
+        """Rows so far, one per track and frame, with the columns of tracks.csv; null = not measured."""
         return self.session.table.to_arrow()
 
     def to_pandas(self) -> pd.DataFrame:
-        """The same as a pandas data frame.
+        """Rows so far as a pandas data frame, as `to_arrow`.
 
         Raises:
             ImportError: pandas is not installed.
@@ -363,12 +363,12 @@ class Run:
         return self.session.table.to_pandas()
 
     def _repr_html_(self) -> str:
-        """A notebook's view: what the run is of, and its figures once there are some."""
+        """Representation in notebooks: the videos, and the main figures of a finished run."""
         source = self.settings.stereo or (self.settings.mono,)
         title = " and ".join(html.escape(str(name)) for name in source)
         if self._summary is None:
-            n_seen = 0 if self._session is None else len(self._session.frame_index)
-            return f"<p><b>track-range run</b> of {title}: {n_seen} frames so far</p>"
+            n_frames = 0 if self._session is None else len(self._session.frame_index)
+            return f"<p><b>track-range run</b> of {title}: {n_frames} frames so far</p>"
         rows = "".join(
             f"<tr><th>{html.escape(str(name))}</th><td>{html.escape(str(value))}</td></tr>"
             for name, value in headline_figures(self._summary)
@@ -377,13 +377,13 @@ class Run:
 
 
 def _field_of(name: str) -> str:
-    """The field of the settings that an option sets: `duration` is `duration_s`, as its flag is --duration."""
+    """Field of the settings that an option sets: `duration_s` for `duration`, since its flag is --duration."""
     flags = {RunSettings.flag(field): field for field in RunSettings.model_fields}
     return flags.get("--" + name.replace("_", "-"), name)
 
 
 def _plain(name: str, value: Any) -> Any:
-    """Paths, numbers and lists as the command line would give them; the settings check them."""
+    """Paths, numbers and lists converted to the text that the command line takes."""
     if isinstance(value, Path):
         return str(value)
     if name in ("min_score", "ego_speed") and isinstance(value, int | float):
@@ -398,7 +398,7 @@ def _class_name(value: Any) -> str:
 
 
 def headline_figures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Name and text of what a reader wants to know first."""
+    """Names and texts of the main figures."""
     yield "frames", str(summary["frames"])
     yield "tracks", str(summary["tracks"]["n"])
     if (rate := summary.get("frames_per_s")) is not None:

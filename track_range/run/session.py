@@ -1,4 +1,4 @@
-"""RunSession: a run in progress: its opened inputs, the frames finished so far, its notes and its summary."""
+"""RunSession: state of a run in progress: opened inputs, finished frames, notes and summary."""
 
 from __future__ import annotations
 
@@ -29,19 +29,24 @@ _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections",
 
 @dataclass(slots=True, kw_only=True)
 class RunSession:
-    """A run in progress.
+    """State of a run in progress.
 
     Attributes:
-        settings, boxes, source, truth, pipeline, meter: its opened inputs and its stages.
+        settings: settings of the run.
+        boxes: source of the detections.
+        source: the opened recording.
+        truth: ground truth; None = not given.
+        pipeline: stages of the run.
+        meter: rate and latency of the results.
         table: rows of the finished frames.
         frame_index: numbers of the finished frames.
-        methods: names of the distances that were measured in any of them.
-        starts_s: time of the first one.
-        last_s: time of the last one.
-        wall_s: seconds from opening the videos to the last byte of the last frame; neither loading the network nor the
-            estimation of the alignment (`alignment.look_s`) is in it.
+        methods: names of the distances that were measured in any finished frame.
+        starts_s: time of the first finished frame.
+        last_s: time of the last finished frame.
+        wall_s: wall-clock seconds for opening the videos and processing all frames, without loading the network and
+            without the estimation of the alignment (`alignment.look_s`).
         opened_s: seconds for opening the videos.
-        stopped_by: what ended the run early.
+        stopped_by: error that ended the run early; None = not stopped.
     """
 
     settings: RunSettings
@@ -74,7 +79,7 @@ class RunSession:
 
     @property
     def info(self) -> RunInfo:
-        """What writers are given."""
+        """Information about the run for result writers."""
         return RunInfo(
             camera=self.source.camera,
             rig=self.source.rig,
@@ -84,7 +89,7 @@ class RunSession:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user; more of them become known while the run goes on."""
+        """Sentences for the user so far; more may follow during the run."""
         has_results = bool(self.frame_index)
         finder, ego = self.pipeline.lane_finder, self.pipeline.ego_speed
         lanes = () if finder is None else finder.notes
@@ -97,7 +102,7 @@ class RunSession:
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),
             *self._frame_mismatch_notes(),
             *(note for ranger in self.pipeline.rangers.values() if has_results for note in ranger.notes),
-            # Networks that all lack the device have the same note; once is enough.
+            # networks that fall back from the same device have the same note
             *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
             *lanes,
             *([] if speed is None else [speed]),
@@ -105,24 +110,24 @@ class RunSession:
         ]
 
     def _frame_mismatch_notes(self) -> list[str]:
-        """Notes on files of boxes or labels of which no frame number is one of the video's."""
-        given = {"--detections": self.boxes.frames}
+        """Notes on files of boxes or labels without any frame number of the video."""
+        frames_of = {"--detections": self.boxes.frames}
         if self.truth is not None:
-            given["--truth"] = self.truth.frame
-        done = np.array(self.frame_index, np.int64)
+            frames_of["--truth"] = self.truth.frame
+        processed = np.array(self.frame_index, np.int64)
         return [
-            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for those of the video, "
-            f"{done.min()} to {done.max()}: is it of another video, or numbered otherwise?"
-            for option, frames in given.items()
-            if len(frames) and len(done) and not np.isin(frames, done).any()
+            f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the frames of the video, "
+            f"{processed.min()} to {processed.max()}: check that it belongs to this video and how it counts frames."
+            for option, frames in frames_of.items()
+            if len(frames) and len(processed) and not np.isin(frames, processed).any()
         ]
 
     def summary(self, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
-        """What summary.json holds.
+        """Content of summary.json.
 
         Args:
             columns: rows of the finished frames, `table.to_columns()`.
-            matched: their truth.
+            matched: ground truth of the rows; None = not given.
         """
         source, calibration, rangers = self.source, self.source.calibration, self.pipeline.rangers.values()
         n_frames = len(self.frame_index)
@@ -152,11 +157,11 @@ class RunSession:
             shown["left"], shown["right"] = shown["stereo"]
         return {key: shown[key] for key in _INPUTS if key in shown}
 
-    def found(self) -> dict[str, Any]:
-        """The section `found` of settings.yaml: what was read from the inputs."""
+    def detected(self) -> dict[str, Any]:
+        """Section `found` of settings.yaml: properties of the opened inputs."""
         source, camera = self.source, self.source.camera
         return {
-            **self.boxes.found,
+            **self.boxes.description,
             "rig": str(source.calibration.path) if source.calibration.path else None,
             "focal_px": camera.fx_px,
             "focal_y_px": camera.fy_px,

@@ -1,6 +1,6 @@
-"""Settings of a run: what the command line says, what `--settings FILE` says, and the defaults, in that order.
+"""Settings of a run, from the command line, `--settings FILE` and the defaults, in this order of precedence.
 
-`settings.yaml` in a run's folder holds all of it, so that `track-range --settings DIR/settings.yaml` repeats the run.
+`settings.yaml` in the folder of a run contains all of them; `track-range --settings DIR/settings.yaml` repeats the run.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _INPUT, _DETECTION, _TRACKING, _RANGING, _OUTPUT = "Input", "Detection", "Tracki
 
 
 def check_tracker(name: str, reid: Path | None) -> None:
-    """Check that there is a tracker of this name, and that it uses a re-identification network where one is given.
+    """Check that the tracker exists, and that it compares appearance if a re-identification network is given.
 
     Raises:
-        UsageError: there is none, or it does not.
+        UsageError: no such tracker, or it does not use the network.
     """
     from track_range.tracking.registry import TrackerError, find_tracker
 
@@ -45,11 +45,13 @@ def check_tracker(name: str, reid: Path | None) -> None:
     except TrackerError as error:
         raise UsageError(f"--tracker: {error}") from error
     if reid is not None and not tracker.uses_reid:
-        raise UsageError(f"--reid: --tracker {name} does not compare appearance; give one of the two.")
+        raise UsageError(
+            f"--reid: --tracker {name} does not compare appearance; omit --reid or use --tracker deepsort."
+        )
 
 
 class RunSettings(Options):
-    """Everything that decides what a run computes: the options of `track-range run` and the keys of settings.yaml."""
+    """All settings that determine the results of a run: options of `track-range run` and keys of settings.yaml."""
 
     stereo: Annotated[
         tuple[VideoName, VideoName] | None,
@@ -271,32 +273,32 @@ class RunSettings(Options):
 
     @model_validator(mode="before")
     @classmethod
-    def _packaged_detector(cls, given: Any) -> Any:
-        """Where neither a detector nor boxes are given, the packaged detector."""
-        if isinstance(given, dict) and given.get("detector") is None and given.get("detections") is None:
+    def _packaged_detector(cls, values: Any) -> Any:
+        """Use the packaged detector if neither a detector nor detections are given."""
+        if isinstance(values, dict) and values.get("detector") is None and values.get("detections") is None:
             from track_range.detection.models.lookup import DEFAULT_MODEL  # imports onnxruntime
 
-            return {**given, "detector": DEFAULT_MODEL}
-        return given
+            return {**values, "detector": DEFAULT_MODEL}
+        return values
 
     @field_validator("stereo", "mono", mode="before")
     @classmethod
-    def _cameras_and_streams(cls, given: Any) -> Any:
-        """A name may be a camera's number, a device or an address."""
-        if isinstance(given, list | tuple):
-            return tuple((live_address(name) or Path(name)) if isinstance(name, str) else name for name in given)
-        return (live_address(given) or Path(given)) if isinstance(given, str) else given
+    def _cameras_and_streams(cls, video: Any) -> Any:
+        """Convert names to paths, or to the addresses of cameras and streams."""
+        if isinstance(video, list | tuple):
+            return tuple((live_address(name) or Path(name)) if isinstance(name, str) else name for name in video)
+        return (live_address(video) or Path(video)) if isinstance(video, str) else video
 
     @field_serializer("stereo", "mono")
     def _named(self, video: VideoName | tuple[VideoName, VideoName] | None) -> Any:
-        """Without passwords."""
-        return [str(eye) for eye in video] if isinstance(video, tuple) else video and str(video)
+        """Names as text; addresses without passwords."""
+        return [str(name) for name in video] if isinstance(video, tuple) else video and str(video)
 
     @field_validator("align", "lanes", mode="before")
     @classmethod
-    def _off_is_a_word(cls, given: Any) -> Any:
-        """YAML takes a bare `off` for false."""
-        return "off" if given is False else given
+    def _off_as_text(cls, value: Any) -> Any:
+        """Convert False to "off", because YAML reads an unquoted `off` as false."""
+        return "off" if value is False else value
 
     @field_validator("write")
     @classmethod
@@ -310,12 +312,12 @@ class RunSettings(Options):
 
     @field_validator("sgbm_options")
     @classmethod
-    def _known_parameters(cls, given: dict[str, Any]) -> dict[str, Any]:
-        if given:
+    def _known_parameters(cls, values: dict[str, Any]) -> dict[str, Any]:
+        if values:
             from track_range.stereo.matching.sgbm import SgbmSettings  # imports OpenCV
 
-            SgbmSettings.of(given)
-        return given
+            SgbmSettings.of(values)
+        return values
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -327,67 +329,67 @@ class RunSettings(Options):
             raise ValueError("give --rig or --focal-px, not both")
         if self.overlay_disparity and (self.stereo is None or not self.sgbm or not self.overlay):
             raise ValueError(
-                "--overlay-disparity shows dense stereo below the overlay; it needs --stereo, and cannot be "
+                "--overlay-disparity shows dense stereo below the overlay: it requires --stereo, and cannot be "
                 "combined with --no-sgbm or --no-overlay"
             )
         if self.disparity and (self.stereo is None or not self.sgbm):
             raise ValueError(
-                "--disparity shows what dense stereo finds; it needs --stereo, and cannot be combined with --no-sgbm"
+                "--disparity shows dense stereo: it requires --stereo, and cannot be combined with --no-sgbm"
             )
         check_tracker(self.tracker, self.reid)
         return self
 
     @property
     def left(self) -> VideoName:
-        """The video that everything is named after."""
+        """The left or only video, after which the output folder is named."""
         video = self.mono if self.stereo is None else self.stereo[0]
         if video is None:
-            raise ConfigError("no video given")
+            raise ConfigError("expected a video, got none: give --stereo LEFT RIGHT or --mono VIDEO.")
         return video
 
     @property
     def out_dir(self) -> Path:
-        """Where the results go."""
+        """Output folder."""
         return self.out or Path(f"{self.left.stem}-track-range")
 
 
-def settings_from(given: dict[str, Any], file: Path | None = None) -> RunSettings:
+def settings_from(options: dict[str, Any], file: Path | None = None) -> RunSettings:
     """Settings from options (None = not given) over those of a settings.yaml.
 
     Raises:
-        UsageError: options that are wrong, or contradict each other.
-        ConfigError: an unreadable file, or an unknown key or wrong value in it.
+        UsageError: an option is invalid, or options contradict each other.
+        ConfigError: the file cannot be read, or contains an unknown key or an invalid value.
     """
     base = _read(file) if file else {}
-    chosen = {key: value for key, value in given.items() if value is not None}
+    given = {key: value for key, value in options.items() if value is not None}
     for one, other in (("mono", "stereo"), ("detections", "detector"), ("rig", "focal_px")):
-        for given_one, replaced in ((one, other), (other, one)):
-            if given_one in chosen and replaced not in chosen:
-                base.pop(replaced, None)
+        for key, alternative in ((one, other), (other, one)):
+            if key in given and alternative not in given:
+                base.pop(alternative, None)
     try:
-        return RunSettings(**{**base, **chosen})
+        return RunSettings(**{**base, **given})
     except ValidationError as error:
         place = error.errors()[0]["loc"]
-        if place and str(place[0]) not in chosen and file is not None:
+        if place and str(place[0]) not in given and file is not None:
             raise ConfigError(f"{file}: {RunSettings.problem(error)}") from error
         raise UsageError(RunSettings.problem(error)) from error
 
 
-def save_settings(settings: RunSettings, path: Path, *, found: dict[str, Any]) -> None:
-    """Write settings.yaml: the run's settings with absolute paths, and under `found` what the run saw."""
+def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]) -> None:
+    """Write settings.yaml: the settings with absolute paths under `run`, the detected properties under `found`."""
     import yaml
 
     run = absolute_settings(settings)
-    write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": found}, sort_keys=False))
+    write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": detected}, sort_keys=False))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:
-    """The settings as settings.yaml keeps them: plain values, with absolute paths."""
+    """Settings as in settings.yaml: plain values, with absolute paths."""
     run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     for key in ("rig", "detections", "curves", "truth", "table", "out", "reid"):
         if key in run:
             run[key] = str(Path(run[key]).resolve())
-    for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file, or a word
+    for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file or a name
         if key in run and Path(run[key]).exists():
             run[key] = str(Path(run[key]).resolve())
     if settings.stereo:
@@ -409,10 +411,10 @@ def _read(file: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read ({error.strerror or error}).") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: not YAML.") from error
+        raise ConfigError(f"{file}: expected a YAML file, such as the settings.yaml of an earlier run.") from error
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
-        raise ConfigError(f"{file}: not a settings.yaml of track-range (no 'track_range_settings: 1').")
+        raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
     run = document.get("run")
     if not isinstance(run, dict) or not all(isinstance(key, str) for key in run):
-        raise ConfigError(f"{file}: a section 'run:' wanted.")
+        raise ConfigError(f"{file}: expected a section 'run:' with the settings of the run.")
     return run

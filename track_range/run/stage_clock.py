@@ -1,4 +1,4 @@
-"""StageClock: how much time each stage of a run takes."""
+"""StageClock: time spent in each stage of a run."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from threading import Lock
 from track_range.ranging.registry import methods
 
 _WALL_TIMED = ("detect",)
-"""Stages whose work is done in threads of their own; they are timed by the wall clock."""
+"""Stages that work in threads of a library, measured in wall-clock time."""
 
 
 def stage_names() -> tuple[str, ...]:
-    """The stages of a run in their order; each ranging method is one."""
+    """Names of the stages of a run in their order; each ranging method is a stage."""
     return ("read", "lanes", "detect", "track", *(method.name for method in methods()), "fuse", "write")
 
 
 class StageClock:
-    """Seconds of work in each stage, counted in whichever thread does it.
+    """Time spent in each stage, summed over all threads.
 
-    Processor time of the thread: waiting for a core, since a stage gives way to inference, is no cost of that stage.
-    Inference, which has its own threads, is timed by the wall clock.
+    Stages are measured in processor time of their thread, so that waiting for a core (stages have a lower priority than
+    inference) does not count. Inference, which has its own threads, is measured in wall-clock time.
 
     Attributes:
         busy_s: seconds so far, by stage.
@@ -37,13 +37,13 @@ class StageClock:
     def stage(self, name: str) -> Iterator[None]:
         """Add the time of the with-block to a stage."""
         now_s = time.perf_counter if name in _WALL_TIMED else time.thread_time
-        began_s = now_s()
+        start_s = now_s()
         try:
             yield
         finally:
-            self.add(name, now_s() - began_s)
+            self.add(name, now_s() - start_s)
 
     def add(self, name: str, seconds: float) -> None:
-        """Add time that was measured elsewhere to a stage."""
+        """Add seconds that were measured elsewhere to a stage."""
         with self._lock:
             self.busy_s[name] = self.busy_s.get(name, 0.0) + seconds

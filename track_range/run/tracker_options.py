@@ -1,4 +1,4 @@
-"""The options that every tracker of a run is made from."""
+"""Options that are passed to every tracker of a run."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from track_range.tracking.tracker import TrackerOptions
 
 
 def open_tracker_options(reid: Path | None, runtime: Runtime | None = None) -> TrackerOptions:
-    """The options, with the re-identification network loaded where there is one.
+    """Options for trackers, with the re-identification network loaded if there is one.
 
     Raises:
-        ModelError: the file is no re-identification network.
+        ModelError: the file is not a usable re-identification network.
     """
     return TrackerOptions(reid=None if reid is None else ReidModel(reid, runtime))
