@@ -1,4 +1,4 @@
-"""Made drives as KITTI labels: vehicles and people seen from behind, whose boxes are those of their exact sizes."""
+"""Synthetic KITTI labels of drives: vehicles and pedestrians seen from behind, with boxes of their exact sizes."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def row(frame, track, kind, rear_m, x_m=0.0, scale=1.0):
 
 
 def drive(seed, kinds=("Car", "Pedestrian", "Car", "Pedestrian"), n_frames=60):
-    """Objects that come nearer at 8 m/s, 60 frames of each."""
+    """KITTI rows of objects that approach at 8 m/s (0.8 m per frame)."""
     first_m = np.random.default_rng(seed).uniform(58, 70, len(kinds))
     near = [(frame, track, first_m[track] - 0.8 * frame) for frame in range(n_frames) for track in range(len(kinds))]
     return [row(frame, track, kinds[track], rear_m, x_m=3.0 * track) for frame, track, rear_m in near]

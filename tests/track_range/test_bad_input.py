@@ -66,10 +66,10 @@ def junk(path, content):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "there is no such file or folder"),
+        (None, "no such file or folder"),
         (b"", "the file is empty"),
-        (b"this is no video at all " * 50, "not a video, or damaged from its start"),
-        ("half", "an MP4 without its index, so cut short"),
+        (b"this is no video at all " * 50, "not a video"),
+        ("half", "without an index"),
     ],
     ids=["missing", "empty", "text", "truncated"],
 )

@@ -1,4 +1,4 @@
-"""`evaluate detections` and `models quantize` through the command line, on networks and images that the tests make."""
+"""Tests of `evaluate detections` and `models quantize` on synthetic networks and images."""
 
 import json
 
@@ -17,7 +17,7 @@ GREY = 114
 
 @pytest.fixture
 def rectangles(tmp_path):
-    """Ten images of 96 x 96 with one bright rectangle each, labelled as a car, and a network that finds it."""
+    """Ten images of 96 x 96 px with one bright rectangle each, labelled as a car, and a network that detects it."""
     rng = np.random.default_rng(0)
     for name in ("images", "labels"):
         (tmp_path / name).mkdir()
@@ -28,47 +28,46 @@ def rectangles(tmp_path):
         cv2.imwrite(str(tmp_path / f"images/{i}.png"), image)
         share = np.array([x1 + w / 2, y1 + h / 2, w, h]) / 96
         (tmp_path / f"labels/{i}.txt").write_text(f"2 {' '.join(map(str, share))}\n")
-    told = {"names": '["car"]'}
-    write_rectangle_finder(tmp_path / "finder.onnx", side_px=96, grey=GREY / 255, metadata=told)
+    metadata = {"names": '["car"]'}
+    write_rectangle_finder(tmp_path / "finder.onnx", side_px=96, grey=GREY / 255, metadata=metadata)
     return tmp_path
 
 
 def evaluate(cli, folder, *more):
-    given = ["--images", folder / "images", "--labels", folder / "labels", "--json", folder / "figures.json"]
-    status, printed, complaint = cli("evaluate", "detections", *given, *more)
-    assert status == 0, complaint
+    inputs = ["--images", folder / "images", "--labels", folder / "labels", "--json", folder / "figures.json"]
+    status, printed, errors = cli("evaluate", "detections", *inputs, *more)
+    assert status == 0, errors
     return json.loads((folder / "figures.json").read_text()), printed
 
 
-def test_a_perfect_and_a_blind_detector_side_by_side(rectangles, cli):
+def test_perfect_and_blind_detector(rectangles, cli):
     blind = write_model(rectangles / "blind.onnx", np.zeros((1, 252, 6)), metadata={"names": "['car']"})
-    found, printed = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--model", blind)
-    finder, blind = found["models"]["finder"], found["models"]["blind"]
+    figures, printed = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--model", blind)
+    finder, blind = figures["models"]["finder"], figures["models"]["blind"]
     car = finder["classes"]["car"]
     assert (car["n_images"], car["n_boxes"], car["ap50"], car["ap50_95"]) == (10, 10, 1.0, 1.0)
     assert (car["precision"], car["recall"], car["is_averaged"]) == (1, 1, False)
     assert blind["classes"]["car"]["recall"] == 0
     assert finder["ap50"] is None  # ten boxes are too few for a mean
-    assert found["n_images"] == 10
+    assert figures["n_images"] == 10
     assert finder["speed"]["fps"] > 0
-    assert "Under 50 boxes, reported but not averaged: car (10)" in printed
-    for words in ("AP50 % by class", "finder", "blind", "Speed per image"):
-        assert words in printed
+    for word in ("car (10)", "AP50", "finder", "blind"):
+        assert word in printed
 
 
-def test_a_manifest_and_a_missing_class_and_a_damaged_image_are_told(rectangles, cli):
+def test_manifest_unknown_class_and_damaged_image(rectangles, cli):
     lines = [f"{i}.png,{'val' if i < 4 else 'train'},{'00100000' if i else '00000000'}" for i in range(10)]
     (rectangles / "m.csv").write_text("file,split,labels_complete\n" + "\n".join(lines))
     (rectangles / "images/3.png").write_bytes(b"damaged")
     (rectangles / "labels/1.txt").write_text("2 0.5 0.5 0.2 0.2\n")
     person = write_model(rectangles / "p.onnx", np.zeros((1, 252, 6)), metadata={"names": "['person']"})
     models = ["--model", rectangles / "finder.onnx", "--model", person]
-    found, printed = evaluate(cli, rectangles, *models, "--manifest", rectangles / "m.csv")
-    assert found["n_images"] == 3
-    assert found["models"]["finder"]["classes"]["car"]["n_images"] == 2  # in image 0 cars are not all labelled
-    assert "p has no class for: car" in printed
-    assert "1 images left out, the first: " in printed.replace("\n", " ")
-    status, _, complaint = cli(
+    figures, printed = evaluate(cli, rectangles, *models, "--manifest", rectangles / "m.csv")
+    assert figures["n_images"] == 3
+    assert figures["models"]["finder"]["classes"]["car"]["n_images"] == 2  # in image 0 not all cars are labelled
+    assert "p does not detect car" in printed
+    assert "1 images skipped" in printed.replace("\n", " ")
+    status, _, errors = cli(
         "evaluate",
         "detections",
         *models,
@@ -81,66 +80,64 @@ def test_a_manifest_and_a_missing_class_and_a_damaged_image_are_told(rectangles,
         "--split",
         "test",
     )
-    assert (status, "no image is of the split 'test' in it; it has: train, val" in complaint) == (1, True)
+    assert (status, "m.csv" in errors, "split 'test'" in errors) == (1, True, True)
 
 
 def test_classes_and_working_scores(rectangles, cli):
-    found, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--min-score", "0.2,car=1.0")
-    assert (found["working_score"]["car"], found["working_score"]["bus"]) == (1.0, 0.2)
-    found, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--classes", "bus,truck")
-    assert found["models"]["finder"]["classes"] == {}  # cars are neither counted nor missed
-    status, _, complaint = cli(
+    figures, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--min-score", "0.2,car=1.0")
+    assert (figures["working_score"]["car"], figures["working_score"]["bus"]) == (1.0, 0.2)
+    figures, _ = evaluate(cli, rectangles, "--model", rectangles / "finder.onnx", "--classes", "bus,truck")
+    assert figures["models"]["finder"]["classes"] == {}  # cars are ignored
+    status, _, errors = cli(
         "evaluate", "detections", "--model", rectangles / "finder.onnx", "--classes", "tuck",
         "--images", rectangles / "images", "--labels", rectangles / "labels",
     )  # fmt: skip
-    assert (status, "did you mean 'truck'" in complaint) == (1, True)
+    assert (status, "truck" in errors) == (1, True)
 
 
 def test_frames_of_a_video_with_kitti_labels(shared_data, cli, tmp_path):
     drive = shared_data / "kitti_stereo/0003"
-    status, _, complaint = cli(
+    status, _, errors = cli(
         "evaluate", "detections", "--model", shared_data / "models/yolov5n_coco_dyn.onnx",
         "--images", drive / "left.mp4", "--labels", drive / "label.txt", "--json", tmp_path / "f.json",
     )  # fmt: skip
-    assert status == 0, complaint
+    assert status == 0, errors
     car = json.loads((tmp_path / "f.json").read_text())["models"]["yolov5n_coco_dyn"]["classes"]["car"]
     assert car["n_images"] == 16
-    assert 0.5 < car["ap50"] < 1.0  # near cars, and two hidden ones
+    assert 0.5 < car["ap50"] < 1.0  # near cars, and two occluded ones
 
 
-def test_a_video_wants_labels_of_a_sequence(shared_data, cli, tmp_path):
-    status, _, complaint = cli(
+def test_video_needs_a_kitti_tracking_file(shared_data, cli, tmp_path):
+    status, _, errors = cli(
         "evaluate", "detections", "--model", shared_data / "models/yolov5n_coco_dyn.onnx",
         "--images", shared_data / "kitti_stereo/0003/left.mp4", "--labels", tmp_path,
     )  # fmt: skip
-    assert (status, "KITTI tracking labels" in complaint) == (2, True)
+    assert (status, "KITTI tracking" in errors) == (2, True)
 
 
 def test_no_image_can_be_read(rectangles, cli):
     for image in (rectangles / "images").iterdir():
         image.write_bytes(b"damaged")
-    status, _, complaint = cli(
+    status, _, errors = cli(
         "evaluate", "detections", "--model", rectangles / "finder.onnx",
         "--images", rectangles / "images", "--labels", rectangles / "labels",
     )  # fmt: skip
-    assert (status, "none of the labelled images can be read" in complaint) == (1, True)
+    assert (status, "read" in errors) == (1, True)
 
 
-def test_quantize_writes_smaller_copies_and_compares_them(shared_data, cli, tmp_path):
+def test_quantize_writes_smaller_copies(shared_data, cli, tmp_path):
     images = tmp_path / "images"
     images.mkdir()
     capture = cv2.VideoCapture(str(shared_data / "kitti_stereo/0005/left.mp4"))
     for i in range(10):
         cv2.imwrite(str(images / f"{i}.jpg"), capture.read()[1][:, 300:900])
     model, figures = shared_data / "models/yolox_nano_416.onnx", tmp_path / "f.json"
-    status, printed, complaint = cli(
-        "models", "quantize", model, "--images", images, "--out", tmp_path, "--json", figures
-    )
-    assert status == 0, complaint
+    status, printed, errors = cli("models", "quantize", model, "--images", images, "--out", tmp_path, "--json", figures)
+    assert status == 0, errors
     assert "Accuracy is against the original's boxes" in printed.replace("\n", " ")
-    told = json.loads(figures.read_text())
-    assert told["n_images"] == 5  # the other five calibrated
-    original, int8, fp16 = told["models"].values()
+    read = json.loads(figures.read_text())
+    assert read["n_images"] == 5  # the other five were used for calibration
+    original, int8, fp16 = read["models"].values()
     assert int8["size_mb"] < 0.5 * original["size_mb"]
     assert fp16["size_mb"] < 0.6 * original["size_mb"]
     assert original["classes"]["car"]["ap50"] == pytest.approx(1.0)
@@ -152,14 +149,14 @@ def test_quantize_writes_smaller_copies_and_compares_them(shared_data, cli, tmp_
     ]
 
 
-def test_quantize_wants_two_images(rectangles, cli):
+def test_quantize_needs_two_images(rectangles, cli):
     for image in sorted((rectangles / "images").iterdir())[1:]:
         image.unlink()
-    status, _, complaint = cli("models", "quantize", rectangles / "finder.onnx", "--images", rectangles / "images")
-    assert (status, "expected at least 2 images" in complaint) == (1, True)
+    status, _, errors = cli("models", "quantize", rectangles / "finder.onnx", "--images", rectangles / "images")
+    assert (status, "at least 2 images" in errors) == (1, True)
 
 
-def test_who_interrupts_gets_the_figures_of_what_is_done(rectangles, monkeypatch):
+def test_figures_after_an_interrupt(rectangles, monkeypatch):
     detector = YoloDetector(rectangles / "finder.onnx")
     candidate = Candidate("finder", detector)
     frames = LabelledSource(images=rectangles / "images", labels=rectangles / "labels").open()
@@ -174,7 +171,7 @@ def test_who_interrupts_gets_the_figures_of_what_is_done(rectangles, monkeypatch
     figures = evaluate_frames([candidate], frames, min_score=None)
     assert (figures["n_images"], figures["is_complete"]) == (4, False)
     assert figures["models"]["finder"]["classes"]["car"]["recall"] == 1.0
-    assert "Stopped early, after 4 images." in figures["notes"]
+    assert any("4 images" in note for note in figures["notes"])
     candidate.detections[:] = [None] * 4  # now the first image is interrupted
     with pytest.raises(KeyboardInterrupt):
         evaluate_frames([candidate], frames, min_score=None)

@@ -1,1 +1,1 @@
-"""Labelled sequences: finding and tracking them."""
+"""Labelled sequences and images: finding them, tracking, and the evaluation of tracks and detectors."""

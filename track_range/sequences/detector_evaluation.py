@@ -1,8 +1,8 @@
-"""Average precision and speed of detectors on labelled images, side by side.
+"""Comparison of average precision and speed of detectors on labelled images.
 
-Every image is read once and goes through all detectors in turn, so that their times are of the same moments. Detectors
-report every box of confidence 0.001 or more, as average precision needs; precision and recall are given at the working
-confidence, the one of `--min-score`.
+Every image is read once and processed by all detectors in turn, so that their times are measured under the same
+conditions. Average precision uses all boxes of confidence 0.001 or more; precision and recall are those at the working
+confidence, `--min-score`.
 """
 
 from __future__ import annotations
@@ -27,18 +27,29 @@ from track_range.run.detector_options import DetectorOptions, open_detector, thr
 from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
 
 LOWEST_SCORE = 0.001
+"""Lowest confidence of the boxes for average precision, as usual for COCO."""
+
 WORKING_SCORE = 0.25
+"""Default confidence for precision and recall."""
 
 PROTOCOL = (
-    "AP as COCO's (101 points, at most 100 boxes per image and class), boxes of score 0.001 and more after the "
-    "detector's own suppression; precision and recall at IoU 0.5 and the working score; ms per image, medians, "
+    "COCO AP (101 points, at most 100 boxes per image and class) of boxes with a score of at least 0.001 after the "
+    "detector's non-maximum suppression; precision and recall at IoU 0.5 and the working score; median ms per image, "
     "all detectors in turn on each image"
 )
+"""Description of the measurement for the figures."""
 
 
 @dataclass(slots=True)
 class Candidate:
-    """One detector under test, with all that it found and its (images, 3) times."""
+    """One evaluated detector with its results.
+
+    Attributes:
+        name: name in the tables.
+        detector: the detector.
+        detections: the detections of each image.
+        times_ms: times of pre-processing, inference and post-processing of each image.
+    """
 
     name: str
     detector: YoloDetector
@@ -46,7 +57,7 @@ class Candidate:
     times_ms: list[tuple[float, float, float]] = field(default_factory=list)
 
     def detect(self, image: Image) -> None:
-        """Detect, keeping boxes and times."""
+        """Detect in an image; store boxes and times."""
         began_s = time.perf_counter()
         self.detector.fill(image)
         filled_s = time.perf_counter()
@@ -57,7 +68,7 @@ class Candidate:
         self.times_ms.append((1e3 * (filled_s - began_s), 1e3 * (inferred_s - filled_s), 1e3 * (done_s - inferred_s)))
 
     def speed(self) -> dict[str, float]:
-        """Median ms per stage, and images per second; the first image, on which buffers are made, is left out."""
+        """Median ms per stage, and images per second; without the first image, for which buffers are allocated."""
         pre, inference, post = np.median(self.times_ms[1:] or self.times_ms, axis=0).tolist()
         total = pre + inference + post
         return {"pre_ms": pre, "inference_ms": inference, "post_ms": post, "total_ms": total, "fps": 1e3 / total}
@@ -71,9 +82,16 @@ def evaluate(
     progress: FrameProgress = no_frame_progress,
     min_height_px: float = 0.0,
 ) -> dict[str, Any]:
-    """Run every candidate over the labelled images; the figures of all, as `--json` keeps them.
+    """Run all detectors on the labelled images; returns their figures as plain values for JSON.
 
-    After an interrupt (Ctrl-C) the figures are of the images that are done.
+    After an interrupt (Ctrl-C) the figures are those of the finished images.
+
+    Args:
+        candidates: the detectors.
+        frames: labelled images.
+        min_score: working confidence as in `--min-score`; None = `WORKING_SCORE`.
+        progress: shows the number of finished images.
+        min_height_px: smaller objects are ignored.
 
     Raises:
         LabelFileError, VideoError: no image can be read.
@@ -92,17 +110,17 @@ def evaluate(
             raise
         is_complete = False
     if not truth:
-        raise LabelFileError(f"none of the labelled images can be read: {' '.join(frames.unreadable[:1])}")
+        raise LabelFileError(f"no labelled image can be read; the first: {' '.join(frames.unreadable[:1])}")
     working_score = _working_score(min_score)
     scores = {
-        each.name: evaluate_detections(
-            each.detections[: len(truth)],
+        candidate.name: evaluate_detections(
+            candidate.detections[: len(truth)],
             truth,
             working_score=working_score,
-            known_class_id=each.detector.known_class_id,
+            known_class_id=candidate.detector.known_class_id,
             min_height_px=min_height_px,
         )
-        for each in candidates
+        for candidate in candidates
     }
     return {
         "n_images": len(truth),
@@ -110,7 +128,7 @@ def evaluate(
         "min_height_px": min_height_px,
         "working_score": {name: float(working_score[i]) for i, name in enumerate(ROAD_CLASSES)},
         "protocol": PROTOCOL,
-        "models": {each.name: _figures(each, scores) for each in candidates},
+        "models": {candidate.name: _figures(candidate, scores) for candidate in candidates},
         "notes": [
             *_notes(candidates, scores, frames.unreadable),
             *([] if is_complete else [f"Stopped early, after {len(truth)} images."]),
@@ -126,12 +144,12 @@ def evaluate_source(
     progress: FrameProgress = no_frame_progress,
     min_height_px: float = 0.0,
 ) -> dict[str, Any]:
-    """As `evaluate`, with where images and labels came from.
+    """`evaluate` on the images of `source`; the figures also name images, labels, format and split.
 
     Raises:
         LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
     """
-    about = {
+    inputs = {
         "images": str(source.images),
         "labels": str(source.labels),
         "format": source.format,
@@ -139,14 +157,14 @@ def evaluate_source(
     }
     frames = source.open()
     figures = evaluate(candidates, frames, min_score=min_score, progress=progress, min_height_px=min_height_px)
-    return {**about, **figures}
+    return {**inputs, **figures}
 
 
 def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[str, Any]:
-    """One model's entry: what it is, accuracy over its own classes and those that all candidates average, speed."""
+    """The figures of one model: file, accuracy over its classes and over the classes averaged for all models, speed."""
     own = scores[candidate.name]
     shared = [
-        i for i in own.by_class if all(i in each.by_class and each.by_class[i].is_averaged for each in scores.values())
+        i for i in own.by_class if all(i in row.by_class and row.by_class[i].is_averaged for row in scores.values())
     ]
     session = candidate.detector.session
     common = {key: own.mean(key, shared) if shared else None for key in ("ap50", "ap50_95")}
@@ -164,17 +182,17 @@ def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[s
 
 
 def _input(detector: YoloDetector) -> str:
-    """Width and height of the network's input; the longer side where each image has its own."""
+    """Width x height of the network's input, or its longer side if the size depends on the image."""
     height, width = detector.input_hw
     is_open = None in detector.session.input_shape[2:]
     return f"{max(height, width)} open" if is_open else f"{width}x{height}"
 
 
 def open_candidates(models: Sequence[str], options: DetectorOptions, resolve: Callable[[str], Path]) -> list[Candidate]:
-    """The detectors under test, all loaded before the first image; `resolve` gives the file of a name.
+    """Load the detectors to be evaluated; `resolve` gives the file of a model's name.
 
     Raises:
-        ModelError, DownloadError, ClassNameError, ConfigError: one of them cannot be used.
+        ModelError, DownloadError, ClassNameError, ConfigError: a model or an option cannot be used.
     """
     names = [Path(model).stem for model in models]
     unique = [name if names.count(name) == 1 else model for name, model in zip(names, models, strict=True)]
@@ -190,17 +208,21 @@ def _working_score(option: str | None) -> FloatArray:
 
 
 def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], unreadable: Sequence[str]) -> list[str]:
-    notes = [note for each in candidates for note in each.detector.notes]
-    for name, each in scores.items():
-        unknown = [ROAD_CLASSES[i] for i, told in each.by_class.items() if told.n_boxes and not told.is_known]
+    notes = [note for candidate in candidates for note in candidate.detector.notes]
+    for name, model_scores in scores.items():
+        by_class = model_scores.by_class
+        unknown = [ROAD_CLASSES[i] for i, row in by_class.items() if row.n_boxes and not row.is_known]
         if unknown:
-            notes.append(f"{name} has no class for: {', '.join(unknown)}; not averaged for it.")
+            notes.append(f"{name} does not detect {', '.join(unknown)}; not part of its averages.")
     few = {
-        i: told.n_boxes for each in scores.values() for i, told in each.by_class.items() if 0 < told.n_boxes < MIN_BOXES
+        i: row.n_boxes
+        for model_scores in scores.values()
+        for i, row in model_scores.by_class.items()
+        if 0 < row.n_boxes < MIN_BOXES
     }
     if few:
-        listed = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
-        notes.append(f"Under {MIN_BOXES} boxes, reported but not averaged: {listed}.")
+        classes = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
+        notes.append(f"Classes with fewer than {MIN_BOXES} boxes are reported but not averaged: {classes}.")
     if unreadable:
-        notes.append(f"{len(unreadable)} images left out, the first: {unreadable[0]}")
+        notes.append(f"{len(unreadable)} images skipped, the first: {unreadable[0]}")
     return notes

@@ -1,4 +1,4 @@
-"""HOTA, CLEAR and identity metrics of tracks against truth, per sequence and combined."""
+"""HOTA, CLEAR and identity metrics of tracks against ground truth, per sequence and combined."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
 
 
 def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
-    """Metrics of all sequences, each and combined, as plain values for JSON; MOT metrics in per cent.
+    """Metrics per sequence and of all sequences combined, as plain values for JSON; MOT metrics in per cent.
 
     Raises:
-        LabelFileError, MotFormatError: files cannot be read, or results of a sequence are missing.
-        UsageError, ClassNameError: a class that cannot be evaluated.
+        LabelFileError, MotFormatError: a file cannot be read, or the results of a sequence are missing.
+        UsageError, ClassNameError: the class cannot be evaluated.
     """
     truth, results = settings.truth, settings.results
     labelled = find_sequences(truth, "gt")
     form: TruthFormat = settings.truth_format or ("mot" if "," in first_line(labelled[0].path) else "kitti")
-    # in the output folder of `track`, KITTI rows name the classes that KITTI's truth distinguishes
+    # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
     folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
-    place = next((folder for folder in folders if folder.is_dir()), results)
-    tracked = find_sequences(place, "det")
+    results_folder = next((folder for folder in folders if folder.is_dir()), results)
+    tracked = find_sequences(results_folder, "det")
     pairs, name = paired(labelled, tracked), _class_of(form, settings.road_class)
-    similarity = {of.name: Similarity.of(*_cleaned(of, tracks, form, name)) for of, tracks in pairs}
-    counts = {key: TrackingCounts.of_similarity(each) for key, each in similarity.items()}
+    similarity = {labels.name: Similarity.of(*_cleaned(labels, tracks, form, name)) for labels, tracks in pairs}
+    counts = {key: TrackingCounts.of_similarity(value) for key, value in similarity.items()}
     combined = TrackingCounts.sum_of(list(counts.values()))
     figures = {
         "truth": str(truth),
@@ -60,18 +60,18 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         "format": form,
         "class": name,
         "combined": _without_nan(asdict(combined.scores())),
-        "sequences": {key: _without_nan(asdict(each.scores())) for key, each in counts.items()},
+        "sequences": {key: _without_nan(asdict(value.scores())) for key, value in counts.items()},
         "notes": [
             *ignored_files_note(truth, labelled),
-            *ignored_files_note(place, tracked),
+            *ignored_files_note(results_folder, tracked),
             *no_truth_note(labelled, tracked),
         ],
     }
     if settings.compare == "motmetrics":
-        theirs = motmetrics_figures(similarity)
+        reference = motmetrics_figures(similarity)
         figures["motmetrics"] = {
-            "combined": _without_nan(theirs.combined),
-            "sequences": {key: _without_nan(row) for key, row in theirs.sequences.items()},
+            "combined": _without_nan(reference.combined),
+            "sequences": {key: _without_nan(row) for key, row in reference.sequences.items()},
         }
     return figures
 
@@ -81,16 +81,18 @@ def _class_of(form: TruthFormat, road_class: str | None) -> str:
         return "car" if form == "kitti" else "person"
     name = ROAD_CLASSES[int(road_class_ids([road_class])[0])]
     if form == "mot" and name != "person":
-        raise UsageError(f"--class {road_class}: MOTChallenge's truth is of persons only.")
+        raise UsageError(f"--class {road_class}: expected person, the only class of MOTChallenge's ground truth.")
     if form == "kitti" and name not in KITTI_TYPES:
-        raise UsageError(f"--class {road_class}: KITTI's tracking truth is of {', '.join(KITTI_TYPES)}.")
+        raise UsageError(
+            f"--class {road_class}: expected a class of KITTI's tracking labels: {', '.join(KITTI_TYPES)}."
+        )
     return name
 
 
 def _cleaned(
     truth: SequenceFile, results: SequenceFile, form: TruthFormat, road_class: str
 ) -> tuple[TrackedBoxes, TrackedBoxes]:
-    """Truth and results of one sequence that count by the benchmark's rules."""
+    """The boxes of truth and results of one sequence that are evaluated by the benchmark's rules."""
     if form == "mot":
         rows = read_mot(truth.path)
         _check_once(truth.path, rows.frame, rows.track_id)
@@ -102,7 +104,7 @@ def _cleaned(
 
 
 def _read_results(path: Path, road_class: str) -> TrackedBoxes:
-    """Tracks of one class, frames from 0, from MOT rows (no class, frames from 1) or KITTI rows (frames from 0)."""
+    """Tracks of one class with frames from 0, read from MOT rows (frames from 1, no class) or KITTI rows."""
     class_id = ROAD_CLASSES.index(road_class)
     first = first_line(path)
     if not first:
@@ -118,18 +120,18 @@ def _read_results(path: Path, road_class: str) -> TrackedBoxes:
 
 def _check_once(path: Path, frame: IntArray, track_id: IntArray) -> None:
     if len(np.unique(np.stack([frame, track_id]), axis=1).T) < len(frame):
-        raise LabelFileError(f"{path}: an identity is there twice in one frame.")
+        raise LabelFileError(f"{path}: expected each track id at most once per frame, found a duplicate.")
 
 
 def _tracked(path: Path, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray, class_id: int) -> TrackedBoxes:
     try:
         return TrackedBoxes(frame, track_id, xyxy_px, np.full(len(frame), class_id))
     except ValueError as error:
-        raise LabelFileError(f"{path}: an identity is there twice in one frame.") from error
+        raise LabelFileError(f"{path}: expected each track id at most once per frame, found a duplicate.") from error
 
 
 def _without_nan(figures: Mapping[str, float]) -> dict[str, float | int | None]:
-    """For JSON: counts as whole numbers, None for NaN."""
+    """Figures for JSON: counts as integers, NaN as None."""
     return {
         key: None if math.isnan(value) else int(value) if key in COUNTS else float(value)
         for key, value in figures.items()

@@ -1,7 +1,7 @@
-"""Tracks of recorded boxes as files, in MOTChallenge's and in KITTI's format.
+"""Writing tracks as files in MOTChallenge's and in KITTI's format.
 
-MOTChallenge's files count frames and pixels from 1, KITTI's from 0, whatever the boxes were read from. KITTI's format
-has fewer classes.
+MOTChallenge files count frames and pixels from 1, KITTI files from 0, independent of the format of the detections.
+KITTI's format has fewer classes.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ def write_mot(frames: Sequence[Tracks], out: Path, name: str) -> None:
     """Write mot/NAME.txt in `out`; the first of `frames` is frame 1.
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: the file cannot be written.
     """
     lines = (mot_lines(tracks, index) for index, tracks in enumerate(frames))
-    write_text(out / MOT_FOLDER / f"{name}.txt", "".join(line for of_frame in lines for line in of_frame))
+    write_text(out / MOT_FOLDER / f"{name}.txt", "".join(line for frame_lines in lines for line in frame_lines))
 
 
 def write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ...]:
-    """Write kitti/NAME.txt in `out`, frames from 0; a note on classes that KITTI has no name for, which are left out.
+    """Write kitti/NAME.txt in `out`, frames from 0; returns a note on boxes that were omitted because of their class.
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: the file cannot be written.
     """
     file = Path(KITTI_FOLDER) / f"{name}.txt"
     write_text(out / file, "".join(row for frame, tracks in enumerate(frames) for row in _kitti_rows(tracks, frame)))
     class_id = np.concatenate([np.zeros(0, np.int64), *(tracks.class_id for tracks in frames)])
-    nameless = [i for i in np.unique(class_id) if ROAD_CLASSES[i] not in _KITTI_TYPE]
-    if not nameless:
+    omitted = [i for i in np.unique(class_id) if ROAD_CLASSES[i] not in _KITTI_TYPE]
+    if not omitted:
         return ()
-    n, names = int(np.isin(class_id, nameless).sum()), ", ".join(ROAD_CLASSES[i] for i in nameless)
-    return (f"{n} of {len(class_id)} boxes are not in {file.as_posix()}: KITTI has no name for {names}.",)
+    n, names = int(np.isin(class_id, omitted).sum()), ", ".join(ROAD_CLASSES[i] for i in omitted)
+    return (f"{n} of {len(class_id)} boxes omitted from {file.as_posix()}: KITTI has no class for {names}.",)
 
 
 def _kitti_rows(tracks: Tracks, frame: int) -> list[str]:

@@ -1,8 +1,8 @@
-"""Sequences for `track` and `evaluate tracks`: files of boxes or tracks, one by one or a folder of them.
+"""Finding the sequences for `track` and `evaluate tracks`: single files or folders of boxes or tracks.
 
 FILE                        one sequence, named after the file
-DIR/NAME.txt                KITTI's and RRC's way
-DIR/NAME/det/det.txt        MOTChallenge's way (gt/gt.txt for truth), with seqinfo.ini
+DIR/NAME.txt                layout of KITTI and RRC
+DIR/NAME/det/det.txt        layout of MOTChallenge (gt/gt.txt for ground truth), with seqinfo.ini
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
 
 Kind = Literal["det", "gt"]
+"""Detections or ground truth, as in MOTChallenge's file names."""
 
 MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
-"""Where `track` writes its results, a NAME.txt per sequence."""
+"""Folders for the results of `track`, one NAME.txt per sequence."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """Contents of MOTChallenge's seqinfo.ini; None = not given, or there is no such file.
+    """Contents of MOTChallenge's seqinfo.ini; None = not given, or no such file.
 
     Attributes:
-        fps: frames per second.
-        n_frames: length.
+        fps: frame rate.
+        n_frames: number of frames.
         size_px: (width, height) of the images.
     """
 
@@ -42,9 +43,9 @@ class SequenceFile:
     """One sequence.
 
     Attributes:
-        name: of its results.
+        name: name of the sequence and of its results.
         path: file of boxes or ground truth.
-        info: of seqinfo.ini.
+        info: contents of seqinfo.ini.
     """
 
     name: str
@@ -52,83 +53,85 @@ class SequenceFile:
     info: SequenceInfo
 
 
-def find_sequences(place: Path, kind: Kind) -> list[SequenceFile]:
-    """All sequences of a file or folder, by name.
+def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
+    """All sequences of a file or folder, sorted by name.
 
     Args:
-        place: a file, a folder of files, a folder of MOTChallenge's folders, or one of those.
-        kind: "det" or "gt", which of MOTChallenge's files.
+        path: a file, a folder of files, a folder in MOTChallenge's layout, or one sequence of it.
+        kind: which of MOTChallenge's files are read.
 
     Raises:
-        LabelFileError: there is none.
+        LabelFileError: there is no sequence, or two have the same name.
     """
-    if place.is_file():
-        return [_sequence(place)]
-    if not place.is_dir():
-        raise LabelFileError(f"{place}: no such file or folder.")
+    if path.is_file():
+        return [_sequence(path)]
+    if not path.is_dir():
+        raise LabelFileError(f"{path}: no such file or folder; check the name.")
     inner = Path(kind) / f"{kind}.txt"
-    folders = [folder / inner for folder in (place, *sorted(place.iterdir())) if (folder / inner).is_file()]
-    found = [_sequence(path) for path in folders or _text_files(place)]
-    names = [each.name for each in found]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise LabelFileError(f"{place}: two sequences are called {twice}: their results would be one file.")
-    if not found:
-        expected = f"NAME.txt files, or folders NAME with {inner.as_posix()}"
-        raise LabelFileError(f"{place}: no sequences: expected {expected}.")
-    return found
+    mot_files = [folder / inner for folder in (path, *sorted(path.iterdir())) if (folder / inner).is_file()]
+    sequences = [_sequence(file) for file in mot_files or _text_files(path)]
+    names = [sequence.name for sequence in sequences]
+    if duplicate := next((name for name in names if names.count(name) > 1), None):
+        raise LabelFileError(f"{path}: two sequences have the name {duplicate}; rename one.")
+    if not sequences:
+        raise LabelFileError(f"{path}: expected NAME.txt files, or folders NAME with {inner.as_posix()}, found none.")
+    return sequences
 
 
 def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> list[tuple[SequenceFile, SequenceFile]]:
-    """Truth and results of equal names; a single file of each is a pair whatever its name.
+    """Pairs of truth and results with equal names; a single file of each is a pair whatever its name.
 
     Raises:
-        LabelFileError: truth without results, since leaving out sequences would raise the score.
+        LabelFileError: truth without results; ignoring such sequences would raise the score.
     """
     if len(truth) == len(results) == 1:
         return [(truth[0], results[0])]
-    by_name = {each.name: each for each in results}
-    missing = [each.name for each in truth if each.name not in by_name]
+    by_name = {sequence.name: sequence for sequence in results}
+    missing = [sequence.name for sequence in truth if sequence.name not in by_name]
     if missing:
-        raise LabelFileError(f"no results for {listed(missing)}; an empty file NAME.txt means that nothing was found.")
-    return [(each, by_name[each.name]) for each in truth]
+        raise LabelFileError(
+            f"expected results for every sequence of the truth, found none for {listed(missing)}; for a sequence "
+            "without tracks write an empty NAME.txt."
+        )
+    return [(sequence, by_name[sequence.name]) for sequence in truth]
 
 
-def ignored_files_note(place: Path, found: Sequence[SequenceFile]) -> tuple[str, ...]:
-    """A note on a folder's NAME.txt files that are none of its sequences, since MOTChallenge's folders go first."""
-    taken = {each.path for each in found}
-    left = [file.name for file in _text_files(place) if file not in taken] if place.is_dir() else []
-    return (f"{place}: read as MOTChallenge's folders; ignored: {listed(left)}.",) if left else ()
+def ignored_files_note(path: Path, sequences: Sequence[SequenceFile]) -> tuple[str, ...]:
+    """A note on NAME.txt files that were ignored because the folder also has MOTChallenge's layout."""
+    used = {sequence.path for sequence in sequences}
+    ignored = [file.name for file in _text_files(path) if file not in used] if path.is_dir() else []
+    return (f"{path}: read in MOTChallenge's layout; ignored: {listed(ignored)}.",) if ignored else ()
 
 
 def no_truth_note(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:
-    """A note on results that have no truth."""
-    names = {each.name for each in truth}
-    extra = [each.name for each in results if each.name not in names]
+    """A note on results without truth."""
+    names = {sequence.name for sequence in truth}
+    extra = [sequence.name for sequence in results if sequence.name not in names]
     if not extra or len(truth) == len(results) == 1:
         return ()
-    return (f"{len(extra)} of {len(results)} sequences of results have no truth and do not count: {listed(extra)}.",)
+    return (f"{len(extra)} of {len(results)} sequences have no ground truth and are not evaluated: {listed(extra)}.",)
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first five, and whether there are more."""
+    """The first five names, separated by commas; "and more" if there are more."""
     return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}"
 
 
 def first_line(path: Path) -> str:
-    """The first line with anything in it; empty where there is none.
+    """The first non-blank line of a file; an empty text if there is none.
 
     Raises:
-        LabelFileError: the file is no text.
+        LabelFileError: the file is not text.
     """
     try:
         with path.open(encoding="utf-8-sig") as file:
             return next((line for line in file if line.strip()), "")
     except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{path}: cannot be read as text ({type(error).__name__}).") from error
+        raise LabelFileError(f"{path}: expected a text file, got {type(error).__name__}; check the path.") from error
 
 
-def _text_files(place: Path) -> list[Path]:
-    return sorted(file for file in place.glob("*.txt") if file.is_file() and not file.name.startswith("."))
+def _text_files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.glob("*.txt") if file.is_file() and not file.name.startswith("."))
 
 
 def _sequence(path: Path) -> SequenceFile:
@@ -153,11 +156,16 @@ def _read_info(file: Path) -> SequenceInfo:
         width, height = section.getint("imWidth"), section.getint("imHeight")
         info = SequenceInfo(section.getfloat("frameRate"), section.getint("seqLength"), _pair(width, height))
     except (OSError, UnicodeDecodeError, configparser.Error, KeyError, ValueError) as error:
-        raise LabelFileError(f"{file}: not MOTChallenge's [Sequence] with numbers ({type(error).__name__}).") from error
+        raise LabelFileError(
+            f"{file}: expected a section [Sequence] with numbers as in MOTChallenge ({type(error).__name__})."
+        ) from error
     if (info.fps is not None and not 0 < info.fps < 10_000) or (
         info.n_frames is not None and not 0 < info.n_frames <= MAX_FRAME
     ):
-        raise LabelFileError(f"{file}: frameRate and seqLength must be positive, and no more than {MAX_FRAME} frames.")
+        raise LabelFileError(
+            f"{file}: expected 0 < frameRate < 10000 and 0 < seqLength <= {MAX_FRAME}, got {info.fps} and "
+            f"{info.n_frames}."
+        )
     return info
 
 

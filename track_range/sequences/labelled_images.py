@@ -28,36 +28,36 @@ from track_range.video.reader import VideoReader
 
 
 class LabelledFrames(Protocol):
-    """Images with their labels, one by one, and how many there are."""
+    """Iterates over images with their labels."""
 
     @property
     def n_images(self) -> int | None:
-        """To expect; None = unknown."""
+        """Expected number of images; None = unknown."""
         ...
 
     @property
     def unreadable(self) -> Sequence[str]:
-        """A sentence on each image that could not be read and was left out, so far."""
+        """One sentence per image that was skipped because it cannot be read."""
         ...
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
-        """(H, W, 3) uint8 BGR with its labels in its pixels."""
+        """Pairs of an image, (H, W, 3) uint8 BGR, and its labels in pixels."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelledSource:
-    """Where the images and labels of an evaluation come from.
+    """The images and labels of an evaluation.
 
     Attributes:
         images: folder of images, or a video.
         labels: folder or file of labels.
         label_format: "yolo", "kitti" or "coco"; None = KITTI for a video, COCO for a .json file, else YOLO.
-        label_names: class names of YOLO's numbers; None = what lies beside the labels, or the road classes.
-        manifest: which images belong to which split, and which classes are labelled completely.
-        split: of the manifest.
-        leave_out: images of the folder that are not to be measured on.
-        classes: road classes to measure; empty = all.
+        label_names: class names of YOLO's numbers; None = those of a file next to the labels, or the road classes.
+        manifest: CSV file with the split of each image and its completely labelled classes.
+        split: split of the manifest to use.
+        leave_out: images of the folder to exclude.
+        classes: road classes to evaluate; empty = all.
     """
 
     images: Path
@@ -71,12 +71,12 @@ class LabelledSource:
 
     @property
     def is_video(self) -> bool:
-        """Images are frames of a video."""
+        """Whether the images are frames of a video."""
         return self.images.is_file()
 
     @property
     def format(self) -> LabelFormat:
-        """The labels' format, given or guessed."""
+        """The format of the labels, given or detected from the file names."""
         if self.label_format is not None:
             return self.label_format
         if self.is_video:
@@ -84,7 +84,7 @@ class LabelledSource:
         return "coco" if self.labels.suffix.lower() == ".json" else "yolo"
 
     def of_classes(self, truth: ImageTruth) -> ImageTruth:
-        """The labels with only the chosen classes to be counted.
+        """The labels, with only the chosen classes evaluated.
 
         Raises:
             ClassNameError: a class is unknown.
@@ -95,26 +95,26 @@ class LabelledSource:
         return replace(truth, is_complete=truth.is_complete & is_chosen)
 
     def labelled_files(self) -> list[LabelledImage]:
-        """The images of the folder with their labels, all of the split where there is a manifest.
+        """The images of the folder, or of the manifest's split, with their labels.
 
         Raises:
             LabelFileError, ImageFileError: labels or images cannot be read.
         """
-        found = read_labelled(self.images, self.labels, self.format, names=self.label_names)
+        images = read_labelled(self.images, self.labels, self.format, names=self.label_names)
         if self.manifest is None:
-            return found
+            return images
         manifest = read_manifest(self.manifest)
-        if wanted := of_split(found, manifest, self.split):
-            return wanted
+        if split_images := of_split(images, manifest, self.split):
+            return split_images
         splits = ", ".join(sorted({row.split for row in manifest.values()}))
-        raise LabelFileError(f"{self.manifest}: no image is of the split '{self.split}' in it; it has: {splits}.")
+        raise LabelFileError(f"{self.manifest}: no image in the split '{self.split}'; splits in the file: {splits}.")
 
     def open(self) -> LabelledFrames:
-        """Read all labels.
+        """Read all labels and open the images.
 
         Raises:
             ClassNameError: a chosen class is unknown.
-            UsageError: a video with labels other than KITTI's of a sequence.
+            UsageError: a video whose labels are not one KITTI tracking file.
             LabelFileError, ImageFileError, VideoError: labels, images or video cannot be read.
         """
         road_class_ids(self.classes)
@@ -122,7 +122,7 @@ class LabelledSource:
             return _FolderFrames(self)
         if self.format != "kitti" or not self.labels.is_file() or self.manifest is not None:
             raise UsageError(
-                "the frames of a video need one file of KITTI tracking labels: --format kitti --labels FILE."
+                f"--images {self.images}: a video needs one KITTI tracking file; give --format kitti --labels FILE."
             )
         return _VideoFrames(self)
 
@@ -130,14 +130,14 @@ class LabelledSource:
 class _FolderFrames:
     def __init__(self, source: LabelledSource) -> None:
         self._of_classes = source.of_classes
-        self._found = [item for item in source.labelled_files() if item.path not in source.leave_out]
-        if not self._found:
-            raise LabelFileError(f"{source.images}: no labelled images are left to measure on.")
-        self.n_images = len(self._found)
+        self._images = [item for item in source.labelled_files() if item.path not in source.leave_out]
+        if not self._images:
+            raise LabelFileError(f"{source.images}: expected labelled images for the evaluation, found none.")
+        self.n_images = len(self._images)
         self.unreadable: list[str] = []
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
-        for item in self._found:
+        for item in self._images:
             try:
                 image = read_image(item.path)
             except ImageFileError as error:

@@ -1,4 +1,4 @@
-"""Identities for recorded detections, without a video, a rig or distances."""
+"""Tracking of recorded detections; no video or rig is needed, and no distances are measured."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from track_range.tracking.tracker import Tracker
 from track_range.video.frame import VideoError
 
 DEFAULT_FPS = 10.0
-"""KITTI's frame rate; what a sequence without seqinfo.ini is taken to have."""
+"""Frame rate of sequences without seqinfo.ini: KITTI's."""
 
 _CLASS_OF_FOLDER = {"car": "car", "pedestrian": "person", "cyclist": "bicycle"}
-"""RRC's folders name the class that their rows do not."""
+"""Road class by folder name, for RRC's files, which have no class column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ class TrackedFile:
     """One tracked sequence.
 
     Attributes:
-        name: of the sequence.
-        n_frames, n_boxes, n_tracks: counts over the sequence.
-        us_per_frame: time of the tracker.
+        name: name of the sequence.
+        n_frames, n_boxes, n_tracks: numbers of frames, boxes and tracks.
+        us_per_frame: mean time of the tracker per frame, microseconds.
     """
 
     name: str
@@ -58,11 +58,11 @@ class TrackedFile:
 
 @dataclass(frozen=True, slots=True)
 class TrackedFiles:
-    """What `track` did.
+    """Result of `track`.
 
     Attributes:
-        done: sequences that were tracked.
-        failed: sequences that could not be read, of several, each with the reason.
+        done: the tracked sequences.
+        failed: reason by name of the sequences that could not be read.
     """
 
     done: tuple[TrackedFile, ...]
@@ -74,42 +74,43 @@ def track(
     progress: FrameProgress = no_frame_progress,
     note: Callable[[str], object] = lambda _note: None,
 ) -> TrackedFiles:
-    """Track every sequence and write `mot/NAME.txt`, frames counted from 1 as MOTChallenge defines.
+    """Track every sequence and write `mot/NAME.txt`, with frames counted from 1 as MOTChallenge defines.
 
-    A sequence of several that cannot be read does not keep the others from being tracked.
+    If one of several sequences cannot be read, the others are tracked.
 
     Args:
-        settings: what is tracked, and how.
-        progress: opened for each sequence.
+        settings: input, tracker and output folder.
+        progress: shows the progress of each sequence.
         note: called with each note for the user.
 
     Raises:
         LabelFileError, VideoError: boxes or images of the only sequence cannot be read.
-        TrackerError: the tracker cannot be made.
-        ModelError: `reid` is no re-identification network.
-        ClassNameError, UsageError: the class is unknown, or none is meant.
-        OutputError: `out` cannot be written to.
+        TrackerError: the tracker cannot be created.
+        ModelError: `reid` is not a re-identification network.
+        ClassNameError, UsageError: the class is unknown, or several are given.
+        OutputError: `out` cannot be written.
     """
     check_tracker(settings.tracker, settings.reid)
     sequences = find_sequences(settings.detections, "det")
     class_id = _class_of(settings)
-    places = [images_of(each, settings.images, is_alone=len(sequences) == 1) for each in sequences]
-    if settings.reid is not None and None in places:
-        raise UsageError("--reid needs images: give --images with the frames of every sequence.")
-    _check_inputs_stay(sequences, settings)
+    is_single = len(sequences) == 1
+    all_images = [images_of(sequence, settings.images, is_single=is_single) for sequence in sequences]
+    if settings.reid is not None and None in all_images:
+        raise UsageError("--reid needs the images of every sequence; give --images.")
+    _check_overwriting(sequences, settings)
     tracker_options = open_tracker_options(settings.reid)
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)
     _make_folders(settings)
     done, failed = [], {}
-    for sequence, images in zip(sequences, places, strict=True):
+    for sequence, images in zip(sequences, all_images, strict=True):
         try:
             recorded = _read(sequence.path, class_id, settings)
             tracker = create_tracker(settings.tracker, tracker_options)
             tracked, notes = _track_one(sequence, recorded, images, tracker, settings, progress)
         except (LabelFileError, VideoError) as error:
-            if len(sequences) == 1:
+            if is_single:
                 raise
             failed[sequence.name] = str(error)
             note(f"{sequence.name}: {error}")
@@ -126,41 +127,37 @@ def _make_folders(settings: TrackSettings) -> None:
         make_folder(settings.out / KITTI_FOLDER)
 
 
-def _check_inputs_stay(sequences: Sequence[SequenceFile], settings: TrackSettings) -> None:
-    """No result may take the place of what it is made from.
-
-    Raises:
-        OutputError: one would.
-    """
-    for each in sequences:
+def _check_overwriting(sequences: Sequence[SequenceFile], settings: TrackSettings) -> None:
+    """Raise OutputError if a result would overwrite its input."""
+    for sequence in sequences:
         for folder in (MOT_FOLDER, KITTI_FOLDER):
-            if (settings.out / folder / f"{each.name}.txt").resolve() == each.path.resolve():
-                raise OutputError(f"{each.path} would be overwritten with its own tracks: choose another --out.")
+            if (settings.out / folder / f"{sequence.name}.txt").resolve() == sequence.path.resolve():
+                raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
 
 
 def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetections:
-    """The boxes of a sequence, with notes for the user; an empty file means that nothing was found in it."""
+    """The boxes of a sequence, with notes for the user; an empty file is a sequence without boxes."""
     if not first_line(path):
         return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), settings.form or "rrc", notes=())
     recorded = read_detections(path, unnamed_class_id=class_id, form=settings.form)
-    found, notes = recorded.detections, recorded.notes[1:]  # the first says what the file was read as
+    detections, notes = recorded.detections, recorded.notes[1:]  # the first note is on the detected format
     if settings.reid is not None:  # its embeddings replace those of the file
-        found = Detections.of(found.xyxy_px, found.score, found.class_id)
+        detections = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
     if recorded.names_classes and settings.road_class is not None:
-        notes = (*notes, f"--classes {settings.road_class} does not count: the rows of {path.name} name their classes.")
-    return replace(recorded, detections=found, notes=notes)
+        notes = (*notes, f"--classes {settings.road_class} ignored: the rows of {path.name} contain classes.")
+    return replace(recorded, detections=detections, notes=notes)
 
 
 def _class_of(settings: TrackSettings) -> int:
-    """Class of rows that name none."""
+    """Class id for rows without a class."""
     if settings.road_class is None:
-        place = settings.detections.resolve()  # `.` has a name too
-        words = [part.lower() for part in (place.name, place.parent.name)]
+        path = settings.detections.resolve()  # `.` has no name
+        words = [part.lower() for part in (path.name, path.parent.name)]
         name = next((_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person")
         return ROAD_CLASSES.index(name)
     ids = road_class_ids(settings.road_class.split(","))
     if len(ids) != 1:
-        raise UsageError(f"--classes {settings.road_class}: expected one class for rows that name none, such as car.")
+        raise UsageError(f"--classes {settings.road_class}: expected one class for rows without a class, such as car.")
     return int(ids[0])
 
 
@@ -172,7 +169,7 @@ def _track_one(
     settings: TrackSettings,
     progress: FrameProgress,
 ) -> tuple[TrackedFile, tuple[str, ...]]:
-    """Track a sequence and write its files; figures and notes."""
+    """Track a sequence and write its files; returns its figures and the notes for the user."""
     last = int(recorded.frame[-1]) + 1 if len(recorded.frame) else 0
     n_frames = max(sequence.info.n_frames or 0, last)
     with progress(n_frames) as advance:
@@ -189,6 +186,6 @@ def _track_one(
     write_mot(frames, settings.out, sequence.name)
     if settings.kitti:
         notes = (*notes, *write_kitti(frames, settings.out, sequence.name))
-    identities = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
+    track_ids = np.unique(np.concatenate([tracks.track_id for tracks in frames])) if frames else ()
     n_boxes = sum(len(tracks) for tracks in frames)
-    return TrackedFile(sequence.name, n_frames, n_boxes, len(identities), tracked.us_per_frame), notes
+    return TrackedFile(sequence.name, n_frames, n_boxes, len(track_ids), tracked.us_per_frame), notes

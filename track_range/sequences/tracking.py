@@ -1,4 +1,4 @@
-"""Tracking recorded detections, frame by frame, with their images where there are any."""
+"""Tracking of recorded detections frame by frame, with images if there are any."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from track_range.video.frame import VideoError
 from track_range.video.reader import VideoReader
 
 _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
+"""Suffixes of videos, in the order of preference."""
 
 _MAX_OUTSIDE = 0.05
-"""Share of boxes with their centres outside the images above which the user is told."""
+"""Share of boxes with centres outside the images above which the user is warned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,9 @@ class TrackedSequence:
     """The tracks of one sequence.
 
     Attributes:
-        frames: of every frame.
-        us_per_frame: time that tracking took, without reading images.
-        notes: what the user should know.
+        frames: the tracks of every frame.
+        us_per_frame: mean time of tracking per frame in microseconds, without reading images.
+        notes: sentences for the user.
     """
 
     frames: list[Tracks]
@@ -40,36 +41,36 @@ class TrackedSequence:
     notes: tuple[str, ...]
 
 
-def images_of(sequence: SequenceFile, place: Path | None, *, is_alone: bool) -> Path | None:
-    """The video, or folder of images, of a sequence; None = there is none.
+def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
+    """The video or folder of images of a sequence; None = there is none.
 
     Args:
-        sequence: whose.
-        place: what the user named: the video itself, or a folder with NAME.mp4, NAME/ or NAME/img1/; None = only
-            MOTChallenge's img1 beside the boxes counts.
-        is_alone: there is no other sequence, so that `place`, or img1 in it, may be its folder of images.
+        sequence: the sequence.
+        path: the user's video, or folder with NAME.mp4, NAME/ or NAME/img1/; None = only MOTChallenge's img1 next to
+            the boxes is used.
+        is_single: whether there is no other sequence, so that `path` or `path`/img1 may be its folder of images.
 
     Raises:
-        VideoError: `place` does not exist, or has nothing of that name.
+        VideoError: `path` does not exist, or contains no images of this sequence.
     """
-    if place is None:
-        beside = sequence.path.parent.parent / "img1"
-        return beside if sequence.path.parent.name == "det" and beside.is_dir() else None
-    if place.is_file() and is_alone:
-        return place
-    if not place.exists():
-        raise VideoError(f"{place}: there is no such file or folder: check the name.")
-    named = [place / sequence.name / "img1", place / sequence.name, *_videos(place, sequence.name)]
-    named += [place / "img1", place] if is_alone else []
-    if found := next((each for each in named if each.exists()), None):
-        return found
-    raise VideoError(f"{place}: no {sequence.name}.mp4 and no folder {sequence.name} in it.")
+    if path is None:
+        neighbour = sequence.path.parent.parent / "img1"
+        return neighbour if sequence.path.parent.name == "det" and neighbour.is_dir() else None
+    if path.is_file() and is_single:
+        return path
+    if not path.exists():
+        raise VideoError(f"{path}: no such file or folder; check the name.")
+    candidates = [path / sequence.name / "img1", path / sequence.name, *_videos(path, sequence.name)]
+    candidates += [path / "img1", path] if is_single else []
+    if images := next((candidate for candidate in candidates if candidate.exists()), None):
+        return images
+    raise VideoError(f"{path}: expected {sequence.name}.mp4 or a folder {sequence.name}, found neither.")
 
 
-def _videos(place: Path, name: str) -> list[Path]:
-    """Videos of this name in a folder, the usual suffixes first; cameras write .MP4 too."""
-    found = [each for each in place.iterdir() if each.stem == name] if place.is_dir() else []
-    return [each for suffix in _VIDEO_SUFFIXES for each in sorted(found) if each.suffix.lower() == suffix]
+def _videos(folder: Path, name: str) -> list[Path]:
+    """Videos with this stem in a folder, by preference of the suffix, which may be in upper case."""
+    files = [file for file in folder.iterdir() if file.stem == name] if folder.is_dir() else []
+    return [file for suffix in _VIDEO_SUFFIXES for file in sorted(files) if file.suffix.lower() == suffix]
 
 
 def track_sequence(
@@ -82,15 +83,15 @@ def track_sequence(
     is_online: bool = False,
     advance: Callable[[], None] = lambda: None,
 ) -> TrackedSequence:
-    """Run a fresh tracker through a sequence.
+    """Run a new tracker on a sequence.
 
     Args:
         recorded: boxes by frame.
-        tracker: gives them identities.
-        n_frames: frames to go through; those without boxes too.
-        fps: of frames whose time no video tells; a video's own rate wins.
-        images: video or folder whose frame k is that of the boxes' frame k.
-        is_online: output as of a live run; else refined by later frames (`tracking.offline_refinement`).
+        tracker: a tracker without tracks.
+        n_frames: number of frames, including frames without boxes.
+        fps: frame rate, if there is no video that states one.
+        images: video or folder with the images of the frames, by number.
+        is_online: output as in a live run; otherwise refined with later frames (`tracking.offline_refinement`).
         advance: called after each frame.
 
     Raises:
@@ -118,14 +119,14 @@ def track_sequence(
 
 
 class _ImageCounts:
-    """Counts the frames that had images, and the boxes that are not in them."""
+    """Counts of the frames with images, and of the boxes outside the images."""
 
     def __init__(self) -> None:
         self._n_frames = self._n_boxes = self._n_outside = 0
         self._size_text = ""
 
     def add(self, xyxy_px: FloatArray, image: Image | None) -> None:
-        """One frame's boxes (N, 4)."""
+        """Count one frame with its boxes (N, 4)."""
         if image is None:
             return
         height, width = image.shape[:2]
@@ -137,26 +138,26 @@ class _ImageCounts:
         self._size_text = f"{width} x {height}"
 
     def notes(self, images: Path | None, n_frames: int) -> tuple[str, ...]:
-        """What the user should know of the images of `n_frames` frames."""
-        found = []
+        """Sentences for the user about missing images and boxes outside the images."""
+        notes = []
         if self._n_frames < n_frames:
-            found.append(f"{images}: images of {self._n_frames} of {n_frames} frames; the others are tracked without.")
+            notes.append(f"{images}: images for {self._n_frames} of {n_frames} frames; the others use boxes only.")
         if self._n_outside > _MAX_OUTSIDE * self._n_boxes:
-            found.append(
-                f"{self._n_outside} of {self._n_boxes} boxes lie outside the images of {self._size_text} pixels: "
-                "are these the images that the boxes were found in?"
+            notes.append(
+                f"{self._n_outside} of {self._n_boxes} boxes are outside the images of {self._size_text} px; check "
+                "that boxes and images belong together."
             )
-        return tuple(found)
+        return tuple(notes)
 
 
 def _frames(video: VideoReader | None, n_frames: int, fps: float) -> Iterator[tuple[int, float, Image | None]]:
-    """Number, time and image of each frame; times go on at `fps` where the video has no frame."""
+    """Number, time and image of each frame; frames that the video lacks get interpolated times, or times at `fps`."""
     next_frame, time_s = 0, -1 / fps
     if video is not None:
         fps, start_s = video.fps, None
         for read in video:
             frame = read.index
-            # frames that cannot be decoded come before the first time that is known
+            # frames before this one may be undecodable, and have no known time
             start_s = read.time_s - frame / fps if start_s is None else start_s
             read_s = read.time_s - start_s
             if frame >= n_frames:
