@@ -220,12 +220,13 @@ def test_help_teaches_and_version_is_told():
     assert track_range("--colour", "red", check=False).returncode == 2
 
 
-@pytest.mark.parametrize(("option", "boxes"), [((), "packaged detector"), (("--playback",), "playback detector")])
+@pytest.mark.parametrize(("option", "boxes"), [((), "packaged detector"), (("--playback",), "true boxes with noise")])
 def test_demo(tmp_path, option, boxes):
     done = track_range("demo", "--out", tmp_path / "demo", "--seconds", "0.8", *option)
     assert boxes in done.stdout
     assert (tmp_path / "demo" / "report.html").is_file()
-    assert f"Open {tmp_path / 'demo' / 'report.html'}".replace("\n", "") in done.stdout.replace("\n", "")
+    assert str(tmp_path / "demo" / "report.html") in done.stdout
+    assert len(done.stdout.splitlines()) <= 26  # two notes, then one screen
 
 
 # --- real video -------------------------------------------------------------------------------------------------------

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from track_range.cli.console import console, print_line
+import numpy as np
+import numpy.typing as npt
+
+from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.cli.run import run_and_print
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.options import Options, option
+from track_range.report.tables import NOTHING, Column, Grid, figure, grid_of
 from track_range.results.output_files import make_folder
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import DriveOptions, write_drive
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from rich.console import Console
+
+    from track_range.run.run import Run
+
+_COLUMNS = ("time_s", "track_id", "class", "observed", "fused_kf_m", "closing_mps", "ttc_s")
 
 SCENARIO = "crossing"
 """The camera's car stops for people and a cyclist, who stay in plain sight for seconds."""
@@ -35,13 +49,8 @@ class DemoOptions(Options):
 
 def _demo(options: DemoOptions) -> None:
     make_folder(options.out / "drive")
-    boxes = (
-        "Detections come from the simulation's playback detector (true boxes with jitter, misses and false alarms): "
-        "only tracking and ranging are at work."
-        if options.playback
-        else "Detections come from the packaged detector."
-    )
-    print_line(console, f"A simulated stereo drive, with exact truth. {boxes}")
+    boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
+    print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
     with step_progress(console, "rendering") as progress:
         drive = write_drive(
             options.out / "drive",
@@ -57,8 +66,85 @@ def _demo(options: DemoOptions) -> None:
         truth=drive.table,
         out=options.out,
     )
-    run_and_print(settings, console)
-    print_line(console, f"Open {options.out / 'report.html'} in a browser; {options.out / 'overlay.mp4'} is the video.")
+    run_and_print(settings, console, print_results=_print_screen)
+
+
+def _print_screen(run: Run, console: Console) -> None:
+    """Print one screen: the tracks of each class, the accuracy, the files, and what to try next."""
+    n_frames, folder = run.summary["frames"], run.settings.out
+    print_grid(console, track_grid(run.to_arrow()))
+    for line in (
+        f"Accuracy against the simulation's exact truth, {n_frames} frames:",
+        *(f"  {name:<14} {text}" for name, text in accuracy_lines(run.summary)),
+        "",
+        f"Report  {folder}/report.html   all methods, errors by distance, every track",
+        f"Video   {folder}/overlay.mp4   boxes, distances and closing speeds",
+        f"Table   {folder}/tracks.csv    one row per track and frame",
+        "",
+        "Your own video (--help explains the options):",
+        "  track-range --mono dashcam.mp4 --focal-px 1150",
+        "  track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
+    ):
+        print_line(console, line)
+
+
+def track_grid(rows: pa.Table) -> Grid:
+    """One row per class: number of tracks, the longest one, the smallest distance and time to collision.
+
+    Args:
+        rows: of a run, one per track and frame; predicted boxes, which no detection confirmed, are left out.
+    """
+    columns = {name: np.array(rows[name].to_pylist(), object) for name in _COLUMNS}
+    is_observed = columns["observed"].astype(np.bool_)
+    classes = sorted(set(columns["class"].tolist()), key=ROAD_CLASSES.index)
+    n_tracks, longest_s, nearest_m, closing_mps, ttc_s = [], [], [], [], []
+    for name in classes:
+        chosen = {key: column[(columns["class"] == name) & is_observed] for key, column in columns.items()}
+        times_s = [chosen["time_s"][chosen["track_id"] == track_id] for track_id in set(chosen["track_id"].tolist())]
+        n_tracks.append(float(len(times_s)))
+        longest_s.append(max((float(one.max() - one.min()) for one in times_s), default=None))
+        nearest_m.append(_extreme(chosen["fused_kf_m"], min))
+        closing_mps.append(_extreme(chosen["closing_mps"], max))
+        ttc_s.append(_extreme(chosen["ttc_s"], min))
+    return grid_of(
+        "Tracks found",
+        "class",
+        classes,
+        [
+            Column("tracks", n_tracks, "{:.0f}"),
+            Column("longest s", longest_s),
+            Column("nearest m", nearest_m),
+            Column("fastest closing m/s", closing_mps),
+            Column("shortest TTC s", ttc_s),
+        ],
+    )
+
+
+def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Name and text of each line on accuracy: distance, closing speed, tracks; "-" = not measured."""
+    fused, closing, tracks = summary["methods"].get("fused_kf", {}), summary.get("closing") or {}, summary["tracks"]
+    median, mean = (_text(fused, f"{name}_relative_error_pct") for name in ("median", "mean"))
+    yield "distance", f"median error {median} %, mean {mean} %, over {_text(fused, 'n', 0)} boxes"
+    yield (
+        "closing speed",
+        f"median error {_text(closing, 'median_error_mps', 2)} m/s, over {_text(closing, 'n', 0)} boxes",
+    )
+    yield (
+        "tracks",
+        f"IDF1 {_text(tracks, 'idf1', 0)} %, MOTA {_text(tracks, 'mota', 0)} %, "
+        f"{_text(tracks, 'idsw', 0)} identity switches",
+    )
+
+
+def _extreme(values: npt.NDArray[np.object_], choose: Callable[[list[float]], float]) -> float | None:
+    """The smallest or largest value that was measured; None = there is none."""
+    measured = [float(value) for value in values.tolist() if value is not None]
+    return choose(measured) if measured else None
+
+
+def _text(figures: Mapping[str, Any], key: str, decimals: int = 1) -> str:
+    value = figure(figures, key)
+    return NOTHING if value is None else f"{value:.{decimals}f}"
 
 
 app = single_app(command(DemoOptions, _demo))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -47,7 +47,13 @@ def _run(**values: Any) -> None:
         run_and_print(settings, console, view)
 
 
-def run_and_print(settings: RunSettings, console: Console, view: LiveView | None = None) -> Path:
+def run_and_print(
+    settings: RunSettings,
+    console: Console,
+    view: LiveView | None = None,
+    *,
+    print_results: Callable[[Run, Console], None] | None = None,
+) -> Path:
     """Do a whole run, print its notes and tables, and return the folder of its files.
 
     A run that is interrupted, or in the middle of which an input fails, finishes its files first.
@@ -56,6 +62,7 @@ def run_and_print(settings: RunSettings, console: Console, view: LiveView | None
         settings: of the run; without `out`, the folder is named after the left video.
         console: where to print.
         view: shows the frames while the run goes on.
+        print_results: prints the results of the finished run; None = all tables, and the names of the files.
 
     Raises:
         RunStoppedError: the user stopped it.
@@ -69,15 +76,15 @@ def run_and_print(settings: RunSettings, console: Console, view: LiveView | None
     with stop_on_interrupt():
         try:
             with run:
-                _process(run, console, view)
+                _process(run, console, view, print_results or _print_tables)
         except KeyboardInterrupt:
             when = "; what was finished is kept." if run.is_finished else " before any frame was finished."
             raise RunStoppedError(f"stopped by the user{when}") from None
     return settings.out_dir
 
 
-def _process(run: Run, console: Console, view: LiveView | None) -> None:
-    from track_range.cli.console import print_line, print_notes, print_summary
+def _process(run: Run, console: Console, view: LiveView | None, print_results: Callable[[Run, Console], None]) -> None:
+    from track_range.cli.console import print_notes
 
     opening_notes = run.notes
     with _ignore_broken_pipe():
@@ -93,11 +100,19 @@ def _process(run: Run, console: Console, view: LiveView | None) -> None:
         if run.is_finished:
             with _ignore_broken_pipe():
                 print_notes(console, [note for note in run.notes if note not in opening_notes])
-                print_summary(console, run.summary)
-            if run.files:
-                with _ignore_broken_pipe():
-                    names = ", ".join(file.name for file in run.files)
-                    print_line(console, f"Results in {run.files[0].parent}: {names}")
+            with _ignore_broken_pipe():
+                print_results(run, console)
+
+
+def _print_tables(run: Run, console: Console) -> None:
+    """Print every table of the summary, and the names of the result files."""
+    from track_range.cli.console import print_line, print_summary
+
+    with _ignore_broken_pipe():
+        print_summary(console, run.summary)
+    if run.files:
+        names = ", ".join(file.name for file in run.files)
+        print_line(console, f"Results in {run.files[0].parent}: {names}")
 
 
 @contextmanager
