@@ -1,4 +1,4 @@
-"""`track-range align`: the disparity error of a calibrated pair, from a drive or from known distances."""
+"""`track-range align`: estimates the disparity error of a calibrated stereo pair."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _align(settings: AlignmentSettings) -> None:
     for line in (alignment.applied.sentence(), *alignment.notes):
         print_line(console, line)
     alignment.save(settings)
-    print_line(console, f"Written to {settings.out}")
+    print_line(console, f"Written: {settings.out}")
 
 
 app = single_app(command(AlignmentSettings, _align))

@@ -1,4 +1,4 @@
-"""`track-range calibrate`: a rig file from images of a board, with the residual of each view and a picture."""
+"""`track-range calibrate`: calibrates a camera or a stereo pair from images of a board."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from track_range.stereo.calibration.one_camera import CameraCalibration, ViewFit
 from track_range.stereo.calibration.two_cameras import PairCalibration, PairFit
 
 _N_COEFFICIENTS = (0, 4, 5, 8)
+"""Accepted numbers of distortion coefficients."""
 
 
 def _calibrate(settings: CalibrationSettings) -> None:
@@ -28,46 +29,46 @@ def _calibrate(settings: CalibrationSettings) -> None:
         numbers = ", ".join(map(str, _N_COEFFICIENTS))
         raise UsageError(f"--lens-terms {settings.lens_terms}: expected one of {numbers}.")
     progress = partial(step_progress, console)
-    found = find_boards(settings, progress)
-    _print_search(found)
-    calibration = calibrate_views(found, settings, progress)
+    search = find_boards(settings, progress)
+    _print_search(search)
+    calibration = calibrate_views(search, settings, progress)
     _print_rejected(calibration.result.rejected)
     _print_views(calibration.result.fits)
     _print_cameras(calibration.cameras)
     if isinstance(calibration.result, PairCalibration):
         _print_pair(calibration.result)
-    print_line(console, "± are standard deviations, from leaving out views in turn.")
+    print_line(console, "± = standard deviation (jackknife over views).")
     for warning in calibration.warnings:
         print_line(console, f"Warning: {warning}")
     print_line(console, f"Written: {', '.join(map(str, calibration.save(settings)))}.")
 
 
-def _print_search(found: BoardSearch) -> None:
-    for note in found.notes:
+def _print_search(search: BoardSearch) -> None:
+    for note in search.notes:
         print_line(console, note)
-    print_line(console, f"Board found in {len(found.shots)} of {found.n_images} {_views_of(found)}.")
-    _print_rejected(found.rejected)
+    print_line(console, f"Board found in {len(search.shots)} of {search.n_images} {_unit(search)}.")
+    _print_rejected(search.rejected)
 
 
 def _print_rejected(rejected: Sequence[RejectedView]) -> None:
-    """One line per kind of reason; what differs within a kind is left to the figures."""
+    """Print a line per kind of reason, with the names of its views."""
     by_kind: dict[str, list[RejectedView]] = {}
     for view in rejected:
         by_kind.setdefault(view.reason.partition(":")[0], []).append(view)
     for kind, views in by_kind.items():
         shown = ", ".join(view.name for view in views[:8]) + (f" and {len(views) - 8} more" if len(views) > 8 else "")
-        print_line(console, f"Left out: {shown}: {views[0].reason if len(views) == 1 else kind}.")
+        print_line(console, f"Rejected: {shown}: {views[0].reason if len(views) == 1 else kind}.")
 
 
-def _views_of(found: BoardSearch) -> str:
-    return "pairs" if found.shots and len(found.shots[0]) == 2 else "images"
+def _unit(search: BoardSearch) -> str:
+    return "pairs" if search.shots and len(search.shots[0]) == 2 else "images"
 
 
 def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
     lefts = [fit.left if isinstance(fit, PairFit) else fit for fit in fits]
     columns = [
         Column("residual px", [fit.rms_px for fit in fits], "{:.2f}"),
-        Column("rows px", [fit.rows_px if isinstance(fit, PairFit) else None for fit in fits], "{:.2f}"),
+        Column("vertical px", [fit.rows_px if isinstance(fit, PairFit) else None for fit in fits], "{:.2f}"),
         Column("tilt deg", [tilt_deg(fit) for fit in lefts], "{:.0f}"),
         Column("size %", [100 * float(view_shape(fit.view)[2]) for fit in lefts], "{:.0f}"),
         Column("corner blur px", [fit.view.edge_px for fit in lefts], "{:.1f}"),
@@ -76,21 +77,21 @@ def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
 
 
 def _print_cameras(cameras: Mapping[str, CameraCalibration]) -> None:
-    for name, found in cameras.items():
-        camera, std, seen = found.camera, found.std, found.coverage
+    for name, calibration in cameras.items():
+        camera, std, coverage = calibration.camera, calibration.std, calibration.coverage
         print_line(
             console,
             f"{name}: fx {camera.fx_px:.2f} ± {std.fx_px:.2f}, fy {camera.fy_px:.2f} ± {std.fy_px:.2f}, "
             f"cx {camera.cx_px:.2f} ± {std.cx_px:.2f}, cy {camera.cy_px:.2f} ± {std.cy_px:.2f} px; "
-            f"residual {found.rms_px:.3f} px RMS over {len(found.fits)} views.",
+            f"residual {calibration.rms_px:.3f} px RMS over {len(calibration.fits)} views.",
         )
         lens = ", ".join(f"{term:.4g}" for term in camera.distortion) or "none"
-        print_line(console, f"{' ' * len(name)}  lens terms {lens}.")
+        print_line(console, f"{' ' * len(name)}  distortion coefficients {lens}.")
         print_line(
             console,
-            f"{' ' * len(name)}  corners span {_percent(seen.x_span)} of the width and {_percent(seen.y_span)} of the "
-            f"height, boards {_percent(seen.size_range)} of the image's side, tilts {seen.tilt_range_deg[0]:.0f} to "
-            f"{seen.tilt_range_deg[1]:.0f} degrees.",
+            f"{' ' * len(name)}  coverage: corners at {_percent(coverage.x_span)} of the width and "
+            f"{_percent(coverage.y_span)} of the height, boards {_percent(coverage.size_range)} of the image side, "
+            f"tilts {coverage.tilt_range_deg[0]:.0f} to {coverage.tilt_range_deg[1]:.0f} degrees.",
         )
 
 
@@ -98,15 +99,15 @@ def _percent(span: tuple[float, float]) -> str:
     return f"{100 * span[0]:.0f} to {100 * span[1]:.0f} %"
 
 
-def _print_pair(found: PairCalibration) -> None:
+def _print_pair(pair: PairCalibration) -> None:
     print_line(
         console,
-        f"baseline {1000 * found.rig.baseline_m:.2f} ± {1000 * found.baseline_sd_m:.2f} mm, if the squares have "
-        f"the given size; residual {found.rms_px:.3f} px RMS over {len(found.fits)} pairs.",
+        f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_sd_m:.2f} mm, given the size of the "
+        f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
     )
     print_line(
         console,
-        f"Rows after rectification differ by {found.rows_px:.3f} px on average, by {found.held_out_rows_px:.3f} px in "
+        f"Vertical offset after rectification: {pair.rows_px:.3f} px on average, {pair.held_out_rows_px:.3f} px in "
         "pairs held out of the fit.",
     )
 

@@ -1,4 +1,4 @@
-"""`track-range fit`: size curves from a user's own labels, and the paper's comparison of plain curves."""
+"""`track-range fit`: fits size curves to labels, and compares the curves of one measure of the box."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def _fit(settings: FitSettings) -> None:
         print_grid(console, _comparison_grid(curves))
     if settings.picture is not None:
         _draw(fitted, settings.picture)
-        print_line(console, f"Drawn in {settings.picture}")
+        print_line(console, f"Written: {settings.picture}")
     if fitted.model is not None:
         print_grid(console, _model_grid(fitted.name, fitted.model))
-        print_line(console, f"Written to {settings.out}")
+        print_line(console, f"Written: {settings.out}")
     print_notes(console, fitted.notes)
 
 
 def _draw(fitted: FittedSizes, picture: Path) -> None:
-    from track_range.report.figures import curve_picture  # matplotlib takes a third of a second to load
+    from track_range.report.figures import curve_picture  # imports matplotlib, which takes a third of a second
 
     points = {name: fitted.boxes.select(fitted.boxes.class_name == name) for name in fitted.comparison}
     drawn = {
@@ -44,11 +44,11 @@ def _draw(fitted: FittedSizes, picture: Path) -> None:
 
 
 def _comparison_grid(fits: Sequence[CurveFit]) -> tables.Grid:
-    """One class's curves, a row each."""
+    """Table of the curves of one class, a row per curve."""
     columns = [
         tables.Column("residual m2", [fit.residual_m2 for fit in fits], "{:.0f}", cost=abs),
         tables.Column("fitted %", [fit.fitted_error_pct for fit in fits], "{:.2f}", cost=abs),
-        tables.Column("other drives %", _known([fit.other_drives_error_pct for fit in fits]), "{:.2f}", cost=abs),
+        tables.Column("other sequences %", _known([fit.other_drives_error_pct for fit in fits]), "{:.2f}", cost=abs),
     ]
     for k, true_m in enumerate(TABLE_DISTANCES_M):
         columns.append(tables.Column(f"at {true_m:g} m", _known([fit.at_m[k] for fit in fits])))
@@ -61,14 +61,14 @@ def _known(values: Sequence[float]) -> list[float | None]:
 
 
 def _model_grid(name: str, model: StoredSizeModel) -> tables.Grid:
-    """A row per class: what was fitted."""
+    """Table of a fitted model, a row per class."""
     if isinstance(model, CuboidSizes):
         priors = list(model.priors.values())
         columns = [
             tables.Column(f"{what} m", [prior.hwl_m[k] for prior in priors], "{:.2f}")
             for k, what in enumerate(("height", "width", "length"))
         ]
-        columns.append(tables.Column("height +- %", [100 * prior.log_sigma[0] for prior in priors]))
+        columns.append(tables.Column("height ± %", [100 * prior.log_sigma[0] for prior in priors]))
         columns.append(tables.Column("objects", [prior.n_tracks for prior in priors], "{:.0f}"))
         columns.append(tables.Column("boxes", [prior.n_boxes for prior in priors], "{:.0f}"))
         return tables.grid_of("Priors over sizes", "class", list(model.priors), columns)

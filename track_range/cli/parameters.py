@@ -1,4 +1,4 @@
-"""Parameters of commands, made from the fields of `Options`."""
+"""Typer parameters of commands, made from the fields of `Options`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _O = TypeVar("_O", bound=Options)
 
 
 def command(model: type[_O], function: Callable[[_O], object]) -> Callable[..., None]:
-    """A callback for Typer whose parameters are the fields of `model` and which calls `function` with the options."""
+    """Callback for Typer with the fields of `model` as parameters; it calls `function` with the options."""
 
     def callback(**values: Any) -> None:
         function(model.of(given_values(model, values)))
@@ -26,20 +26,19 @@ def command(model: type[_O], function: Callable[[_O], object]) -> Callable[..., 
 
 
 def with_parameters(callback: Callable[..., None], listed: list[Parameter]) -> Callable[..., None]:
-    """The callback with a signature that Typer reads."""
+    """The callback with its signature set to these parameters, for Typer."""
     callback.__signature__ = Signature(listed)  # type: ignore[attr-defined]
     callback.__annotations__ = {parameter.name: parameter.annotation for parameter in listed}
     return callback
 
 
 def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Parameter]:
-    """A parameter per option of a model, and hidden ones for old names.
+    """Parameters of the options of a model, with hidden ones for old names.
 
     Args:
         model: the options.
-        is_only_given: every default is None, so that options which are not given can come from elsewhere (a settings
-            file); the help names the model's defaults. Values are checked by the model alone, whose errors are one
-            sentence, wherever a value comes from.
+        is_only_given: whether all defaults are None, so that options that are not given can come from a settings file.
+            Values are then checked only by the model, whose errors are one sentence for any source of a value.
     """
     listed = []
     for name, field in model.model_fields.items():
@@ -60,7 +59,7 @@ def parameters(model: type[Options], *, is_only_given: bool = False) -> list[Par
 
 
 def given_values(model: type[Options], values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values that belong to a model and are given, by field."""
+    """Values that are given, by field of the model."""
     given: dict[str, Any] = {}
     for name, field in model.model_fields.items():
         for key in (name, *option_of(field)["old_names"]):
@@ -76,7 +75,7 @@ def _parameter(name: str, kind: Any, declaration: Any, default: Any) -> Paramete
 
 
 def _declaration(model: type[Options], name: str, *, is_checked: bool) -> Any:
-    """typer.Option or typer.Argument of a field; `is_checked`: with its bounds or choices."""
+    """typer.Option or typer.Argument of a field, with its bounds or choices if `is_checked`."""
     field = model.model_fields[name]
     shown, kind = option_of(field), value_type(field)
     common: dict[str, Any] = {
@@ -104,11 +103,11 @@ def _placeholder(kind: Any) -> str | None:
 
 
 _PLACEHOLDERS = {bool: None, int: "N", float: "NUMBER", Path: "FILE"}
-"""By type of the value."""
+"""Default placeholder in the help by type of the value; None for switches."""
 
 
 def _typer_type(field: FieldInfo) -> Any:
-    """The type as which Typer reads a field; what it does not know is read as text and validated by the model."""
+    """Type for Typer's parsing of a field; unsupported types are parsed as text and validated by the model."""
     kind = value_type(field)
     if get_origin(kind) is tuple:
         first, *others = get_args(kind)
@@ -123,7 +122,7 @@ def _plain(kind: Any) -> Any:
 
 
 def _default(field: FieldInfo) -> Any:
-    """A field's default as Typer takes it; `Parameter.empty` for what must be given."""
+    """Default of a field for Typer; `Parameter.empty` if the field is required."""
     if field.is_required():
         return Parameter.empty
     if is_list(field):
@@ -149,6 +148,6 @@ def _help(field: FieldInfo) -> str:
 
 
 def _old_flag(flag: str, declared: str | None, old_name: str) -> str:
-    """The option of an old name, with its negative where the present option has one."""
+    """Option of an old name, with a negative form if the current option has one."""
     old = "--" + old_name.replace("_", "-")
     return f"{old}/--no-{old.removeprefix('--')}" if declared and "/" in declared else old

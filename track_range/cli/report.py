@@ -1,4 +1,4 @@
-"""`track-range report`: reports of runs written again from their folders, and a comparison of several runs."""
+"""`track-range report`: rewrites reports from the folders of runs, and compares several runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _report(options: ReportOptions) -> None:
     for grid in written.grids:
         print_grid(console, grid)
     print_notes(console, written.notes)
-    others = "; each run's own report.html was written again" if len(set(options.folders)) > 1 else ""
+    others = "; the report.html of each run was rewritten" if len(set(options.folders)) > 1 else ""
     print_line(console, f"Open {written.page} in a browser{others}.")
 
 

@@ -1,4 +1,4 @@
-"""`track-range rig`: conversion of calibration files, and their meaning in degrees and metres."""
+"""`track-range rig`: shows and converts calibration files."""
 
 from __future__ import annotations
 
@@ -42,9 +42,10 @@ class ShowOptions(Options):
 
 
 _MAX_SIDE_PX = 20_000
-"""No image is wider, and maps for a larger one fill the memory."""
+"""Largest accepted image side; rectification maps of larger images would not fit into memory."""
 
 _SHOWN_M = np.array([10.0, 30.0, 60.0])
+"""Distances in metres for which disparities are shown."""
 
 
 def _convert(options: ConvertOptions) -> None:
@@ -52,37 +53,40 @@ def _convert(options: ConvertOptions) -> None:
     if options.to not in writers:
         raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
     if source.resolve() == out.resolve():
-        raise UsageError(f"{out}: it is the file to convert; name another one to write.")
-    found, notes = load_calibration(source, size_px=_size_of(options.size))
-    _check_sized(found, source)
-    writers[options.to](found, out, [f"from {source.name}"])
+        raise UsageError(f"{out}: expected another file than the input; choose another name for OUT.")
+    calibration, notes = load_calibration(source, size_px=_size_of(options.size))
+    _check_image_size(calibration, source)
+    writers[options.to](calibration, out, [f"from {source.name}"])
     for note in (*notes, *_labels_note(source)):
         print_line(console, note)
-    cameras = "two cameras" if isinstance(found, StereoRig) else "one camera"
+    cameras = "two cameras" if isinstance(calibration, StereoRig) else "one camera"
     print_line(console, f"Written: {out}, {cameras}.")
 
 
 def _labels_note(source: Path) -> tuple[str, ...]:
-    """What the formats that are written cannot keep: the frame that KITTI's labels are given in."""
+    """Note on the reference frame of KITTI labels, which other formats cannot store; empty for other files."""
     shift_m = float(np.linalg.norm(left_from_reference_m(source, is_grey=False)))
     if shift_m == 0:
         return ()
     return (
-        f"KITTI's labels are given {shift_m:.3f} m beside the left camera, which only {source.name} tells: with "
-        "--truth give that one.",
+        f"The reference frame of KITTI labels is {shift_m:.3f} m from the left camera, which OUT does not store: use "
+        f"--rig {source.name} in runs with --truth.",
     )
 
 
 def _show(options: ShowOptions) -> None:
-    found, notes = load_calibration(options.source, size_px=_size_of(options.size))
-    cameras = {"left": found.left, "right": found.right} if isinstance(found, StereoRig) else {"camera": found}
+    calibration, notes = load_calibration(options.source, size_px=_size_of(options.size))
+    if isinstance(calibration, StereoRig):
+        cameras = {"left": calibration.left, "right": calibration.right}
+    else:
+        cameras = {"camera": calibration}
     columns = _camera_columns(list(cameras.values()))
     print_grid(console, grid_of(str(options.source), "camera", list(cameras), columns))
     for name, camera in cameras.items():
         terms = ", ".join(f"{term:.5g}" for term in camera.distortion) or "none"
-        print_line(console, f"{name}: lens terms {terms}.")
-    if isinstance(found, StereoRig):
-        _show_pair(found)
+        print_line(console, f"{name}: distortion coefficients {terms}.")
+    if isinstance(calibration, StereoRig):
+        _show_pair(calibration)
     for note in notes:
         print_line(console, note)
 
@@ -100,25 +104,25 @@ def _camera_columns(cameras: list[PinholeCamera]) -> list[Column]:
         Column("width px", [camera.width_px for camera in cameras], "{:.0f}"),
         Column("height px", [camera.height_px for camera in cameras], "{:.0f}"),
         *columns,
-        Column("across deg", [_view_deg(camera.width_px, camera.cx_px, camera.fx_px) for camera in cameras]),
-        Column("down deg", [_view_deg(camera.height_px, camera.cy_px, camera.fy_px) for camera in cameras]),
+        Column("horizontal deg", [_view_deg(camera.width_px, camera.cx_px, camera.fx_px) for camera in cameras]),
+        Column("vertical deg", [_view_deg(camera.height_px, camera.cy_px, camera.fy_px) for camera in cameras]),
     ]
 
 
 def _view_deg(side_px: int, centre_px: float, focal_px: float) -> float:
-    """Angle between the rays through the first and the last pixel's outer edge, lens terms aside."""
+    """Angle of view in degrees between the outer edges of the first and the last pixel, without distortion."""
     first, last = (centre_px + 0.5) / focal_px, (side_px - 0.5 - centre_px) / focal_px
     return math.degrees(math.atan(first) + math.atan(last))
 
 
 def _show_pair(rig: StereoRig) -> None:
     x_m, y_m, z_m = rig.right_from_left[:3, 3].tolist()
-    print_line(console, f"baseline {rig.baseline_m:.4f} m (shift {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m).")
+    print_line(console, f"baseline {rig.baseline_m:.4f} m (translation {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m).")
     pitch, yaw, roll = _angles_deg(rig)
-    state = "rectified already" if rig.is_rectified else "to be rectified"
-    print_line(console, f"right against left: pitch {pitch:.3f}, yaw {yaw:.3f}, roll {roll:.3f} degrees; {state}.")
+    state = "already rectified" if rig.is_rectified else "not rectified"
+    print_line(console, f"right relative to left: pitch {pitch:.3f}, yaw {yaw:.3f}, roll {roll:.3f} degrees; {state}.")
     if not (rig.is_rectified or rig.left.width_px):
-        print_line(console, "No image size in it: give --size WIDTHxHEIGHT to see what distances it measures.")
+        print_line(console, "The file has no image size: give --size WIDTHxHEIGHT to show disparities by distance.")
         return
     rectified = Rectifier(rig).rig
     disparity_px = rectified.left.fx_px * rectified.baseline_m / _SHOWN_M
@@ -131,34 +135,34 @@ def _show_pair(rig: StereoRig) -> None:
     print_line(
         console, f"rectified: focal length {rectified.left.fx_px:.2f} px, baseline {rectified.baseline_m:.4f} m."
     )
-    print_grid(console, grid_of("What a disparity means", "distance", names, columns))
+    print_grid(console, grid_of("Disparity and range resolution", "distance", names, columns))
 
 
 def _angles_deg(rig: StereoRig) -> tuple[float, float, float]:
-    """Turn of the right camera's frame about the x, y and z axis, in that order (R = Rz Ry Rx)."""
-    turn = rig.right_from_left[:3, :3]
-    pitch = math.atan2(turn[2, 1], turn[2, 2])
-    yaw = math.asin(float(np.clip(-turn[2, 0], -1, 1)))
-    roll = math.atan2(turn[1, 0], turn[0, 0])
-    return math.degrees(pitch) + 0.0, math.degrees(yaw) + 0.0, math.degrees(roll) + 0.0  # + 0.0: no minus before 0
+    """Rotation of the right camera in degrees about the x, y and z axes (R = Rz Ry Rx)."""
+    rotation = rig.right_from_left[:3, :3]
+    pitch = math.atan2(rotation[2, 1], rotation[2, 2])
+    yaw = math.asin(float(np.clip(-rotation[2, 0], -1, 1)))
+    roll = math.atan2(rotation[1, 0], rotation[0, 0])
+    return math.degrees(pitch) + 0.0, math.degrees(yaw) + 0.0, math.degrees(roll) + 0.0  # + 0.0 avoids -0.0
 
 
-def _size_of(words: str | None) -> tuple[int, int] | None:
-    if words is None:
+def _size_of(text: str | None) -> tuple[int, int] | None:
+    if text is None:
         return None
-    sides = words.lower().split("x")
+    sides = text.lower().split("x")
     if len(sides) != 2 or not all(side.isdecimal() and int(side) for side in sides):
-        raise UsageError(f"--size {words}: write it as WIDTHxHEIGHT, such as 1242x375.")
+        raise UsageError(f"--size {text}: expected WIDTHxHEIGHT, such as 1242x375.")
     width_px, height_px = (int(side) for side in sides)
     if max(width_px, height_px) > _MAX_SIDE_PX:
-        raise UsageError(f"--size {words}: no image is as large; {_MAX_SIDE_PX} px a side at most.")
+        raise UsageError(f"--size {text}: expected sides of at most {_MAX_SIDE_PX} px.")
     return width_px, height_px
 
 
-def _check_sized(found: PinholeCamera | StereoRig, source: Path) -> None:
-    camera = found.left if isinstance(found, StereoRig) else found
+def _check_image_size(calibration: PinholeCamera | StereoRig, source: Path) -> None:
+    camera = calibration.left if isinstance(calibration, StereoRig) else calibration
     if not camera.width_px:
-        raise RigError(f"{source}: it does not say how large the images are; add --size WIDTHxHEIGHT.")
+        raise RigError(f"{source}: expected an image size, found none; give --size WIDTHxHEIGHT.")
 
 
 convert_app = single_app(command(ConvertOptions, _convert))

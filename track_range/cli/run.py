@@ -1,4 +1,4 @@
-"""`track-range run`, the main command: the options of `RunSettings`, and how to watch the run."""
+"""`track-range run`, the main command: options of `RunSettings`, live view, and printing of the results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class RunView(Options):
-    """Options of a run that change nothing in its results."""
+    """Options of a run that do not affect its results."""
 
     settings: Annotated[
         Path | None,
@@ -41,9 +41,9 @@ def _run(**values: Any) -> None:
     from track_range.cli.console import console
     from track_range.live_view.view import open_view
 
-    chosen = RunView.of(given_values(RunView, values))
-    settings = settings_from(given_values(RunSettings, values), chosen.settings)
-    with open_view(show=chosen.show, serve=chosen.serve) or nullcontext() as view:
+    view_options = RunView.of(given_values(RunView, values))
+    settings = settings_from(given_values(RunSettings, values), view_options.settings)
+    with open_view(show=view_options.show, serve=view_options.serve) or nullcontext() as view:
         run_and_print(settings, console, view)
 
 
@@ -54,19 +54,19 @@ def run_and_print(
     *,
     print_results: Callable[[Run, Console], None] | None = None,
 ) -> Path:
-    """Do a whole run, print its notes and tables, and return the folder of its files.
+    """Process a whole run, print its notes and tables, and return its output folder.
 
-    A run that is interrupted, or in the middle of which an input fails, finishes its files first.
+    A run that is interrupted, or in which an input fails, finishes its files first.
 
     Args:
-        settings: of the run; without `out`, the folder is named after the left video.
-        console: where to print.
-        view: shows the frames while the run goes on.
-        print_results: prints the results of the finished run; None = all tables, and the names of the files.
+        settings: settings of the run; without `out`, the folder is named after the left video.
+        console: for notes, tables and progress.
+        view: live view of the frames; None = off.
+        print_results: prints the results of the finished run; None = all tables and the names of the files.
 
     Raises:
-        RunStoppedError: the user stopped it.
-        UserError: an input cannot be used, or a file not be written.
+        RunStoppedError: the user stopped the run.
+        UserError: an input cannot be used, or a file cannot be written.
     """
     from track_range.foundation.errors import RunStoppedError
     from track_range.run.interrupts import stop_on_interrupt
@@ -78,8 +78,8 @@ def run_and_print(
             with run:
                 _process(run, console, view, print_results or _print_tables)
         except KeyboardInterrupt:
-            when = "; what was finished is kept." if run.is_finished else " before any frame was finished."
-            raise RunStoppedError(f"stopped by the user{when}") from None
+            state = "; the results so far were written." if run.is_finished else " before any frame was processed."
+            raise RunStoppedError(f"stopped by the user{state}") from None
     return settings.out_dir
 
 
@@ -117,8 +117,8 @@ def _print_tables(run: Run, console: Console) -> None:
 
 @contextmanager
 def _ignore_broken_pipe() -> Iterator[None]:
-    """A closed pipe, a full disk or a terminal without the character sigma ends the printing, not the run."""
-    with suppress(OSError, UnicodeError, SystemExit):  # SystemExit is what Rich makes of a closed pipe
+    """Context in which a closed pipe, a full disk or a terminal without sigma ends the printing, but not the run."""
+    with suppress(OSError, UnicodeError, SystemExit):  # Rich raises SystemExit for a closed pipe
         yield
 
 

@@ -1,4 +1,4 @@
-"""`track-range simulate`: a stereo drive with exact truth, or labelled images to train a detector with."""
+"""`track-range simulate`: a stereo drive with exact ground truth, or labelled images to train detectors."""
 
 from __future__ import annotations
 

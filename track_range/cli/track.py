@@ -1,4 +1,4 @@
-"""`track-range track`: identities for recorded detections, without a video, a rig or distances."""
+"""`track-range track`: tracks recorded detections, without distances."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ def _track(settings: TrackSettings) -> None:
         print_line(console, f"Written: {settings.out / MOT_FOLDER}")
     if tracked.failed:
         n_sequences = len(tracked.done) + len(tracked.failed)
-        failed = f"{len(tracked.failed)} of {n_sequences} sequences could not be tracked, see above"
+        failed = f"{len(tracked.failed)} of {n_sequences} sequences could not be tracked (reasons above)"
         raise LabelFileError(f"{settings.detections}: {failed}: {listed(list(tracked.failed))}.")
 
 
 def _grid(done: Sequence[TrackedFile]) -> Grid:
     columns = [
-        Column("frames", [float(each.n_frames) for each in done], "{:.0f}"),
-        Column("boxes", [float(each.n_boxes) for each in done], "{:.0f}"),
-        Column("tracks", [float(each.n_tracks) for each in done], "{:.0f}"),
-        Column("us per frame", [each.us_per_frame for each in done], "{:.0f}"),
+        Column("frames", [float(sequence.n_frames) for sequence in done], "{:.0f}"),
+        Column("boxes", [float(sequence.n_boxes) for sequence in done], "{:.0f}"),
+        Column("tracks", [float(sequence.n_tracks) for sequence in done], "{:.0f}"),
+        Column("\N{MICRO SIGN}s per frame", [sequence.us_per_frame for sequence in done], "{:.0f}"),
     ]
-    return grid_of("Tracks", "sequence", [each.name for each in done], columns)
+    return grid_of("Tracks", "sequence", [sequence.name for sequence in done], columns)
 
 
 app = single_app(command(TrackSettings, _track))

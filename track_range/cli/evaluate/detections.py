@@ -1,8 +1,9 @@
-"""`track-range evaluate detections`: average precision and speed of detectors on labelled images, side by side."""
+"""`track-range evaluate detections`: average precision and speed of detectors on labelled images."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,14 +31,7 @@ class DetectionsOptions(DetectionEvaluationSettings):
 
 
 def _detections(options: DetectionsOptions) -> None:
-    detector = DetectorOptions(
-        names=options.names,
-        anchors=options.anchors,
-        letterbox=options.letterbox,
-        size_px=options.size_px,
-        threads=options.threads,
-        device=options.device,
-    )
+    detector = replace(DetectorOptions.of(options), min_score=None, classes=())  # these two apply to the evaluation
     source = LabelledSource(
         images=options.images,
         labels=options.labels,
@@ -61,7 +55,7 @@ def _detections(options: DetectionsOptions) -> None:
 
 
 def print_figures(figures: dict[str, Any]) -> None:
-    """Print the tables and notes."""
+    """Print the tables and notes of an evaluation of detectors."""
     for grid in (accuracy_grid(figures), class_grid(figures), speed_grid(figures)):
         print_grid(console, grid)
     for note in figures["notes"]:
@@ -69,7 +63,7 @@ def print_figures(figures: dict[str, Any]) -> None:
 
 
 def write_figures(figures: dict[str, Any], path: Path | None) -> None:
-    """Write the figures as JSON, where a file is given.
+    """Write the figures as JSON if a file is given.
 
     Raises:
         OutputError: the file cannot be written.

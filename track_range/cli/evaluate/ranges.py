@@ -1,4 +1,4 @@
-"""`track-range evaluate ranges`: errors of distances from labelled boxes, all methods side by side."""
+"""`track-range evaluate ranges`: distance errors of the ranging methods on labelled boxes."""
 
 from __future__ import annotations
 
@@ -51,10 +51,11 @@ _COLUMNS: tuple[tuple[str, str, str, float, tables.Cost | None], ...] = (
     ("closing m/s", "closing_median_error_mps", "{:.2f}", 1.0, abs),
     ("95 % m/s", "closing_p95_error_mps", "{:.2f}", 1.0, abs),
 )
+"""Heading, key in a method's row, format, scale and cost of each column, as in `tables.METHOD_COLUMNS`."""
 
 
 def _grids(figures: Mapping[str, Any]) -> list[tables.Grid]:
-    """A table per class, a row per method."""
+    """A table per class with a row per method."""
     methods: Mapping[str, Mapping[str, Any]] = figures["methods"]
     kinds = dict.fromkeys(kind for row in methods.values() for kind in row)
     return [_grid(kind, {name: row[kind] for name, row in methods.items() if kind in row}) for kind in kinds]

@@ -1,4 +1,4 @@
-"""`track-range evaluate stereo`: errors of stereo matchers on pairs whose true disparities are known."""
+"""`track-range evaluate stereo`: distance errors of stereo matchers on pairs with true disparities."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def _stereo(options: StereoOptions) -> None:
 
 _Rows = Mapping[str, Mapping[str, Any]]
 _ColumnSpec = tuple[str, str, str, float, tables.Cost | None]
-"""Heading, key, format, factor and cost of a column, as `tables.METHOD_COLUMNS`."""
+"""Heading, key, format, scale and cost of a column, as in `tables.METHOD_COLUMNS`."""
 
 _COLUMNS: tuple[_ColumnSpec, ...] = (
     ("coverage %", "coverage", "{:.1f}", 100.0, lambda value: -value),
     ("n", "n", "{:.0f}", 1.0, None),
-    ("fail %", "failures_pct", "{:.1f}", 1.0, abs),
+    ("failed %", "failures_pct", "{:.1f}", 1.0, abs),
     ("median %", "median_relative_error_pct", "{:.2f}", 1.0, abs),
     ("mean %", "mean_relative_error_pct", "{:.2f}", 1.0, abs),
     ("95 %", "p95_relative_error_pct", "{:.2f}", 1.0, abs),
@@ -52,11 +52,12 @@ _MORE_COLUMNS: tuple[_ColumnSpec, ...] = (
     ("ms/frame", "ms_per_frame", "{:.1f}", 1.0, abs),
 )
 _INTERVALS = (
-    ("fail %", "failures_pct", "{:.1f} .. {:.1f}"),
+    ("failed %", "failures_pct", "{:.1f} .. {:.1f}"),
     ("median %", "median_relative_error_pct", "{:.2f} .. {:.2f}"),
     ("95 %", "p95_relative_error_pct", "{:.2f} .. {:.2f}"),
     ("bias %", "bias_pct", "{:+.2f} .. {:+.2f}"),
 )
+"""Heading, key and format of each column of intervals."""
 
 
 def _print(figures: Mapping[str, Any]) -> None:
@@ -68,7 +69,7 @@ def _print(figures: Mapping[str, Any]) -> None:
     common = figures["common"]
     if common:
         n_common = next(iter(common.values()))["n"]
-        title = f"On the {n_common} objects that all matchers measured"
+        title = f"On common coverage ({n_common} objects measured by all matchers)"
         print_grid(console, _grid(title, common, _COLUMNS[1:]))
     for note in figures["notes"]:
         print_line(console, note)
@@ -79,14 +80,14 @@ def _grid(title: str, matchers: _Rows, specs: Sequence[_ColumnSpec]) -> tables.G
 
 
 def _more_grid(matchers: _Rows) -> tables.Grid:
-    """Medians by band of distance, calibration of sigma, and time."""
+    """Median errors by distance band, calibration of sigma, and run time."""
     rows = list(matchers.values())
     columns = []
     for number, band in enumerate(rows[0]["bands"]):
         medians = [tables.figure(row["bands"][number], "median_relative_error_pct") for row in rows]
         heading = f"{band['from_m']:g}-{band['to_m']:g} m (n={band['n']})"
         columns.append(tables.Column(heading, medians, "{:.2f}", cost=abs))
-    title = "Median error % by true distance, sigma, time"
+    title = "Median error (%) by true distance, calibration of sigma, run time"
     return tables.grid_of(title, "matcher", list(matchers), [*columns, *_columns(matchers, _MORE_COLUMNS)])
 
 
@@ -98,14 +99,16 @@ def _columns(matchers: _Rows, specs: Sequence[_ColumnSpec]) -> list[tables.Colum
 
 
 def _interval_grid(matchers: _Rows) -> tables.Grid:
-    """95 % bootstrap intervals, matcher by matcher."""
+    """95 % bootstrap intervals of each matcher."""
     lines = []
-    for name, found in matchers.items():
-        ends = [(pattern, found["intervals"].get(key)) for _, key, pattern in _INTERVALS]
+    for name, row in matchers.items():
+        ends = [(pattern, row["intervals"].get(key)) for _, key, pattern in _INTERVALS]
         texts = [tables.NOTHING if pair is None else pattern.format(*pair) for pattern, pair in ends]
         lines.append((tables.Cell(name), *(tables.Cell(text) for text in texts)))
     heads = ("matcher", *(heading for heading, _, _ in _INTERVALS))
-    return tables.Grid("95 % intervals (bootstrap over pairs, or a drive's tracks)", heads, tuple(lines))
+    return tables.Grid(
+        "95 % confidence intervals (bootstrap over pairs, or over the tracks of a drive)", heads, tuple(lines)
+    )
 
 
 app = single_app(command(StereoOptions, _stereo))

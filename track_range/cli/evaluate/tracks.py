@@ -1,4 +1,4 @@
-"""`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against truth."""
+"""`track-range evaluate tracks`: HOTA, CLEAR and identity metrics of tracks against ground truth."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from track_range.sequences.settings import TrackEvaluationSettings
 from track_range.tracking.motmetrics_comparison import REASONS
 
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
+"""Metrics shown, by the usual names; keys of the figures in lower case."""
 
 
 class TracksOptions(TrackEvaluationSettings):
@@ -38,7 +39,7 @@ def _tracks(options: TracksOptions) -> None:
 
 
 def _print_comparison(figures: Mapping[str, Any]) -> None:
-    """Motmetrics' figures beside ours, and why some differ."""
+    """Print the figures of motmetrics beside those of track-range, with reasons for differences."""
     rows: dict[str, Mapping[str, Any]] = {
         "track-range": figures["combined"],
         "motmetrics": figures["motmetrics"]["combined"],
@@ -49,19 +50,19 @@ def _print_comparison(figures: Mapping[str, Any]) -> None:
     columns = [Column(head, values, _pattern(head.lower())) for head, values in compared.items()]
     print_grid(console, grid_of("The same boxes evaluated with motmetrics", "", list(rows), columns))
     differing: dict[str, list[str]] = {}
-    for head, (ours, theirs) in compared.items():
-        if not _is_same(ours, theirs):
+    for head, (own, reference) in compared.items():
+        if not _is_same(own, reference):
             differing.setdefault(REASONS[head.lower()], []).append(head)
     reasons = [f"{', '.join(heads)}: {reason}." for reason, heads in differing.items()]
     print_notes(console, reasons or ["All figures agree."])
 
 
-def _is_same(ours: float | None, theirs: float | None) -> bool:
-    return ours == theirs if ours is None or theirs is None else math.isclose(ours, theirs, abs_tol=1e-6)
+def _is_same(value: float | None, other: float | None) -> bool:
+    return value == other if value is None or other is None else math.isclose(value, other, abs_tol=1e-6)
 
 
 def _grid(figures: Mapping[str, Any]) -> Grid:
-    rows: Mapping[str, Mapping[str, Any]] = {**figures["sequences"], "together": figures["combined"]}
+    rows: Mapping[str, Mapping[str, Any]] = {**figures["sequences"], "combined": figures["combined"]}
     if len(figures["sequences"]) == 1:
         rows = figures["sequences"]
     names: Sequence[str] = list(rows)

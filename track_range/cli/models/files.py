@@ -1,4 +1,4 @@
-"""`track-range models list | pull | import`: where detectors come from."""
+"""`track-range models list`, `pull` and `import`."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def _list(_options: ListOptions) -> None:
         cells = (row.name, row.input, row.size, row.licence, row.source, row.state)
         table.add_row(*(Text(cell) for cell in cells))
     console.print(table)
-    console.print(f"Fetched models are kept in {models_folder()}", highlight=False, soft_wrap=True)
+    console.print(f"Downloaded models are stored in {models_folder()}", highlight=False, soft_wrap=True)
 
 
 def _pull(options: PullOptions) -> None:
     path = ready_model(options.name, console)
-    console.print(f"{path} is ready: --detector {options.name}", highlight=False, soft_wrap=True)
+    console.print(f"{path}: use it with --detector {options.name}", highlight=False, soft_wrap=True)
 
 
 def _import(options: ImportOptions) -> None:

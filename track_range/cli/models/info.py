@@ -1,4 +1,4 @@
-"""`track-range models info`: what a model file contains, what is assumed of it, and its classes."""
+"""`track-range models info`: layout, input format, classes and origin of a detector."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from track_range.run.detector_fields import anchors_option, letterbox_option, na
 from track_range.run.detector_options import DetectorOptions, open_detector
 
 _ABOUT = ("data", "date", "epochs", "licence", "license")
-"""What a model may say of where it comes from."""
+"""Metadata on the origin of a model."""
 
 
 class InfoOptions(Options):
@@ -36,26 +36,26 @@ class InfoOptions(Options):
 
 
 def _info(options: InfoOptions) -> None:
-    detector = DetectorOptions(names=options.names, anchors=options.anchors, letterbox=options.letterbox)
-    found = find_model(options.model)
-    is_here = found.origin != "catalogue" or found.entry is None
+    detector = DetectorOptions.of(options)
+    model = find_model(options.model)
+    is_local = model.origin != "catalogue" or model.entry is None
     table = Table(box=box.SIMPLE_HEAD, show_header=False, padding=(0, 1), title=options.model, title_justify="left")
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_column(style="dim", overflow="fold")
-    for row in chain(_rows(open_detector(found.path, detector)) if is_here else (), _entry_rows(found)):
+    for row in chain(_rows(open_detector(model.path, detector)) if is_local else (), _entry_rows(model)):
         table.add_row(*(Text(text) for text in row))
     console.print(table)
 
 
-def _entry_rows(found: ModelLocation) -> Iterator[tuple[str, str, str]]:
-    """What the catalogue says of a model."""
-    entry = found.entry
+def _entry_rows(model: ModelLocation) -> Iterator[tuple[str, str, str]]:
+    """Rows (property, value, source) from the catalogue."""
+    entry = model.entry
     if entry is None:
         return
-    if found.origin == "catalogue":
-        yield "state", "not here yet", f"`track-range models pull {entry.name}` fetches it"
-        yield "family", entry.family, "by the catalogue"
+    if model.origin == "catalogue":
+        yield "state", "not downloaded", f"download with `track-range models pull {entry.name}`"
+        yield "family", entry.family, "from the catalogue"
         yield "input", entry.input, ""
     yield "licence", f"{entry.licence.name}: {entry.licence.meaning}", ""
     yield "from", f"{entry.project}, release {entry.release}", ""
@@ -64,7 +64,7 @@ def _entry_rows(found: ModelLocation) -> Iterator[tuple[str, str, str]]:
 
 
 def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
-    """Property, value, source."""
+    """Rows (property, value, source) of a loaded model."""
     session, model = detector.session, detector.model
     family = model.attributes["family"]
     yield "family", model.family, family.source
@@ -91,7 +91,7 @@ def _rows(detector: YoloDetector) -> Iterator[tuple[str, str, str]]:
 
 def _rectangular(detector: YoloDetector) -> str:
     if None in detector.session.input_shape[2:]:
-        return "open: as large as each video needs at --size"
+        return "variable size: set by --size and the aspect ratio of the video"
     return ""
 
 
@@ -101,7 +101,7 @@ def _text(value: Any) -> str:
         return f"{value:g}" if isinstance(value, float) else str(value)
     if isinstance(value[0], tuple):
         return " / ".join(" ".join(f"{w:g},{h:g}" for w, h in head) for head in value)
-    return ", ".join(f"{each:g}" for each in value)
+    return ", ".join(f"{number:g}" for number in value)
 
 
 app = single_app(command(InfoOptions, _info))

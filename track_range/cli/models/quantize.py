@@ -1,4 +1,4 @@
-"""`track-range models quantize`: INT8 and FP16 copies of a detector, and what they cost in accuracy, side by side."""
+"""`track-range models quantize`: INT8 and FP16 copies of a detector, compared with the original."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
 from track_range.sequences.settings import LabelFormatField, LabelNamesField, ManifestField, SplitField
 
 N_CALIBRATION = 60
-"""Images that tell the range of every layer's numbers; more change nothing (see detection/models/quantize.py)."""
+"""Number of images for calibration of the value ranges of the layers; see detection/models/quantize.py."""
 
 N_COMPARED = 100
-"""Images on which a copy is compared with its original where there are no labels."""
+"""Most images on which copies are compared with the original if there are no labels."""
 
 
 @dataclass(slots=True)
 class _OriginalsBoxes:
-    """Images without labels: the original's own boxes are the truth, so that AP measures agreement with it."""
+    """Images without labels: boxes of the original are the ground truth, so that AP measures agreement with it."""
 
     original: YoloDetector
     paths: Sequence[Path]
@@ -49,7 +49,7 @@ class _OriginalsBoxes:
 
     @property
     def n_images(self) -> int:
-        """To expect."""
+        """Expected number of images."""
         return len(self.paths)
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
@@ -98,21 +98,13 @@ class QuantizeOptions(Options):
 
 
 def _quantize(options: QuantizeOptions) -> None:
-    """Write NAME-int8.onnx and NAME-fp16.onnx, and print size, speed and accuracy beside the original's.
+    """Write NAME-int8.onnx and NAME-fp16.onnx, and print their size, speed and accuracy beside those of the original.
 
-    Calibration uses 60 images of the folder (half of them, if they are fewer), drawn with a fixed seed; accuracy is
-    measured on others: against labels where there are some, else against the original's boxes of confidence 0.25 and
-    more.
+    Calibration uses `N_CALIBRATION` images of the folder (at most half of them), drawn with a fixed seed; accuracy is
+    measured on the others, against labels if given, else against boxes of the original of confidence 0.25 or more.
     """
     images, out = options.images, options.out
-    detector = DetectorOptions(
-        names=options.names,
-        anchors=options.anchors,
-        letterbox=options.letterbox,
-        size_px=options.size_px,
-        threads=options.threads,
-        device="cpu",
-    )
+    detector = replace(DetectorOptions.of(options), device="cpu")
     source = None
     if options.labels is not None:
         source = LabelledSource(
@@ -129,16 +121,16 @@ def _quantize(options: QuantizeOptions) -> None:
     measured = frozenset(item.path for item in source.labelled_files()) if source else frozenset()
     calibration, others = _calibration_images(images, measured)
     int8, fp16 = (out / f"{path.stem}-{kind}.onnx" for kind in ("int8", "fp16"))
-    with console.status(f"calibrating on {len(calibration)} images") if console.is_terminal else nullcontext():
+    with console.status(f"Calibrating on {len(calibration)} images") if console.is_terminal else nullcontext():
         quantize_int8(path, int8, blobs=_blobs(original, calibration))
         convert_fp16(path, fp16)
     frames: LabelledFrames = _OriginalsBoxes(original, others[:N_COMPARED])
     if source is not None:
         frames = replace(source, leave_out=frozenset(calibration)).open()
-    candidates = open_candidates([str(each) for each in (path, int8, fp16)], detector, Path)
+    candidates = open_candidates([str(model) for model in (path, int8, fp16)], detector, Path)
     figures = evaluate(candidates, frames, min_score=None, progress=partial(frame_progress, console))
-    truth = "the labels" if source else f"the original's boxes of score {WORKING_SCORE} and more"
-    figures["notes"].append(f"Accuracy is against {truth}, on images that calibration did not see.")
+    truth = "the labels" if source else f"boxes of the original of confidence {WORKING_SCORE} or more"
+    figures["notes"].append(f"Accuracy is relative to {truth}, on images that were not used for calibration.")
     print_figures(figures)
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
     write_figures(figures, options.json_file)
@@ -146,13 +138,14 @@ def _quantize(options: QuantizeOptions) -> None:
 
 
 def _calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[Path], list[Path]]:
-    """Images to calibrate on, and the rest; those to be measured on are taken only if there are no others."""
+    """Images for calibration, and the others; labelled images are used for calibration only if there are no others."""
     paths = images_in(folder)
     pool = [path for path in paths if path not in measured] or paths
     n = min(N_CALIBRATION, len(paths) // 2)
     if n == 0:
         raise ModelError(
-            f"{folder}: expected at least 2 images, to calibrate on and to compare on; better {N_CALIBRATION}."
+            f"{folder}: expected at least 2 images, for calibration and comparison, better {2 * N_CALIBRATION}; "
+            f"found {len(paths)}."
         )
     drawn = [pool[i] for i in np.random.default_rng(0).permutation(len(pool))]
     return drawn[:n], drawn[n:] or [path for path in paths if path not in drawn[:n]]
@@ -160,7 +153,7 @@ def _calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[P
 
 def _blobs(detector: YoloDetector, paths: Sequence[Path]) -> Iterator[FloatArray32]:
     for path in paths:
-        with suppress(ImageFileError):  # one damaged image of many changes nothing; with none left, ModelError
+        with suppress(ImageFileError):  # damaged images are skipped; ModelError if none is left
             yield detector.input_blob(read_image(path))
 
 

@@ -1,4 +1,4 @@
-"""`track-range anchors`: anchors fitted to the boxes of a data set."""
+"""`track-range anchors`: fits anchors to the boxes of a data set."""
 
 from __future__ import annotations
 

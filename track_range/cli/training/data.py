@@ -1,4 +1,4 @@
-"""Images and anchors for `track-range train` and `track-range anchors`."""
+"""Reading of images and fitting of anchors for `track-range train` and `track-range anchors`."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 
 _N_LISTED = 20
-"""Unreadable images that are listed by name."""
+"""Most unreadable images that are listed by name."""
 
 _N_PER_HEAD = 3
-"""Anchors of a head, of all networks here."""
+"""Number of anchors of each head, in all networks."""
 
 
 def print_anchors(options: AnchorOptions) -> None:
-    """Print k-means++ anchors of a data set's training boxes, and how well they and the networks' own ones fit.
+    """Print k-means++ anchors of the training boxes of a data set, and their mean best IoU beside that of the defaults.
 
     Raises:
-        LabelFileError, ImageFileError: the data cannot be used, or there are too few boxes.
+        LabelFileError, ImageFileError: the data cannot be used, or contain too few boxes.
     """
     size_px, n_anchors = options.size_px, options.clusters
     data = read_data_yaml(options.data)
@@ -37,30 +37,32 @@ def print_anchors(options: AnchorOptions) -> None:
         print_line(console, note)
     sizes = read_images(data.train, data, max_side_px=size_px).box_sizes_px(size_px)
     if not len(sizes):
-        raise LabelFileError(f"{options.data}: there is no labelled object in its training images.")
+        raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")
     for kind in NETWORKS.values():
-        own = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
+        default = np.array(kind.anchors_px, np.float64).reshape(-1, 2)
         print_line(
-            console, f"{mean_best_iou(sizes, own):.3f} mean best IoU with {kind.family}'s own {len(own)} anchors"
+            console,
+            f"{mean_best_iou(sizes, default):.3f} mean best IoU with {len(default)} default anchors of {kind.family}",
         )
-    found = _kmeans(sizes, n_anchors, options.seed)
+    fitted = _kmeans(sizes, n_anchors, options.seed)
     print_line(
-        console, f"{mean_best_iou(sizes, found):.3f} mean best IoU with these {n_anchors}, of {len(sizes)} boxes:"
+        console,
+        f"{mean_best_iou(sizes, fitted):.3f} mean best IoU with {n_anchors} anchors fitted to {len(sizes)} boxes:",
     )
     n_heads = n_anchors // _N_PER_HEAD if n_anchors % _N_PER_HEAD == 0 else 1
-    print_line(console, as_text(by_head(found, n_heads)))
+    print_line(console, as_text(by_head(fitted, n_heads)))
 
 
 def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_px: int | None) -> CachedImages:
-    """Every image once; those that cannot be read are left out, and counted.
+    """Images of a data set; those that cannot be read are skipped and listed.
 
     Raises:
-        ImageFileError: none can be read.
+        ImageFileError: no image can be read.
     """
     with step_progress(console, "reading images") as progress:
         images = CachedImages(items, data.road_class_id, max_side_px=max_side_px, progress=progress)
     if images.unreadable:
-        print_line(console, f"{len(images.unreadable)} images left out:")
+        print_line(console, f"{len(images.unreadable)} images cannot be read and are skipped:")
         for sentence in images.unreadable[:_N_LISTED]:
             print_line(console, f"- {sentence}")
         if len(images.unreadable) > _N_LISTED:
@@ -68,19 +70,21 @@ def read_images(items: Sequence[LabelledImage], data: TrainingData, *, max_side_
     return images
 
 
-def own_anchors(images: CachedImages, model: str, size_px: int, seed: int) -> Anchors:
-    """K-means++ anchors of the boxes to be learnt, as many as the network has.
+def fitted_anchors(images: CachedImages, model: str, size_px: int, seed: int) -> Anchors:
+    """K-means++ anchors of the training boxes, as many as the network has.
 
     Raises:
         LabelFileError: there are too few boxes.
     """
     kind = NETWORKS[model]
     sizes = images.box_sizes_px(size_px)
-    found = _kmeans(sizes, kind.n_anchors, seed)
-    before = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))
-    anchors = by_head(found, kind.n_heads)
+    fitted = _kmeans(sizes, kind.n_anchors, seed)
+    default_iou = mean_best_iou(sizes, np.array(kind.anchors_px, np.float64).reshape(-1, 2))
+    anchors = by_head(fitted, kind.n_heads)
     print_line(
-        console, f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, found):.3f} (before: {before:.3f})."
+        console,
+        f"Anchors: {as_text(anchors)}; mean best IoU {mean_best_iou(sizes, fitted):.3f} (default anchors: "
+        f"{default_iou:.3f}).",
     )
     return anchors
 

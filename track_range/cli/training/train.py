@@ -1,4 +1,4 @@
-"""`track-range train`: a detector trained on labelled images, exported as an ONNX file."""
+"""`track-range train`: trains a detector on labelled images and exports it as an ONNX file."""
 
 from __future__ import annotations
 

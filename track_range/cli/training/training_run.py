@@ -1,4 +1,4 @@
-"""Training of a detector, from labelled images to an ONNX file; imports PyTorch."""
+"""Training of a detector from labelled images to an ONNX file; imports PyTorch."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.training.data import own_anchors, read_images
+from track_range.cli.training.data import fitted_anchors, read_images
 from track_range.cli.training.options import TrainOptions
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.kitti import LabelFileError
@@ -33,10 +33,11 @@ from track_range.run.interrupts import stop_on_interrupt
 from track_range.run.ready_model import ready_model
 
 CURVES = "curves.png"
+"""Chart of losses and accuracy in the run folder."""
 
 
 def train(options: TrainOptions) -> None:
-    """Train, export the best network into the run folder, and print its figures.
+    """Train, export the best network to the run folder, and print its figures.
 
     Raises:
         LabelFileError, ImageFileError: the data cannot be used.
@@ -47,7 +48,7 @@ def train(options: TrainOptions) -> None:
     for note in data.notes:
         print_line(console, note)
     if not any((~item.truth.is_ignored).any() for item in data.train):
-        raise LabelFileError(f"{options.data}: there is no labelled object in its training images.")
+        raise LabelFileError(f"{options.data}: expected labelled objects in the training images, found none.")
     _check_checkpoints(options)
     teacher = _teacher(options, data, settings)
     make_folder(options.out)
@@ -59,14 +60,14 @@ def train(options: TrainOptions) -> None:
                 training.run(display)
             _finish(training, options, data)
         except KeyboardInterrupt:
-            raise TrainingError(f"stopped by the user; --resume goes on with the run in {options.out}.") from None
+            raise TrainingError(f"stopped by the user; continue the run in {options.out} with --resume.") from None
 
 
 def _check_checkpoints(options: TrainOptions) -> None:
-    """Everything that can be said of the run folder and of `--weights` before images are read.
+    """Check the run folder and `--weights` before images are read.
 
     Raises:
-        OutputError: there is a run, and it is not to be resumed; or what would be written is there already.
+        OutputError: the folder contains a run that is not to be resumed, or a file would be overwritten.
         CheckpointError: a checkpoint is missing or damaged.
     """
     if options.resume:
@@ -75,10 +76,12 @@ def _check_checkpoints(options: TrainOptions) -> None:
             load_checkpoint(options.out / BEST)
         return
     if (options.out / LAST).exists():
-        raise OutputError(f"{options.out}: a run is there already: continue it with --resume, or choose another --out.")
+        raise OutputError(
+            f"{options.out}: this folder already contains a run; continue it with --resume, or choose another --out."
+        )
     for name in (BEST, RESULTS, CURVES, f"{options.model}.onnx"):
         if (options.out / name).exists():
-            raise OutputError(f"{options.out / name} would be overwritten: choose another --out.")
+            raise OutputError(f"{options.out / name}: this file would be overwritten; choose another --out.")
     if options.weights is not None:
         load_checkpoint(options.weights)
 
@@ -86,13 +89,13 @@ def _check_checkpoints(options: TrainOptions) -> None:
 def _prepared(
     options: TrainOptions, settings: TrainingSettings, data: TrainingData, teacher: Teacher | None
 ) -> Training:
-    """Images read, network made; resumed, or started from weights, where asked for."""
+    """Read the images and create the network, resumed or with initial weights if requested."""
     largest_px = int(settings.size_px * settings.augmentation.max_gain)
     images = read_images(data.train, data, max_side_px=largest_px)
     validation = read_images(data.val, data, max_side_px=None)
     anchors = None
     if options.anchors == "kmeans++":
-        anchors = own_anchors(images, options.model, options.size_px, options.seed)
+        anchors = fitted_anchors(images, options.model, options.size_px, options.seed)
     prepare_torch(seed=settings.seed, n_threads=options.n_threads)
     network = make_network(
         options.model, len(data.road_class_id), anchors_px=anchors, has_cbam=options.attention == "cbam"
@@ -101,20 +104,20 @@ def _prepared(
     training = Training(network, settings, sets, options.out, teacher=teacher)
     if options.resume:
         training.resume()
-        print_line(console, f"Going on after epoch {len(training.history)} of {settings.n_epochs}.")
+        print_line(console, f"Resuming after epoch {len(training.history)} of {settings.n_epochs}.")
     elif options.weights is not None:
         training.start_from(options.weights)
     n = sum(parameter.numel() for parameter in network.parameters())
     print_line(
         console,
-        f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million weights, {settings.device}, {settings.precision}; "
-        f"{len(images)} images to learn from ({images.n_kept} in memory), {len(validation)} to validate on.",
+        f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million parameters, {settings.device}, {settings.precision}; "
+        f"{len(images)} training images ({images.n_kept} in memory), {len(validation)} validation images.",
     )
     return training
 
 
 class _Display:
-    """A bar of the epoch in progress, and a line for each that is done."""
+    """Listener that shows a progress bar for the current epoch and a line for each finished one."""
 
     def __init__(self, n_epochs: int, draw: Callable[[], None]) -> None:
         self._n_epochs, self._draw = n_epochs, draw
@@ -138,23 +141,23 @@ class _Display:
         self._progress.stop()
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
-        """See `Listener`."""
+        """Implements `Listener`."""
         box, objectness, class_score = losses.numbers()
         text = f"box {box:.4f} objectness {objectness:.4f} class {class_score:.4f}"
         self._move(f"epoch {epoch + 1} of {self._n_epochs}", i, n, text)
 
     def validated(self, epoch: int, i: int, n: int) -> None:
-        """See `Listener`."""
+        """Implements `Listener`."""
         self._move(f"validation {epoch + 1}", i, n, "")
 
     def epoch(self, row: dict[str, float]) -> None:
-        """See `Listener`."""
+        """Implements `Listener`."""
         self._minutes.append(row["minutes"])
         left = (self._n_epochs - row["epoch"]) * float(np.median(self._minutes))
         figures = f"AP50 {100 * row['ap50']:.1f} %, AP50-95 {100 * row['ap50_95']:.1f} %, " if "ap50" in row else ""
         losses = f"box {row['loss_box']:.4f}, objectness {row['loss_objectness']:.4f}, class {row['loss_class']:.4f}"
-        told = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
-        print_line(console, f"{told}, {_duration(left)} left")
+        text = f"epoch {row['epoch']:.0f}/{self._n_epochs}: {figures}losses: {losses}; {_duration(row['minutes'])}"
+        print_line(console, f"{text}, {_duration(left)} left")
         self._draw()
 
     def _move(self, description: str, i: int, n: int, text: str) -> None:
@@ -190,19 +193,19 @@ def _teacher(options: TrainOptions, data: TrainingData, settings: TrainingSettin
 
 
 def _finish(training: Training, options: TrainOptions, data: TrainingData) -> None:
-    """Export the best network and tell what it can do."""
+    """Export the best network and print its figures."""
     training.take_best()
     model = options.out / f"{options.model}.onnx"
     export_onnx(training.average.network, model, _metadata(options, data, training))
     figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
     print_grid(console, class_grid(figures))
     names = [name for name in (CURVES, RESULTS, BEST, LAST) if (options.out / name).exists()]
-    print_line(console, f"Written: {model}, and {', '.join(names)} beside it.")
-    print_line(console, f"Use it: track-range --mono VIDEO --focal-px F --detector {model}")
+    print_line(console, f"Written: {model}, and in the same folder {', '.join(names)}.")
+    print_line(console, f"To use it: track-range --mono VIDEO --focal-px PX --detector {model}")
 
 
 def _metadata(options: TrainOptions, data: TrainingData, training: Training) -> dict[str, object]:
-    """What the file says of itself; see `detection.models.metadata`."""
+    """Metadata of the ONNX file; see `detection.models.metadata`."""
     network = training.average.network
     about = {
         "family": NETWORKS[options.model].family,
