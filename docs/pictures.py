@@ -216,8 +216,10 @@ def overlay() -> None:
     image = _frame(_demo() / "overlay.mp4", DEMO_FRAME)
     _save_jpeg(image, README_PICTURE, quality=88)
     _save_jpeg(image, IMAGES / "overlay.jpg", quality=88)
-    inset = image[-226:, :230]
-    cv2.imwrite(str(IMAGES / "from_above.png"), cv2.resize(inset, None, fx=1.6, fy=1.6, interpolation=cv2.INTER_CUBIC))
+    height_px = int(0.42 * image.shape[0])
+    inset = image[-height_px - 1 :, : int(0.8 * height_px) + 2]
+    inset = cv2.resize(inset, None, fx=2.2, fy=2.2, interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(IMAGES / "from_above.png"), inset)
 
 
 def disparity() -> None:
