@@ -1,1 +1,1 @@
-"""Cameras, and what two of them see."""
+"""Cameras and stereo: calibration, rectification, disparity, alignment."""

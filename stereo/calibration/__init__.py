@@ -1,1 +1,1 @@
-"""Calibration of one camera and of a pair from pictures of boards."""
+"""Calibration of one camera or a stereo rig from images of boards."""

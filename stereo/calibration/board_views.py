@@ -1,9 +1,9 @@
-"""BoardFinder: the corners of a calibration board in an image, to a fraction of a pixel, or why there are none.
+"""BoardFinder: the corners of a calibration board in an image, with subpixel accuracy, or the reason for rejecting it.
 
-Chessboards are found by OpenCV's sector method (Duda & Frese 2018) at its most accurate: on two real sets of
-photographs it finds one board more than the classic detector with cornerSubPix, and calibrates with less residual.
-Where a board reads the same turned by 180 degrees, its corners may be counted from either end; `in_step` settles that
-for the two eyes of a pair.
+Chessboards are detected with OpenCV's sector-based method (Duda & Frese 2018) at its highest accuracy: on two real sets
+of photographs it detects one more board than the classic detector with cornerSubPix, and leaves smaller residuals.
+The corners of a board that looks the same after a rotation by 180 degrees may be counted from either end;
+`common_corners` resolves this for a stereo pair.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from track_range.stereo.calibration.boards import (
 )
 
 _MIN_CHARUCO_CORNERS = 6
-"""Fewer of a ChArUco board fix its pose too badly to help."""
+"""Fewest corners of a ChArUco board that determine its pose well enough."""
 
 _PATCH_SHARE = 0.35
-"""Half side of the patch around a corner, in which its edges are measured, as a share of the corners' spacing."""
+"""Half side of the patch around a corner in which the edge width is measured, as a share of the corner spacing."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoardView:
-    """A board as one image shows it.
+    """The detected corners of a board in one image.
 
     Attributes:
-        name: of the image.
+        name: name of the image.
         size_px: (width, height) of the image.
-        corner_id: (N,) which corners of the board.
-        xy_px: (N, 2) where they are, pixel centres at whole numbers.
-        xyz_m: (N, 3) where they are on the board.
-        edge_px: width of the edges between black and white: about 2 where sharp, over 5 where blurred.
+        corner_id: (N,) ids of the detected corners.
+        xy_px: (N, 2) their positions in the image, pixel centres at integers.
+        xyz_m: (N, 3) their positions on the board, metres.
+        edge_px: width of the edges between black and white: about 2 in sharp images, more than 5 in blurred ones.
     """
 
     name: str
@@ -53,22 +53,22 @@ class BoardView:
     xyz_m: FloatArray
     edge_px: float
 
-    def of_corners(self, wanted: IntArray) -> BoardView:
-        """The same with those corners alone whose ids are wanted."""
-        keep = np.isin(self.corner_id, wanted)
-        return replace(self, corner_id=self.corner_id[keep], xy_px=self.xy_px[keep], xyz_m=self.xyz_m[keep])
+    def of_corners(self, corner_id: IntArray) -> BoardView:
+        """The view restricted to the corners with these ids (K,)."""
+        rows = np.isin(self.corner_id, corner_id)
+        return replace(self, corner_id=self.corner_id[rows], xy_px=self.xy_px[rows], xyz_m=self.xyz_m[rows])
 
 
 @dataclass(frozen=True, slots=True)
 class RejectedView:
-    """An image that is not used, and why, in words for the user."""
+    """An image that is not used, and the reason for the user."""
 
     name: str
     reason: str
 
 
 class BoardFinder:
-    """Finds one kind of board."""
+    """Detects one type of board."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -80,14 +80,14 @@ class BoardFinder:
         grey = _grey(image)
         corner_id, xy_px = self._chess_corners(grey) if not self._charuco else self._charuco_corners(grey)
         if not len(corner_id):
-            return RejectedView(name, "no whole board found")
+            return RejectedView(name, "no complete board found")
         if len(corner_id) < _MIN_CHARUCO_CORNERS or _is_in_line(self._corners_m[corner_id]):
             return RejectedView(name, f"only {len(corner_id)} corners of the board found")
         size_px = (grey.shape[1], grey.shape[0])
         return BoardView(name, size_px, corner_id, xy_px, self._corners_m[corner_id], _edge_px(grey, xy_px))
 
-    def quick_look(self, image: Image) -> bool:
-        """Whether there may be a board at all: for films, most frames of which show none."""
+    def may_contain_board(self, image: Image) -> bool:
+        """Whether a fast search finds a board: for videos, most of whose frames show none."""
         grey = _grey(image)
         if self._charuco:
             return self._charuco[0].detectBoard(grey)[3] is not None
@@ -97,15 +97,15 @@ class BoardFinder:
 
     def _chess_corners(self, grey: Image, *, flags: int = cv2.CALIB_CB_ACCURACY) -> tuple[IntArray, FloatArray]:
         try:
-            found, xy_px = cv2.findChessboardCornersSB(grey, self.board.grid, flags=flags)
-        except cv2.error:  # an image smaller than the board has corners
-            found, xy_px = False, np.zeros((0, 2))
-        if not found:
+            is_found, xy_px = cv2.findChessboardCornersSB(grey, self.board.grid, flags=flags)
+        except cv2.error:  # fewer pixels than the board has corners
+            is_found, xy_px = False, np.zeros((0, 2))
+        if not is_found:
             return np.zeros(0, np.int64), np.zeros((0, 2))
         return np.arange(len(self._corners_m)), np.asarray(xy_px, np.float64).reshape(-1, 2)
 
     def _charuco_corners(self, grey: Image) -> tuple[IntArray, FloatArray]:
-        """Those that today's drawing of the board explains, else those that the one before OpenCV 4.6 does."""
+        """Corners of the board in its current pattern, else in the pattern of OpenCV before 4.6."""
         for detector in self._charuco:
             xy_px, corner_id, *_ = detector.detectBoard(grey)
             if corner_id is not None and len(corner_id):
@@ -113,70 +113,70 @@ class BoardFinder:
         return np.zeros(0, np.int64), np.zeros((0, 2))
 
 
-def in_step(left: BoardView, right: BoardView, board: Board) -> tuple[BoardView, BoardView]:
-    """Both views with the corners that both have, counted from the same end of the board.
+def common_corners(left: BoardView, right: BoardView, board: Board) -> tuple[BoardView, BoardView]:
+    """Both views restricted to their common corners, counted from the same end of the board.
 
-    A chessboard whose sides have both an even or both an odd number of corners looks the same turned by 180 degrees;
-    the eyes are then taken to be upright relative to each other. Others say themselves which end is which.
+    A chessboard with two even or two odd numbers of corners looks the same after a rotation by 180 degrees; the cameras
+    are then assumed to be mounted the same way up. Other boards are unambiguous.
     """
-    both = np.intersect1d(left.corner_id, right.corner_id)
-    left, right = left.of_corners(both), right.of_corners(both)
-    if isinstance(board, ChessBoard) and sum(board.grid) % 2 == 0 and len(both):
-        right = min(_turns(right, board), key=lambda view: _disagreement(left, view))
+    common = np.intersect1d(left.corner_id, right.corner_id)
+    left, right = left.of_corners(common), right.of_corners(common)
+    if isinstance(board, ChessBoard) and sum(board.grid) % 2 == 0 and len(common):
+        right = min(_symmetric_views(right, board), key=lambda view: _disagreement(left, view))
     return left, right
 
 
-def sizes_seen(images: Sequence[Image]) -> Counter[tuple[int, int]]:
-    """How many images show a chessboard of how many inner corners (the larger number first), whatever was expected."""
-    seen: Counter[tuple[int, int]] = Counter()
+def count_board_sizes(images: Sequence[Image]) -> Counter[tuple[int, int]]:
+    """Number of images by size of the chessboard that they show, in inner corners, the larger number first."""
+    counts: Counter[tuple[int, int]] = Counter()
     for image in images:
         flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_ACCURACY
-        found, _, cells = cv2.findChessboardCornersSBWithMeta(_grey(image), (3, 3), flags)
-        if found and cells is not None:
+        is_found, _, cells = cv2.findChessboardCornersSBWithMeta(_grey(image), (3, 3), flags)
+        if is_found and cells is not None:
             rows, columns = cells.shape[:2]
-            seen[max(rows, columns), min(rows, columns)] += 1
-    return seen
+            counts[max(rows, columns), min(rows, columns)] += 1
+    return counts
 
 
-def markers_seen(images: Sequence[Image]) -> Counter[str]:
-    """How many ArUco markers of each dictionary the images show.
+def count_markers(images: Sequence[Image]) -> Counter[str]:
+    """Number of ArUco markers in the images, by dictionary.
 
-    Of a family such as 4X4_50 .. 4X4_1000, whose smaller sets are the start of the larger, the largest is looked for.
+    In a family such as 4X4_50 .. 4X4_1000, the smaller dictionaries are the start of the largest, which is detected.
     """
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     greys = [_grey(image) for image in images]
     n_markers = {name: len(dictionary_of(name).bytesList) for name in dictionaries()}
     families = {name: re.sub(r"_\d+$", "", name) for name in n_markers}
     for family in set(families.values()):
         members = [name for name, other in families.items() if other == family]
         detector = cv2.aruco.ArucoDetector(dictionary_of(max(members, key=n_markers.__getitem__)))
-        found = [ids.ravel() for ids in (detector.detectMarkers(grey)[1] for grey in greys) if ids is not None]
-        numbers = np.concatenate([np.zeros(0, np.int32), *found])
-        seen.update({name: int((numbers < n_markers[name]).sum()) for name in members})
-    return seen
+        detected = [ids.ravel() for ids in (detector.detectMarkers(grey)[1] for grey in greys) if ids is not None]
+        ids = np.concatenate([np.zeros(0, np.int32), *detected])
+        counts.update({name: int((ids < n_markers[name]).sum()) for name in members})
+    return counts
 
 
-def _turns(view: BoardView, board: ChessBoard) -> list[BoardView]:
-    """The view with its corners counted from each end that looks like the first."""
+def _symmetric_views(view: BoardView, board: ChessBoard) -> list[BoardView]:
+    """The view with its corners counted from each equivalent end of the board."""
     ids = np.arange(len(view.corner_id)).reshape(board.n_rows, board.n_columns)
     quarters = (0, 1, 2, 3) if board.n_rows == board.n_columns else (0, 2)
     return [replace(view, xy_px=view.xy_px[np.rot90(ids, quarter).ravel()]) for quarter in quarters]
 
 
 def _disagreement(left: BoardView, right: BoardView) -> float:
-    """How differently the board lies in the two images, leaving its place aside."""
+    """Distance between the corners in the two images, after aligning their means."""
     shapes = [view.xy_px - view.xy_px.mean(axis=0) for view in (left, right)]
     return float(np.linalg.norm(shapes[0] - shapes[1]))
 
 
 def _is_in_line(xyz_m: FloatArray) -> bool:
-    """Whether all corners lie in one line, which fixes no pose."""
+    """Whether all corners lie on one line, which determines no pose."""
     spread = np.linalg.svd(xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0), compute_uv=False)
     return bool(spread[1] < 1e-6 * max(spread[0], 1e-12))
 
 
 def _edge_px(grey: Image, xy_px: FloatArray) -> float:
-    """Contrast over steepest slope around the corners, their median: the width of an edge."""
+    """Median over the corners of the width of their edges, contrast / steepest slope."""
     half = int(np.clip(_PATCH_SHARE * _spacing_px(xy_px), 2, 20))
     widths = []
     for x, y in xy_px.round().astype(int):
@@ -192,7 +192,7 @@ def _edge_px(grey: Image, xy_px: FloatArray) -> float:
 
 
 def _spacing_px(xy_px: FloatArray) -> float:
-    """Distance of a corner from the nearest other one, the least of all."""
+    """Smallest distance between two corners."""
     steps = np.linalg.norm(xy_px[:, None] - xy_px[None], axis=2)
     np.fill_diagonal(steps, np.inf)
     return float(steps.min())

@@ -1,9 +1,11 @@
-"""Coverage: what part of the image a set of board views has seen, in x, y, size and skew, and what is missing.
+"""Coverage of the image by a set of board views, in position, size and tilt, and what is missing.
 
-    x, y   share of the image's width and height that the corners span       size  side of the board over the image's
-    skew   tilt of the board's plane against the image plane, degrees
+    x, y   share of the image width and height spanned by the corners
+    size   side of the board / side of the image
+    tilt   angle between the board's plane and the image plane, degrees
 
-Lens terms are extrapolated where no corner was, and a board that is never tilted leaves the focal length open.
+The lens distortion is extrapolated where there are no corners, and views without tilt do not determine the focal
+length.
 """
 
 from __future__ import annotations
@@ -19,37 +21,47 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.calibration.board_views import BoardView
 
 _THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))
+"""Names of the thirds of the image, by axis."""
 
 _MIN_SHARE_OF_THIRD = 0.03
-"""A third of the image with fewer of all the corners counts as not seen."""
+"""Least share of all corners in a third of the image."""
 
 _EDGE_SHARE = 0.15
-"""Corners should come as near to each edge of the image."""
+"""Largest distance of the outermost corners from the edges of the image, as a share of its side."""
 
 _SAME_TILT_RAD = math.radians(6.0)
-"""Boards whose planes differ by no more are parallel."""
+"""Largest angle between parallel boards."""
 
 _TILTED_DEG = 15.0
+"""Tilt from which a board counts as tilted."""
+
 _MIN_TILTED_SHARE = 0.25
+"""Least share of views with a tilted board."""
+
 _MIN_SIZE_RATIO = 1.3
+"""Least ratio of the largest to the smallest board in the images."""
+
 _MIN_LARGEST_SIZE = 0.25
+"""Least size of the largest board, as a share of the image's side."""
+
 _FEW_VIEWS = 10
+"""Number of views below which a warning asks for more."""
 
 _SAME_PLACE_PX = 5.0
-"""Mean motion of the corners between any two views below which the board stands still."""
+"""Mean motion of the corners between two views below which the board is static."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """What was seen.
+    """Coverage of the image by board views.
 
     Attributes:
-        x_span: (first, last) corner as a share of the image's width.
-        y_span: the same of the height.
-        size_range: (smallest, largest) board: square root of the share of the image that it fills.
+        x_span: (first, last) corner as a share of the image width.
+        y_span: (first, last) corner as a share of the image height.
+        size_range: (smallest, largest) board: square root of the share of the image area.
         tilt_range_deg: (smallest, largest) angle between a board's plane and the image plane.
-        is_parallel: all boards have the same tilt, in the same direction.
-        warnings: sentences on what is missing.
+        is_parallel: whether all boards are parallel.
+        warnings: sentences for the user on missing views.
     """
 
     x_span: tuple[float, float]
@@ -61,15 +73,15 @@ class Coverage:
 
 
 def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Coverage:
-    """Coverage by these views, whose boards have the poses (V, 4, 4)."""
+    """Coverage by V views with board poses (V, 4, 4)."""
     share = _shares(views)
     sizes = np.array([view_shape(view)[2] for view in views])
     normals = board_to_camera[:, :3, 2]
     tilts_deg = np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0, 1)))
-    apart_rad = np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1))
+    angle_rad = np.arccos(np.clip(np.abs(normals @ normals.T), 0, 1))
     warnings = [
         *_few_views(len(views)),
-        *_unseen_parts(share),
+        *_uncovered_parts(share),
         *_sizes_missing(sizes),
         *_tilts_missing(tilts_deg, normals),
     ]
@@ -78,15 +90,15 @@ def coverage_of(views: Sequence[BoardView], board_to_camera: FloatArray) -> Cove
         _range(share[:, 1]),
         _range(sizes),
         _range(tilts_deg),
-        bool(apart_rad.max() < _SAME_TILT_RAD),
+        bool(angle_rad.max() < _SAME_TILT_RAD),
         tuple(warnings),
     )
 
 
 def view_shape(view: BoardView) -> FloatArray:
-    """(4,) where and how a board stands in an image: x and y of its middle, its size and its skew, each about 0 .. 1.
+    """(4,) x and y of the board's centre in the image, its size and its skew, each about 0 .. 1.
 
-    Skew is how far the corner of the board's outline is from a right angle, or its sides from being equal.
+    Skew is the deviation of the board's image from right angles and equal sides.
     """
     size_px = np.array(view.size_px)
     x, y = view.xy_px.mean(axis=0) / size_px
@@ -97,44 +109,44 @@ def view_shape(view: BoardView) -> FloatArray:
     return np.array([x, y, size, skew])
 
 
-def varied(views: Sequence[BoardView], n_wanted: int) -> list[int]:
-    """Indices, ascending, of `n_wanted` views that differ most: each next one is farthest from all before."""
-    if len(views) <= n_wanted:
+def most_different(views: Sequence[BoardView], n_views: int) -> list[int]:
+    """Ascending indices of `n_views` different views, by farthest-point sampling from the sharpest one."""
+    if len(views) <= n_views:
         return list(range(len(views)))
     shapes = np.stack([view_shape(view) for view in views])
     chosen = [int(np.argmin([view.edge_px for view in views]))]
-    far = np.abs(shapes - shapes[chosen[0]]).sum(axis=1)
-    while len(chosen) < n_wanted:
-        chosen.append(int(far.argmax()))
-        far = np.minimum(far, np.abs(shapes - shapes[chosen[-1]]).sum(axis=1))
+    distance = np.abs(shapes - shapes[chosen[0]]).sum(axis=1)
+    while len(chosen) < n_views:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.abs(shapes - shapes[chosen[-1]]).sum(axis=1))
     return sorted(chosen)
 
 
-def lack_of_motion(views: Sequence[BoardView]) -> bool:
-    """Whether the board stands at the same place of the image in all views."""
+def is_static(views: Sequence[BoardView]) -> bool:
+    """Whether the board is at the same position in the images of all views."""
     first = views[0]
     for view in views[1:]:
-        both = np.intersect1d(first.corner_id, view.corner_id)
-        if not len(both):
+        common = np.intersect1d(first.corner_id, view.corner_id)
+        if not len(common):
             return False
-        steps = first.of_corners(both).xy_px - view.of_corners(both).xy_px
+        steps = first.of_corners(common).xy_px - view.of_corners(common).xy_px
         if np.linalg.norm(steps, axis=1).mean() > _SAME_PLACE_PX:
             return False
     return True
 
 
 def _skew(homography: FloatArray, view: BoardView) -> float:
-    """Unlikeness of the board's two directions in the image: of their lengths, and to a right angle."""
+    """|cos| of the angle between the board's axes in the image, plus 1 - the ratio of their lengths."""
     x, y = (view.xyz_m[:, :2] / np.ptp(view.xyz_m[:, :2])).mean(axis=0)
     point = homography @ np.array([x, y, 1.0])
-    along = [(homography[:2, i] - point[:2] / point[2] * homography[2, i]) / point[2] for i in (0, 1)]
-    lengths = [float(np.linalg.norm(each)) for each in along]
-    cosine = abs(float(along[0] @ along[1])) / max(lengths[0] * lengths[1], 1e-12)
+    axes = [(homography[:2, i] - point[:2] / point[2] * homography[2, i]) / point[2] for i in (0, 1)]
+    lengths = [float(np.linalg.norm(axis)) for axis in axes]
+    cosine = abs(float(axes[0] @ axes[1])) / max(lengths[0] * lengths[1], 1e-12)
     return cosine + 1 - min(lengths) / max(*lengths, 1e-12)
 
 
 def _shares(views: Sequence[BoardView]) -> FloatArray:
-    """(N, 2) all corners as shares of the image's width and height."""
+    """(N, 2) all corners as shares of the image width and height."""
     return np.concatenate([view.xy_px / np.array(view.size_px) for view in views])
 
 
@@ -146,41 +158,44 @@ def _few_views(n_views: int) -> list[str]:
     return [f"only {n_views} views: 15 to 30 are good."] if n_views < _FEW_VIEWS else []
 
 
-def _unseen_parts(share: FloatArray) -> list[str]:
-    """Thirds of the image that hardly any corner was in, and edges that none came near."""
-    said = []
+def _uncovered_parts(share: FloatArray) -> list[str]:
+    """Warnings about thirds of the image with hardly any corners, and edges without corners."""
+    warnings = []
     for axis, names in enumerate(_THIRDS):
         counts = np.histogram(share[:, axis], bins=3, range=(0, 1))[0] / len(share)
         missing = [name for name, count in zip(names, counts, strict=True) if count < _MIN_SHARE_OF_THIRD]
-        said += [f"hardly any corners in the {name} third of the image: show the board there." for name in missing]
+        warnings += [f"hardly any corners in the {name} third of the image: show the board there." for name in missing]
         first, last = _range(share[:, axis])
         edges = ((names[0], first > _EDGE_SHARE), (names[2], last < 1 - _EDGE_SHARE))
-        said += [
-            f"no corners near the {name} edge of the image: the lens terms are a guess there."
+        warnings += [
+            f"no corners near the {name} edge of the image: the lens distortion is extrapolated there."
             for name, is_far in edges
             if is_far and name not in missing
         ]
-    return said
+    return warnings
 
 
 def _sizes_missing(sizes: FloatArray) -> list[str]:
     smallest, largest = _range(sizes)
     if largest < _MIN_LARGEST_SIZE:
-        return [f"the board is small in all views ({100 * largest:.0f} % of the image's side at most): come nearer."]
+        return [
+            f"the board is small in all views (at most {100 * largest:.0f} % of the image's side): move it nearer to "
+            "the camera."
+        ]
     if largest < _MIN_SIZE_RATIO * smallest:
-        return ["the board has the same size in all views: take some from nearer and some from farther away."]
+        return ["the board has the same size in all views: add views from nearer and from farther away."]
     return []
 
 
 def _tilts_missing(tilts_deg: FloatArray, normals: FloatArray) -> list[str]:
-    """Frontal boards alone, or boards tilted about one axis alone."""
-    tilted = tilts_deg > _TILTED_DEG
-    if tilted.mean() < _MIN_TILTED_SHARE:
+    """Warnings about views without tilt, or with tilt about only one axis."""
+    is_tilted = tilts_deg > _TILTED_DEG
+    if is_tilted.mean() < _MIN_TILTED_SHARE:
         return [
-            f"the board is tilted by more than {_TILTED_DEG:.0f} degrees in {int(tilted.sum())} of {len(tilted)} "
-            "views only: tilt it by 20 to 45 degrees more often."
+            f"the board is tilted by more than {_TILTED_DEG:.0f} degrees in only {int(is_tilted.sum())} of "
+            f"{len(is_tilted)} views: tilt it by 20 to 45 degrees more often."
         ]
     facing = normals * np.sign(normals[:, 2:])
     spread_deg = np.degrees(np.ptp(facing[:, :2], axis=0))
     axes = (("left and right", spread_deg[0]), ("forward and backward", spread_deg[1]))
-    return [f"the board is hardly ever tilted {name}: do so." for name, spread in axes if spread < _TILTED_DEG]
+    return [f"the board is hardly ever tilted {name}: add such views." for name, spread in axes if spread < _TILTED_DEG]

@@ -1,7 +1,8 @@
-"""Calibration of two cameras: views of one board by both eyes -> StereoRig (OpenCV's stereoCalibrate).
+"""Calibration of two cameras: pairs of views of one board -> StereoRig (OpenCV's stereoCalibrate).
 
-Each eye is calibrated alone first, which gives a start and shows bad views; then all numbers of both, the motion
-between them and the board's poses are fitted together. The rows' error is told of pairs that were held out of the fit:
+Each camera is calibrated alone first, which gives initial values and reveals bad views; then the intrinsics of both
+cameras, their relative pose and the poses of the board are optimised together. The row error is also evaluated on pairs
+held out of the fit:
 
     dy = | y_left - y_right | of a corner in the rectified images, 0 for a perfect rig
 """
@@ -21,7 +22,7 @@ from track_range.stereo.calibration.board_views import BoardView, RejectedView
 from track_range.stereo.calibration.boards import CalibrationError
 from track_range.stereo.calibration.coverage import coverage_of
 from track_range.stereo.calibration.one_camera import (
-    LENS_TERMS,
+    DISTORTION_FLAGS,
     PARALLEL,
     Advance,
     CameraCalibration,
@@ -39,28 +40,33 @@ from track_range.stereo.calibration.one_camera import (
     without_outliers,
 )
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rectification import Rectifier, lens_terms, stereo_rectification
+from track_range.stereo.geometry.rectification import Rectifier, distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import BASELINE_M
 
 ViewPair = tuple[BoardView, BoardView]
+"""Views of the left and the right camera with the same corners."""
 
 _UPSIDE_DOWN_DEG = 120.0
-_TURNED_DEG = 45.0
+"""Angle between the cameras above which one of them is upside down."""
+
+_MAX_ANGLE_DEG = 45.0
+"""Largest angle between the cameras."""
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)
+"""Stop criteria of the optimisation: number of iterations and relative change."""
 
-_MAX_PAIR_RMS = 5.0
-"""A common fit so many times worse than each eye's own means that the pairs do not belong together."""
+_MAX_RMS_RATIO = 5.0
+"""Largest ratio of the residuals of the common fit and of the single cameras; above, the pairs are inconsistent."""
 
 
 @dataclass(frozen=True, slots=True)
 class PairFit:
-    """How well one pair agrees: the fit of each eye, and the error of its rows."""
+    """Fit of one pair: the fits of both views, and the mean |dy| in pixels."""
 
     left: ViewFit
     right: ViewFit
-    rows_px: float
+    row_error_px: float
 
     @property
     def view(self) -> BoardView:
@@ -69,32 +75,32 @@ class PairFit:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square residual of both eyes' corners."""
+        """Root mean square residual of the corners of both views."""
         return math.sqrt((self.left.rms_px**2 + self.right.rms_px**2) / 2)
 
 
 @dataclass(frozen=True, slots=True)
 class PairCalibration:
-    """A calibrated rig, and what there is to know of it.
+    """A calibrated rig with its accuracy.
 
     Attributes:
         rig: the rig.
-        left, right: its cameras' fits in the common one.
-        baseline_sd_m: standard deviation of the baseline, from leaving out pairs.
+        left, right: its cameras, from the common fit.
+        baseline_std_m: standard deviation of the baseline, from leaving out pairs.
         rms_px: root mean square residual of all corners.
-        rows_px: mean |dy| after rectification, of the pairs that the rig was fitted to.
-        held_out_rows_px: the same of pairs that it was not fitted to.
+        row_error_px: mean |dy| after rectification, of the pairs that the rig was fitted to.
+        held_out_row_error_px: mean |dy| after rectification, of pairs held out of the fit.
         fits: the pairs used.
-        rejected: the pairs left out.
+        rejected: the pairs not used.
     """
 
     rig: StereoRig
     left: CameraCalibration
     right: CameraCalibration
-    baseline_sd_m: float
+    baseline_std_m: float
     rms_px: float
-    rows_px: float
-    held_out_rows_px: float
+    row_error_px: float
+    held_out_row_error_px: float
     fits: tuple[PairFit, ...]
     rejected: tuple[RejectedView, ...]
 
@@ -102,126 +108,140 @@ class PairCalibration:
 def calibrate_pair(
     pairs: Sequence[ViewPair], *, n_distortion_coefficients: int = 5, advance: Advance | None = None
 ) -> PairCalibration:
-    """Calibrate the rig that took all these pairs.
+    """Calibrate a rig from pairs of views.
 
     Args:
-        pairs: the same corners of one board, seen by the left and the right eye at one instant.
-        n_distortion_coefficients: 0, 4, 5 or 8.
-        advance: told steps done, and of how many.
+        pairs: the same corners of one board in simultaneous images of the left and the right camera.
+        n_distortion_coefficients: number of distortion coefficients: 0, 4, 5 or 8.
+        advance: progress callback.
 
     Raises:
-        CalibrationError: too few pairs, they do not determine the rig, or the eyes are swapped or upside down.
+        CalibrationError: there are too few pairs, they do not determine the rig, or the cameras are swapped or upside
+            down.
     """
     check_views(len(pairs))
-    for eye in (0, 1):
-        check_motion([pair[eye] for pair in pairs])
-    kept, rejected = without_outliers(list(pairs), lambda those: _fit(those, n_distortion_coefficients)[1])
-    rig, fits = _fit(kept, n_distortion_coefficients)
-    _check_together(kept, fits, n_distortion_coefficients)
+    for side in (0, 1):
+        check_motion([pair[side] for pair in pairs])
+    used, rejected = without_outliers(list(pairs), lambda subset: _fit(subset, n_distortion_coefficients)[1])
+    rig, fits = _fit(used, n_distortion_coefficients)
+    _check_consistency(used, fits, n_distortion_coefficients)
     _check_relative_pose(rig)
     held_out_px: list[float] = []
 
-    def without_some(those: list[ViewPair]) -> FloatArray:
-        partial, _ = _fit(those, n_distortion_coefficients)
-        held_out_px.extend(rows_px(partial, pair) for pair in kept if not any(pair is one for one in those))
-        return _numbers(partial)
+    def parameters_of(subset: list[ViewPair]) -> FloatArray:
+        partial, _ = _fit(subset, n_distortion_coefficients)
+        held_out_px.extend(row_error_px(partial, pair) for pair in used if not any(pair is member for member in subset))
+        return _parameters(partial)
 
-    sd = jackknife_sigma(leave_out_groups(kept, without_some, advance))
-    eyes = [
-        _eye(camera, [(fit.left, fit.right)[i] for fit in fits], sd[4 * i : 4 * i + 4])
+    std = jackknife_sigma(leave_out_groups(used, parameters_of, advance))
+    left, right = (
+        _camera_calibration(camera, [(fit.left, fit.right)[i] for fit in fits], std[4 * i : 4 * i + 4])
         for i, camera in enumerate((rig.left, rig.right))
-    ]
-    rms_px = math.sqrt((eyes[0].rms_px ** 2 + eyes[1].rms_px ** 2) / 2)
-    mean_rows_px, held_px = (float(np.mean(each)) for each in ([fit.rows_px for fit in fits], held_out_px))
-    return PairCalibration(rig, eyes[0], eyes[1], float(sd[8]), rms_px, mean_rows_px, held_px, fits, rejected)
+    )
+    return PairCalibration(
+        rig,
+        left,
+        right,
+        baseline_std_m=float(std[8]),
+        rms_px=math.sqrt((left.rms_px**2 + right.rms_px**2) / 2),
+        row_error_px=float(np.mean([fit.row_error_px for fit in fits])),
+        held_out_row_error_px=float(np.mean(held_out_px)),
+        fits=fits,
+        rejected=rejected,
+    )
 
 
-def rows_px(rig: StereoRig, pair: ViewPair) -> float:
-    """Mean |dy| of a pair's corners in the rectified images."""
-    cameras = (rig.left, rig.right)
-    turns = stereo_rectification(rig)
-    rows = [
-        cv2.undistortPoints(view.xy_px.reshape(-1, 1, 2), camera.matrix, lens_terms(camera), R=turn, P=new)[:, 0, 1]
-        for view, camera, turn, new in zip(pair, cameras, turns[:2], turns[2:4], strict=True)
-    ]
-    return float(np.abs(rows[0] - rows[1]).mean())
+def row_error_px(rig: StereoRig, pair: ViewPair) -> float:
+    """Mean |dy| of the corners of a pair in the rectified images."""
+    r1, r2, p1, p2, _ = stereo_rectification(rig)
+    y_left, y_right = (
+        cv2.undistortPoints(view.xy_px.reshape(-1, 1, 2), camera.matrix, distortion_coefficients(camera), R=r, P=p)[
+            :, 0, 1
+        ]
+        for view, camera, r, p in zip(pair, (rig.left, rig.right), (r1, r2), (p1, p2), strict=True)
+    )
+    return float(np.abs(y_left - y_right).mean())
 
 
 def _fit(pairs: Sequence[ViewPair], n_distortion_coefficients: int) -> tuple[StereoRig, tuple[PairFit, ...]]:
-    """The rig with the least squared residuals, each eye's own calibration being the start."""
-    eyes = [fit_camera([pair[eye] for pair in pairs], n_distortion_coefficients)[0] for eye in (0, 1)]
-    lens = [np.array(camera.distortion or (0.0,) * 5) for camera in eyes]
-    _, left_matrix, left_lens, right_matrix, right_lens, turn, shift, _, _, turns, shifts, _ = (
+    """The least-squares rig, starting from the calibrations of the single cameras."""
+    cameras = [fit_camera([pair[side] for pair in pairs], n_distortion_coefficients)[0] for side in (0, 1)]
+    distortion = [np.array(camera.distortion or (0.0,) * 5) for camera in cameras]
+    _, m1, d1, m2, d2, r, t, _, _, rvecs, tvecs, _ = (
         cv2.stereoCalibrateExtended(
             [pair[0].xyz_m.astype(np.float32) for pair in pairs],
             [pair[0].xy_px.astype(np.float32) for pair in pairs],
             [pair[1].xy_px.astype(np.float32) for pair in pairs],
-            eyes[0].matrix, lens[0], eyes[1].matrix, lens[1], pairs[0][0].size_px, np.eye(3), np.zeros((3, 1)),
-            flags=cv2.CALIB_USE_INTRINSIC_GUESS | LENS_TERMS[n_distortion_coefficients], criteria=_CRITERIA,
+            cameras[0].matrix, distortion[0], cameras[1].matrix, distortion[1], pairs[0][0].size_px,
+            np.eye(3), np.zeros((3, 1)),
+            flags=cv2.CALIB_USE_INTRINSIC_GUESS | DISTORTION_FLAGS[n_distortion_coefficients], criteria=_CRITERIA,
         )
     )  # fmt: skip
     right_from_left = np.eye(4)
-    right_from_left[:3, :3], right_from_left[:3, 3] = turn, np.asarray(shift).ravel()
-    left = camera_of(left_matrix, left_lens, pairs[0][0].size_px, n_distortion_coefficients)
-    right = camera_of(right_matrix, right_lens, pairs[0][1].size_px, n_distortion_coefficients)
+    right_from_left[:3, :3], right_from_left[:3, 3] = r, np.asarray(t).ravel()
+    left = camera_of(m1, d1, pairs[0][0].size_px, n_distortion_coefficients)
+    right = camera_of(m2, d2, pairs[0][1].size_px, n_distortion_coefficients)
     rig = StereoRig(left, right, right_from_left)
-    poses = [pose_of(each_turn, each_shift) for each_turn, each_shift in zip(turns, shifts, strict=True)]
+    poses = [pose_of(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True)]
     return rig, tuple(_pair_fit(rig, pair, pose) for pair, pose in zip(pairs, poses, strict=True))
 
 
-def _pair_fit(rig: StereoRig, pair: ViewPair, pose: FloatArray) -> PairFit:
-    in_right = rig.right_from_left @ pose
-    left = ViewFit(pair[0], residuals_px(pair[0], pose, rig.left), pose)
-    right = ViewFit(pair[1], residuals_px(pair[1], in_right, rig.right), in_right)
-    return PairFit(left, right, rows_px(rig, pair))
+def _pair_fit(rig: StereoRig, pair: ViewPair, board_to_left: FloatArray) -> PairFit:
+    board_to_right = rig.right_from_left @ board_to_left
+    left = ViewFit(pair[0], residuals_px(pair[0], board_to_left, rig.left), board_to_left)
+    right = ViewFit(pair[1], residuals_px(pair[1], board_to_right, rig.right), board_to_right)
+    return PairFit(left, right, row_error_px(rig, pair))
 
 
-def _eye(camera: PinholeCamera, fits: Sequence[ViewFit], sd: FloatArray) -> CameraCalibration:
+def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: FloatArray) -> CameraCalibration:
+    """Calibration of one camera of the rig, with standard deviations (4,) of fx, fy, cx, cy."""
     coverage = coverage_of([fit.view for fit in fits], np.stack([fit.board_to_camera for fit in fits]))
     if coverage.is_parallel:
         raise CalibrationError(PARALLEL)
-    std = IntrinsicStd(*sd.tolist())
-    check_determined(std, camera)
-    return CameraCalibration(camera, std, total_rms_px(fits), tuple(fits), (), coverage)
+    intrinsic_std = IntrinsicStd(*std.tolist())
+    check_determined(intrinsic_std, camera)
+    return CameraCalibration(camera, intrinsic_std, total_rms_px(fits), tuple(fits), (), coverage)
 
 
-def _check_together(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_distortion_coefficients: int) -> None:
-    """Refuse pairs whose images were not taken together: each eye fits alone, but not both."""
-    alone_px = [total_rms_px(fit_camera([pair[eye] for pair in pairs], n_distortion_coefficients)[1]) for eye in (0, 1)]
-    together_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
-    if together_px > max(_MAX_PAIR_RMS * max(alone_px), 1.0):
+def _check_consistency(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_distortion_coefficients: int) -> None:
+    """Refuse pairs of images not taken at the same time, which fit each camera alone, but not both."""
+    single_px = [
+        total_rms_px(fit_camera([pair[side] for pair in pairs], n_distortion_coefficients)[1]) for side in (0, 1)
+    ]
+    common_px = math.sqrt(np.mean([fit.rms_px**2 for fit in fits]))
+    if common_px > max(_MAX_RMS_RATIO * max(single_px), 1.0):
         raise CalibrationError(
-            f"left and right do not belong together: each eye alone leaves {max(alone_px):.2f} px, both "
-            f"{together_px:.2f} px; check that images of one pair were taken at one instant, and that neither eye is "
-            "upside down."
+            f"left and right images do not match: expected a residual similar to that of the single cameras, "
+            f"{max(single_px):.2f} px, got {common_px:.2f} px; check that the images of a pair are simultaneous and "
+            "that neither camera is upside down."
         )
 
 
 def _check_relative_pose(rig: StereoRig) -> None:
-    """Refuse eyes that are swapped, upside down or one above the other."""
+    """Refuse cameras that are swapped, upside down or one above the other."""
     rotation = rig.right_from_left[:3, :3]
     angle_deg = math.degrees(math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
     if angle_deg > _UPSIDE_DOWN_DEG:
         raise CalibrationError(
-            f"one eye is upside down against the other (turned by {angle_deg:.0f} degrees); turn its images by 180 "
-            "degrees, here and in what you want to measure."
+            f"one camera is upside down relative to the other (rotated by {angle_deg:.0f} degrees); rotate its images "
+            "by 180 degrees, for the calibration and for the measurement."
         )
-    if angle_deg > _TURNED_DEG:
+    if angle_deg > _MAX_ANGLE_DEG:
         raise CalibrationError(
-            f"the eyes are turned against each other by {angle_deg:.0f} degrees; only eyes that look the same way "
-            "can be used."
+            f"expected cameras that point in similar directions, found a rotation of {angle_deg:.0f} degrees between "
+            "them; mount them parallel."
         )
     x_m, y_m, _ = rig.right_from_left[:3, 3]
     if x_m > abs(y_m):
         raise CalibrationError(
-            f"the right camera stands {x_m:.3g} m left of the left one: left and right are swapped (or both upside "
-            "down); give them the other way round."
+            f"expected the right camera to the right of the left one, found it {x_m:.3g} m to the left; swap the left "
+            "and right images (or rotate both if the cameras are upside down)."
         )
     low, high = BASELINE_M
     if not low <= rig.baseline_m <= high and abs(x_m) > abs(y_m):
         raise CalibrationError(
-            f"the baseline comes out as {rig.baseline_m:.3g} m, which is not within {low:g} .. {high:g} m; "
-            "check the size of the board's squares, --square-mm."
+            f"expected a baseline between {low:g} and {high:g} m, found {rig.baseline_m:.3g} m; check the size of the "
+            "board's squares, --square-mm."
         )
     try:
         Rectifier(rig)
@@ -229,7 +249,7 @@ def _check_relative_pose(rig: StereoRig) -> None:
         raise CalibrationError(str(error)) from error
 
 
-def _numbers(rig: StereoRig) -> FloatArray:
-    """(9,) fx fy cx cy of both eyes, and the baseline."""
-    eyes = [[eye.fx_px, eye.fy_px, eye.cx_px, eye.cy_px] for eye in (rig.left, rig.right)]
-    return np.array([*eyes[0], *eyes[1], np.linalg.norm(rig.right_from_left[:3, 3])])
+def _parameters(rig: StereoRig) -> FloatArray:
+    """(9,) fx, fy, cx, cy of both cameras, and the baseline."""
+    left, right = ((camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) for camera in (rig.left, rig.right))
+    return np.array([*left, *right, np.linalg.norm(rig.right_from_left[:3, 3])])

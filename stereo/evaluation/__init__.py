@@ -1,1 +1,1 @@
-"""Errors of matchers against known disparities."""
+"""Errors of stereo matchers against true disparities."""

@@ -1,4 +1,4 @@
-"""PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, after the lens terms (OpenCV's k1 k2 p1 p2 k3 ...)."""
+"""PinholeCamera: u = fx X / Z + cx, v = fy Y / Z + cy, with OpenCV's lens distortion (k1 k2 p1 p2 k3 ...)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class PinholeCamera:
         cy_px: principal point, y.
         width_px: image width.
         height_px: image height.
-        distortion: OpenCV's lens terms (4, 5, 8, 12 or 14 of them); empty = no distortion.
+        distortion: OpenCV's distortion coefficients (4, 5, 8, 12 or 14 of them); empty = no distortion.
     """
 
     fx_px: float
@@ -44,20 +44,20 @@ class PinholeCamera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether the lens terms move any pixel."""
-        return any(term != 0.0 for term in self.distortion)
+        """Whether any distortion coefficient differs from 0."""
+        return any(coefficient != 0.0 for coefficient in self.distortion)
 
     def without_distortion(self) -> PinholeCamera:
-        """The ideal camera that undistorted images seem to come from."""
+        """The ideal camera of undistorted images."""
         return replace(self, distortion=())
 
     def rays(self, xy_px: FloatArray) -> FloatArray:
-        """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1 (so a ray times z in metres is a point)."""
+        """(N, 3) ray of each undistorted pixel (N, 2), scaled to z = 1: a ray times z in metres is a point."""
         x = (xy_px[:, 0] - self.cx_px) / self.fx_px
         y = (xy_px[:, 1] - self.cy_px) / self.fy_px
         return np.stack([x, y, np.ones_like(x)], axis=1)
 
     def project(self, xyz_m: FloatArray) -> FloatArray:
-        """(N, 2) undistorted pixels of points (N, 3) in the camera's frame; NaN for points not in front of it."""
+        """(N, 2) undistorted pixels of points (N, 3) in the camera's frame; NaN for points behind the camera."""
         z = np.where(xyz_m[:, 2] > 0, xyz_m[:, 2], np.nan)
         return np.stack([self.fx_px * xyz_m[:, 0] / z + self.cx_px, self.fy_px * xyz_m[:, 1] / z + self.cy_px], axis=1)

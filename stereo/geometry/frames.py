@@ -1,4 +1,4 @@
-"""Frame: what one camera, or two in step, saw at one instant."""
+"""Frame: the image of one camera, or of two synchronised cameras, at one time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from track_range.foundation.arrays import Image
 
 
 class ImageView(Protocol):
-    """An image that may exist only where it is looked at; each array is one."""
+    """An image that may be computed only where it is read; every array is an `ImageView`."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -19,25 +19,25 @@ class ImageView(Protocol):
         ...
 
     def __getitem__(self, window: tuple[slice, slice], /) -> Image:
-        """The pixels of `[top:bottom, start:end]`, as an array's."""
+        """The pixels of `[top:bottom, start:end]`, as with an array."""
         ...
 
 
 def whole_image(view: ImageView) -> Image:
-    """All of it, (H, W) or (H, W, 3)."""
+    """The entire image, (H, W) or (H, W, 3)."""
     return view if isinstance(view, np.ndarray) else view[:, :]
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One instant of a video; the arrays are never written to.
+    """One frame of a video or stereo video; the arrays are never modified.
 
     Attributes:
-        index: number of the frame in the left video, from 0, counting also frames that were skipped.
+        index: frame number in the left video, from 0, including skipped frames.
         time_s: seconds from the left video's first frame, from the file's timestamps.
         left: (H, W, 3) uint8 BGR, rectified (one camera: undistorted).
-        right: the same of the right eye, in the same rows, in colour or grey, perhaps rectified only where it is looked
-            at (`whole_image` gives all of it); None for one camera.
+        right: rectified right image of equal size, in colour or grey, possibly computed only where it is read
+            (`whole_image` gives all of it); None for one camera.
     """
 
     index: int

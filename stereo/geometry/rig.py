@@ -1,7 +1,7 @@
-"""StereoRig: two cameras and the motion between them.
+"""StereoRig: two cameras and their relative pose.
 
-left o-----------o right        right_from_left moves a point given in the left camera's frame into the right's;
-     |  baseline |              for a rectified pair it is a shift by (-baseline_m, 0, 0), and a point at depth z
+left o-----------o right        right_from_left transforms points from the left camera's frame to the right's;
+     |  baseline |              in a rectified pair it is a translation by (-baseline_m, 0, 0), and a point at depth z
      v z         v z            has the disparity d_px = x_left - x_right = fx baseline_m / z.
 """
 
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import FloatArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.stereo.geometry.camera import PinholeCamera
 
 
 class RigError(UserError):
-    """A rig or calibration file that cannot be used; the message says why and what to do."""
+    """A rig or calibration file that cannot be used; the message gives the reason and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class StereoRig:
         [20.0]
 
     Attributes:
-        left: the left camera; its frame is the one that all distances are given in.
+        left: the left camera; all distances are in its frame.
         right: the right camera.
-        right_from_left: (4, 4) rigid motion, metres.
+        right_from_left: (4, 4) rigid transform, metres.
     """
 
     left: PinholeCamera
@@ -42,32 +42,31 @@ class StereoRig:
     right_from_left: FloatArray
 
     def __post_init__(self) -> None:
-        if self.right_from_left.shape != (4, 4):
-            raise ValueError(f"right_from_left: shape (4, 4) wanted, {self.right_from_left.shape} got")
+        check_shape("right_from_left", self.right_from_left, (4, 4))
 
     @classmethod
     def rectified(cls, camera: PinholeCamera, baseline_m: float) -> StereoRig:
-        """Two equal, parallel, undistorted cameras side by side."""
+        """A rig of two equal, parallel cameras side by side, without distortion."""
         right_from_left = np.eye(4)
         right_from_left[0, 3] = -baseline_m
         return cls(camera, camera, right_from_left)
 
     @property
     def baseline_m(self) -> float:
-        """Distance between the two eyes, negative when the right camera stands left of the left one."""
+        """Distance between the cameras, metres; negative if the right camera is to the left of the left one."""
         translation = self.right_from_left[:3, 3]
         return float(np.copysign(np.linalg.norm(translation), -translation[0]))
 
     @property
     def is_rectified(self) -> bool:
-        """Whether pixels of one row in the left image already lie in the same row of the right one."""
-        shift_only = np.eye(4)
-        shift_only[0, 3] = self.right_from_left[0, 3]
-        cameras_equal = np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
-        straight = not (self.left.is_distorted or self.right.is_distorted)
-        return straight and cameras_equal and np.allclose(self.right_from_left, shift_only, atol=1e-9)
+        """Whether corresponding points already have equal rows in both images."""
+        translation = np.eye(4)
+        translation[0, 3] = self.right_from_left[0, 3]
+        has_equal_cameras = np.allclose(self.left.matrix, self.right.matrix, atol=1e-6)
+        is_undistorted = not (self.left.is_distorted or self.right.is_distorted)
+        return is_undistorted and has_equal_cameras and np.allclose(self.right_from_left, translation, atol=1e-9)
 
     def distance_m(self, disparity_px: FloatArray) -> FloatArray:
-        """(N,) depth z of each disparity of the rectified pair; NaN where it is not positive."""
+        """(N,) depth z, metres, of disparities (N,) of the rectified pair; NaN for disparities <= 0."""
         positive = np.where(disparity_px > 0, disparity_px, np.nan)
         return np.asarray(self.left.fx_px * self.baseline_m / positive)

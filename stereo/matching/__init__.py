@@ -1,1 +1,1 @@
-"""Disparity of boxes and of whole images."""
+"""Disparity of boxes and of entire images."""

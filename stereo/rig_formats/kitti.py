@@ -3,8 +3,8 @@
     P0, P1  left and right grey camera       P2, P3  left and right colour camera
     t = K^-1 P[:, 3]                         baseline = -(P3[0, 3] - P2[0, 3]) / fx
 
-The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets, `P_rect_02: ...` in the raw one (which also
-gives the size, as S_rect_02), and some copies lack the colon. (Geiger et al., IJRR 2013.)
+The lines are `P2: 12 numbers` in the odometry, tracking and stereo sets, `P_rect_02: ...` in the raw set (with the
+image size as S_rect_02); some copies lack the colon. (Geiger et al., IJRR 2013.)
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 
 _COLOUR, _GREY = (2, 3), (0, 1)
+"""Numbers of the left and right camera of each pair."""
 
 
 def _has_projections(text: str) -> bool:
@@ -31,7 +32,7 @@ def _has_projections(text: str) -> bool:
 
 
 def _read(text: str, source: object, is_grey: bool) -> Calibration:
-    """The cameras of a calib.txt: the colour pair, or the grey one where `is_grey` or there is no other.
+    """The cameras of a calib.txt: the colour pair, or the grey one if `is_grey` or if it is the only one.
 
     Raises:
         RigError: a matrix is not 12 numbers of the form K [I | t], or the left camera's is missing.
@@ -40,10 +41,12 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
-        raise RigError(f"{source}: it has P{right} but not P{left}, the left camera's; give the whole file.")
+        raise RigError(
+            f"{source}: expected P{left} of the left camera beside P{right}, found none; give the complete file."
+        )
     left_camera = _camera(matrix[left], size.get(left, (0, 0)))
     reference_m = np.linalg.solve(matrix[left][:, :3], matrix[left][:, 3])
-    notes = () if (left, right) == pairs[0] else (f"{source}: cameras {left} and {right} used, it has no others.",)
+    notes = () if (left, right) == pairs[0] else (f"{source}: using cameras {left} and {right}, the only ones.",)
     right_camera = right_from_left = None
     if right in matrix:
         right_camera = _camera(matrix[right], size.get(right, (0, 0)))
@@ -54,19 +57,19 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
 
 
 def _missing(text: str, _path: object, is_grey: bool) -> str:
-    """Which matrix a file with one camera lacks."""
-    found = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
-    left, right = _GREY if 0 in found and (is_grey or 2 not in found) else _COLOUR
-    return f"it has P{left} but not P{right}, the right camera's"
+    """The matrix that a file with one camera lacks."""
+    numbers = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
+    left, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
+    return f"P{right} of the right camera beside P{left}"
 
 
 def _matrices(text: str, source: object) -> Mapping[int, FloatArray]:
-    """The (3, 4) projections by camera number."""
-    found = {}
+    """The (3, 4) projection matrices by camera number."""
+    matrices = {}
     for kind, number, values in _LINE.findall(text):
         if kind == "P":
-            found[int(number)] = _matrix(values, f"{source}: P{number}")
-    return found
+            matrices[int(number)] = _matrix(values, f"{source}: P{number}")
+    return matrices
 
 
 def _matrix(values: str, name: str) -> FloatArray:
@@ -74,15 +77,15 @@ def _matrix(values: str, name: str) -> FloatArray:
     try:
         matrix = np.array([float(word) for word in words])
     except ValueError as error:
-        raise RigError(f"{name}: '{values.strip()[:40]}' is not a row of numbers; give 12 of them.") from error
+        raise RigError(f"{name}: expected 12 numbers, found '{values.strip()[:40]}'; correct the line.") from error
     if len(words) != 12:
-        raise RigError(f"{name}: 12 numbers are wanted, {len(words)} found; give the whole file.")
+        raise RigError(f"{name}: expected 12 numbers, found {len(words)}; give the complete file.")
     matrix = matrix.reshape(3, 4)
     is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
     if not (is_upper and np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise RigError(
-            f"{name}: it is not a projection K [I | t] (focal lengths {matrix[0, 0]:g}, {matrix[1, 1]:g}); "
-            "give the file of the rectified images."
+            f"{name}: expected a projection matrix K [I | t], found focal lengths of {matrix[0, 0]:g} and "
+            f"{matrix[1, 1]:g} or another form; give the calibration of the rectified images."
         )
     return matrix
 
@@ -95,12 +98,12 @@ def _camera(matrix: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
 
 def _sizes(text: str) -> Mapping[int, tuple[int, int]]:
     """(width, height) by camera number, from the raw set's S_rect lines."""
-    found = {}
+    sizes = {}
     for kind, number, values in _LINE.findall(text):
         if kind == "S" and re.fullmatch(r"\s*[\d.e+]+\s+[\d.e+]+\s*", values):
             width, height = (round(float(word)) for word in values.split())
-            found[int(number)] = (width, height)
-    return found
+            sizes[int(number)] = (width, height)
+    return sizes
 
 
 KITTI = RigFormat(name="kitti", title="KITTI's calib.txt", recognises=_has_projections, read=_read, missing=_missing)

@@ -1,10 +1,10 @@
-"""The files that OpenCV's calibration samples write: matrices in FileStorage (YAML, XML or JSON).
+"""Files of OpenCV's calibration samples: matrices in FileStorage (YAML, XML or JSON).
 
     stereo_calib.cpp   intrinsics.yml  M1 D1 M2 D2     extrinsics.yml  R T (R1 R2 P1 P2 Q are not needed)
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
 
-T is in the unit of the chessboard's squares, which for metres have to be given in metres. OpenCV's own YAML tags are
-not standard YAML, so OpenCV's reader is used.
+T has the unit of the chessboard's square size, so that the size must have been given in metres. OpenCV's YAML tags are
+not standard YAML, so the files are read with OpenCV.
 """
 
 from __future__ import annotations
@@ -18,25 +18,28 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.stereo.geometry.rectification import lens_terms, stereo_rectification
+from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 _EXTRINSIC = ("R", "T")
+"""Keys of the extrinsics."""
+
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+"""Suffixes of the file with the other half of a calibration."""
 
 
 def _is_file_storage(text: str) -> bool:
-    """Whether a file is OpenCV's FileStorage: its matrices carry a tag of their own."""
+    """Whether a file is OpenCV's FileStorage, recognised by the tag of its matrices."""
     return "opencv-matrix" in text or "<opencv_storage>" in text
 
 
 def _read(text: str, path: Path) -> Calibration:
-    """The cameras of one file, or of intrinsics and extrinsics side by side, whichever of the two `path` is.
+    """The cameras of one file, or of intrinsics and extrinsics in one folder, of which `path` is either.
 
     Raises:
-        RigError: the file is damaged, or it and its sibling lack a matrix.
+        RigError: the file is damaged, or a matrix is missing.
     """
     values = dict(_matrices(text, path))
     sibling = _sibling(path, values)
@@ -46,7 +49,10 @@ def _read(text: str, path: Path) -> Calibration:
         values.setdefault("M1", values["camera_matrix"])
         values.setdefault("D1", values.get("distortion_coefficients", np.zeros(0)))
     if "M1" not in values:
-        raise RigError(f"{path}: no matrix M1 in it (nor in intrinsics beside it); give stereo_calib's intrinsics.yml.")
+        raise RigError(
+            f"{path}: expected the matrix M1 in this file or in a file intrinsics in its folder, found none; give "
+            "stereo_calib's intrinsics.yml."
+        )
     left = _camera(values, "1", path)
     if "M2" not in values or not all(key in values for key in _EXTRINSIC):
         return Calibration(left, None, None)
@@ -54,7 +60,7 @@ def _read(text: str, path: Path) -> Calibration:
     right_from_left[:3, :3] = _shaped(values["R"], (3, 3), "R", path)
     right_from_left[:3, 3] = _shaped(values["T"], (3,), "T", path)
     baseline_m = float(np.linalg.norm(right_from_left[:3, 3]))
-    note = f"{path}: baseline {baseline_m:.4g} m, if the chessboard's squares were given in metres."
+    note = f"{path}: baseline {baseline_m:.4g} m if the size of the chessboard's squares was given in metres."
     return Calibration(left, _camera(values, "2", path), right_from_left, notes=(note,))
 
 
@@ -69,20 +75,20 @@ def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> Pinhol
     matrix = _shaped(values[f"M{number}"], (3, 3), f"M{number}", path)
     distortion = values.get(f"D{number}", np.zeros(0)).ravel()
     width, height = (int(side) for side in values.get("size", np.zeros(2)).ravel()[:2])
-    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    fx, fy, cx, cy = (float(matrix[index]) for index in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
 
 
 def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -> FloatArray:
     if values.size != np.prod(shape):
-        raise RigError(f"{path}: {name} has {values.size} numbers, {np.prod(shape)} are wanted; calibrate again.")
+        raise RigError(f"{path}: expected {np.prod(shape)} numbers in {name}, found {values.size}; calibrate again.")
     return values.reshape(shape)
 
 
-def _sibling(path: Path, found: Mapping[str, FloatArray]) -> Path | None:
-    """The file beside `path` that has the other half, if it is needed and there."""
-    lacks_extrinsic = "M1" in found and not all(key in found for key in _EXTRINSIC)
-    lacks_intrinsic = "M1" not in found and "R" in found
+def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
+    """The file in the folder of `path` with the other half of the calibration, if needed and present."""
+    lacks_extrinsic = "M1" in values and not all(key in values for key in _EXTRINSIC)
+    lacks_intrinsic = "M1" not in values and "R" in values
     if lacks_extrinsic:
         stem = path.stem.replace("intrinsic", "extrinsic") if "intrinsic" in path.stem else "extrinsics"
     elif lacks_intrinsic:
@@ -94,23 +100,23 @@ def _sibling(path: Path, found: Mapping[str, FloatArray]) -> Path | None:
 
 
 def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
-    """All numbers, sequences of numbers and matrices at the file's top level, and "size" where it gives one."""
+    """All numbers, sequences of numbers and matrices at the file's top level, and "size" for the image size, if any."""
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()
-        found = {key: _numbers(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (a FileNode is no mapping)
+        nodes = {key: _numbers(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (a FileNode is no mapping)
     except (cv2.error, SystemError) as error:
-        raise RigError(f"{path}: OpenCV cannot read it, it is damaged; calibrate again.") from error
-    finite = {key: value for key, value in found.items() if value is not None}
-    if "image_width" in finite and "image_height" in finite:
-        finite["size"] = np.concatenate([finite["image_width"], finite["image_height"]])
-    elif finite.get("imageSize", np.zeros(0)).size == 2:
-        finite["size"] = finite["imageSize"]
-    return finite
+        raise RigError(f"{path}: OpenCV cannot read this file, which is damaged; calibrate again.") from error
+    numbers = {key: value for key, value in nodes.items() if value is not None}
+    if "image_width" in numbers and "image_height" in numbers:
+        numbers["size"] = np.concatenate([numbers["image_width"], numbers["image_height"]])
+    elif numbers.get("imageSize", np.zeros(0)).size == 2:
+        numbers["size"] = numbers["imageSize"]
+    return numbers
 
 
 def _numbers(node: cv2.FileNode) -> FloatArray | None:
-    """A node's numbers; None for text and other things that no calibration needs."""
+    """The numbers of a node; None for text and other types."""
     if node.isInt() or node.isReal():
         return np.array([node.real()])
     if node.isMap():
@@ -125,20 +131,20 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
     """Write a rig as OpenCV's stereo_calib sample does, or one camera as calibration.cpp does; lengths in metres.
 
     Raises:
-        RigError: implausible, of images of two sizes, or the file cannot be written.
+        RigError: the cameras are implausible or of different image sizes, or the file cannot be written.
     """
     if isinstance(cameras, StereoRig):
         check_rig(cameras, path)
         left, right = cameras.left, cameras.right
         if (left.width_px, left.height_px) != (right.width_px, right.height_px):
             raise RigError(
-                f"{path}: OpenCV's file holds one size of images, and these cameras have {left.width_px}x"
-                f"{left.height_px} and {right.width_px}x{right.height_px} px; write ours."
+                f"{path}: expected cameras of one image size for OpenCV's format, got {left.width_px}x{left.height_px} "
+                f"and {right.width_px}x{right.height_px} px; write a rig.yaml."
             )
         matrices = _rig_matrices(cameras)
     else:
         check_camera(cameras, path)
-        matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _lens_row(cameras)}
+        matrices = {"camera_matrix": cameras.matrix, "distortion_coefficients": _distortion_row(cameras)}
         left = cameras
     storage = cv2.FileStorage(path.suffix or ".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", left.width_px)
@@ -149,17 +155,17 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
 
 
 def _rig_matrices(rig: StereoRig) -> Mapping[str, npt.ArrayLike]:
-    rotation, shift_m = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
-    left, right = _lens_row(rig.left), _lens_row(rig.right)
+    r, t = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3:]
+    d1, d2 = _distortion_row(rig.left), _distortion_row(rig.right)
     r1, r2, p1, p2, q = stereo_rectification(rig)
     return {
-        "M1": rig.left.matrix, "D1": left, "M2": rig.right.matrix, "D2": right, "R": rotation, "T": shift_m,
+        "M1": rig.left.matrix, "D1": d1, "M2": rig.right.matrix, "D2": d2, "R": r, "T": t,
         "R1": r1, "R2": r2, "P1": p1, "P2": p2, "Q": q,
     }  # fmt: skip
 
 
-def _lens_row(camera: PinholeCamera) -> FloatArray:
-    return lens_terms(camera)[None]
+def _distortion_row(camera: PinholeCamera) -> FloatArray:
+    return distortion_coefficients(camera)[None]
 
 
 OPENCV = RigFormat(
@@ -168,7 +174,7 @@ OPENCV = RigFormat(
     recognises=_is_file_storage,
     read=lambda text, path, _is_grey: _read(text, path),
     missing=lambda _text, path, _is_grey: (
-        f"M2, D2, R and T are not all in it, nor in intrinsics/extrinsics{path.suffix} beside it"
+        f"M2, D2, R and T in this file or in intrinsics/extrinsics{path.suffix} in its folder"
     ),
     write=lambda cameras, path, _comments: save_opencv(cameras, path),
 )

@@ -1,4 +1,4 @@
-"""RigFormat: what a file format of camera calibrations needs, to be one row of `registry.RIG_FORMATS`."""
+"""RigFormat: a file format of camera calibrations, one row of `registry.RIG_FORMATS`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration
 
 RigWriter = Callable[[StereoRig | PinholeCamera, Path, Sequence[str]], None]
-"""Writes a rig or one camera to a path, with lines of comment; raises RigError."""
+"""Writes a rig or one camera to a path, with comment lines; raises RigError."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +25,7 @@ class RigFormat:
         recognises: whether a file with this text is in the format.
         read: the cameras of a file from its text, its path (for messages and files beside it) and whether the images
             are grey; raises RigError.
-        missing: what a file with one camera lacks for a stereo rig, from the same arguments.
+        missing: the keys that a file with one camera lacks for a stereo rig, for messages, from the same arguments.
         write: writes a file; None = the format is only read.
     """
 
@@ -41,10 +41,10 @@ def write_rig_text(path: Path, text: str) -> None:
     """Write a text file atomically.
 
     Raises:
-        RigError: it is a folder, or cannot be written.
+        RigError: the path is a folder, or cannot be written.
     """
     if path.is_dir():
-        raise RigError(f"{path}: it is a folder; name a file to write.")
+        raise RigError(f"{path}: expected a file to write, found a folder; give a file name.")
     try:
         write_text(path, text)
     except OSError as error:

@@ -1,6 +1,6 @@
-"""rig.yaml, track-range's own format of rigs and cameras; read back to the last digit.
+"""rig.yaml, track-range's format for rigs and single cameras; numbers are written with full precision.
 
-The unit is in every key; a file for one camera has `left` only; distortion is OpenCV's k1, k2, p1, p2, k3, ...:
+Keys contain their unit; a file for one camera has only `left`; distortion is OpenCV's k1, k2, p1, p2, k3, ...:
 
     track_range_rig: 1
     left: {fx_px: 721.5, fy_px: 721.5, cx_px: 609.6, cy_px: 172.9, width_px: 1242, height_px: 375, distortion: []}
@@ -69,7 +69,7 @@ class _RigFile(BaseModel):
 
 
 def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> None:
-    """Write a rig in our format, with lines of comment above it.
+    """Write a rig as rig.yaml, with `comments` as its first lines.
 
     Raises:
         RigError: the rig is implausible, or the file cannot be written.
@@ -89,7 +89,7 @@ def save_rig(rig: StereoRig, path: Path, *, comments: Sequence[str] = ()) -> Non
 
 
 def save_camera(camera: PinholeCamera, path: Path, *, comments: Sequence[str] = ()) -> None:
-    """Write one camera in our format, with lines of comment above it; a calibration for --mono.
+    """Write one camera as rig.yaml, with `comments` as its first lines; a calibration for --mono.
 
     Raises:
         RigError: the camera is implausible, or the file cannot be written.
@@ -129,16 +129,16 @@ def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise RigError(f"{path}: not readable as YAML{_where(error)}; correct it.") from error
+        raise RigError(f"{path}: expected YAML, found a syntax error{_line_of(error)}; correct the file.") from error
     if not isinstance(content, dict) or "track_range_rig" not in content:
-        raise RigError(f"{path}: no key 'track_range_rig' at its top level; correct it.")
+        raise RigError(f"{path}: expected the key 'track_range_rig' at the top level, found none; correct the file.")
     version = content["track_range_rig"]
     if type(version) is not int or version != VERSION:
-        raise RigError(f"{path}: it is a rig of version {version!r}, this program reads version {VERSION}.")
+        raise RigError(f"{path}: expected version {VERSION} of the rig format, found version {version!r}.")
     try:
         rig = _RigFile.model_validate(content)
     except ValidationError as error:
-        raise RigError(f"{path}: {_first_fault(error)}; correct it.") from error
+        raise RigError(f"{path}: {_first_fault(error)}; correct the file.") from error
     left = rig.left.camera()
     if rig.right is None or rig.right_from_left is None:
         return Calibration(left, None, None)
@@ -146,7 +146,7 @@ def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
 
 
 def _first_fault(error: ValidationError) -> str:
-    """The first wrong key, what is wrong and what stands there."""
+    """The first wrong key and its value, with the reason."""
     fault = error.errors()[0]
     key = ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "missing":
@@ -156,16 +156,16 @@ def _first_fault(error: ValidationError) -> str:
     return f"'{key}' is {fault['input']!r}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
-def _where(error: yaml.YAMLError) -> str:
+def _line_of(error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
-    return "" if mark is None else f" (line {mark.line + 1})"
+    return "" if mark is None else f" in line {mark.line + 1}"
 
 
 RIG_YAML = RigFormat(
     name="ours",
-    title="our rig.yaml",
+    title="track-range's rig.yaml",
     recognises=lambda text: "track_range_rig" in text,
     read=_read,
-    missing=lambda _text, _path, _is_grey: "it lacks 'right' or 'right_from_left'",
+    missing=lambda _text, _path, _is_grey: "'right' and 'right_from_left'",
     write=_write,
 )

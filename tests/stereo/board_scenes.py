@@ -1,4 +1,4 @@
-"""Boards seen by cameras that are known: their corners exactly, and images of them drawn through lens and pose."""
+"""Synthetic views of boards by known cameras: exact corners, and images rendered with lens distortion and pose."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from track_range.stereo.geometry.rig import StereoRig
 
 CAMERA = PinholeCamera(520.0, 523.0, 315.0, 183.0, 640, 360, (-0.12, 0.05, 0.001, -0.0005, 0.0))
 CHESS = ChessBoard(9, 6, 0.03)
-_SUB = 3  # rays per pixel and direction
+_N_SUBPIXELS = 3  # rays per pixel and direction
 _TEXEL_M = 0.0005
 
 
 def rig(*, baseline_m: float = 0.12, roll_deg: float = 0.0) -> StereoRig:
-    """Two lenses of unlike terms, the right eye turned a little, or rolled."""
+    """Two cameras with different distortion; the right one is rotated slightly, and rolled by `roll_deg`."""
     motion = np.eye(4)
     roll = cv2.Rodrigues(np.array([0.0, 0.0, np.radians(roll_deg)]))[0]
     motion[:3, :3] = cv2.Rodrigues(np.array([0.004, -0.02, 0.008]))[0] @ roll
@@ -28,27 +28,27 @@ def rig(*, baseline_m: float = 0.12, roll_deg: float = 0.0) -> StereoRig:
 
 
 def pose(
-    turn_deg: tuple[float, float, float], middle_m: tuple[float, float, float], board: Board = CHESS
+    rotation_deg: tuple[float, float, float], centre_m: tuple[float, float, float], board: Board = CHESS
 ) -> np.ndarray:
-    """(4, 4) board to camera: turned about its middle, which lies at `middle_m`."""
-    rotation = cv2.Rodrigues(np.radians(np.array(turn_deg)))[0]
-    middle = (board.corners_m.min(axis=0) + board.corners_m.max(axis=0)) / 2
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = rotation, np.array(middle_m) - rotation @ middle
-    return motion
+    """(4, 4) board to camera: the board rotated about its centre, which lies at `centre_m`."""
+    rotation = cv2.Rodrigues(np.radians(np.array(rotation_deg)))[0]
+    centre = (board.corners_m.min(axis=0) + board.corners_m.max(axis=0)) / 2
+    board_to_camera = np.eye(4)
+    board_to_camera[:3, :3], board_to_camera[:3, 3] = rotation, np.array(centre_m) - rotation @ centre
+    return board_to_camera
 
 
 def varied_poses(n: int, *, seed: int = 0, board: Board = CHESS) -> list[np.ndarray]:
-    """Boards all over the image of CAMERA, near and far, tilted every way; whole in view for the first eye of `rig`."""
+    """Poses in all parts of the image, near and far, with different tilts; visible to both cameras of `rig`."""
     rng = np.random.default_rng(seed)
-    found: list[np.ndarray] = []
-    while len(found) < n:
+    poses: list[np.ndarray] = []
+    while len(poses) < n:
         z = rng.uniform(0.42, 0.8)
         x, y = rng.uniform(-0.5, 0.5) * z, rng.uniform(-0.28, 0.28) * z
         candidate = pose((*rng.uniform(-38, 38, 2), rng.uniform(-15, 15)), (x, y, z), board)
-        if all(_is_whole(board, camera, motion @ candidate) for camera, motion in _eyes()):
-            found.append(candidate)
-    return found
+        if all(_is_visible(board, camera, from_left @ candidate) for camera, from_left in _cameras()):
+            poses.append(candidate)
+    return poses
 
 
 def exact_view(
@@ -60,7 +60,7 @@ def exact_view(
     noise_px: float = 0.0,
     rng=None,
 ) -> BoardView:
-    """The corners as the camera maps them, with noise."""
+    """The corners projected by the camera, with noise."""
     zeros = np.zeros((len(board.corners_m), 2))
     ids = np.arange(len(zeros))
     blank = BoardView(name, (camera.width_px, camera.height_px), ids, zeros, board.corners_m, 2.0)
@@ -75,7 +75,7 @@ def exact_views(n: int, *, noise_px: float = 0.05, seed: int = 0, board: Board =
     rng = np.random.default_rng(seed)
     poses = varied_poses(n, seed=seed, board=board)
     return [
-        exact_view(CAMERA, each, f"view{i}", board=board, noise_px=noise_px, rng=rng) for i, each in enumerate(poses)
+        exact_view(CAMERA, pose, f"view{i}", board=board, noise_px=noise_px, rng=rng) for i, pose in enumerate(poses)
     ]
 
 
@@ -84,30 +84,30 @@ def exact_pairs(true: StereoRig, n: int, *, noise_px: float = 0.05, seed: int = 
     rng = np.random.default_rng(seed)
     return [
         (
-            exact_view(true.left, each, f"left{i}", noise_px=noise_px, rng=rng),
-            exact_view(true.right, true.right_from_left @ each, f"right{i}", noise_px=noise_px, rng=rng),
+            exact_view(true.left, pose, f"left{i}", noise_px=noise_px, rng=rng),
+            exact_view(true.right, true.right_from_left @ pose, f"right{i}", noise_px=noise_px, rng=rng),
         )
-        for i, each in enumerate(varied_poses(n, seed=seed))
+        for i, pose in enumerate(varied_poses(n, seed=seed))
     ]
 
 
 def drawn(camera: PinholeCamera, board_to_camera: np.ndarray, *, board: Board = CHESS, seed: int = 0) -> np.ndarray:
-    """(H, W) image of the board: every pixel is the mean of 3 x 3 rays through the lens, with a little noise."""
+    """(H, W) image of the board: each pixel is the mean of 3 x 3 rays through the lens, with slight noise."""
     texture, origin_m = _texture(board)
-    offsets = (np.arange(_SUB) + 0.5) / _SUB - 0.5
+    offsets = (np.arange(_N_SUBPIXELS) + 0.5) / _N_SUBPIXELS - 0.5
     total = np.zeros((camera.height_px, camera.width_px))
     for dy in offsets:
         for dx in offsets:
             total += _one_ray(camera, board_to_camera, texture, origin_m, (dx, dy))
     noise = np.random.default_rng(seed).normal(scale=1.5, size=total.shape)
-    return np.clip(total / _SUB**2 + noise, 0, 255).astype(np.uint8)
+    return np.clip(total / _N_SUBPIXELS**2 + noise, 0, 255).astype(np.uint8)
 
 
 _RAYS: dict[tuple, np.ndarray] = {}
 
 
 def _rays(camera: PinholeCamera, offset: tuple[float, float]) -> np.ndarray:
-    """(H W, 3) rays, remembered: undoing the lens is what takes time."""
+    """(H W, 3) rays, cached, because undistortion is slow."""
     key = (camera, offset)
     if key not in _RAYS:
         y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px].astype(np.float64)
@@ -120,16 +120,16 @@ def _rays(camera: PinholeCamera, offset: tuple[float, float]) -> np.ndarray:
 def _one_ray(camera, board_to_camera, texture, origin_m, offset) -> np.ndarray:
     to_board = np.linalg.inv(board_to_camera)
     rays = _rays(camera, offset) @ to_board[:3, :3].T
-    eye = to_board[:3, 3]
-    at = eye[:2] - rays[:, :2] * (eye[2] / rays[:, 2])[:, None]
-    texel = ((at - origin_m) / _TEXEL_M - 0.5).astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
+    camera_m = to_board[:3, 3]
+    board_m = camera_m[:2] - rays[:, :2] * (camera_m[2] / rays[:, 2])[:, None]
+    texel = ((board_m - origin_m) / _TEXEL_M - 0.5).astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
     return cv2.remap(
         texture, texel[..., 0], texel[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128.0
     ).astype(np.float64)
 
 
 def _texture(board: Board) -> tuple[np.ndarray, np.ndarray]:
-    """The board as printed, with a white rim, and where its first texel's corner lies on it."""
+    """Texture of the printed board with a white margin, and the position of the corner of its first texel."""
     square = round(board.square_m / _TEXEL_M)
     if isinstance(board, CharucoBoard):
         size = (board.n_columns * square, board.n_rows * square)
@@ -139,16 +139,15 @@ def _texture(board: Board) -> tuple[np.ndarray, np.ndarray]:
         rows, columns = np.mgrid[0 : board.n_rows + 1, 0 : board.n_columns + 1]
         image = np.kron(np.where((rows + columns) % 2, 30, 225), np.ones((square, square)))
         first_m = -board.square_m
-    rim = square
-    whole = cv2.copyMakeBorder(image.astype(np.float32), rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=225.0)
-    return whole, np.full(2, first_m - board.square_m)
+    texture = cv2.copyMakeBorder(image.astype(np.float32), *[square] * 4, cv2.BORDER_CONSTANT, value=225.0)
+    return texture, np.full(2, first_m - board.square_m)
 
 
-def _eyes():
+def _cameras():
     true = rig()
     return (true.left, np.eye(4)), (true.right, true.right_from_left)
 
 
-def _is_whole(board: Board, camera: PinholeCamera, board_to_camera: np.ndarray) -> bool:
+def _is_visible(board: Board, camera: PinholeCamera, board_to_camera: np.ndarray) -> bool:
     xy = exact_view(camera, board_to_camera, "", board=board).xy_px
     return bool((xy > 12).all() and (xy < np.array([camera.width_px, camera.height_px]) - 12).all())

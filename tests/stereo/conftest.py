@@ -1,4 +1,4 @@
-"""Real boards, searched once for all tests."""
+"""Real images of boards, searched once for all tests."""
 
 from __future__ import annotations
 

@@ -13,11 +13,11 @@ from track_range.stereo.geometry.camera import PinholeCamera
 CAMERA = PinholeCamera(700.0, 700.0, 600.0, 180.0, 1200, 360)
 
 
-def test_column_from_axis_is_0_on_it_and_1_half_a_width_right_of_it() -> None:
+def test_column_from_axis() -> None:
     assert column_from_axis(np.array([600.0, 1200.0, 300.0]), CAMERA).tolist() == [0.0, 1.0, -0.5]
 
 
-def test_offset_bow_and_sigma_by_hand() -> None:
+def test_offset_curvature_and_sigma_by_hand() -> None:
     alignment = Alignment(offset_px=0.5, bow_px=1.0, residual_px=0.3)
     disparity, sigma = alignment.corrected(
         np.array([10.0, 10.0, np.nan]), np.array([0.4, 0.0, np.nan]), x_px=np.array([600.0, 300.0, 0.0]), camera=CAMERA
@@ -28,7 +28,7 @@ def test_offset_bow_and_sigma_by_hand() -> None:
     assert np.isnan(sigma[2])
 
 
-def test_nobody_measured_means_as_they_are_and_half_a_pixel_of_doubt() -> None:
+def test_default_alignment() -> None:
     disparity, sigma = Alignment().corrected(np.array([7.0]), np.zeros(1), x_px=np.zeros(1), camera=CAMERA)
     assert (disparity[0], sigma[0]) == (7.0, UNCORRECTED_SIGMA_PX)
     assert not Alignment().is_measured
@@ -39,7 +39,7 @@ def measured(offset_px: float, sigma_px: float, **more: float) -> Alignment:
     return Alignment(offset_px=offset_px, offset_sigma_px=sigma_px, source="this drive, 16 frames", **more)
 
 
-def test_sentences_say_which_way_how_sure_and_from_what() -> None:
+def test_sentences() -> None:
     low = measured(0.414, 0.093, residual_px=0.2)
     assert low.sentence() == (
         "Alignment: disparities read 0.41 +- 0.09 px low (from this drive, 16 frames); corrected."
@@ -62,14 +62,14 @@ def test_sentences_say_which_way_how_sure_and_from_what() -> None:
         (measured(0.0, 0.1, bow_px=1.0, bow_sigma_px=0.6), False),
     ],
 )
-def test_clear_is_more_than_two_sigma_of_offset_or_bow(alignment: Alignment, is_clear: bool) -> None:
+def test_significance_of_offset_and_curvature(alignment: Alignment, is_clear: bool) -> None:
     assert alignment.is_clear is is_clear
     assert alignment.if_clear().is_correcting is is_clear
 
 
 @settings(deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(0.01, 0.3), st.floats(0.0, 0.4))
-def test_what_is_not_applied_is_part_of_the_doubt(offset_px: float, sigma_px: float, residual_px: float) -> None:
+def test_withheld_correction_is_part_of_the_residual(offset_px: float, sigma_px: float, residual_px: float) -> None:
     found = measured(offset_px, sigma_px, residual_px=residual_px).if_clear()
     if not found.is_correcting:
         assert found.residual_px == pytest.approx(min(float(np.hypot(offset_px, residual_px)), UNCORRECTED_SIGMA_PX))
@@ -77,5 +77,5 @@ def test_what_is_not_applied_is_part_of_the_doubt(offset_px: float, sigma_px: fl
 
 
 @pytest.mark.parametrize(("row_offset_px", "moved_px"), [(0.0, 0.0), (0.3, 0.0), (-0.31, -0.31), (2.5, 2.5)])
-def test_rows_are_moved_only_where_it_is_worth_the_blur(row_offset_px: float, moved_px: float) -> None:
+def test_small_row_offsets_are_not_corrected(row_offset_px: float, moved_px: float) -> None:
     assert Alignment(row_offset_px=row_offset_px).rows_to_move_px == moved_px

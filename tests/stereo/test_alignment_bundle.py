@@ -64,7 +64,7 @@ def told(seen: Observations) -> Segment:
     return found
 
 
-def test_derivatives_are_those_of_the_residuals() -> None:
+def test_derivatives_equal_finite_differences() -> None:
     rng = np.random.default_rng(1)
     turn = cv2.Rodrigues(np.array([0.02, -0.05, 0.01]))[0]
     bundle = Bundle(
@@ -96,7 +96,7 @@ def test_derivatives_are_those_of_the_residuals() -> None:
         assert changed(replace(bundle, error_px=error_px)) == pytest.approx(linear.by_error[:, :, axis], abs=1e-6)
 
 
-def test_without_noise_all_is_found_exactly() -> None:
+def test_exact_result_without_noise() -> None:
     begun = initial_bundle(drive(2, offset_px=0.5, bow_px=1.0, noise_px=0.0), RIG)
     assert begun is not None
     fit = fit_bundle(*begun, RIG)
@@ -105,14 +105,14 @@ def test_without_noise_all_is_found_exactly() -> None:
 
 
 @pytest.mark.parametrize(("offset_px", "bow_px"), [(0.0, 0.0), (0.5, 0.0), (-0.3, 1.5)])
-def test_the_error_is_found_within_two_sigma(offset_px: float, bow_px: float) -> None:
+def test_known_error_within_two_sigma(offset_px: float, bow_px: float) -> None:
     found = combine([told(drive(3, offset_px=offset_px, bow_px=bow_px))], has_bow=True)
     assert np.abs(found.error_px - [offset_px, bow_px]) == pytest.approx([0.0, 0.0], abs=2 * found.sigma_px.max())
     assert (found.sigma_px < [0.06, 0.2]).all()
     assert found.spread_px < 0.05
 
 
-def test_sigma_is_honest() -> None:
+def test_sigma_matches_errors() -> None:
     """Over ten drives the errors are as large as they are said to be, and no bias stands out."""
     normal = []
     for seed in range(10):
@@ -122,7 +122,7 @@ def test_sigma_is_honest() -> None:
     assert abs(float(np.mean(normal))) < 1.0
 
 
-def test_two_stretches_are_put_together() -> None:
+def test_combination_of_two_segments() -> None:
     one, other = told(drive(30, offset_px=0.4, n_points=400)), told(drive(31, offset_px=0.4, n_points=400))
     alone = [combine([stretch], has_bow=False) for stretch in (one, other)]
     both = combine([one, other], has_bow=False)
@@ -134,16 +134,16 @@ def test_two_stretches_are_put_together() -> None:
 
 
 @pytest.mark.parametrize("share_moving", [0.1, 0.25])
-def test_what_moves_by_itself_has_no_say(share_moving: float) -> None:
+def test_moving_objects_have_no_influence(share_moving: float) -> None:
     found = combine([told(drive(4, offset_px=0.5, share_moving=share_moving))], has_bow=False)
     assert found.error_px[0] == pytest.approx(0.5, abs=0.03)
 
 
-def test_where_most_moves_nothing_is_told() -> None:
+def test_mostly_moving_scene_is_refused() -> None:
     assert isinstance(segment_of(drive(4, share_moving=0.6), RIG), str)
 
 
-def test_what_the_model_does_not_know_shows_as_spread() -> None:
+def test_unmodelled_errors_increase_the_spread() -> None:
     seen = drive(5, offset_px=0.5)
     u = (seen.xyx_px[:, 0] - CAMERA.cx_px) / 600.0
     tilted = seen._replace(xyx_px=seen.xyx_px + np.column_stack([0 * u, 0 * u, 0.6 * np.sin(3 * u)]))
@@ -161,11 +161,11 @@ def test_what_the_model_does_not_know_shows_as_spread() -> None:
         (drive(6, n_frames=3), "too few points that stay in view"),
     ],
 )
-def test_drives_that_tell_nothing(seen: Observations, reason: str) -> None:
+def test_drives_without_enough_data(seen: Observations, reason: str) -> None:
     assert segment_of(seen, RIG) == reason
 
 
-def test_points_that_obey_no_motion_are_refused() -> None:
+def test_random_points_are_refused() -> None:
     rng = np.random.default_rng(8)
     seen = drive(8)
     lost = seen._replace(xyx_px=rng.uniform(0.0, 360.0, seen.xyx_px.shape))

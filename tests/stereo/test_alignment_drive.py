@@ -52,7 +52,7 @@ def estimated(shown: Iterator[Frame], rig: StereoRig = RIG) -> Alignment:
 
 
 @pytest.mark.parametrize(("x_px", "y_px"), [(0.0, 0.0), (0.5, 0.4)])
-def test_a_rendered_error_is_found_within_two_sigma(x_px: float, y_px: float) -> None:
+def test_known_error_of_a_rendered_drive(x_px: float, y_px: float) -> None:
     found = estimated(frames(x_px=x_px, y_px=y_px))
     assert found.offset_px == pytest.approx(x_px, abs=2 * found.offset_sigma_px)
     assert 0.005 < found.offset_sigma_px < 0.12
@@ -62,19 +62,19 @@ def test_a_rendered_error_is_found_within_two_sigma(x_px: float, y_px: float) ->
     assert found.source == "this drive, 13 frames"
 
 
-def test_frames_too_close_in_time_are_passed_by() -> None:
+def test_frames_too_close_in_time_are_skipped() -> None:
     found = estimated(frames(step_s=0.05))  # half of them: too few
     assert not found.is_measured
     assert found.source == "this drive tells nothing (fewer than 10 frames in motion)"
     assert (found.offset_px, found.residual_px) == (0.0, UNCORRECTED_SIGMA_PX)
 
 
-def test_a_gap_in_time_ends_a_stretch() -> None:
+def test_a_gap_in_time_ends_a_segment() -> None:
     shown = [Frame(f.index, f.time_s + (2.0 if f.index >= 6 else 0.0), f.left, f.right) for f in frames()]
     assert not estimated(iter(shown)).is_measured
 
 
-def test_standing_still_tells_rows_only() -> None:
+def test_stationary_vehicle_gives_only_row_offset() -> None:
     left, right = rendered()[0]
     rng = np.random.default_rng(1)
 
@@ -87,7 +87,7 @@ def test_standing_still_tells_rows_only() -> None:
     assert not found.is_clear
 
 
-def test_one_eye_or_nothing_to_see() -> None:
+def test_missing_right_images_and_texture() -> None:
     left, _ = rendered()[0]
     assert "no pairs of images" in estimated(Frame(i, i / 10, left, None) for i in range(3)).source
     grey = np.full((188, 620, 3), 90, np.uint8)
@@ -97,7 +97,7 @@ def test_one_eye_or_nothing_to_see() -> None:
     assert row_offset_px(grey, grey) is None
 
 
-def test_another_scene_begins_anew() -> None:
+def test_a_cut_starts_a_new_segment() -> None:
     """A cut between two drives that nobody told of: neither half is long enough, and they are not glued together."""
     shown = list(frames())[:6]
     rng = np.random.default_rng(2)
@@ -106,7 +106,7 @@ def test_another_scene_begins_anew() -> None:
     assert found.source.startswith("this drive tells nothing")
 
 
-def test_enough_is_enough() -> None:
+def test_number_of_frames_is_limited() -> None:
     drive = DriveAlignment(RIG)
     pictures = [*rendered(), *rendered()[-2:0:-1]]  # there and back, time and again
     n_added = 0
@@ -121,7 +121,7 @@ def test_enough_is_enough() -> None:
     assert not drive.is_full
 
 
-def test_points_keep_their_numbers_and_their_disparities() -> None:
+def test_feature_tracks() -> None:
     tracks = FeatureTracks()
     first, second = (tracks.add(*(cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY) for eye in pair)) for pair in rendered()[:2])
     both = np.intersect1d(first.number, second.number)

@@ -26,7 +26,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["align.yaml"]
 
 
-def test_a_file_by_hand_may_be_short(tmp_path: Path) -> None:
+def test_short_file(tmp_path: Path) -> None:
     file = tmp_path / "align.yaml"
     file.write_text("track_range_align: 1\noffset_px: 1\n")
     assert load_alignment(file) == Alignment(offset_px=1.0, source=str(file))
@@ -50,7 +50,7 @@ def test_a_file_by_hand_may_be_short(tmp_path: Path) -> None:
         ("track_range_align: 1\noffset_px: 0\nsource: 3", "'source' is 3; text is wanted"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path: Path, text: str, complaint: str) -> None:
+def test_wrong_files(tmp_path: Path, text: str, complaint: str) -> None:
     file = tmp_path / "align.yaml"
     file.write_text(text)
     with pytest.raises(RigError) as refused:
@@ -59,7 +59,7 @@ def test_what_is_wrong_is_said(tmp_path: Path, text: str, complaint: str) -> Non
     assert str(refused.value).startswith(str(file))
 
 
-def test_what_is_no_file_of_text(tmp_path: Path) -> None:
+def test_unreadable_files(tmp_path: Path) -> None:
     with pytest.raises(RigError, match="there is no such file; write one with `track-range align`"):
         load_alignment(tmp_path / "missing.yaml")
     with pytest.raises(RigError, match="cannot be read"):
@@ -72,6 +72,6 @@ def test_what_is_no_file_of_text(tmp_path: Path) -> None:
         load_alignment(tmp_path / "large.yaml")
 
 
-def test_nowhere_to_write(tmp_path: Path) -> None:
+def test_folder_does_not_exist(tmp_path: Path) -> None:
     with pytest.raises(RigError, match="cannot be written"):
         save_alignment(Alignment(), tmp_path / "no folder" / "align.yaml")

@@ -44,7 +44,7 @@ def test_five_objects_by_hand() -> None:
     assert found.bow_px == 0.0
 
 
-def test_exact_objects_leave_nothing() -> None:
+def test_exact_objects_have_no_residual() -> None:
     measured_px = np.linspace(5.0, 50.0, 20)
     found = fit(measured_px, measured_px + 0.5)
     assert found.offset_px == pytest.approx(0.5)
@@ -55,14 +55,14 @@ def test_exact_objects_leave_nothing() -> None:
 
 @settings(deadline=None, max_examples=20)
 @given(st.floats(-1.0, 1.0), st.integers(0, 1000))
-def test_a_shift_of_all_truths_shifts_the_offset_alone(shift_px: float, seed: int) -> None:
+def test_offset_follows_a_shift_of_the_truth(shift_px: float, seed: int) -> None:
     measured_px, true_px, _ = cars(12, seed=seed)
     before, after = fit(measured_px, true_px), fit(measured_px, true_px + shift_px)
     assert after.offset_px == pytest.approx(before.offset_px + shift_px, abs=1e-9)
     assert after.residual_px == pytest.approx(before.residual_px, abs=1e-6)
 
 
-def test_mismatches_and_nan_are_left_out() -> None:
+def test_mismatches_and_nan_are_ignored() -> None:
     measured_px, true_px, _ = cars(30, seed=3)
     clean = fit(measured_px, true_px)
     wrong_px = np.concatenate([measured_px, [np.nan, 70.0, -1.0, 12.0]])
@@ -70,7 +70,7 @@ def test_mismatches_and_nan_are_left_out() -> None:
     assert spoilt == clean
 
 
-def test_sigma_is_honest_over_groups_that_err_together() -> None:
+def test_sigma_accounts_for_correlated_groups() -> None:
     """20 scenes of 5 objects with a common error each: as uncertain as 20 objects, not as 100."""
     errors = []
     for seed in range(30):
@@ -83,13 +83,13 @@ def test_sigma_is_honest_over_groups_that_err_together() -> None:
     assert 0.6 < float(np.std(errors)) < 1.5
 
 
-def test_few_groups_do_not_feign_certainty() -> None:
+def test_few_groups_have_a_large_sigma() -> None:
     measured_px, true_px, _ = cars(40, seed=5)
     assert fit(measured_px, true_px, groups=np.zeros(40)).offset_sigma_px > 0.1
     assert fit(measured_px, true_px).offset_sigma_px < 0.1
 
 
-def test_the_bow_only_where_many_objects_show_it() -> None:
+def test_curvature_needs_many_objects() -> None:
     measured_px, true_px, x_px = cars(400, seed=7, bow_px=1.5)
     bowed = fit(measured_px, true_px, x_px=x_px)
     assert bowed.offset_px == pytest.approx(0.5, abs=0.15)
@@ -101,7 +101,7 @@ def test_the_bow_only_where_many_objects_show_it() -> None:
     assert fit(straight_px, true_px, x_px=x_px).bow_px == 0.0
 
 
-def test_what_the_matcher_knows_of_its_errors_is_no_residual() -> None:
+def test_residual_excludes_the_matchers_sigma() -> None:
     rng = np.random.default_rng(9)
     true_px = np.full(400, 15.0)
     measured_px = true_px - 0.5 + rng.normal(0.0, 0.5, 400)
@@ -113,7 +113,7 @@ def test_what_the_matcher_knows_of_its_errors_is_no_residual() -> None:
     assert none < 0.06
 
 
-def test_too_few() -> None:
+def test_too_few_objects() -> None:
     with pytest.raises(RigError, match="at least 5 objects of known distance that can be matched, and there are 4"):
         fit(np.array([10.0, 11.0, 12.0, 13.0, np.nan]), np.full(5, 12.0))
 

@@ -14,7 +14,7 @@ from track_range.stereo.evaluation.kitti_2015 import read_pairs
 from track_range.stereo.matching.box_matchers import MATCHER_NAMES, measure_pairs, one_thread, open_matcher
 
 
-def test_every_matcher_reads_exact_pairs(tmp_path: Path) -> None:
+def test_all_matchers_on_exact_pairs(tmp_path: Path) -> None:
     measured = measure_pairs(read_pairs(write_set(tmp_path)), MATCHER_NAMES)
     assert tuple(measured.columns) == MATCHER_NAMES
     world = measured.objects
@@ -29,7 +29,7 @@ def test_every_matcher_reads_exact_pairs(tmp_path: Path) -> None:
     assert measured.notes == ()
 
 
-def test_the_tracks_of_a_drive_are_what_errs_together(tmp_path: Path) -> None:
+def test_tracks_of_a_drive_are_groups(tmp_path: Path) -> None:
     frames = [
         replace(pair, track_id=np.array([7, 3]), notes=("the rig is a little odd",))
         for pair in read_pairs(write_set(tmp_path))
@@ -41,7 +41,7 @@ def test_the_tracks_of_a_drive_are_what_errs_together(tmp_path: Path) -> None:
     assert measured.notes == ("the rig is a little odd",)
 
 
-def test_no_pairs_are_no_objects() -> None:
+def test_no_pairs() -> None:
     measured = measure_pairs([], ["patch"])
     assert (len(measured.objects), measured.columns["patch"].disparity_px.shape) == (0, (0,))
     assert measured.ms_per_frame == {}
@@ -53,7 +53,7 @@ def test_unknown_matcher(tmp_path: Path) -> None:
         open_matcher("pach", pair.rig)
 
 
-def test_opencv_has_its_threads_back_whatever_happens() -> None:
+def test_opencv_threads_are_restored() -> None:
     before = cv2.getNumThreads()
     cv2.setNumThreads(3)
     seen = []

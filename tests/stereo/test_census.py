@@ -46,14 +46,14 @@ def windows_at(level: int, *corners: tuple[int, int]) -> BoxWindows:
     return BoxWindows(np.array([level]), column[None, :], row[None, :])
 
 
-def test_bits_of_one_window_are_its_comparisons() -> None:
+def test_census_of_one_window() -> None:
     window = np.arange(25, dtype=np.uint8).reshape(5, 5, 1)  # the 12 pixels after the centre are brighter
     assert census(window).shape == (1, 1, 1)
     assert int(census(window)[0, 0, 0]).bit_count() == 12
     assert int(census(np.full((5, 5, 1), 7, np.uint8))[0, 0, 0]) == 0
 
 
-def test_each_neighbour_has_a_bit_of_its_own_and_the_centre_none() -> None:
+def test_each_neighbour_has_one_bit() -> None:
     windows = np.zeros((5, 5, 25), np.uint8)
     windows[np.repeat(np.arange(5), 5), np.tile(np.arange(5), 5), np.arange(25)] = 1
     words = census(windows)[0, 0].tolist()
@@ -88,7 +88,7 @@ def test_costs_equal_brute_force_also_in_corners(level: int, first_px: int, n_di
     assert np.allclose(fast[:, 0], slow, equal_nan=True)
 
 
-def test_boxes_of_different_levels_and_ranges_do_not_touch_each_other() -> None:
+def test_boxes_of_different_levels_are_independent() -> None:
     left, right = pair(8.0, noise=3.0)
     eyes = GreyLevels.of(left, 3), GreyLevels.of(right, 3)
     one, two = windows_at(0, (150, 40), (160, 40)), windows_at(2, (60, 10), (50, 12))
@@ -104,7 +104,7 @@ def test_boxes_of_different_levels_and_ranges_do_not_touch_each_other() -> None:
     assert together.argmin(axis=0).tolist() == [[3, 3], [2, 2]]  # 8 = 5 + 3 px; 8 / 4 = 2 px of level 2
 
 
-def test_levels_are_means_of_squares_of_pixels() -> None:
+def test_pyramid_levels_are_means() -> None:
     image = np.random.default_rng(1).integers(0, 256, (23, 37), dtype=np.uint8)
     levels = GreyLevels.of(image, 3)
     assert levels.width.tolist() == [37, 18, 9]

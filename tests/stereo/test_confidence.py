@@ -33,13 +33,13 @@ def clear(cost: npt.NDArray[np.float32], found: Surface, first: int = 0) -> Matc
     return match_confidence(cost, found, WINDOWS, np.array([first]))
 
 
-def test_one_minimum_is_deep_and_alone() -> None:
+def test_single_minimum() -> None:
     found = clear(costs((20, 3.0), (19, 6.0), (21, 6.0)), surface(19.8))
     assert (found.cost[0], found.margin[0], found.second_best_margin[0]) == (3.0, 9.0, 9.0)
     assert found.is_inside[0]
 
 
-def test_a_second_minimum_is_a_rival_unless_it_is_the_same_valley() -> None:
+def test_second_best_minimum() -> None:
     # at 20 px what is within 2 + 20 // 20 = 3 px is no rival
     assert clear(costs((20, 3.0), (23, 4.0)), surface(20.0)).second_best_margin[0] == 9.0
     assert clear(costs((20, 3.0), (24, 4.0)), surface(20.0)).second_best_margin[0] == 1.0
@@ -49,7 +49,7 @@ def test_a_second_minimum_is_a_rival_unless_it_is_the_same_valley() -> None:
     assert clear(costs((20, 3.0), (28, 4.0)), surface(100.0), first=80).second_best_margin[0] == 1.0
 
 
-def test_windows_aside_do_not_count() -> None:
+def test_windows_of_other_surfaces_are_ignored() -> None:
     cost = costs((20, 3.0))
     cost[30, 0, :4] = 0.0  # another surface in four windows
     found = clear(cost, surface(20.0, aside=(0, 1, 2, 3)))
@@ -64,7 +64,7 @@ def test_a_slanted_surface_has_one_minimum() -> None:
     assert clear(cost, surface(21.0)).margin[0] < 2.0
 
 
-def test_what_few_windows_see_is_neither_minimum_nor_rival() -> None:
+def test_disparities_seen_by_few_windows_are_ignored() -> None:
     cost = costs((20, 3.0), (30, 1.0))
     cost[30, 0, :5] = np.nan
     assert clear(cost, surface(20.0)).second_best_margin[0] == 9.0
@@ -78,12 +78,12 @@ def test_the_ends_of_the_range_are_not_inside(centre: float, is_inside: bool) ->
     assert bool(clear(costs((20, 3.0)), surface(centre + 7), first=7).is_inside[0]) is is_inside
 
 
-def test_chance_is_what_three_quarters_of_the_disparities_cost_less_than() -> None:
+def test_chance_cost_is_the_upper_quartile() -> None:
     cost = np.broadcast_to(np.arange(41, dtype=np.float32)[:, None, None], (41, 1, 9)).copy()
     assert clear(cost, surface(5.0)).margin[0] == pytest.approx(30.0 - 5.0)
 
 
-def test_no_surface_and_no_costs_are_not_clear() -> None:
+def test_no_surface_and_no_costs() -> None:
     nothing = clear(costs((20, 3.0)), surface(np.nan, aside=tuple(range(9))))
     assert not nothing.is_inside[0]
     assert not nothing.margin[0] > 0

@@ -62,7 +62,7 @@ def test_figures_by_hand() -> None:
     assert (found["within_1_sigma"], found["within_2_sigma"]) == (pytest.approx(2 / 3, abs=1e-4), 1.0)
 
 
-def test_nothing_measured_and_nothing_there() -> None:
+def test_figures_without_values_or_objects() -> None:
     found = figures(column([NAN, NAN]), np.array([10.0, 20.0]))
     assert (found["coverage"], found["failures_pct"], found["n_measured"]) == (0.0, 100.0, 0)
     assert found["median_relative_error_pct"] is found["within_1_sigma"] is None
@@ -76,7 +76,7 @@ def test_a_failure_is_beyond_15_per_cent() -> None:
     assert found["failures_pct"] == 50.0
 
 
-def test_bands_go_by_true_distance() -> None:
+def test_bands_of_true_distance() -> None:
     # 400 px m: 5, 14.99, 15, 30, 59.9 m, and 4 and 80 m in no band
     true_px = [80.0, 400 / 14.99, 400 / 15, 400 / 30, 400 / 59.9, 100.0, 5.0]
     found = matcher_figures({"a": column(true_px)}, objects(true_px))["a"]
@@ -88,7 +88,7 @@ def test_bands_go_by_true_distance() -> None:
     assert found["n"] == 7
 
 
-def test_common_rows_are_of_what_all_measured() -> None:
+def test_common_figures() -> None:
     world = objects([10.0, 20.0, 40.0])
     found = common_figures({"a": column([10.0, NAN, 40.0]), "b": column([11.0, 20.0, 50.0])}, world)
     assert [row["n"] for row in found.values()] == [2, 2]
@@ -98,7 +98,7 @@ def test_common_rows_are_of_what_all_measured() -> None:
     assert nobody["a"]["n"] == 0
 
 
-def test_intervals_draw_groups() -> None:
+def test_intervals_resample_groups() -> None:
     # Two tracks, each of one error: whatever is drawn, the median error is 0, 5 or between.
     true_px = [10.0] * 8
     measured = column([10.0] * 4 + [10 / 1.05] * 4)
@@ -119,7 +119,7 @@ def test_intervals_are_seeded() -> None:
     assert matcher_figures(measured, world, seed=1) != matcher_figures(measured, world, seed=2)
 
 
-def test_each_pair_is_put_right_by_its_own_alignment() -> None:
+def test_pairs_are_corrected_by_their_alignment() -> None:
     world = replace(objects([10.0, 10.0, 10.0], pair=[0, 1, 1]), x_px=np.array([600.0, 1200.0, 600.0]))
     alignments = {
         0: Alignment(offset_px=0.5, residual_px=3.0),
@@ -141,7 +141,7 @@ def mean_offset(measured_px: np.ndarray, true_px: np.ndarray, **where: object) -
     return Alignment(offset_px=float((true_px - measured_px).mean()), source=f"{where['groups']}")
 
 
-def test_no_pair_is_corrected_by_itself() -> None:
+def test_alignments_exclude_their_own_fold() -> None:
     world = objects([20.0, 21.0, 22.0, 23.0, 24.0])  # true - measured: 0, 1, 2, 3, 4
     found = left_out_alignments(column([20.0] * 5), world, mean_offset)
     assert [found[pair].offset_px for pair in range(5)] == pytest.approx([3.0, 3.0, 5 / 3, 5 / 3, 1.5])
@@ -151,7 +151,7 @@ def test_no_pair_is_corrected_by_itself() -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.tuples(st.floats(5.0, 60.0), st.floats(-0.4, 0.4)), min_size=1, max_size=12), st.randoms())
-def test_order_does_not_matter_and_the_truth_is_without_error(rows: list[tuple[float, float]], random: object) -> None:
+def test_order_is_irrelevant_and_truth_has_no_error(rows: list[tuple[float, float]], random: object) -> None:
     true_px, off_px = np.array(rows).T
     order = np.arange(len(rows))
     random.shuffle(order)  # type: ignore[attr-defined]

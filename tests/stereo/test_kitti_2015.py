@@ -20,7 +20,7 @@ from track_range.stereo.evaluation.kitti_2015 import (
 from track_range.stereo.geometry.rig import RigError
 
 
-def test_pairs_come_by_name_with_boxes_truth_and_rig(tmp_path: Path) -> None:
+def test_pairs_of_a_set(tmp_path: Path) -> None:
     write_set(tmp_path, ("000007_10", "000002_10"))
     write_pair(tmp_path, "000002_11", seed=9)  # the next frame, of which the set has no truth
     for part in ("disp_occ_0", "obj_map"):
@@ -37,7 +37,7 @@ def test_pairs_come_by_name_with_boxes_truth_and_rig(tmp_path: Path) -> None:
     assert (first.rig.left.width_px, first.rig.left.height_px) == (360, 120)
 
 
-def test_the_folder_above_and_a_calibration_per_pair(tmp_path: Path) -> None:
+def test_parent_folder_and_calibration_per_pair(tmp_path: Path) -> None:
     root = write_set(tmp_path / "training")
     (root / "calib_cam_to_cam").mkdir()
     other = CALIBRATION.replace("P2", "P_rect_02").replace("P3", "P_rect_03").replace("300.0", "310.0")
@@ -46,14 +46,14 @@ def test_the_folder_above_and_a_calibration_per_pair(tmp_path: Path) -> None:
     assert [pair.rig.left.fx_px for pair in read_pairs(tmp_path)] == [300.0, 310.0]
 
 
-def test_a_rig_of_the_users_own(tmp_path: Path) -> None:
+def test_rig_of_the_user(tmp_path: Path) -> None:
     write_set(tmp_path / "set")
     (tmp_path / "set/calib.txt").unlink()
     (tmp_path / "mine.txt").write_text(CALIBRATION.replace("300.0", "320.0"))
     assert next(read_pairs(tmp_path / "set", rig=tmp_path / "mine.txt")).rig.left.fx_px == 320.0
 
 
-def test_grey_images_become_grey_colours_and_rows_are_put_level(tmp_path: Path) -> None:
+def test_grey_images_and_row_offset(tmp_path: Path) -> None:
     write_set(tmp_path, ("a",))
     plain = next(read_pairs(tmp_path))
     assert np.array_equal(plain.left[:, :, 0], plain.left[:, :, 2])
@@ -117,7 +117,7 @@ FIRST = "000000_10.png"
         (rewrite(f"obj_map/{FIRST}", np.zeros((120, 360, 3), np.uint8)), "grey (the number of the car) wanted"),
     ],
 )
-def test_a_wrong_set_is_one_sentence(tmp_path: Path, spoil: Callable[[Path], None], said: str) -> None:
+def test_wrong_sets(tmp_path: Path, spoil: Callable[[Path], None], said: str) -> None:
     spoil(write_set(tmp_path))
     with pytest.raises(PairFileError) as error:
         list(read_pairs(tmp_path))
@@ -132,7 +132,7 @@ def test_an_image_that_cannot_be_opened(tmp_path: Path) -> None:
         list(read_pairs(tmp_path))
 
 
-def test_no_folder_and_no_truth(tmp_path: Path) -> None:
+def test_missing_folder_and_truth(tmp_path: Path) -> None:
     with pytest.raises(PairFileError, match="there is no such folder"):
         pair_names(tmp_path / "nowhere")
     with pytest.raises(PairFileError, match="image_2 and image_3 and disp_occ_0 and obj_map is missing"):
@@ -144,7 +144,7 @@ def test_no_folder_and_no_truth(tmp_path: Path) -> None:
         pair_names(tmp_path)
 
 
-def test_no_calibration_or_one_of_unrectified_cameras(tmp_path: Path) -> None:
+def test_missing_or_unrectified_calibration(tmp_path: Path) -> None:
     write_set(tmp_path)
     (tmp_path / "calib.txt").unlink()
     with pytest.raises(RigError, match=r"no calib.txt in it, nor calib_cam_to_cam/000000.txt"):

@@ -1,4 +1,4 @@
-"""KITTI's calib.txt in all its variants, and what is refused."""
+"""KITTI's calib.txt in all its variants, and wrong files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def written(folder: Path, text: str, name: str = "calib.txt") -> Path:
 
 
 def refused(path: Path, *, size_px: tuple[int, int] = SIZE) -> str:
-    """The one sentence that `load_rig` says; it names the path."""
+    """The message of `load_rig`: one sentence with the path."""
     with pytest.raises(RigError) as error:
         load_rig(path, size_px=size_px)
     message = str(error.value)
@@ -53,14 +53,14 @@ def test_kitti_by_hand(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["P{n}: {m}", "P{n} {m}", "P_rect_0{n}: {m}", "  P{n}:{m}"])
-def test_kitti_lines_as_its_sets_write_them(tmp_path: Path, form: str) -> None:
+def test_kitti_line_formats(tmp_path: Path, form: str) -> None:
     left, right = (f"1000 0 640 {x} 0 1000 360 0 0 0 1 0" for x in (0, -540))
     text = "\n".join(form.format(n=n, m=m) for n, m in ((2, left), (3, right)))
     rig, _ = load_rig(written(tmp_path, text, "calib.txt"), size_px=SIZE)
     assert rig.baseline_m == pytest.approx(0.54)
 
 
-def test_kitti_with_the_grey_pair_only_serves_colour_and_says_so(tmp_path: Path) -> None:
+def test_grey_pair_is_used_if_it_is_the_only_one(tmp_path: Path) -> None:
     path = written(tmp_path, "".join(KITTI.splitlines(keepends=True)[:2]), "calib.txt")
     rig, notes = load_rig(path, size_px=SIZE)
     assert rig.left.fx_px == 700
@@ -68,7 +68,7 @@ def test_kitti_with_the_grey_pair_only_serves_colour_and_says_so(tmp_path: Path)
     assert "cameras 0 and 1" in notes[0]
 
 
-def test_kitti_raw_gives_its_size(tmp_path: Path) -> None:
+def test_kitti_raw_has_the_image_size(tmp_path: Path) -> None:
     text = "S_rect_02: 1.280000e+03 7.200000e+02\nP_rect_02: 1000 0 650 0 0 1000 350 0 0 0 1 0\n"
     camera, notes = load_camera(written(tmp_path, text, "calib.txt"), size_px=(640, 360))
     assert camera.fx_px == 500
@@ -97,7 +97,7 @@ def test_all_kitti_label_calibrations_are_read(shared_data: Path) -> None:
         assert left_from_reference_m(path, is_grey=False)[0] == pytest.approx(0.06, abs=0.002)
 
 
-def test_where_no_size_is_given_the_principal_point_decides(tmp_path: Path) -> None:
+def test_principal_point_check_without_image_size(tmp_path: Path) -> None:
     path = written(tmp_path, KITTI, "calib.txt")
     load_rig(path, size_px=(1300, 700))
     message = refused(path, size_px=(640, 480))
@@ -106,19 +106,19 @@ def test_where_no_size_is_given_the_principal_point_decides(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "key_word"),
     [
-        ("P2: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "it has P2 but not P3"),
-        ("P0: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "it has P0 but not P1"),
-        ("P3: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "it has P3 but not P2"),
-        ("P2: 1000 0 640 0 0 1000\n", "P2: 12 numbers are wanted, 6 found"),
-        ("P2: 1000 0 640 x 0 1000 360 0 0 0 1 0\n", "P2: '1000 0 640 x"),
-        ("P2: 0 0 640 0 0 1000 360 0 0 0 1 0\n", "P2: it is not a projection"),
-        ("P2: nan 0 640 0 0 1000 360 0 0 0 1 0\n", "P2: it is not a projection"),
-        (KITTI.replace("-450", "-499950"), "the baseline is 500 m"),
-        (KITTI.replace("-450", "50"), "the baseline is 0 m"),
-        (KITTI.replace("-450", "550"), "swap left and right"),
+        ("P2: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "P3"),
+        ("P0: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "P1"),
+        ("P3: 1000 0 640 0 0 1000 360 0 0 0 1 0\n", "P2"),
+        ("P2: 1000 0 640 0 0 1000\n", "found 6"),
+        ("P2: 1000 0 640 x 0 1000 360 0 0 0 1 0\n", "640 x"),
+        ("P2: 0 0 640 0 0 1000 360 0 0 0 1 0\n", "projection"),
+        ("P2: nan 0 640 0 0 1000 360 0 0 0 1 0\n", "projection"),
+        (KITTI.replace("-450", "-499950"), "500 m"),
+        (KITTI.replace("-450", "50"), "found 0 m"),
+        (KITTI.replace("-450", "550"), "swap"),
     ],
 )
-def test_wrong_kitti_files(tmp_path: Path, text: str, said: str) -> None:
-    assert said in refused(written(tmp_path, text, "calib.txt"))
+def test_wrong_kitti_files(tmp_path: Path, text: str, key_word: str) -> None:
+    assert key_word in refused(written(tmp_path, text, "calib.txt"))

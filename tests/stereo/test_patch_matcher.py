@@ -58,20 +58,20 @@ def test_error_on_known_shifts(with_prior: bool) -> None:
 
 @pytest.mark.parametrize("noise", [0.0, 6.0])
 @pytest.mark.parametrize("box", [BOX, SMALL])
-def test_fractions_of_a_pixel_are_not_pulled_to_whole_ones(box: tuple[float, ...], noise: float) -> None:
+def test_no_pixel_locking(box: tuple[float, ...], noise: float) -> None:
     locking = [np.median(errors_px(np.full(8, 20 + tenth / 10), box=box, noise=noise)[0]) for tenth in range(10)]
     assert np.abs(locking).max() < 0.06
     assert np.ptp(locking) > 1e-4
 
 
-def test_large_boxes_are_measured_in_smaller_images_nearly_as_well() -> None:
+def test_large_boxes_in_the_pyramid() -> None:
     for edges, level in (((20.0, 20.0, 390.0, 130.0), 1), ((60.0, 40.0, 620.0, 330.0), 2)):
         eyes = pair(25.3, seed=level, noise=2.0, height=360, width=640, blur_px=1.2 * 2**level)
         for prior_px in (27.0, NONE):
             assert of_box(eyes, edges, prior_px)[0] == pytest.approx(25.3, abs=0.04 * 2**level)
 
 
-def test_a_distance_by_hand() -> None:
+def test_distance_by_hand() -> None:
     # f = 1000 px, B = 0.5 m, d = 10 px -> 50 m
     found = PatchMatcher().match(*pair(10.0), np.array([BOX]), np.array([NONE])).disparity_px
     rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 200.0, 70.0, 400, 140), 0.5)
@@ -88,14 +88,14 @@ def test_exposure_gain_and_colour_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("slope", [-0.05, 0.02, 0.1])
-def test_a_slanted_surface_gives_its_disparity_at_the_middle(slope: float) -> None:
+def test_slanted_surface_at_its_centre(slope: float) -> None:
     for seed in range(4):
         eyes = tilted_pair(20.3, slope, at_px=240.0, seed=seed)
         assert of_box(eyes, prior_px=20.0)[0] == pytest.approx(20.3, abs=0.04)
         assert of_box(eyes)[0] == pytest.approx(20.3, abs=0.04)
 
 
-def test_small_disparities_of_large_boxes_are_found_without_a_prior() -> None:
+def test_small_disparities_without_a_prior() -> None:
     for true_px in (1.0, 1.6, 2.0, 3.3):  # less than one pixel of the level that finds them
         assert of_box(pair(true_px))[0] == pytest.approx(true_px, abs=0.05)
 
@@ -128,7 +128,7 @@ def test_the_range_ends_at_the_largest_disparity() -> None:
             assert found[2] in (Outcome.OUT_OF_RANGE, Outcome.NO_TEXTURE, Outcome.NO_FIT)
 
 
-def test_the_largest_disparity_of_each_box_follows_its_side() -> None:
+def test_largest_disparity_depends_on_box_size() -> None:
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_per_side=0.5))
     boxes = np.array([BOX, SMALL])  # 40 and 15 px at most
     found = matcher.match(*pair(30.0), boxes, np.full(2, NONE))
@@ -183,7 +183,7 @@ def as_rows(found: PatchMatches) -> FloatArray:
     return np.stack([found.disparity_px, found.sigma_px, found.outcome.astype(np.float64)], axis=1)
 
 
-def test_several_boxes_at_once_are_as_one_by_one() -> None:
+def test_boxes_are_independent() -> None:
     left, right = pair(20.7, noise=3.0)
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_px=64))
     together = as_rows(matcher.match(left, right, MANY, MANY_PRIORS))
@@ -209,7 +209,7 @@ class LookedAt:
 
 
 @pytest.mark.parametrize("priors_px", [MANY_PRIORS, np.full(6, NONE), np.full(6, 21.0)])
-def test_an_image_that_exists_only_where_it_is_looked_at_gives_the_same(priors_px: FloatArray) -> None:
+def test_lazily_computed_images_give_equal_results(priors_px: FloatArray) -> None:
     left, right = pair(20.7, noise=3.0)
     for eyes in ((left, right), (np.dstack([left] * 3), np.dstack([right] * 3))):
         view = LookedAt(eyes[1])
@@ -220,7 +220,7 @@ def test_an_image_that_exists_only_where_it_is_looked_at_gives_the_same(priors_p
         )
 
 
-def test_near_a_prior_only_the_search_range_is_looked_at() -> None:
+def test_pixels_read_near_a_prior() -> None:
     left, right = pair(20.7)
     view = LookedAt(right)
     assert np.isfinite(PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0])).disparity_px[0])
@@ -260,7 +260,7 @@ def test_a_partly_saturated_box_is_measured() -> None:
 
 @pytest.mark.parametrize("make", ["noise", "texture"])
 @pytest.mark.parametrize(("with_prior", "most_pct"), [(False, 0), (True, 8)])
-def test_what_does_not_correspond_is_refused(make: str, with_prior: bool, most_pct: int) -> None:
+def test_unrelated_images_are_refused(make: str, with_prior: bool, most_pct: int) -> None:
     boxes = np.array([[210.0 + 10 * i, 30.0, 230.0 + 12 * i, 60.0 + 3 * i] for i in range(10)])
     n_found = 0
     for seed in range(10):
@@ -274,7 +274,7 @@ def test_what_does_not_correspond_is_refused(make: str, with_prior: bool, most_p
     assert n_found <= most_pct  # of 100
 
 
-def test_repeated_texture_is_refused_without_a_prior_and_matched_with_one() -> None:
+def test_repeated_texture_needs_a_prior() -> None:
     for period_px in (20, 32, 50):
         fence = np.tile(texture(3, width=period_px), (1, 400 // period_px + 1))[:, :400]
         eyes = to_u8(fence), to_u8(np.roll(fence, -20, axis=1))
@@ -284,13 +284,13 @@ def test_repeated_texture_is_refused_without_a_prior_and_matched_with_one() -> N
     assert of_box((to_u8(fence), to_u8(np.roll(fence, -20, axis=1))), prior_px=21.0)[2] is not Outcome.MATCHED
 
 
-def test_no_disparity_is_no_distance() -> None:
+def test_disparity_zero_is_not_matched() -> None:
     left, _ = pair(5.0)
     assert np.isnan(of_box((left, left))[0])
     assert np.isnan(of_box((left, left), prior_px=3.0)[0])
 
 
-def test_what_the_right_eye_does_not_see_is_no_match() -> None:
+def test_parts_outside_the_right_image() -> None:
     left, right = to_u8(texture(0)), to_u8(texture(9))
     right[:, :-60] = left[:, 60:]  # disparity 60; the left image's first 60 columns are outside the right one
     for box in ((0.0, 40.0, 60.0, 100.0), (5.0, 40.0, 35.0, 60.0)):
@@ -301,13 +301,13 @@ def test_what_the_right_eye_does_not_see_is_no_match() -> None:
     assert of_box((left, right), partly, 58.0)[0] == pytest.approx(60.0, abs=0.1)
 
 
-def test_a_box_at_the_left_border_that_no_disparity_shows_is_not_seen() -> None:
+def test_box_outside_the_right_image() -> None:
     matcher = PatchMatcher(PatchMatcherSettings(min_disparity_px=40))
     found = of_box(pair(60.0), (0.0, 40.0, 50.0, 80.0), matcher=matcher)
     assert found[2] is Outcome.NOT_SEEN
 
 
-def test_boxes_that_cannot_be_measured_say_why_and_leave_the_others_alone() -> None:
+def test_outcomes_of_unusable_boxes() -> None:
     inf = np.inf
     cases = [
         (BOX, Outcome.MATCHED),
@@ -343,19 +343,19 @@ def test_an_image_smaller_than_a_window_is_too_small(image_hw: tuple[int, int]) 
 
 
 @pytest.mark.parametrize(("height", "width"), [(11, 400), (13, 200), (24, 300), (43, 600)])
-def test_flat_images_are_measured(height: int, width: int) -> None:
+def test_low_images_are_measured(height: int, width: int) -> None:
     eyes = pair(3.0, height=height, width=width)
     for prior_px in (NONE, 4.0):
         whole = of_box(eyes, (-0.5, -0.5, width - 0.5, height - 0.5), prior_px)
         assert whole[0] == pytest.approx(3.0, abs=0.15)
 
 
-def test_an_image_without_pixels_holds_no_box() -> None:
+def test_empty_image() -> None:
     empty = np.zeros((0, 0), np.uint8)
     assert of_box((empty, empty), BOX)[2] is Outcome.OUTSIDE
 
 
-def test_no_boxes_give_no_disparities() -> None:
+def test_no_boxes() -> None:
     matches = PatchMatcher().match(*pair(12.0), np.zeros((0, 4)), np.zeros(0))
     found, sigma = matches.disparity_px, matches.sigma_px
     assert found.shape == sigma.shape == (0,)
@@ -368,7 +368,7 @@ def test_images_of_different_size_are_an_error() -> None:
             PatchMatcher().match(left, other, np.array([BOX]), np.array([NONE]))
 
 
-def test_each_outcome_has_a_reason_of_its_own() -> None:
+def test_each_outcome_has_a_reason() -> None:
     assert set(REASONS) == set(Outcome)
     assert len(set(REASONS.values())) == len(Outcome)
 
@@ -381,7 +381,7 @@ HOSTILE = pair(12.0)
     hnp.arrays(np.float64, (3, 4), elements=st.floats(-600, 600) | st.just(np.nan)),
     hnp.arrays(np.float64, 3, elements=st.floats(allow_nan=True, allow_infinity=True)),
 )
-def test_any_box_and_prior_is_taken_without_a_word(boxes: FloatArray, priors: FloatArray) -> None:
+def test_any_box_and_prior_is_accepted(boxes: FloatArray, priors: FloatArray) -> None:
     matches = PatchMatcher().match(*HOSTILE, boxes, priors)
     found, sigma = matches.disparity_px, matches.sigma_px
     known = np.isfinite(found)
@@ -393,7 +393,7 @@ def test_any_box_and_prior_is_taken_without_a_word(boxes: FloatArray, priors: Fl
 # Sigma
 
 
-def test_sigma_is_honest_on_noisy_textures() -> None:
+def test_sigma_matches_errors_on_noisy_textures() -> None:
     ratios = []
     for noise, box in ((10.0, SMALL), (12.0, SMALL), (14.0, (200.0, 40.0, 240.0, 76.0)), (8.0, (200, 50, 216, 64))):
         error, sigma = errors_px(5.0 + 0.37 * np.arange(40), box=box, noise=noise)
@@ -417,7 +417,7 @@ def test_sigma_grows_with_noise_and_with_tilt() -> None:
     assert of_tilt[3] == pytest.approx(0.12 * 0.1 * 40, rel=0.5)  # a share of what it changes by over the inner half
 
 
-def test_sigma_of_a_large_box_is_in_pixels_of_the_image() -> None:
+def test_sigma_is_in_full_pixels() -> None:
     eyes = pair(25.3, noise=8.0, height=360, width=640)
     _, whole, _ = of_box(eyes, (60.0, 40.0, 620.0, 330.0), 25.0)
     assert whole > 4 * 0.03  # looked at in the image shrunk by 4

@@ -1,4 +1,4 @@
-"""Rectifying a distorted, turned pair of a synthetic world: equal rows, right disparities."""
+"""Rectification of a distorted, rotated synthetic pair: equal rows, correct disparities."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ def motion(rotation_rad: tuple[float, float, float], translation_m: tuple[float,
 RIG = StereoRig(LEFT, RIGHT, motion((0.02, -0.03, 0.015), (-0.4, 0.01, 0.02)))
 
 
-def seen(points_m: FloatArray, camera: PinholeCamera, from_left: FloatArray) -> FloatArray:
-    """(N, 2) pixels of points in the left camera's frame, through the lens."""
+def projected(points_m: FloatArray, camera: PinholeCamera, from_left: FloatArray) -> FloatArray:
+    """(N, 2) distorted pixels of points in the left camera's frame."""
     rotation, _ = cv2.Rodrigues(from_left[:3, :3])
     pixels, _ = cv2.projectPoints(points_m, rotation, from_left[:3, 3], camera.matrix, np.array(camera.distortion))
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
 def dots(pixels: FloatArray, camera: PinholeCamera) -> Image:
-    """Bright soft spots at subpixel places on black."""
+    """Bright blurred spots at subpixel positions on black."""
     image = np.zeros((camera.height_px, camera.width_px))
     y, x = np.mgrid[: camera.height_px, : camera.width_px]
     for u, v in pixels:
@@ -52,45 +52,46 @@ def centroids(image: Image) -> FloatArray:
     return np.stack([centre_x, centre_y], axis=1)[np.argsort(centre_x)]
 
 
-def test_points_of_a_synthetic_world_come_out_in_equal_rows_with_the_right_disparity() -> None:
+def test_synthetic_points_have_equal_rows_and_depths() -> None:
     points_m = np.array(
         [[x, y, 6.0 + 2 * i] for i, (x, y) in enumerate([(-1.2, 0.4), (-0.3, -0.9), (1.0, 0.8), (2.2, -0.2)])]
     )
-    left, right = dots(seen(points_m, LEFT, np.eye(4)), LEFT), dots(seen(points_m, RIGHT, RIG.right_from_left), RIGHT)
+    left = dots(projected(points_m, LEFT, np.eye(4)), LEFT)
+    right = dots(projected(points_m, RIGHT, RIG.right_from_left), RIGHT)
     assert np.abs(centroids(left) - centroids(right))[:, 1].max() > 5  # not rectified yet
     rectifier = Rectifier(RIG)
     left_px, right_px = (centroids(whole_image(image)) for image in rectifier.rectify(left, right))
     assert len(left_px) == len(right_px) == 4
     assert np.abs(left_px[:, 1] - right_px[:, 1]).max() < 0.15
-    turned_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
-    # The rectified left camera is the left one turned about its centre: distances to points stay what they were.
-    assert np.allclose(np.linalg.norm(turned_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
+    rotated_m = rectifier.rig.left.rays(left_px) * rectifier.rig.distance_m(left_px[:, 0] - right_px[:, 0])[:, None]
+    # Rectification rotates the left camera about its centre, so distances to points do not change.
+    assert np.allclose(np.linalg.norm(rotated_m, axis=1), np.linalg.norm(points_m, axis=1), rtol=0.01)
     assert rectifier.rig.is_rectified
     assert rectifier.rig.baseline_m == pytest.approx(np.linalg.norm(RIG.right_from_left[:3, 3]), rel=1e-6)
 
 
-def test_boxes_move_as_the_points_on_their_edges_do() -> None:
+def test_boxes_move_like_points_on_their_edges() -> None:
     rectifier, undistorter = Rectifier(RIG), Undistorter(LEFT)
-    turn = cv2.stereoRectify(
+    r1 = cv2.stereoRectify(
         *(LEFT.matrix, np.array(LEFT.distortion), RIGHT.matrix, np.array(RIGHT.distortion), (640, 480)),
         *(RIG.right_from_left[:3, :3].copy(), RIG.right_from_left[:3, 3:].copy()),
         alpha=0,
     )[0]
     corners_m = np.array([[-3.2, -0.5, 8.0], [-1.8, 0.6, 8.0]])
-    middles_m = np.array([[-3.2, 0.05, 8.0], [-2.5, -0.5, 8.0], [-1.8, 0.05, 8.0], [-2.5, 0.6, 8.0]])
-    raw = seen(middles_m, LEFT, np.eye(4))
+    midpoints_m = np.array([[-3.2, 0.05, 8.0], [-2.5, -0.5, 8.0], [-1.8, 0.05, 8.0], [-2.5, 0.6, 8.0]])
+    raw = projected(midpoints_m, LEFT, np.eye(4))
     box = np.array([[raw[0, 0], raw[1, 1], raw[2, 0], raw[3, 1]]])
-    turned = rectifier.rig.left.project(corners_m @ turn.T).reshape(1, 4)
-    np.testing.assert_allclose(rectifier.left_boxes(box), turned, atol=6.0)  # the turn tilts the edges a little
+    rectified = rectifier.rig.left.project(corners_m @ r1.T).reshape(1, 4)
+    np.testing.assert_allclose(rectifier.left_boxes(box), rectified, atol=6.0)  # the rotation tilts the edges slightly
     straight = LEFT.without_distortion().project(corners_m).reshape(1, 4)
     np.testing.assert_allclose(undistorter.boxes(box), straight, atol=1.0)
-    assert np.abs(box - straight).max() > 2.0  # which is more than the tolerance: the lens did move them
+    assert np.abs(box - straight).max() > 2.0  # the distortion exceeds the tolerance
     ideal = Undistorter(LEFT.without_distortion())
     assert ideal.boxes(box) is box
     assert undistorter.boxes(np.zeros((0, 4))).shape == (0, 4)
 
 
-def test_a_rectified_pair_passes_uncopied() -> None:
+def test_rectified_pair_is_not_copied() -> None:
     rig = StereoRig.rectified(LEFT.without_distortion(), 0.5)
     left, right = np.zeros((2, 480, 640, 3), np.uint8)
     rectifier = Rectifier(rig)
@@ -100,7 +101,7 @@ def test_a_rectified_pair_passes_uncopied() -> None:
     assert out_right is right
 
 
-def test_what_is_cut_out_of_the_right_image_is_what_the_whole_of_it_holds() -> None:
+def test_windows_equal_the_whole_right_image() -> None:
     image = np.random.default_rng(1).integers(0, 256, (480, 640, 3), dtype=np.uint8)
     rectifier = Rectifier(RIG)
     whole = whole_image(rectifier.rectify(image, image)[1])
@@ -112,7 +113,7 @@ def test_what_is_cut_out_of_the_right_image_is_what_the_whole_of_it_holds() -> N
     assert np.array_equal(whole_image(whole), whole)
 
 
-def test_the_whole_is_worked_out_once() -> None:
+def test_whole_image_is_cached() -> None:
     image = np.zeros((480, 640), np.uint8)
     view = Rectifier(RIG).rectify(image, image)[1]
     assert view.shape == (480, 640)
@@ -121,8 +122,8 @@ def test_the_whole_is_worked_out_once() -> None:
 
 
 @pytest.mark.parametrize("rig", [RIG, StereoRig.rectified(LEFT.without_distortion(), 0.5)])
-def test_rows_known_to_be_apart_are_brought_together(rig: StereoRig) -> None:
-    """What the rectified pair shows 1.4 px too low comes up by 1.4 px, and nothing moves sideways."""
+def test_row_offset_is_removed(rig: StereoRig) -> None:
+    """The right image moves up by 1.4 px, and not sideways."""
     image = dots(np.array([[150.0, 120.0], [320.0, 240.0], [480.0, 330.0]]), LEFT)
     before = centroids(whole_image(Rectifier(rig).rectify(image, image)[1]))
     rectifier = Rectifier(rig, row_offset_px=1.4)
@@ -141,54 +142,48 @@ def test_colour_is_rectified_as_grey_is() -> None:
     assert np.array_equal(colour[..., 1], grey)
 
 
-def test_undistorted_points_lie_where_the_ideal_camera_sees_them() -> None:
+def test_undistorted_points_match_the_ideal_camera() -> None:
     points_m = np.array([[-2.0, -1.2, 6.0], [-0.5, 1.0, 6.0], [0.6, -0.4, 6.0], [1.8, 1.1, 6.0]])
     undistorter = Undistorter(LEFT)
-    bent = dots(seen(points_m, LEFT, np.eye(4)), LEFT)
+    distorted = dots(projected(points_m, LEFT, np.eye(4)), LEFT)
     ideal_px = undistorter.camera.project(points_m)
-    assert np.abs(centroids(bent) - ideal_px).max() > 3
-    assert np.abs(centroids(undistorter.undistort(bent)) - ideal_px).max() < 0.15
+    assert np.abs(centroids(distorted) - ideal_px).max() > 3
+    assert np.abs(centroids(undistorter.undistort(distorted)) - ideal_px).max() < 0.15
     assert not undistorter.camera.is_distorted
 
 
-def test_an_undistorted_image_passes_uncopied() -> None:
+def test_undistorted_image_is_not_copied() -> None:
     image = np.zeros((480, 640), np.uint8)
     assert Undistorter(LEFT.without_distortion()).undistort(image) is image
 
 
 @pytest.mark.parametrize(
-    ("rig", "said"),
+    ("rig", "key_word"),
     [
-        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.05, 0.4, 0))), "one above the other"),
-        (
-            StereoRig(LEFT, RIGHT, motion((0, 0, np.pi - 0.01), (-0.4, 0, 0))),
-            "turned against each other by 179 degrees",
-        ),
-        (StereoRig(LEFT, RIGHT, motion((0, 2.0, 0), (-0.4, 0, 0))), "turned against each other by 115 degrees"),
-        (
-            StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.1, 0, 0.4))),
-            "left camera would have to be turned by 76 degrees",
-        ),
-        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (0.4, 0, 0))), "swap left and right"),
-        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-400.0, 0, 0))), "in millimetres"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.05, 0.4, 0))), "side by side"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, np.pi - 0.01), (-0.4, 0, 0))), "179 degrees"),
+        (StereoRig(LEFT, RIGHT, motion((0, 2.0, 0), (-0.4, 0, 0))), "115 degrees"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-0.1, 0, 0.4))), "76 degrees"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (0.4, 0, 0))), "swap"),
+        (StereoRig(LEFT, RIGHT, motion((0, 0, 0), (-400.0, 0, 0))), "metres"),
     ],
 )
-def test_rigs_that_cannot_be_rectified(rig: StereoRig, said: str) -> None:
-    with pytest.raises(RigError, match=said):
+def test_rigs_that_cannot_be_rectified(rig: StereoRig, key_word: str) -> None:
+    with pytest.raises(RigError, match=key_word):
         Rectifier(rig)
 
 
-def test_lens_terms_that_zoom_wildly_are_refused() -> None:
-    wild = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480, (100.0, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(RigError, match="would zoom"):
-        Rectifier(StereoRig(wild, wild, motion((0, 0, 0), (-0.4, 0, 0))))
+def test_implausible_distortion_is_refused() -> None:
+    wrong = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480, (100.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(RigError, match="focal length"):
+        Rectifier(StereoRig(wrong, wrong, motion((0, 0, 0), (-0.4, 0, 0))))
 
 
-def test_images_of_another_size_are_an_error() -> None:
+def test_wrong_image_size() -> None:
     small, good = np.zeros((240, 320), np.uint8), np.zeros((480, 640), np.uint8)
-    with pytest.raises(ValueError, match="left: 640x480 px wanted, 320x240 got"):
+    with pytest.raises(ValueError, match=r"left: .*320x240"):
         Rectifier(RIG).rectify(small, good)
-    with pytest.raises(ValueError, match="right: 640x480 px wanted, 320x240 got"):
+    with pytest.raises(ValueError, match=r"right: .*320x240"):
         Rectifier(RIG).rectify(good, small)
-    with pytest.raises(ValueError, match="image: 640x480 px wanted, 320x240 got"):
+    with pytest.raises(ValueError, match=r"image: .*320x240"):
         Undistorter(LEFT).undistort(small)

@@ -1,4 +1,4 @@
-"""What is written is read back: by us, and by OpenCV."""
+"""Written rigs are read back, by track-range and by OpenCV."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SIZE = (640, 360)
 TRUE = rig()
 
 
-def test_a_camera_is_read_back_equal_and_serves_mono(tmp_path):
+def test_camera_is_read_back_equal(tmp_path):
     path = tmp_path / "rig.yaml"
     save_camera(CAMERA, path, comments=["18 views", "two\nlines"])
     assert load_camera(path, size_px=SIZE) == (CAMERA, ())
     assert load_calibration(path) == (CAMERA, ())
     assert path.read_text().startswith("# 18 views\n# two\n# lines\ntrack_range_rig: 1\n")
-    with pytest.raises(RigError, match="it lacks 'right'"):
+    with pytest.raises(RigError, match="'right'"):
         load_rig(path, size_px=SIZE)
 
 
@@ -40,7 +40,7 @@ def test_a_rig_with_comments_is_read_back_equal(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["stereo.yml", "stereo.yaml", "stereo.xml", "stereo"])
-def test_opencvs_form_of_a_rig(tmp_path, name):
+def test_opencv_format_of_a_rig(tmp_path, name):
     path = tmp_path / name
     save_opencv(TRUE, path)
     again, notes = load_calibration(path)
@@ -54,56 +54,54 @@ def test_opencvs_form_of_a_rig(tmp_path, name):
     assert storage.getNode("image_width").real() == 640
 
 
-def test_opencvs_form_of_a_camera(tmp_path):
+def test_opencv_format_of_a_camera(tmp_path):
     path = tmp_path / "camera.yml"
     save_opencv(CAMERA, path)
     assert load_calibration(path) == (CAMERA, ())
 
 
-def test_a_lens_without_terms_is_written_as_zeros(tmp_path):
+def test_no_distortion_is_written_as_zeros(tmp_path):
     plain = StereoRig.rectified(dataclasses.replace(CAMERA, distortion=()), 0.3)
     save_opencv(plain, tmp_path / "a.yml")
     assert load_calibration(tmp_path / "a.yml")[0].left.distortion == (0.0,) * 5
 
 
-def test_what_cannot_be_written(tmp_path):
+def test_cameras_that_cannot_be_written(tmp_path):
     bad = dataclasses.replace(CAMERA, fx_px=-1.0)
     for write in (save_camera, save_opencv):
-        with pytest.raises(RigError, match="the focal length fx_px is -1"):
+        with pytest.raises(RigError, match="fx_px"):
             write(bad, tmp_path / "a.yaml")
-        with pytest.raises(RigError, match=r"cannot be written \(No such file or directory\); choose another place"):
+        with pytest.raises(RigError, match="written"):
             write(CAMERA, tmp_path / "absent" / "a.yaml")
-        with pytest.raises(RigError, match="it is a folder; name a file to write"):
+        with pytest.raises(RigError, match="folder"):
             write(CAMERA, Path())
     far = StereoRig.rectified(CAMERA, 500.0)
     for write in (save_rig, save_opencv):
-        with pytest.raises(RigError, match="the baseline is 500 m"):
+        with pytest.raises(RigError, match="500 m"):
             write(far, tmp_path / "a.yaml")
-    uneven = StereoRig.rectified(CAMERA, 0.1)
-    uneven = dataclasses.replace(uneven, right=dataclasses.replace(CAMERA, width_px=642))
-    with pytest.raises(
-        RigError, match="OpenCV's file holds one size of images, and these cameras have 640x360 and 642"
-    ):
-        save_opencv(uneven, tmp_path / "a.yaml")
+    two_sizes = StereoRig.rectified(CAMERA, 0.1)
+    two_sizes = dataclasses.replace(two_sizes, right=dataclasses.replace(CAMERA, width_px=642))
+    with pytest.raises(RigError, match="image size"):
+        save_opencv(two_sizes, tmp_path / "a.yaml")
     assert os.listdir(tmp_path) == []
 
 
 def test_a_calibration_is_fitted_to_a_size(tmp_path):
     save_rig(TRUE, tmp_path / "rig.yaml")
     save_camera(CAMERA, tmp_path / "mono.yaml")
-    rig_of_half, notes = load_calibration(tmp_path / "rig.yaml", size_px=(320, 180))
-    assert rig_of_half.left.fx_px == pytest.approx(260)
+    half_size_rig, notes = load_calibration(tmp_path / "rig.yaml", size_px=(320, 180))
+    assert half_size_rig.left.fx_px == pytest.approx(260)
     assert len(notes) == 2
     assert load_calibration(tmp_path / "mono.yaml", size_px=(320, 180))[0].fx_px == pytest.approx(260)
-    odd = tmp_path / "odd.yaml"
-    odd.write_text((tmp_path / "rig.yaml").read_text().replace("translation_m: [-0.1", "translation_m: [-10.1"))
-    with pytest.raises(RigError, match="is not within"):
-        load_calibration(odd)
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text((tmp_path / "rig.yaml").read_text().replace("translation_m: [-0.1", "translation_m: [-10.1"))
+    with pytest.raises(RigError, match=r"wrong\.yaml.*baseline"):
+        load_calibration(wrong)
 
 
 @pytest.mark.parametrize("cameras", [TRUE, CAMERA])
 @pytest.mark.parametrize("name", rig_writers())
-def test_written_files_are_recognised_by_their_own_format_first(tmp_path, name, cameras):
+def test_written_files_are_recognised(tmp_path, name, cameras):
     path = tmp_path / "rig.yml"
     rig_writers()[name](cameras, path, ["2 views"])
     text = path.read_text()

@@ -38,7 +38,7 @@ def test_windows_of_a_box_by_hand() -> None:
     assert windows.n_pixels.tolist() == [36 * 7 * 9]  # fewer than the 60 x 40 that they lie in
 
 
-def test_windows_of_a_small_box_lie_on_each_other_in_its_middle() -> None:
+def test_windows_of_a_small_box_coincide() -> None:
     windows = of_box(95.5, 95.5, 106.5, 104.5)  # smaller than a window; its middle is at 101, 100
     assert set(windows.column.ravel().tolist()) == {97}  # 97 .. 105
     assert set(windows.row.ravel().tolist()) == {97}  # 97 .. 103
@@ -50,7 +50,7 @@ def test_windows_of_a_small_box_lie_on_each_other_in_its_middle() -> None:
     ("width_px", "height_px", "fine", "coarse"),
     [(40, 20, 0, 0), (41, 20, 0, 1), (100, 21, 0, 2), (256, 128, 0, 2), (257, 128, 1, 2), (256, 300, 2, 2)],
 )
-def test_large_boxes_are_looked_at_in_smaller_images(width_px: int, height_px: int, fine: int, coarse: int) -> None:
+def test_level_of_large_boxes(width_px: int, height_px: int, fine: int, coarse: int) -> None:
     box = (300.0, 20.0, 300.0 + width_px, 20.0 + height_px)
     assert of_box(*box).level.tolist() == [fine]
     assert of_box(*box, grid=COARSE_GRID).level.tolist() == [coarse]
@@ -69,7 +69,7 @@ def test_a_level_without_room_for_a_window_is_not_used() -> None:
     st.tuples(*[st.floats(0, 1)] * 4),
     st.sampled_from([FINE_GRID, COARSE_GRID]),
 )
-def test_windows_and_their_margins_are_inside_the_image(
+def test_windows_with_margins_are_inside_the_image(
     image_hw: tuple[int, int], shares: tuple[float, float, float, float], grid: SamplingGrid
 ) -> None:
     height, width = image_hw
@@ -85,7 +85,7 @@ def test_windows_and_their_margins_are_inside_the_image(
     assert np.abs(windows.normalized_positions()).max() <= 0.5
 
 
-def test_what_a_box_needs_of_the_right_image_by_hand() -> None:
+def test_required_pixels_by_hand() -> None:
     windows = BoxWindows(np.array([0, 1]), np.array([[100, 150]] * 2), np.array([[20, 31]] * 2))
     reach = windows.required_pixels(np.array([3, -1]), np.array([40, 20]), IMAGE_HW)
     # level 0: columns 100 - 40 - 2 .. 150 + 9 + 2, rows 18 .. 40, in steps of 4 px
@@ -94,7 +94,7 @@ def test_what_a_box_needs_of_the_right_image_by_hand() -> None:
     assert reach[1].tolist() == [156, 36, 324, 80]
 
 
-def test_what_a_box_needs_ends_at_the_image() -> None:
+def test_required_pixels_end_at_the_image() -> None:
     windows = BoxWindows(np.array([0]), np.array([[10, 1231]]), np.array([[2, 366]]))
     assert windows.required_pixels(np.array([0]), np.array([200]), IMAGE_HW).tolist() == [[0, 0, 1242, 375]]
 
@@ -117,7 +117,7 @@ class SamplingGrided:
 
 
 @pytest.mark.parametrize("depth", [(), (3,)])
-def test_a_band_is_the_image_within_the_boxes_and_black_elsewhere(depth: tuple[int, ...]) -> None:
+def test_band_of_boxes(depth: tuple[int, ...]) -> None:
     image = np.maximum(np.broadcast_to(to_u8(texture(0)).reshape(140, 400, *[1] * len(depth)), (140, 400, *depth)), 1)
     boxes = np.array([[10, 20, 30, 40], [200, 36, 260, 60]])
     view = SamplingGrided(image)

@@ -37,7 +37,7 @@ def test_a_wall_has_one_disparity(mode: Mode) -> None:
     assert np.nanpercentile(np.abs(inside - 24), 95) < 0.2
 
 
-def test_the_left_border_is_known_where_the_right_eye_sees_it_and_nan_where_not() -> None:
+def test_left_border_is_matched_if_visible() -> None:
     left, right = pair(24)
     disparity = Sgbm().dense_disparity(left, right)
     assert np.isfinite(disparity[10:-10, 30:128]).mean() > 0.9  # OpenCV alone gives nothing left of column 128
@@ -47,7 +47,7 @@ def test_the_left_border_is_known_where_the_right_eye_sees_it_and_nan_where_not(
     assert (disparity[known] <= columns[known]).all()
 
 
-def test_what_is_flat_is_unknown() -> None:
+def test_images_without_texture_are_unknown() -> None:
     flat = np.full((120, 400), 80, np.uint8)
     assert np.isnan(Sgbm().dense_disparity(flat, flat)).mean() > 0.95
 
@@ -65,7 +65,7 @@ def test_images_of_different_size_are_an_error() -> None:
         Sgbm().dense_disparity(left, right[:, :-2])
 
 
-def test_a_grey_right_image_serves_a_coloured_left_one() -> None:
+def test_grey_right_and_colour_left_image() -> None:
     left, right = pair(24)
     both_grey = Sgbm().dense_disparity(left, right)
     assert np.array_equal(both_grey, Sgbm().dense_disparity(np.dstack([left] * 3), right), equal_nan=True)
@@ -86,7 +86,7 @@ def test_the_median_of_the_inner_half_by_hand() -> None:
     assert sigma[0] == pytest.approx(np.hypot(0.15, 0.5 * 1.4826 * 5.0))
 
 
-def test_a_box_with_too_little_known_or_out_of_sight_is_nan() -> None:
+def test_median_of_unusable_boxes_is_nan() -> None:
     disparity = np.full((40, 40), np.nan, np.float32)
     disparity[10:14, 10:30] = 9.0  # 20 % of the inner half of the first box
     nan = np.nan
@@ -141,7 +141,7 @@ def test_the_centre_is_one_pixel() -> None:
     assert centre_disparity(disparity, np.zeros((0, 4)))[0].shape == (0,)
 
 
-def test_a_picture_is_black_where_nothing_is_known_and_red_where_near() -> None:
+def test_disparity_picture() -> None:
     disparity = np.full((4, 6), np.nan, np.float32)
     disparity[:, 2:4], disparity[:, 4:] = 5.0, 60.0
     picture = disparity_picture(disparity, largest_px=64.0)
@@ -154,7 +154,7 @@ def test_a_picture_is_black_where_nothing_is_known_and_red_where_near() -> None:
     assert (disparity_picture(np.full((4, 6), np.nan)) == 0).all()
 
 
-def test_settings_of_the_users_own() -> None:
+def test_user_settings() -> None:
     rig = StereoRig.rectified(PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375), 0.5327)
     settings = SgbmSettings.for_rig(rig, chosen={"mode": "hh", "block_size": 7})
     assert (settings.mode, settings.block_size, settings.n_disparities) == ("hh", 7, 144)
@@ -192,7 +192,7 @@ def test_settings_of_the_users_own() -> None:
         ("shape_share", -0.1, "shape_share is -0.1: a number from 0"),
     ],
 )
-def test_settings_that_cannot_be(name: str, value: object, said: str) -> None:
+def test_wrong_settings(name: str, value: object, said: str) -> None:
     with pytest.raises(ValueError, match="sgbm") as error:
         SgbmSettings.of({name: value})
     assert said in str(error.value)

@@ -52,7 +52,7 @@ def test_no_fraction_of_a_pixel_is_preferred(noise: float, blur_px: float) -> No
     assert np.ptp(bias) > 1e-5
 
 
-def test_windows_scatter_as_their_weights_say() -> None:
+def test_scatter_matches_the_weights() -> None:
     ratio = []
     for seed in range(10):
         found, is_sure = refined(pair(WHOLE + 0.3, seed=seed, noise=8.0), 0.2)
@@ -61,13 +61,13 @@ def test_windows_scatter_as_their_weights_say() -> None:
     assert 0.8 < np.sqrt((np.concatenate(ratio) ** 2).mean()) < 1.2
 
 
-def test_more_noise_weighs_less() -> None:
+def test_noise_lowers_the_weight() -> None:
     weight = [np.median(refined(pair(WHOLE + 0.3, noise=noise), 0.2)[0].weight) for noise in (0.0, 4.0, 12.0)]
     assert 1.0 / FLOOR_PX2 > weight[0] > weight[1] > 1.2 * weight[2]
 
 
 @pytest.mark.parametrize("start", [-0.3, -0.1, 0.5])
-def test_where_census_left_off_hardly_matters(start: float) -> None:
+def test_initial_offset_hardly_matters(start: float) -> None:
     eyes = pair(WHOLE + 0.1, noise=1.0)
     assert pooled(eyes, start) == pytest.approx(pooled(eyes, 0.1), abs=0.01)
 
@@ -78,7 +78,7 @@ def test_exposure_does_not_matter() -> None:
         assert pooled((left, other), 0.2) == pytest.approx(0.35, abs=0.01)
 
 
-def test_a_slanted_wall_gives_each_window_its_own_disparity() -> None:
+def test_slanted_wall() -> None:
     slope = 0.01
     found, _ = refined(tilted_pair(WHOLE, slope, at_px=260.0), 0.0)
     windows = BoxWindows.of_boxes(BOX, (140, 400))
@@ -87,7 +87,7 @@ def test_a_slanted_wall_gives_each_window_its_own_disparity() -> None:
     assert np.ptp(expected) > 0.4
 
 
-def test_what_does_not_fit_keeps_its_census_disparity() -> None:
+def test_unconfirmed_windows_keep_census_disparities() -> None:
     found, is_sure = refined((to_u8(texture(0)), to_u8(texture(500))), 0.25)
     assert is_sure.mean() < 0.5
     np.testing.assert_array_equal(found.offset[~is_sure], 0.25)
@@ -108,7 +108,7 @@ def test_windows_without_a_minimum_or_texture() -> None:
     np.testing.assert_allclose(found.weight, UNFIT_WEIGHT)
 
 
-def test_real_cars_follow_a_shift_of_a_fraction_of_a_pixel(shared_data: Path) -> None:
+def test_subpixel_shift_of_real_cars(shared_data: Path) -> None:
     """What pulls to whole pixels shows without a truth: a right image moved by half a pixel must change d by that."""
     matcher, error_px = PatchMatcher(), []
     for name in pair_names(shared_data / "kitti2015")[:6]:

@@ -56,7 +56,7 @@ def slow_matches(cost: FloatArray) -> tuple[list[int], list[float], list[float]]
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("side", [3, 6])
-def test_windows_equal_a_literal_semi_global_matching(seed: int, side: int) -> None:
+def test_window_sgm_equals_brute_force(seed: int, side: int) -> None:
     rng = np.random.default_rng(seed)
     cost = rng.uniform(0, 12, (9, 4, side * side))
     cost[rng.uniform(size=cost.shape) < 0.1] = np.nan
@@ -70,7 +70,7 @@ def test_windows_equal_a_literal_semi_global_matching(seed: int, side: int) -> N
     assert not found.weight[3, :2].any()
 
 
-def test_a_window_without_a_minimum_of_its_own_takes_its_neighbours() -> None:
+def test_window_without_minimum_follows_neighbours() -> None:
     cost = np.full((15, 1, 9), 10.0, np.float32)
     cost[6, 0, :] = 2.0
     cost[:, 0, 4] = 9.0  # bare paint, in the middle
@@ -125,7 +125,7 @@ def test_a_tilted_plane_by_hand_with_outliers() -> None:
     assert surface.support[0] == pytest.approx(32 / 36)
 
 
-def test_windows_without_a_minimum_count_for_nothing() -> None:
+def test_windows_without_minimum_are_ignored() -> None:
     disparity, weight = np.full((1, 36), 20.0), np.full((1, 36), 4.0)
     disparity[0, 20:], weight[0, 20:] = 55.0, 0.0
     surface = surface_of(disparity, weight=weight)
@@ -143,7 +143,7 @@ def test_windows_without_a_minimum_count_for_nothing() -> None:
         (np.abs(RIGHT - 0.1) > 0.05, 20.0, 45.0),  # behind a pole
     ],
 )
-def test_the_object_is_what_most_windows_of_the_lower_middle_show(
+def test_object_is_the_surface_at_the_lower_middle(
     is_object: npt.NDArray[np.bool_], object_px: float, other_px: float
 ) -> None:
     surface = surface_of(np.where(is_object, object_px, other_px))
@@ -151,7 +151,7 @@ def test_the_object_is_what_most_windows_of_the_lower_middle_show(
     assert np.array_equal(np.isfinite(surface.residual), is_object)
 
 
-def test_of_two_halves_the_lower_is_the_object_unless_the_prior_says_otherwise() -> None:
+def test_lower_half_or_prior_decides() -> None:
     halves = np.where(DOWN > 0, 20.0, 30.0)
     for prior_px, expected_px in ((np.nan, 20.0), (19.0, 20.0), (31.0, 30.0), (90.0, 20.0)):
         assert surface_of(halves, prior=np.array([prior_px])).centre[0] == pytest.approx(expected_px, abs=1e-3)
@@ -163,7 +163,7 @@ def test_the_prior_decides_between_equal_halves() -> None:
         assert surface_of(halves, prior=np.array([prior_px])).centre[0] == pytest.approx(prior_px, abs=1e-3)
 
 
-def test_a_few_windows_near_the_prior_do_not_outvote_the_rest() -> None:
+def test_few_windows_near_the_prior_do_not_win() -> None:
     few = np.where(np.arange(36) < 6, 40.0, 20.0)[None]
     assert surface_of(few, prior=np.array([40.0])).centre[0] == pytest.approx(20.0, abs=1e-3)
 
@@ -180,7 +180,7 @@ def test_less_than_four_windows_are_no_surface() -> None:
     assert nothing.support[0] == 0.0
 
 
-def test_boxes_are_fitted_one_by_one() -> None:
+def test_planes_of_boxes_are_independent() -> None:
     rng = np.random.default_rng(2)
     disparity, weight = rng.uniform(18, 24, (5, 36)), rng.uniform(0, 5, (5, 36))
     places = np.repeat(RIGHT, 5, axis=0), np.repeat(DOWN, 5, axis=0)

@@ -20,7 +20,7 @@ def wall(*, disparity_px: int, row_offset_px: int = 0) -> tuple[Image, Image]:
     return left.copy(), right.copy()
 
 
-def test_right_and_swapped() -> None:
+def test_correct_and_swapped_order() -> None:
     left, right = wall(disparity_px=12)
     assert check_pair(left, right).view_order == "correct"
     swapped = check_pair(right, left)
@@ -45,7 +45,7 @@ def test_equal_images_are_not_swapped() -> None:
     assert check.negative_share == 0.0
 
 
-def test_without_texture_nothing_is_known() -> None:
+def test_images_without_texture_are_unknown() -> None:
     flat = np.full((200, 300, 3), 90, np.uint8)
     check = check_pair(flat, flat)
     assert (check.n_matches, check.view_order) == (0, "unknown")
@@ -89,7 +89,7 @@ def video_pairs(folder: Path, *, every: int) -> list[tuple[Image, Image]]:
     return pairs
 
 
-def test_all_kitti_2015_pairs_both_ways_round(shared_data: Path) -> None:
+def test_kitti_2015_pairs_in_both_orders(shared_data: Path) -> None:
     pairs = kitti_pairs(shared_data)
     assert len(pairs) == 16
     for left, right in pairs:
@@ -98,7 +98,7 @@ def test_all_kitti_2015_pairs_both_ways_round(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["kitti_stereo/0003", "kitti_stereo/0005", "kitti_odometry/gray51"])
-def test_kitti_videos_both_ways_round(shared_data: Path, name: str) -> None:
+def test_kitti_videos_in_both_orders(shared_data: Path, name: str) -> None:
     pairs = video_pairs(shared_data / name, every=8)
     assert len(pairs) >= 2
     for left, right in pairs:

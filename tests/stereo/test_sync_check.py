@@ -25,19 +25,19 @@ def views(*, zoom_per_frame: float, n: int = 4, shift_px: int = 10) -> tuple[lis
     return eyes[0], eyes[1]
 
 
-def test_eyes_in_step_and_a_frame_apart() -> None:
+def test_synchronised_and_lagging_cameras() -> None:
     left, right = views(zoom_per_frame=1.05)
     assert check_sync(left[1], right[:3]) == "synchronised"
     assert check_sync(left[1], right[1:4]) == "left lags"
     assert check_sync(left[2], right[:3]) == "right lags"
 
 
-def test_what_stands_still_tells_nothing() -> None:
+def test_static_scene_is_unknown() -> None:
     left, right = views(zoom_per_frame=1.0)
     assert check_sync(left[1], right[:3]) == "unknown"
 
 
-def test_what_has_no_texture_tells_nothing() -> None:
+def test_scene_without_texture_is_unknown() -> None:
     flat = np.full((260, 480, 3), 90, np.uint8)
     assert check_sync(flat, [flat] * 3) == "unknown"
 

@@ -149,7 +149,7 @@ def test_eyes_that_are_swapped(cli, rig, tmp_path):
     (tmp_path / "rig.yaml").write_text(rig.read_text().replace("-0.54", "0.54"))
     status, _, complaint = cli("simulate", "--out", tmp_path / "d", "--seconds", 0.1, "--rig", tmp_path / "rig.yaml")
     assert status == 1
-    assert "swap left and right in it" in complaint
+    assert "swap left and right" in complaint
 
 
 def test_a_rig_file_of_one_camera_or_none(cli, rig, tmp_path):

@@ -18,12 +18,12 @@ from track_range.stereo.calibration.board_views import (
     BoardFinder,
     BoardView,
     RejectedView,
-    in_step,
-    markers_seen,
-    sizes_seen,
+    common_corners,
+    count_board_sizes,
+    count_markers,
 )
 from track_range.stereo.calibration.boards import Board, CalibrationError, CharucoBoard
-from track_range.stereo.calibration.coverage import varied
+from track_range.stereo.calibration.coverage import most_different
 
 Advance = Callable[[int, int], None]
 Views = tuple[BoardView, ...]
@@ -104,15 +104,15 @@ def _views(finder: BoardFinder, shot: Shot, *, is_video: bool) -> Views | Reject
     for name, image in zip(shot.names, shot.images, strict=True):
         if image is None:
             return RejectedView(name, "not an image, or damaged")
-        if is_video and not finder.quick_look(image):
-            return RejectedView(name, "no whole board found")
+        if is_video and not finder.may_contain_board(image):
+            return RejectedView(name, "no complete board found")
         view = finder.find(image, name)
         if isinstance(view, RejectedView):
             return view
         views.append(view)
     if len(views) == 1:
         return (views[0],)
-    left, right = in_step(views[0], views[1], finder.board)
+    left, right = common_corners(views[0], views[1], finder.board)
     n_common = len(left.corner_id)
     return (left, right) if n_common >= 6 else RejectedView(left.name, f"only {n_common} corners seen by both cameras")
 
@@ -163,7 +163,7 @@ def _varied(shots: list[Views], notes: list[str]) -> list[Views]:
     if len(shots) <= MAX_VIEWS:
         return shots
     notes.append(f"{MAX_VIEWS} of {len(shots)} views used, chosen to differ most.")
-    return [shots[i] for i in varied([shot[0] for shot in shots], MAX_VIEWS)]
+    return [shots[i] for i in most_different([shot[0] for shot in shots], MAX_VIEWS)]
 
 
 def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_images: int) -> None:
@@ -172,7 +172,7 @@ def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_imag
         if not n_found:
             raise CalibrationError(_no_charuco_message(board, samples, n_images))
         return
-    seen = sizes_seen(samples)
+    seen = count_board_sizes(samples)
     expected = (max(board.grid), min(board.grid))
     commonest, votes = seen.most_common(1)[0] if seen else (expected, 0)
     # A single image may show part of a board, or a chequered shirt.
@@ -189,7 +189,7 @@ def _check_board(board: Board, samples: Sequence[Image], *, n_found: int, n_imag
 
 
 def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images: int) -> str:
-    seen = markers_seen(samples[:2])
+    seen = count_markers(samples[:2])
     # A dictionary of 50 markers is the start of that of 100: of equally good ones, the smallest is the right one.
     best = max(seen, key=lambda name: (seen[name], -int(name.split("_")[-1]) if name.split("_")[-1].isdigit() else 0))
     problem = f"no board {board.name} found in {_counted(n_images)}"

@@ -39,16 +39,16 @@ def pair_figures(calibration: PairCalibration, search: BoardSearch) -> dict[str,
         "right": _camera_figures(calibration.right),
         "right_from_left": calibration.rig.right_from_left.tolist(),
         "baseline_m": calibration.rig.baseline_m,
-        "baseline_sd_m": calibration.baseline_sd_m,
+        "baseline_sd_m": calibration.baseline_std_m,
         "rms_px": calibration.rms_px,
-        "rows_px": calibration.rows_px,
-        "held_out_rows_px": calibration.held_out_rows_px,
+        "rows_px": calibration.row_error_px,
+        "held_out_rows_px": calibration.held_out_row_error_px,
         "views": [
             {
                 **_view_figures(fit.left),
                 "right_name": fit.right.view.name,
                 "right_rms_px": fit.right.rms_px,
-                "rows_px": fit.rows_px,
+                "rows_px": fit.row_error_px,
             }
             for fit in calibration.fits
         ],

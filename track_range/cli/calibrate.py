@@ -68,7 +68,7 @@ def _print_views(fits: Sequence[ViewFit] | Sequence[PairFit]) -> None:
     lefts = [fit.left if isinstance(fit, PairFit) else fit for fit in fits]
     columns = [
         Column("residual px", [fit.rms_px for fit in fits], "{:.2f}"),
-        Column("vertical px", [fit.rows_px if isinstance(fit, PairFit) else None for fit in fits], "{:.2f}"),
+        Column("vertical px", [fit.row_error_px if isinstance(fit, PairFit) else None for fit in fits], "{:.2f}"),
         Column("tilt deg", [tilt_deg(fit) for fit in lefts], "{:.0f}"),
         Column("size %", [100 * float(view_shape(fit.view)[2]) for fit in lefts], "{:.0f}"),
         Column("corner blur px", [fit.view.edge_px for fit in lefts], "{:.1f}"),
@@ -102,13 +102,13 @@ def _percent(span: tuple[float, float]) -> str:
 def _print_pair(pair: PairCalibration) -> None:
     print_line(
         console,
-        f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_sd_m:.2f} mm, given the size of the "
+        f"baseline {1000 * pair.rig.baseline_m:.2f} ± {1000 * pair.baseline_std_m:.2f} mm, given the size of the "
         f"squares; residual {pair.rms_px:.3f} px RMS over {len(pair.fits)} pairs.",
     )
     print_line(
         console,
-        f"Vertical offset after rectification: {pair.rows_px:.3f} px on average, {pair.held_out_rows_px:.3f} px in "
-        "pairs held out of the fit.",
+        f"Vertical offset after rectification: {pair.row_error_px:.3f} px on average, "
+        f"{pair.held_out_row_error_px:.3f} px in pairs held out of the fit.",
     )
 
 
