@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow  # builds, and runs an installed program
+
 PROJECT = Path(__file__).resolve().parents[1]
 
 

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from track_range.detection.formats.kitti import read_kitti
-from track_range.simulation.drive import write_drive
-from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig
@@ -20,10 +18,8 @@ SIZE_PX = (620, 188)
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drive")
-    write_drive(folder, seed=0, seconds=1.3, rig=kitti_like_rig(width_px=SIZE_PX[0], height_px=SIZE_PX[1]))
-    return folder
+def drive(render_drive):
+    return render_drive(seed=0, seconds=1.3, size_px=SIZE_PX).left.parent
 
 
 @pytest.fixture
@@ -51,6 +47,7 @@ def test_drive_without_error_is_not_corrected(videos, tmp_path, cli):
     assert load_alignment(out).residual_px == read["alignment"]["residual_px"]
 
 
+@pytest.mark.slow
 def test_two_drives_are_combined(drive, tmp_path, cli):
     figures = tmp_path / "figures.json"
     options = ("--drive", drive, "--drive", drive, "--out", tmp_path / "align.yaml", "--json", figures)
@@ -157,9 +154,8 @@ def test_missing_and_different_rigs(drive, videos, tmp_path, cli):
     assert (status, "different rigs" in errors) == (1, True)
 
 
-def test_too_short_drive_writes_nothing(tmp_path, cli):
-    short = tmp_path / "short"
-    write_drive(short, seconds=0.4, rig=kitti_like_rig(width_px=SIZE_PX[0], height_px=SIZE_PX[1]))
+def test_too_short_drive_writes_nothing(render_drive, tmp_path, cli):
+    short = render_drive(seed=1, seconds=0.4).left.parent
     status, _, errors = cli("align", "--drive", short, "--out", tmp_path / "align.yaml")
     assert status == 1
     assert "left.mp4" in errors

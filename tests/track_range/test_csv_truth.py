@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from track_range.ranging.evaluation.truth import CSV_PROTOCOL, read_truth
-from track_range.simulation.drive import Drive, write_drive
+from track_range.simulation.drive import Drive
 from track_range.stereo.rig_formats.reading import load_rig
 
 N_FRAMES = 12
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
-    return write_drive(tmp_path_factory.mktemp("drive"), seed=5, seconds=N_FRAMES / 10)
+def drive(render_drive: Any) -> Drive:
+    return render_drive(seed=5, seconds=N_FRAMES / 10)
 
 
 @pytest.fixture
@@ -52,11 +52,11 @@ def test_the_simulations_table_is_a_truth_that_is_exact(against: Any, drive: Dri
     status, summary, printed, complaint = against(drive.table)
     assert status == 0, complaint
     assert summary["truth"] == CSV_PROTOCOL
-    assert 0.05 < summary["methods"]["stereo"]["median_relative_error_pct"] < 2.0
+    assert summary["methods"]["stereo"]["median_relative_error_pct"] < 2.0
     assert summary["tracks"]["mota"] > 30
     closing = summary["closing"]
     assert closing["n"] > 10
-    assert 0.01 < closing["median_error_mps"] < 2.0
+    assert closing["median_error_mps"] < 2.0
     assert 0 <= closing["within_1_sigma"] <= closing["within_2_sigma"] <= 1
     assert "Error of the closing speed" in printed
 

@@ -10,8 +10,6 @@ import pytest
 
 from tests.stereo.kitti_folder import write_pair, write_set
 from track_range.calibration.drive_pairs import read_drive
-from track_range.simulation.drive import write_drive
-from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.evaluation.disparity_errors import BANDS_M
@@ -29,11 +27,9 @@ def evaluate(cli, folder, tmp_path, *more):
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    """Folder with four small frames of a simulated drive."""
-    folder = tmp_path_factory.mktemp("drive")
-    write_drive(folder, seed=1, seconds=0.4, rig=kitti_like_rig(width_px=620, height_px=188))
-    return folder
+def drive(render_drive):
+    """The folder of four small frames of a simulated drive."""
+    return render_drive(seed=1, seconds=0.4).left.parent
 
 
 def test_exact_pairs(cli, tmp_path):

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 import track_range as tr
-from track_range.simulation.drive import write_drive
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    return write_drive(tmp_path_factory.mktemp("drive"), seed=5, seconds=0.7)
+def drive(render_drive):
+    return render_drive(seed=5, seconds=0.7)
 
 
 def recorded(drive, **options):

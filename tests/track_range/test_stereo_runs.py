@@ -9,14 +9,13 @@ import pytest
 import yaml
 
 from track_range.results.csv_file import read_tracks_csv
-from track_range.simulation.drive import write_drive
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    return write_drive(tmp_path_factory.mktemp("drive"), seed=3, seconds=1.2)
+def drive(small_drive):
+    return small_drive
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ def train(cli, data, out, *options):
     return cli("train", "--data", data, "--out", out, "--size", 96, "--batch", 4, *options)
 
 
+@pytest.mark.train
 def test_eight_images_are_learnt_by_heart_and_found_again_by_the_export(drawn, tmp_path, cli):
     folder, data = drawn
     out = tmp_path / "run"
@@ -46,6 +47,7 @@ def test_eight_images_are_learnt_by_heart_and_found_again_by_the_export(drawn, t
     assert min(model["classes"][name]["ap50"] for name in ("car", "person")) > 0.95
 
 
+@pytest.mark.train
 def test_a_run_is_not_overwritten_and_can_be_resumed(drawn, tmp_path, cli):
     _, data = drawn
     assert train(cli, data, tmp_path, "--epochs", 1, "--attention", "cbam", "--anchors", "kmeans++")[0] == 0
@@ -60,6 +62,7 @@ def test_a_run_is_not_overwritten_and_can_be_resumed(drawn, tmp_path, cli):
     assert "Going on after epoch 1 of 1." in told
 
 
+@pytest.mark.train
 def test_yolov4_tiny_with_everything_is_trained_and_used(drawn, tmp_path, cli):
     _, data = drawn
     status, told, _ = train(
@@ -74,6 +77,7 @@ def test_yolov4_tiny_with_everything_is_trained_and_used(drawn, tmp_path, cli):
     assert "car, person" in told
 
 
+@pytest.mark.train
 def test_a_teacher_and_a_start(drawn, tmp_path, cli):
     _, data = drawn
     assert train(cli, data, tmp_path / "first", "--epochs", 1)[0] == 0
@@ -116,6 +120,7 @@ def test_without_pytorch_it_says_what_to_install(drawn, tmp_path, cli, monkeypat
     assert (status, "pip install 'track-range[train]'" in complaint) == (1, True)
 
 
+@pytest.mark.train
 def test_a_gpu_that_is_not_there_is_told_in_one_line(drawn, tmp_path, cli, monkeypatch):
     _, data = drawn
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)

@@ -386,6 +386,7 @@ def test_duplicate_boxes_are_two_tracks() -> None:
     assert [tracks.track_id.tolist() for tracks in out] == [[1, 2]] * 5
 
 
+@pytest.mark.slow
 def test_ten_thousand_boxes() -> None:
     rng = np.random.default_rng(5)
     at = rng.uniform(0, 50_000, (10_000, 2))

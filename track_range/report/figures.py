@@ -33,6 +33,13 @@ def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
     """
     if not history:
         return
+    stream = io.BytesIO()
+    training_figure(history).savefig(stream, format="png", dpi=110)
+    write_bytes(path, stream.getvalue())
+
+
+def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
+    """The figure of `training_chart`: losses above, average precision in percent below."""
     keys = dict.fromkeys(key for row in history for key in row)
     figure = Figure(figsize=(9.5, 7.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
@@ -52,9 +59,7 @@ def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:
         if axes.lines:  # the first epochs may be without a validation
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     lower.set_xlabel("epoch")
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    write_bytes(path, stream.getvalue())
+    return figure
 
 
 _STROKE = {"dia": ":", "hei": "--"}

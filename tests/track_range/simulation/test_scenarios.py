@@ -30,11 +30,11 @@ def test_a_scenario_is_drawn_and_labelled(name):
     scene = make_scenario(name, seed=2, seconds=3.0)
     renderer = Renderer(scene, SMALL)
     seen = []
-    for time_s in (0.0, 1.4, 2.8):
+    assert renderer.render(0.0, side="right").shape == (94, 310, 3)
+    for time_s in (0.0, 2.8):
         image, inverse_depth = renderer.render_with_depth(time_s)
         assert image.shape == (94, 310, 3)
         assert image.std() > 8
-        assert renderer.render(time_s, side="right").shape == image.shape
         seen += seen_at(
             scene, time_s, frame=0, camera=SMALL.left, inverse_depth=inverse_depth
         ).labels.kitti_type.tolist()
