@@ -70,6 +70,14 @@ def test_nothing_imports_tests_or_benchmarks():
     assert users == []
 
 
+def test_only_tests_of_benchmarks_import_them():
+    tests = PROJECT / "tests"
+    files = [path for path in sorted(tests.rglob("*.py")) if not path.is_relative_to(tests / "benchmarks")]
+    assert len(files) > 100
+    users = [str(path) for path in files for name in imported_modules(path) if name.split(".")[0] == "benchmarks"]
+    assert users == []
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_modules_have_a_docstring_and_a_telling_name(package):
     for path in sources(package):

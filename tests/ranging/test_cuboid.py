@@ -32,7 +32,7 @@ def test_a_tail_straight_ahead_by_hand():
     st.floats(12.0, 80.0),
     st.tuples(st.floats(1.2, 3.5), st.floats(0.5, 2.5), st.floats(0.6, 6.0)),
 )
-@settings(deadline=None)
+@settings(deadline=None, max_examples=30)
 def test_the_box_is_that_of_eight_corners_and_the_ray_meets_it_there(turn, bearing, distance_m, hwl):
     box = box_of_cuboid(
         np.log(hwl),

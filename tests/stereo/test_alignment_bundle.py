@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -112,6 +113,7 @@ def test_known_error_within_two_sigma(offset_px: float, bow_px: float) -> None:
     assert found.spread_px < 0.05
 
 
+@pytest.mark.slow
 def test_sigma_matches_errors() -> None:
     """Over ten drives the errors are as large as they are said to be, and no bias stands out."""
     normal = []
@@ -153,16 +155,16 @@ def test_unmodelled_errors_increase_the_spread() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seen", "reason"),
+    ("options", "reason"),
     [
-        (drive(6, step_m=0.0, yaw_step_rad=0.0), "the vehicle hardly moves, or only turns"),
-        (drive(6, step_m=0.0, yaw_step_rad=0.02), "the vehicle hardly moves, or only turns"),
-        (drive(6, n_points=60), "too few points that stay in view"),
-        (drive(6, n_frames=3), "too few points that stay in view"),
+        ({"step_m": 0.0, "yaw_step_rad": 0.0}, "the vehicle hardly moves, or only turns"),
+        ({"step_m": 0.0, "yaw_step_rad": 0.02}, "the vehicle hardly moves, or only turns"),
+        ({"n_points": 60}, "too few points that stay in view"),
+        ({"n_frames": 3}, "too few points that stay in view"),
     ],
 )
-def test_drives_without_enough_data(seen: Observations, reason: str) -> None:
-    assert segment_of(seen, RIG) == reason
+def test_drives_without_enough_data(options: dict[str, Any], reason: str) -> None:
+    assert segment_of(drive(6, **options), RIG) == reason
 
 
 def test_random_points_are_refused() -> None:

@@ -106,6 +106,7 @@ def test_a_cut_starts_a_new_segment() -> None:
     assert found.source.startswith("this drive tells nothing")
 
 
+@pytest.mark.slow
 def test_number_of_frames_is_limited() -> None:
     drive = DriveAlignment(RIG)
     pictures = [*rendered(), *rendered()[-2:0:-1]]  # there and back, time and again

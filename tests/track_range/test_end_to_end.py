@@ -48,7 +48,7 @@ def drive(render_drive):
 def simulated_run(drive, track_range, tmp_path_factory):
     out = tmp_path_factory.mktemp("run") / "out"
     stereo = ("--stereo", drive.left, drive.right, "--detections", drive.detections)
-    printed = track_range(*stereo, "--truth", drive.truth, "--out", out)
+    printed = track_range(*stereo, "--truth", drive.truth, "--align", "off", "--out", out)
     return out, printed, json.loads((out / "summary.json").read_text())
 
 
@@ -100,7 +100,20 @@ def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_pat
     for name in names:
         shutil.copy(getattr(drive, name), tmp_path)
     left, right, rig, boxes = (tmp_path / getattr(drive, name).name for name in names)
-    track_range("--stereo", left, right, "--rig", rig, "--detections", boxes, "--no-overlay", "--out", tmp_path / "out")
+    track_range(
+        "--stereo",
+        left,
+        right,
+        "--rig",
+        rig,
+        "--detections",
+        boxes,
+        "--align",
+        "off",
+        "--no-overlay",
+        "--out",
+        tmp_path / "out",
+    )
     without, with_truth = (read_tracks_csv(folder / "tracks.csv") for folder in (tmp_path / "out", simulated_run[0]))
     measured = [name for name in without if not name.startswith("truth")]
     assert {f"{name}_m" for name in STEREO_METHODS} <= set(measured)
@@ -155,7 +168,7 @@ def test_results_are_named_after_the_left_video_and_found_beside_nothing(drive, 
 
 def test_a_folder_of_images_gives_what_the_video_gives(drive, track_range, tmp_path):
     write_images(drive, tmp_path)
-    options = ("--detections", drive.detections, "--rig", drive.rig, "--no-sgbm", "--no-overlay")
+    options = ("--detections", drive.detections, "--rig", drive.rig, "--no-sgbm", "--no-overlay", "--align", "off")
     track_range("--stereo", tmp_path / "left", tmp_path / "right", *options, "--out", tmp_path / "images")
     track_range("--stereo", drive.left, drive.right, *options, "--out", tmp_path / "video")
     images, video = (read_tracks_csv(tmp_path / name / "tracks.csv") for name in ("images", "video"))
@@ -192,7 +205,7 @@ def long_drive(drive, tmp_path_factory):
 def test_a_stopped_run_leaves_its_finished_frames(long_drive, tmp_path, number):
     out = tmp_path / "out"
     files = ("--stereo", long_drive.left, long_drive.right, "--rig", long_drive.rig)
-    command = [TRACK_RANGE, *files, "--detections", long_drive.detections, "--out", out]
+    command = [TRACK_RANGE, *files, "--detections", long_drive.detections, "--align", "off", "--out", out]
     process = subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
     )

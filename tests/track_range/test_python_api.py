@@ -19,7 +19,7 @@ def drive(render_drive):
 
 
 def recorded(drive, **options):
-    return tr.Run.stereo(drive.left, drive.right, detections=drive.detections, overlay=False, **options)
+    return tr.Run.stereo(drive.left, drive.right, detections=drive.detections, overlay=False, align="off", **options)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import yaml
 from track_range.results.csv_file import read_tracks_csv
 from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.rig_formats.reading import load_rig
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,8 @@ def test_alignment_file_changes_every_distance(drive, run, tmp_path):
     assert with_file["alignment"]["offset_px"] == 2.0
     assert "(from a test); corrected" in printed
     assert with_file["calibration"] == "rig"
-    focal_baseline = 721.5 * 0.54
+    rig, _ = load_rig(drive.rig, size_px=(620, 188))
+    focal_baseline = rig.left.fx_px * rig.baseline_m
     for method in ("stereo_m", "sgbm_m"):
         both = np.isfinite(plain[method]) & np.isfinite(moved[method])
         assert both.sum() > 20
@@ -102,7 +104,7 @@ def test_disparity_video_with_options_from_a_file(drive, run, tmp_path):
     with av.open(str(tmp_path / "out/disparity.mp4")) as film:
         pictures = [frame.to_ndarray(format="bgr24") for frame in film.decode(video=0)]
     assert len(pictures) == 12
-    assert pictures[0].shape == (376, 1240, 3)
+    assert pictures[0].shape == (188, 620, 3)
     spread = pictures[0].astype(int).max(axis=2) - pictures[0].astype(int).min(axis=2)
     assert (spread > 60).mean() > 0.3  # coloured where the disparity is known,
     assert (pictures[0].max(axis=2) < 30).mean() > 0.05  # and black where not

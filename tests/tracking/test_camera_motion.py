@@ -32,11 +32,14 @@ def texture(height: int, width: int, seed: int = 0) -> Image:
     return image
 
 
-WIDE = texture(375 + 2 * CROP_PX, 1242 + 2 * CROP_PX)
+def view_of(left_px: int, top_px: int, height: int = 375, width: int = 1242) -> Image:
+    """A part of the texture, as a view of its array."""
+    wide = texture(375 + 2 * CROP_PX, 1242 + 2 * CROP_PX)
+    return wide[top_px : top_px + height, left_px : left_px + width]
 
 
 def cut(left_px: int, top_px: int, height: int = 375, width: int = 1242) -> Image:
-    return np.ascontiguousarray(WIDE[top_px : top_px + height, left_px : left_px + width])
+    return np.ascontiguousarray(view_of(left_px, top_px, height, width))
 
 
 def moved(points_px: Array, now_from_before: Array) -> Array:
@@ -242,7 +245,7 @@ def test_the_image_is_not_modified_nor_referenced(hw: tuple[int, int]) -> None:
 
 
 def test_non_contiguous_images() -> None:
-    view = WIDE[CROP_PX : CROP_PX + 375, CROP_PX : CROP_PX + 1242]
+    view = view_of(CROP_PX, CROP_PX)
     assert not view.flags.c_contiguous
     now = cut(CROP_PX + 8, CROP_PX)
     np.testing.assert_array_equal(motion(view, now), motion(np.ascontiguousarray(view), now))

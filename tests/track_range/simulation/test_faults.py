@@ -1,5 +1,7 @@
 """Faults of cameras, each measured on the images."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -20,7 +22,9 @@ def scene():
     return make_scenario("city", seed=1, seconds=1.0)
 
 
+@cache
 def right(scene, rig=SMALL, **faults):
+    """The right image, float64, without noise."""
     return Renderer(scene, rig, noise_grey=0, faults=Faults(**faults)).render(0.2, side="right").astype(np.float64)
 
 
@@ -57,6 +61,7 @@ def test_blur_takes_detail_away(scene):
     assert blurred < 0.4 * sharp
 
 
+@pytest.mark.slow
 def test_rain_falls_in_streaks_at_their_own_disparity(scene):
     dry, wet = (
         [

@@ -1,5 +1,6 @@
 import cv2
 import numpy as np
+import pytest
 
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.simulation.images import write_image_set
@@ -21,6 +22,7 @@ def test_an_image_set_is_a_data_set_whose_boxes_hold_what_they_name(tmp_path):
     assert ((boxes[:, 2:] - boxes[:, :2]) * [640, 194] >= 2.9).all()
 
 
+@pytest.mark.slow
 def test_the_same_seeds_give_the_same_files(tmp_path):
     for name in ("a", "b"):
         write_image_set(tmp_path / name, [7], n_frames=1)
