@@ -89,7 +89,7 @@ def test_unusable_settings_files(tmp_path, content, word):
 
 
 def test_a_missing_settings_file(tmp_path):
-    with pytest.raises(ConfigError, match="none.yaml"):
+    with pytest.raises(ConfigError, match=r"none\.yaml"):
         settings_from({}, tmp_path / "none.yaml")
 
 

@@ -63,7 +63,7 @@ def test_the_simulations_table_is_a_truth_that_is_exact(against: Any, drive: Dri
 
 def test_both_truths_of_a_drive_say_about_the_same_of_cars(drive: Drive) -> None:
     """Boxes are the same; distances agree where a body fills its 3-D box: cars and trucks, not riders."""
-    rig, _ = load_rig(drive.rig, size_px=(1240, 376), is_grey=False)
+    rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
     exact, kitti = (read_truth(path, rig.left, np.zeros(3)) for path in (drive.table, drive.truth))
     by_key = {key: row for row, key in enumerate(zip(kitti.frame.tolist(), kitti.track_id.tolist(), strict=True))}
     row = np.array([by_key[key] for key in zip(exact.frame.tolist(), exact.track_id.tolist(), strict=True)])
@@ -140,7 +140,7 @@ def test_a_truth_without_a_column_or_with_nothing_in_it_is_one_sentence(
 
 
 def test_what_hardly_shows_is_neither_found_nor_missed(drive: Drive, tmp_path: Path) -> None:
-    rig, _ = load_rig(drive.rig, size_px=(1240, 376), is_grey=False)
+    rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
     faint = rewritten(drive, tmp_path / "faint.csv", lambda row: row | {"visible_share": "0.19"})
     half = rewritten(drive, tmp_path / "half.csv", lambda row: row | {"visible_share": "0.21"})
     assert (read_truth(faint, rig.left, np.zeros(3)).class_id == -1).all()

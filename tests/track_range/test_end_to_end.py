@@ -123,16 +123,9 @@ def test_truth_is_not_read_by_methods(drive, simulated_run, track_range, tmp_pat
 
 def test_tables_are_printed(simulated_run):
     _, stdout, _ = simulated_run
-    told = " ".join(stdout.split())
-    for words in (
-        "fused_kf",
-        "stereo",
-        "MOTA",
-        "ms/frame",
-        "found next to the left video",
-        "that all methods measured",
-    ):
-        assert words in told
+    printed = " ".join(stdout.split())
+    for words in ("fused_kf", "stereo", "MOTA", "ms/frame", "found next to the left video", "common coverage"):
+        assert words in printed
     assert "\r" not in stdout
 
 
@@ -205,30 +198,31 @@ def long_drive(drive, tmp_path_factory):
 def test_a_stopped_run_leaves_its_finished_frames(long_drive, tmp_path, number):
     out = tmp_path / "out"
     files = ("--stereo", long_drive.left, long_drive.right, "--rig", long_drive.rig)
-    command = [TRACK_RANGE, *files, "--detections", long_drive.detections, "--align", "off", "--out", out]
+    quick = ("--align", "off", "--lanes", "off")
     process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
+        [TRACK_RANGE, *files, "--detections", long_drive.detections, *quick, "--out", out],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
-    wait_for(lambda: last_frame(out / "tracks.csv") >= 40, process)
-    process.send_signal(number)
-    _, stderr = process.communicate(timeout=60)
+    try:
+        wait_for(lambda: last_frame(out / "tracks.csv") >= 40, process)
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=300)
+    finally:
+        process.kill()
     columns = read_tracks_csv(out / "tracks.csv")
     assert 40 <= columns["frame"].max() < len(list(long_drive.left.iterdir())) - 1
     n_overlay = n_frames_of(out / "overlay.mp4")
     if number == signal.SIGKILL:
         assert process.returncode == -signal.SIGKILL
-        assert n_overlay >= 20  # all but the last, which may have waited to be drawn: longer on a busy machine
+        assert n_overlay >= 10  # the last fragments may be missing: more of them on a busy machine
         return
     assert process.returncode == 1
     assert stderr.strip() == "track-range: stopped by the user; what was finished is kept."
     summary = json.loads((out / "summary.json").read_text())
     assert summary["frames"] == n_overlay == columns["frame"].max() + 1
     assert (out / "report.html").is_file()
-
-
-def heed_ctrl_c():
-    """Where the tests themselves run in the background of a shell, programs they start would ignore SIGINT."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def last_frame(rows):
@@ -239,13 +233,13 @@ def last_frame(rows):
     return int(frames[-1]) if len(frames) > 1 and frames[-1].isdigit() else -1
 
 
-def wait_for(condition, process, limit_s=120):
-    """Poll until it is so; a process that ends first fails the test."""
-    began = time.monotonic()
+def wait_for(condition, process, limit_s=600):
+    """Poll until a condition holds; a process that ends first fails the test, and so does one that hangs."""
+    end_s = time.monotonic() + limit_s
     while not condition():
-        assert time.monotonic() - began < limit_s, "waited in vain"
+        assert time.monotonic() < end_s, "the process hangs"
         assert process.poll() is None, process.stderr.read()
-        time.sleep(0.01)
+        time.sleep(0.05)
 
 
 def test_installed_command():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import http.client
 import itertools
 import json
@@ -92,10 +91,8 @@ def test_ctrl_c_ends_a_live_run(boxes: Path, tmp_path: Path) -> None:
     with cameras(1) as (camera,):
         options = ("--mono", camera.url, "--detections", boxes, *QUICK, "--serve", "0", "--out", out)
         command = [sys.executable, "-m", "track_range", *map(str, options)]
-        # If the tests run in the background of a shell, their child processes would ignore SIGINT.
-        restore_sigint = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        with subprocess.Popen(command, **pipes, text=True, preexec_fn=restore_sigint) as running:
+        with subprocess.Popen(command, **pipes, text=True) as running:
             assert running.stdout is not None
             lines = iter(running.stdout.readline, "")
             address = next(match for line in lines if (match := re.search(r"http://127.0.0.1:(\d+)/", line)))

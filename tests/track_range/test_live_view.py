@@ -165,7 +165,7 @@ def test_where_the_page_goes(text: str, place: tuple[str, int]) -> None:
 
 @pytest.mark.parametrize("text", ["", "port", "70000", "host:", "http://x:80", "8000:8000:", "-1"])
 def test_what_is_no_place_is_wrong_usage(text: str) -> None:
-    with pytest.raises(UsageError, match="^--serve: "):
+    with pytest.raises(UsageError, match=r"^--serve: "):
         parse_address(text)
 
 
