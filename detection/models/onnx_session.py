@@ -42,6 +42,11 @@ class Runtime:
     engine_folder: Path | None = None
 
 
+def available_providers() -> list[str]:
+    """Names of onnxruntime's execution providers on this machine, such as "CPUExecutionProvider"."""
+    return list(ort.get_available_providers())
+
+
 class OnnxSession:
     """A network with one image input, ready to run.
 
@@ -166,7 +171,7 @@ class BoundNetwork:
 def _providers(runtime: Runtime) -> list[tuple[str, dict[str, Any]]]:
     """Available onnxruntime providers for the device with their options, the preferred one first, the CPU last."""
     preferred = _PROVIDERS["cuda" if runtime.device == "auto" else runtime.device]
-    available = ort.get_available_providers()
+    available = available_providers()
     options = {_TENSORRT: _tensorrt_options(runtime.engine_folder)}
     names = [name for name in preferred if name in available]
     return [*((name, options.get(name, {})) for name in names), ("CPUExecutionProvider", {})]

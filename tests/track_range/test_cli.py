@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import traceback
 
 import pytest
 import typer
@@ -18,7 +19,7 @@ from track_range.stereo.matching.box_matchers import MATCHER_NAMES
 HEAVY = ("numpy", "cv2", "onnxruntime", "av", "scipy", "matplotlib", "pyarrow", "torch")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["evaluate", "--help"], ["--version"]])
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["run", "--help"], ["evaluate", "--help"], ["--version"]])
 def test_help_imports_no_heavy_library(arguments):
     code = (
         "import sys\n"
@@ -29,6 +30,41 @@ def test_help_imports_no_heavy_library(arguments):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "HEAVY []"
+
+
+def test_overview_without_arguments(cli):
+    status, text, _ = cli()
+    lines = text.splitlines()
+    assert (status, len(lines)) == (0, 10)
+    assert max(map(len, lines)) < 80
+    for word in ("demo", "--mono", "--stereo", "--help", "doctor"):
+        assert word in text
+
+
+BROKEN_TRACKER = """
+class Broken:
+    def __init__(self, options):
+        pass
+
+    def update(self, detections, time_s, image):
+        raise ZeroDivisionError("a defect")
+"""
+
+
+def test_unexpected_error_asks_for_a_report(cli, tmp_path, monkeypatch):
+    (tmp_path / "broken_tracker.py").write_text(BROKEN_TRACKER)
+    (tmp_path / "det.txt").write_text("1,-1,10,10,30,60,0.9\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ZeroDivisionError) as raised:
+        cli("track", tmp_path / "det.txt", "--out", tmp_path / "out", "--tracker", "broken_tracker:Broken")
+    last_line = "".join(traceback.format_exception(raised.value)).splitlines()[-1]
+    for words in ("report", "track-range doctor", "--tracker broken_tracker:Broken"):
+        assert words in last_line
+
+
+def test_user_error_asks_for_no_report(cli):
+    status, _, complaint = cli("--mono", "none.mp4", "--focal-px", 700)
+    assert (status, "report" in complaint, "Traceback" in complaint) == (1, False, False)
 
 
 def test_every_command_can_be_imported():

@@ -6,6 +6,7 @@ Exit status: 0 = success, 1 = an unusable input or output, or a run stopped by t
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import MutableMapping
 from typing import Annotated
@@ -102,7 +103,27 @@ COMMANDS = {
             "track-range simulate --images 500 --out images",
         ),
     ),
+    "doctor": Lazy(
+        "track_range.cli.doctor",
+        "Print versions, codecs and folders of the installation, and test it.",
+        "The test is a run on a simulated second. Include the output in bug reports. Exit status 1 = a check failed.",
+        ("track-range doctor", "track-range doctor --json"),
+    ),
 }
+
+OVERVIEW = f"""\
+{PROGRAM} tracks road users in videos and measures their distances.
+
+Simulated drive:  {PROGRAM} demo
+One camera:       {PROGRAM} --mono drive.mp4 --focal-px 1150
+Two cameras:      {PROGRAM} --stereo left.mp4 right.mp4 --rig rig.yaml
+
+Results are files in a folder: overlay.mp4, report.html, tracks.csv and others.
+All commands and options:  {PROGRAM} --help
+Options of one command:    {PROGRAM} COMMAND --help
+Test of the installation:  {PROGRAM} doctor
+"""
+"""Output without arguments."""
 
 _ROOT_OPTIONS = ("--version", "--install-completion", "--show-completion")
 
@@ -136,7 +157,10 @@ def main() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # track-range reports the problem itself
     _complete_as_run(os.environ)
     arguments = sys.argv[1:]
-    if arguments in ([], ["-h"], ["--help"]):  # the name of the main command may be omitted
+    if not arguments and "_TRACK_RANGE_COMPLETE" not in os.environ:
+        sys.stdout.write(OVERVIEW)
+        return
+    if arguments in (["-h"], ["--help"]):  # the name of the main command may be omitted
         app(["--help"], prog_name=PROGRAM, standalone_mode=False)
         arguments = ["run", "--help"]
     elif _is_run(arguments):
@@ -151,6 +175,17 @@ def main() -> None:
     except UserError as error:
         _print_error(str(error))
         raise SystemExit(error.exit_status) from None
+    except Exception as error:
+        error.add_note(_report_note(arguments))
+        raise
+
+
+def _report_note(arguments: list[str]) -> str:
+    """Last line of the traceback of an unexpected error."""
+    return (
+        f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the output of "
+        f"`{PROGRAM} doctor` and the command: {PROGRAM} {shlex.join(arguments)}"
+    )
 
 
 def _is_run(arguments: list[str]) -> bool:
