@@ -1,1 +1,1 @@
-"""Training of detectors (extra `train`: PyTorch): what comes out is an .onnx file that any detector option takes."""
+"""Training of detectors with PyTorch (extra `train`); the result is an .onnx file that can be used as a detector."""

@@ -1,4 +1,4 @@
-"""What can go wrong in training; kept apart so that it can be named where PyTorch is not installed."""
+"""Exceptions of training, in a module that can be imported without PyTorch."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from track_range.foundation.errors import UserError
 
 
 class TrainingError(UserError):
-    """Training cannot start or go on; the message says why and what to do."""
+    """Training cannot start or continue; the message gives the reason and what to do."""
 
 
 class CheckpointError(TrainingError):
-    """A checkpoint that cannot be used or written; the message says why and what to do."""
+    """A checkpoint cannot be read, used or written; the message gives the reason and what to do."""

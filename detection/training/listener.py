@@ -1,4 +1,4 @@
-"""Listener: whoever wants to hear how training goes, such as a progress bar."""
+"""The `Listener` protocol: callbacks on the progress of training, for example for a progress bar."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from track_range.detection.training.losses.detection_loss import Losses
 
 
 class Listener(Protocol):
-    """Hears how training goes."""
+    """Callbacks on the progress of training."""
 
     def step(self, epoch: int, i: int, n: int, losses: Losses) -> None:
-        """After batch `i` of `n`."""
+        """Called after batch `i` of `n`."""
         ...
 
     def validated(self, epoch: int, i: int, n: int) -> None:
-        """After validation image `i` of `n`."""
+        """Called after validation image `i` of `n`."""
         ...
 
     def epoch(self, row: dict[str, float]) -> None:
-        """After each epoch, with its row of results.csv."""
+        """Called after each epoch with its row of results.csv."""
         ...

@@ -1,4 +1,4 @@
-"""Whether training can run here."""
+"""Check of the packages that training requires."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def check_torch() -> None:
     """Check that PyTorch is installed.
 
     Raises:
-        TrainingError: it is not.
+        TrainingError: PyTorch is not installed.
     """
     if find_spec("torch") is None:
         raise TrainingError("training requires PyTorch; install it with: pip install 'track-range[train]'.")

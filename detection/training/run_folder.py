@@ -1,4 +1,4 @@
-"""The run folder: checkpoints with all that a run needs to go on, and results.csv; each written whole or not at all."""
+"""The run folder: checkpoints from which a run can be resumed, and results.csv, all written atomically."""
 
 from __future__ import annotations
 
@@ -38,69 +38,69 @@ _OPTION = {
     "min_gain": "--gain",
     "max_gain": "--gain",
 }
-"""What the command line calls what makes a run."""
+"""Command line option by the key of a run's identity, for messages."""
 
 
 def save_checkpoint(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a checkpoint of tensors and plain values; who is killed meanwhile leaves the old one.
+    """Write a checkpoint of tensors and plain values atomically.
 
     Raises:
-        CheckpointError: it cannot be written.
+        CheckpointError: the file cannot be written.
     """
     try:
         with atomic_path(path) as partial:
             torch.save({"format": _FORMAT, **content}, partial)
-    except RuntimeError as error:  # torch's word for a full disk
+    except RuntimeError as error:  # raised by torch if the disk is full
         raise CheckpointError(f"{path}: cannot be written (no space left, or the file is too large).") from error
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """Read a checkpoint; nothing in it is executed.
+    """The content of a checkpoint; code in the file is not executed.
 
     Raises:
-        CheckpointError: there is none, or it is none of ours.
+        CheckpointError: the file does not exist, is damaged, or is not a checkpoint of track-range.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint.")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a dozen unrelated types for a broken file
-        raise CheckpointError(f"{path}: not a checkpoint, or a damaged one ({type(error).__name__}).") from error
+        raise CheckpointError(f"{path}: not a checkpoint, or damaged ({type(error).__name__}).") from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise CheckpointError(f"{path}: not a checkpoint of `track-range train`.")
+        raise CheckpointError(f"{path}: expected a checkpoint of `track-range train`.")
     return content
 
 
-def check_same_run(path: Path, theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> None:
-    """Compare what makes a run in a checkpoint with what it should be.
+def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Compare the identity of a run saved in a checkpoint with that of the current run.
 
     Raises:
-        CheckpointError: they differ; the message names the first option that does.
+        CheckpointError: they differ; the message has the first option that differs.
     """
-    for key, value in mine.items():
-        if value != theirs.get(key):
-            there, here = (str(each) if len(str(each)) < 60 else "..." for each in (theirs.get(key), value))
+    for key, value in expected.items():
+        if value != saved.get(key):
+            old, new = (str(part) if len(str(part)) < 60 else "..." for part in (saved.get(key), value))
             raise CheckpointError(
-                f"{path}: of another run: {_OPTION.get(key, key)} is {there} there and {here} here; give the "
-                "options that it began with, or another --out (with --weights, to begin where that run is)."
+                f"{path}: expected {_OPTION.get(key, key)} {new}, got a run with {old}; use the options of that run "
+                "or another --out (with --weights to start from its weights)."
             )
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other runs out of the folder meanwhile; the lock of a run that was killed does not count.
+    """Context in which no other run can write to the folder; locks of runs that were killed are ignored.
 
     Raises:
-        CheckpointError: another run is writing there.
+        CheckpointError: another run is writing to the folder.
     """
     lock = folder / ".running"
     with suppress(OSError, ValueError):
         other = int(lock.read_text())
         if other != os.getpid() and _is_alive(other):
             raise CheckpointError(
-                f"{folder}: another run (process {other}) is writing there; wait, or choose another --out."
+                f"{folder}: another run (process {other}) is writing to this folder; wait, or use another --out."
             )
     with suppress(OSError):
         lock.write_text(str(os.getpid()))
@@ -112,7 +112,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _is_alive(process: int) -> bool:
-    """A process of that number runs; unknown, so no, where asking would end it (Windows)."""
+    """Whether a process with this id is running; always False on Windows, where the check would end it."""
     if os.name != "posix":
         return False
     try:
@@ -125,10 +125,10 @@ def _is_alive(process: int) -> bool:
 
 
 def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:
-    """results.csv: a row per epoch, columns in the order of their first appearance, empty = not measured.
+    """Write results.csv: one row per epoch, columns in the order of their first appearance, empty = not measured.
 
     Raises:
-        CheckpointError: it cannot be written.
+        CheckpointError: the file cannot be written.
     """
     columns = list(dict.fromkeys(key for row in history for key in row))
     text = io.StringIO(newline="")

@@ -1,4 +1,4 @@
-"""TrainingSettings: how to train, and the precision that a device does best."""
+"""TrainingSettings, and the device and precision to train with."""
 
 from __future__ import annotations
 
@@ -14,25 +14,31 @@ from track_range.detection.training.losses.box_losses import BoxLoss
 from track_range.detection.training.schedule import ScheduleSettings
 
 COARSEST_STRIDE_PX = 32
+"""Largest stride of the networks; the input size must be a multiple of it."""
+
 MIN_GAIN, MAX_GAIN = 0.05, 16.0
+"""Limits of `AugmentationSettings.min_gain` and `max_gain`."""
+
 
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """How to train.
+    """Settings of a training run.
 
     Attributes:
-        size_px: side of the square training images; validation fits the longer side to it.
-        n_epochs, batch_size, seed: as they say.
+        size_px: side of the square training images, and longer side of the validation images.
+        n_epochs: number of epochs.
+        batch_size: number of images per batch.
+        seed: random seed.
         box_loss: "ciou" or "eiou".
-        device: of torch, such as "cpu" or "cuda".
-        precision: of the network's arithmetic; losses and weights are float32.
+        device: torch device, such as "cpu" or "cuda".
+        precision: precision of the network's arithmetic; losses and weights are float32.
         validate_every: epochs between validations; the last epoch is always validated.
-        min_boxes: classes with fewer labels are not averaged in validation.
-        schedule: the optimiser, and its rate over the run.
-        augmentation: how training images are changed.
+        min_boxes: classes with fewer labels are not averaged in the validation.
+        schedule: optimiser and learning rate.
+        augmentation: augmentation of the training images.
     """
 
     size_px: int = 416
@@ -50,39 +56,41 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         if self.size_px % COARSEST_STRIDE_PX:
             lower = max(self.size_px // COARSEST_STRIDE_PX, 1) * COARSEST_STRIDE_PX
-            raise TrainingError(f"--size {self.size_px}: a multiple of {COARSEST_STRIDE_PX} wanted, such as {lower}.")
+            raise TrainingError(
+                f"--size: expected a multiple of {COARSEST_STRIDE_PX}, such as {lower}, got {self.size_px}."
+            )
         low, high = self.augmentation.min_gain, self.augmentation.max_gain
         if not MIN_GAIN <= low <= high <= MAX_GAIN:
             limits = f"{MIN_GAIN:g} <= MIN <= MAX <= {MAX_GAIN:g}"
-            raise TrainingError(f"--gain {low:g} {high:g}: {limits} wanted, such as 0.5 1.5.")
+            raise TrainingError(f"--gain: expected {limits}, such as 0.5 1.5, got {low:g} {high:g}.")
 
     @property
     def dtype(self) -> torch.dtype:
-        """The precision as torch names it."""
+        """The precision as a torch dtype."""
         return {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}[self.precision]
 
 
-def usable_device(wanted: str) -> tuple[str, str]:
-    """The device that "auto", "cpu", "cuda" or torch's own word for one means here, and a sentence where it is another.
+def usable_device(name: str) -> tuple[str, str]:
+    """The torch device for "auto", "cpu", "cuda" or torch's name of a device, and a note if it is another one.
 
     Raises:
-        TrainingError: torch knows no such device.
+        TrainingError: the name is unknown, or the device is neither a CPU nor a CUDA GPU.
     """
     has_gpu = torch.cuda.is_available()
-    if wanted == "auto":
+    if name == "auto":
         return ("cuda" if has_gpu else "cpu"), ""
     try:
-        kind = torch.device(wanted).type
+        kind = torch.device(name).type
     except RuntimeError as error:
-        raise TrainingError(f"--device {wanted}: no device of that name; auto, cpu or cuda wanted.") from error
+        raise TrainingError(f"--device: expected auto, cpu or cuda, got '{name}'.") from error
     if kind not in ("cpu", "cuda"):
-        raise TrainingError(f"--device {wanted}: training is on cpu or cuda.")
-    if kind == "cuda" and not _is_usable(wanted):
+        raise TrainingError(f"--device: training supports cpu and cuda, got '{name}'.")
+    if kind == "cuda" and not _is_usable(name):
         return (
             "cpu",
-            f"--device {wanted} is not to be had here (no GPU, or a PyTorch without CUDA): training on cpu.",
+            f"--device {name} is not available on this machine (no GPU, or PyTorch without CUDA); training on cpu.",
         )
-    return wanted, ""
+    return name, ""
 
 
 def _is_usable(device: str) -> bool:
@@ -95,8 +103,8 @@ def _is_usable(device: str) -> bool:
 
 
 def best_precision(device: str) -> Precision:
-    """Half precision where the device computes in it (twice as fast and more), else float32."""
+    """Half precision if the device supports it (at least twice as fast), else float32."""
     if device.startswith("cuda"):
         return "float16"
-    told: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()  # PyTorch 2.11 and later tell
-    return "bfloat16" if told.get("avx512_bf16") or told.get("amx_bf16") else "float32"
+    capabilities: Mapping[str, object] = getattr(torch.cpu, "get_capabilities", dict)()  # from PyTorch 2.11
+    return "bfloat16" if capabilities.get("avx512_bf16") or capabilities.get("amx_bf16") else "float32"

@@ -1,9 +1,10 @@
-"""Teacher: a trained detector that says, for every cell of every image of a batch, what it would have answered.
+"""Teacher: a trained detector whose outputs are soft targets for training (knowledge distillation).
 
-Its answers are soft targets (objectness, class scores, boxes) where nobody labelled anything, and where labels are
-complete they tell which cells should find an object. Its heads must be the student's own: YOLOv5's, strides 8, 16, 32,
-three anchors per cell. (Hinton et al., "Distilling the Knowledge in a Neural Network", 2015; Mehta & Ozturk, "Object
-Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by objectness.)
+Its objectness, class scores and boxes are the targets where images are not completely labelled. Where labels are
+complete, they determine which of its cells are positive. It must have the same heads as the student: those of YOLOv5,
+strides 8, 16, 32 with three anchors per cell. (Hinton et al., "Distilling the Knowledge in a Neural Network", 2015;
+Mehta & Ozturk, "Object Detection at 200 Frames Per Second", ECCV 2018 workshops, for distillation scaled by
+objectness.)
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ from track_range.detection.training.networks.network import AnchorNetwork, place
 from track_range.detection.training.networks.onnx_weights import yolov5_of_export
 from track_range.foundation.arrays import IntArray
 
-CONFIDENT = 0.1
-"""Objectness from which a teacher's cell is to find something."""
+MIN_OBJECTNESS = 0.1
+"""Smallest objectness of a teacher's cell that is a positive."""
 
 
 @dataclass(frozen=True, slots=True)
-class HeadAnswers:
-    """What a teacher says in one head of a batch.
+class TeacherOutputs:
+    """Outputs of a teacher in one head for a batch, with P confident cells.
 
     Attributes:
-        objectness: (B, A, rows, columns) 0..1; of the student's classes where it is confident, else of anything.
-        cells: where it is confident, P of them.
-        cxcywh: (P, 4) its boxes there, in input pixels.
-        class_score: (P, C) 0..1, of the student's classes; 0 for those that the teacher does not know.
+        objectness: (B, A, rows, columns) 0..1; in confident cells of the student's classes, else of any class.
+        cells: the confident cells.
+        cxcywh: (P, 4) boxes in input pixels.
+        class_score: (P, C) 0..1, scores of the student's classes; 0 for classes that the teacher does not have.
     """
 
     objectness: Tensor
@@ -48,56 +49,65 @@ class HeadAnswers:
 
 
 class Teacher:
-    """A YOLOv5n or s from its official export."""
+    """A YOLOv5n or YOLOv5s network, loaded from its official export.
+
+    Attributes:
+        name: file name of the export.
+        network: the network.
+    """
 
     def __init__(
         self, path: Path, road_class_id: IntArray, *, device: str, precision: torch.dtype = torch.float32
     ) -> None:
-        """Load it.
+        """Load the network.
 
         Args:
             path: the export.
             road_class_id: (C,) road class of each class of the student.
-            device: where it runs.
-            precision: of its arithmetic.
+            device: torch device.
+            precision: precision of the network's arithmetic.
 
         Raises:
-            ModelError: unreadable, no YOLOv5n or s, or it knows none of the classes.
+            ModelError: the file cannot be read, is not a YOLOv5n or YOLOv5s, or has none of the classes.
         """
         network = yolov5_of_export(path)
         metadata = OnnxSession(path).metadata
         names = read_metadata(path, metadata, ModelOptions()).get("names", COCO_CLASSES, "default").value
         if "trained_anchors" in metadata:
             network.anchors_px.copy_(torch.tensor(json.loads(metadata["trained_anchors"])))
-        mine = map_to_road_classes(names)
-        if network.n_classes != len(names) or not np.isin(mine, road_class_id).any():
-            raise ModelError(f"{path}: its {network.n_classes} classes are not known by name, or none is a road class.")
+        class_id = map_to_road_classes(names)
+        if network.n_classes != len(names) or not np.isin(class_id, road_class_id).any():
+            raise ModelError(
+                f"{path}: expected a teacher with class names, some of them among the classes to train; got "
+                f"{network.n_classes} classes and {len(names)} names."
+            )
         self.name = path.name
         self.network = placed(network, torch.device(device))
-        self._columns = [5 + np.flatnonzero(mine == each) for each in road_class_id]
+        self._columns = [5 + np.flatnonzero(class_id == student_id) for student_id in road_class_id]
         self._precision = precision
 
     def check_fits(self, student: AnchorNetwork) -> None:
-        """Make sure that cell and anchor of one are cell and anchor of the other.
+        """Check that the student has the teacher's grids and anchors.
 
         Raises:
-            TrainingError: other grids or anchors.
+            TrainingError: the grids or anchors differ.
         """
         if student.strides_px != self.network.strides_px:
-            raise TrainingError(f"--teacher: it answers for YOLOv5's grids; {student.name} has others.")
+            raise TrainingError(f"--teacher: expected a model with YOLOv5's grids, got {student.name}.")
         if not torch.allclose(student.anchors_px.cpu(), self.network.anchors_px.cpu(), rtol=0.01):
-            raise TrainingError("--teacher: its anchors are not the network's; use --anchors default with it.")
+            raise TrainingError("--teacher: the model has other anchors than the teacher; use --anchors default.")
 
     @torch.no_grad()
-    def look(self, images: Tensor) -> list[HeadAnswers]:
-        """Its answers to images (B, 3, H, W) RGB in 0..1, by head."""
+    def outputs(self, images: Tensor) -> list[TeacherOutputs]:
+        """The outputs of each head for images (B, 3, H, W) RGB in 0..1."""
         with torch.autocast(images.device.type, self._precision, self._precision != torch.float32):
             heads = self.network(images)
-        return [self._told(index, head) for index, head in enumerate(heads)]
+        return [self._of_head(index, head) for index, head in enumerate(heads)]
 
-    def _told(self, index: int, head: Tensor) -> HeadAnswers:
+    def _of_head(self, index: int, head: Tensor) -> TeacherOutputs:
+        """The outputs of head `index` from its raw output."""
         objectness = head[..., 4].float().sigmoid()
-        where = (objectness > CONFIDENT).nonzero(as_tuple=True)
+        where = (objectness > MIN_OBJECTNESS).nonzero(as_tuple=True)
         image, anchor, row, column = where
         logits = head[where].float()
         cells_xy = torch.stack([column, row], 1).float()
@@ -105,14 +115,14 @@ class Teacher:
         boxes = network.boxes(logits[:, :4], cells_xy, network.anchors_px[index][anchor], network.strides_px[index])
         scores = logits.sigmoid()
         best = scores[:, 5:].amax(1)
-        mine = torch.stack([_best(scores, columns) for columns in self._columns], 1)
-        share = mine.amax(1) / best.clamp(min=1e-6)  # near 1 where its best class is one of the student's
+        student_scores = torch.stack([_best(scores, columns) for columns in self._columns], 1)
+        share = student_scores.amax(1) / best.clamp(min=1e-6)  # 1 if the best class is one of the student's
         objectness[where] *= share
-        certain = objectness[where] > CONFIDENT
-        cells = Cells(image, anchor, row, column, torch.zeros_like(image)).select(certain)
-        return HeadAnswers(objectness, cells, boxes[certain], mine[certain])
+        is_confident = objectness[where] > MIN_OBJECTNESS
+        cells = Cells(image, anchor, row, column, torch.zeros_like(image)).select(is_confident)
+        return TeacherOutputs(objectness, cells, boxes[is_confident], student_scores[is_confident])
 
 
 def _best(scores: Tensor, columns: Sequence[int] | IntArray) -> Tensor:
-    """(P,) largest of some columns, 0 where there are none."""
+    """(P,) largest value of each row in some columns; 0 if there are no columns."""
     return scores[:, list(columns)].amax(1) if len(columns) else torch.zeros(len(scores), device=scores.device)

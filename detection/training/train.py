@@ -1,9 +1,8 @@
-"""Training: one plain loop over epochs and batches.
+"""Training: the loop over epochs and batches.
 
-The run folder gets `last.pt` after every epoch (network, average, optimiser, history), `best.pt` whenever validation
-improves, and `results.csv`. What a step does depends on the settings, the seed and the step's number alone, so a run
-that was killed and resumed takes the same steps as one that was not (to the last bit on a CPU, whose sums have one
-order).
+After every epoch, `last.pt` (network, average, optimiser, history) and `results.csv` are written to the run folder, and
+`best.pt` whenever the validation improves. A step depends only on the settings, the seed and its number, so that a
+resumed run takes the same steps as an uninterrupted one (bit by bit on a CPU, where the order of sums is fixed).
 """
 
 from __future__ import annotations
@@ -40,18 +39,18 @@ from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.validation import NetworkDetector, validate
 
 _MAX_GRADIENT = 10.0
-"""Norm of the whole gradient (YOLOv5's)."""
+"""Norm to which the gradient is clipped, as in YOLOv5."""
 
 _LOSSES = ("loss_box", "loss_objectness", "loss_class")
 
 
 class Training:
-    """A network being trained.
+    """A training run.
 
     Attributes:
-        network: as the optimiser leaves it.
-        average: its moving average, which is validated, kept and exported.
-        history: a row of results.csv per epoch done.
+        network: the network with the optimiser's latest weights.
+        average: moving average of the weights, which is validated and exported.
+        history: one row of results.csv for each completed epoch.
     """
 
     def __init__(
@@ -79,10 +78,10 @@ class Training:
         self.history: list[dict[str, float]] = []
 
     def resume(self) -> None:
-        """Go on from the run folder's last checkpoint.
+        """Continue from the last checkpoint in the run folder.
 
         Raises:
-            CheckpointError: none there, damaged, or of another model or run.
+            CheckpointError: the checkpoint does not exist, is damaged, or belongs to another run.
         """
         path = self._out / LAST
         content = load_checkpoint(path)
@@ -94,47 +93,47 @@ class Training:
             self._scaler.load_state_dict(content["scaler"])
             self.history = content["history"]
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise CheckpointError(f"{path}: a damaged checkpoint ({type(error).__name__}).") from error
+            raise CheckpointError(f"{path}: damaged checkpoint ({type(error).__name__}).") from error
 
     def start_from(self, path: Path) -> None:
-        """Begin with the averaged weights of another run's checkpoint, and nothing else of it.
+        """Initialise the weights with the averaged weights of another run's checkpoint.
 
         Raises:
-            CheckpointError: none there, damaged, or of another network.
+            CheckpointError: the checkpoint does not exist, is damaged, or has another network.
         """
-        self._take(self.network, path)
-        self._take(self.average.network, path)
+        self._load_weights(self.network, path)
+        self._load_weights(self.average.network, path)
 
-    def take_best(self) -> None:
-        """Make the average that of the best epoch; that of the last one, where no validation could tell.
+    def load_best(self) -> None:
+        """Set `average` to that of the best epoch, if there was a validation.
 
         Raises:
             CheckpointError: the checkpoint is damaged.
         """
         if (self._out / BEST).is_file():
-            self._take(self.average.network, self._out / BEST)
+            self._load_weights(self.average.network, self._out / BEST)
 
-    def _take(self, network: AnchorNetwork, path: Path) -> None:
-        """Averaged weights of a checkpoint; the anchors stay."""
+    def _load_weights(self, network: AnchorNetwork, path: Path) -> None:
+        """Set the network's weights to the averaged weights of a checkpoint; its anchors do not change."""
         content = load_checkpoint(path)
-        theirs, mine = content.get("identity", {}), self._identity()
+        saved, expected = content.get("identity", {}), self._identity()
         anchors_px = network.anchors_px.clone()
         try:
-            if theirs["classes"] != mine["classes"]:
+            if saved["classes"] != expected["classes"]:
                 raise KeyError("classes")
             network.load_state_dict(content["average"])
         except (RuntimeError, KeyError, TypeError) as error:
             raise CheckpointError(
-                f"{path}: of another network ({theirs.get('model')}, attention {theirs.get('attention')}, classes "
-                f"{', '.join(theirs.get('classes', []))}); --model, --attention and the names must be the same."
+                f"{path}: expected the same --model, --attention and class names, got {saved.get('model')}, attention "
+                f"{saved.get('attention')}, classes {', '.join(saved.get('classes', []))}."
             ) from error
         network.anchors_px.copy_(anchors_px)
 
     def run(self, listener: Listener) -> None:
-        """Train until the last epoch is done.
+        """Train until the last epoch.
 
         Raises:
-            TrainingError: the loss is no number any more, or memory ran out.
+            TrainingError: the loss is not finite, or there is not enough memory.
             CheckpointError: a checkpoint cannot be written.
         """
         try:
@@ -145,12 +144,12 @@ class Training:
                 raise
             batch = min(self._settings.batch_size, len(self._sets.train))
             raise TrainingError(
-                f"memory ran out with a batch of {batch}: begin anew in another --out with --batch "
-                f"{max(batch // 2, 1)} or a smaller --size{self._start_hint()}."
+                f"out of memory with --batch {batch}; restart in another --out with --batch {max(batch // 2, 1)} or a "
+                f"smaller --size{self._start_hint()}."
             ) from error
 
     def scores(self, listener: Listener | None = None) -> DetectionScores:
-        """The average's figures on the validation images."""
+        """Scores of `average` on the validation images."""
         detector = NetworkDetector(
             self.average.network,
             self._sets.road_class_id,
@@ -168,17 +167,18 @@ class Training:
         )
 
     def _epoch(self, listener: Listener) -> None:
-        epoch, began_s = len(self.history), time.perf_counter()
+        """Train one epoch, validate, and write the run folder."""
+        epoch, start_s = len(self.history), time.perf_counter()
         row = {"epoch": epoch + 1.0, "rate": self._schedule.rate(epoch * len(self._batches))}
         row |= dict(zip(_LOSSES, self._learn(epoch, listener), strict=True))
         if (epoch + 1) % self._settings.validate_every == 0 or epoch + 1 == self._settings.n_epochs:
             row |= _figures(self.scores(listener))
-        row["minutes"] = (time.perf_counter() - began_s) / 60
-        self._keep(row)
+        row["minutes"] = (time.perf_counter() - start_s) / 60
+        self._save(row)
         listener.epoch(row)
 
     def _learn(self, epoch: int, listener: Listener) -> list[float]:
-        """One epoch; its mean losses."""
+        """Train one epoch and return the means of the three losses."""
         self.network.train()
         total, n = np.zeros(3), len(self._batches)
         done = 0
@@ -190,7 +190,7 @@ class Training:
             total += losses.numbers()
             if not np.isfinite(total).all():
                 raise TrainingError(
-                    f"the loss is no number any more in epoch {epoch + 1}: begin anew in another --out with a lower "
+                    f"the loss became NaN or infinite in epoch {epoch + 1}; restart in another --out with a lower "
                     f"--learning-rate or --precision float32{self._start_hint()}."
                 )
             listener.step(epoch, done, n, losses)
@@ -198,11 +198,11 @@ class Training:
         return mean
 
     def _step(self, batch: Batch) -> Losses:
-        """Learn from one batch."""
+        """One step of the optimiser."""
         settings, device = self._settings, self._device
         images = scaled(batch.images.to(device, memory_format=torch.channels_last))
-        answers = None if self._teacher is None else self._teacher.look(images)
-        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), answers)
+        teacher = None if self._teacher is None else self._teacher.outputs(images)
+        batch = Batch(batch.images, batch.objects.to(device), batch.complete.to(device), teacher)
         with torch.autocast(device.type, settings.dtype, settings.precision != "float32"):
             raw = self.network(images)
         losses = self._loss([head.float() for head in raw], batch)
@@ -217,9 +217,9 @@ class Training:
     def _start_hint(self) -> str:
         return f", and --weights {self._out / LAST}" if self.history else ""
 
-    def _keep(self, row: dict[str, float]) -> None:
-        """Write the epoch's checkpoint and results."""
-        best = max((each.get("ap50", 0.0) for each in self.history), default=0.0)
+    def _save(self, row: dict[str, float]) -> None:
+        """Write the checkpoints and results of an epoch."""
+        best = max((earlier.get("ap50", 0.0) for earlier in self.history), default=0.0)
         self.history.append(row)
         content = {
             "identity": self._identity(),
@@ -229,13 +229,13 @@ class Training:
             "scaler": self._scaler.state_dict(),
             "history": self.history,
         }
-        if row.get("ap50", -1.0) >= best:  # of equals the later one, which is trained longer
+        if row.get("ap50", -1.0) >= best:  # if equal, the later one, which was trained longer
             save_checkpoint(self._out / BEST, content)
         save_checkpoint(self._out / LAST, content)
         write_results(self._out / RESULTS, self.history)
 
     def _identity(self) -> dict[str, Any]:
-        """What makes a checkpoint one of this run."""
+        """The settings that a checkpoint must share to be resumed."""
         return {
             "model": self.network.name,
             "attention": self.network.has_cbam,
@@ -248,14 +248,14 @@ class Training:
 
 
 def prepare_torch(*, seed: int, n_threads: int = 0) -> None:
-    """Make what torch draws from here on, the first weights, the seed's own; and set its threads, 0 = as they are."""
+    """Set torch's random seed and number of threads; 0 = do not change the number of threads."""
     torch.manual_seed(seed)
     if n_threads:
         torch.set_num_threads(n_threads)
 
 
 def _flat(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Settings within settings, by their own names."""
+    """Keys and values of nested settings, without the names of the groups."""
     for key, value in settings.items():
         if isinstance(value, Mapping):
             yield from _flat(value)
@@ -264,8 +264,8 @@ def _flat(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _figures(scores: DetectionScores) -> dict[str, float]:
-    """Of results.csv; NaN where no class is averaged."""
-    by_class = {f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": each.ap50 for i, each in scores.by_class.items()}
+    """Columns of results.csv with the validation's scores; NaN if no class is averaged."""
+    by_class = {f"ap50_{ROAD_CLASSES[i].replace(' ', '_')}": figures.ap50 for i, figures in scores.by_class.items()}
     return {"ap50": scores.mean("ap50"), "ap50_95": scores.mean("ap50_95"), **by_class}
 
 

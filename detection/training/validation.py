@@ -1,4 +1,4 @@
-"""Validation: a network's detections on labelled images, through the letterbox, decoder and suppression of real use."""
+"""Validation of a network on labelled images, with the letterbox, decoder and NMS of `YoloDetector`."""
 
 from __future__ import annotations
 
@@ -19,12 +19,17 @@ from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import Image, IntArray
 
 LOWEST_SCORE = 0.001
+"""Score threshold of detections in the validation; low, so that the precision-recall curve is complete."""
+
 _MAX_IOU, _MAX_BOXES = 0.5, 300
+"""IoU threshold of non-maximum suppression, and largest number of boxes per image."""
+
 _WORKING_SCORE = 0.25
+"""Score threshold of the reported precision and recall."""
 
 
 class NetworkDetector:
-    """A network as a detector, for validation; what users run is its export."""
+    """A network as a detector, for the validation during training."""
 
     def __init__(
         self,
@@ -40,19 +45,21 @@ class NetworkDetector:
         self._min_score = np.full(len(road_class_id), LOWEST_SCORE)
 
     def detect(self, image: Image) -> Detections:
-        """The road users in `image`, (H, W, 3) uint8 BGR; see `YoloDetector`."""
+        """The road users in `image`, (H, W, 3) uint8 BGR, by falling score."""
         hw = (image.shape[0], image.shape[1])
         letterbox = Letterbox.centred(hw, rectangular_input_hw(hw, size_px=self._size_px))
-        form, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)
-        form.fill_padding(blob)
-        form.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
+        input_format, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)
+        input_format.fill_padding(blob)
+        input_format.write(image, letterbox, blob, scaled=np.empty((*letterbox.resized_hw, 3), np.uint8))
         with torch.no_grad(), torch.autocast(self._device.type, self._precision, self._precision != torch.float32):
             raw = self._network(torch.from_numpy(blob).to(self._device, memory_format=torch.channels_last))
         rows = self._network.decode([head.float() for head in raw]).cpu().numpy()
-        found = RowDecoder(0).decode([rows], self._min_score)
-        class_id = self._road_class_id[found.class_index]
-        best = nms(found.xyxy_net, found.score, SAME_OBJECT_GROUP[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
-        boxes = Detections.of(letterbox.to_image_clipped(found.xyxy_net[best]), found.score[best], class_id[best])
+        candidates = RowDecoder(0).decode([rows], self._min_score)
+        class_id, group = self._road_class_id[candidates.class_index], SAME_OBJECT_GROUP
+        best = nms(candidates.xyxy_net, candidates.score, group[class_id], max_iou=_MAX_IOU, max_boxes=_MAX_BOXES)
+        boxes = Detections.of(
+            letterbox.to_image_clipped(candidates.xyxy_net[best]), candidates.score[best], class_id[best]
+        )
         return boxes.select(are_valid_boxes(boxes.xyxy_px))
 
 
@@ -64,27 +71,27 @@ def validate(
     min_boxes: int,
     done: Callable[[int], None],
 ) -> DetectionScores:
-    """Figures of a network on labelled images.
+    """Scores of a network on labelled images.
 
     Args:
         detector: the network.
-        images: with their truth.
-        road_class_id: the classes that it knows.
-        min_boxes: classes with fewer labels are not averaged, unless all have fewer.
-        done: told after each image how many it has seen.
+        images: images with their truth.
+        road_class_id: classes of the network.
+        min_boxes: classes with fewer labels are not averaged, unless all classes have fewer.
+        done: callback after each image with the number of images so far.
     """
-    found, truth = [], []
+    detections, truth = [], []
     for image, labels in images:
-        found.append(detector.detect(image))
+        detections.append(detector.detect(image))
         truth.append(labels)
         done(len(truth))
     counted = [labels.class_id[~labels.is_ignored] for labels in truth]
     counted = [ids[labels.is_complete[ids]] for ids, labels in zip(counted, truth, strict=True)]
-    most = int(np.bincount(np.concatenate(counted), minlength=1).max())  # of a small set, the commonest class counts
+    most = int(np.bincount(np.concatenate(counted), minlength=1).max())
     return evaluate_detections(
-        found,
+        detections,
         truth,
         working_score=np.full(len(ROAD_CLASSES), _WORKING_SCORE),
         known_class_id=road_class_id,
-        min_boxes=max(min(min_boxes, most), 1),
+        min_boxes=max(min(min_boxes, most), 1),  # at least the most frequent class is averaged
     )

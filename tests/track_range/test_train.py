@@ -85,7 +85,7 @@ def test_a_teacher_and_a_start(drawn, tmp_path, cli):
     status, _, complaint = train(cli, data, tmp_path / "second", "--epochs", 1, "--teacher", model, "--weights", start)
     assert (status, complaint) == (0, "")
     status, _, complaint = train(cli, data, tmp_path / "third", "--teacher", "no_such_model")
-    assert (status, "no model of that name" in complaint) == (1, True)
+    assert (status, "no_such_model" in complaint) == (1, True)
 
 
 def test_anchors_are_told_with_how_well_they_fit(drawn, cli):
@@ -100,7 +100,7 @@ def test_anchors_are_told_with_how_well_they_fit(drawn, cli):
     told = cli("anchors", "--data", data, "--size", 160, "--clusters", 6)[1]
     assert [len(head.split()) for head in told.splitlines()[-1].split(" / ")] == [3, 3]  # as --anchors takes them
     status, _, complaint = cli("anchors", "--data", data, "--clusters", 32)
-    assert (status, "32 anchors want as many boxes" in complaint) == (1, True)
+    assert (status, "32 anchors require" in complaint) == (1, True)
 
 
 def test_wrong_data_is_one_sentence(drawn, tmp_path, cli):
@@ -110,7 +110,7 @@ def test_wrong_data_is_one_sentence(drawn, tmp_path, cli):
     status, _, complaint = train(cli, wrong, tmp_path / "run")
     assert status == 1
     assert complaint.count("\n") == 1
-    assert "no such folder" in complaint
+    assert "expected a folder" in complaint
 
 
 def test_without_pytorch_it_says_what_to_install(drawn, tmp_path, cli, monkeypatch):
@@ -127,7 +127,7 @@ def test_a_gpu_that_is_not_there_is_told_in_one_line(drawn, tmp_path, cli, monke
     status, told, _ = train(cli, data, tmp_path / "run", "--epochs", 1, "--device", "cuda")
     assert (status, "--device cuda is not available" in told) == (0, True)
     status, _, complaint = train(cli, data, tmp_path / "other", "--device", "abacus")
-    assert (status, "no device of that name" in complaint) == (1, True)
+    assert (status, "--device: expected auto" in complaint) == (1, True)
 
 
 def test_damaged_images_are_counted_and_the_rest_is_learnt(tmp_path, cli):
@@ -143,10 +143,10 @@ def test_damaged_images_are_counted_and_the_rest_is_learnt(tmp_path, cli):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--size", 100), "--size 100: a multiple of 32 wanted, such as 96"),
-        (("--gain", 2, 1), "--gain 2 1: 0.05 <= MIN <= MAX <= 16 wanted"),
-        (("--gain", 0, 1), "--gain 0 1: 0.05 <= MIN"),
-        (("--gain", 1, "nan"), "--gain 1 nan: 0.05 <= MIN"),
+        (("--size", 100), "--size: expected a multiple of 32"),
+        (("--gain", 2, 1), "--gain: expected 0.05 <= MIN <= MAX <= 16"),
+        (("--gain", 0, 1), "got 0 1"),
+        (("--gain", 1, "nan"), "got 1 nan"),
     ],
 )
 def test_settings_that_cannot_be_are_told_before_anything_is_read(drawn, tmp_path, cli, options, said):

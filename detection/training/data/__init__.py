@@ -1,1 +1,1 @@
-"""Labelled images: from data.yaml to augmented batches."""
+"""Training data: from data.yaml to augmented batches."""

@@ -1,4 +1,4 @@
-"""Batches: training images made in the background, the same ones for the same seed, epoch and position."""
+"""Batches of training images, made in background threads and reproducible for a seed, epoch and position."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from track_range.detection.training.losses.assignment import Objects
 from track_range.detection.training.losses.detection_loss import Batch, Completeness
 from track_range.foundation.arrays import IntArray
 
-_AHEAD = 3
-"""Batches made before they are wanted."""
+_N_AHEAD = 3
+"""Number of batches that are made in advance."""
 
 
 class BatchMaker:
-    """Makes an epoch's batches; what comes depends on the seed, the epoch and the position in it alone."""
+    """Generator of training batches, which depend only on the seed, the epoch and the position in the epoch."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class BatchMaker:
         self._seed, self._n_workers = seed, n_workers
 
     def __len__(self) -> int:
-        """Batches per epoch; the last one is not filled up, but left out if it had a single image."""
+        """Number of batches per epoch; the last one may be smaller, and is left out if it has a single image."""
         whole, rest = divmod(len(self._images), self._batch_size)
         return max(whole + (rest > 1), 1)
 
@@ -43,15 +43,15 @@ class BatchMaker:
         """The batches of one epoch."""
         order = np.random.default_rng((self._seed, number)).permutation(len(self._images))
         chunks = [order[i : i + self._batch_size] for i in range(0, len(order), self._batch_size)]
-        chunks = chunks[: len(self)]  # batch norm learns nothing good from one image
+        chunks = chunks[: len(self)]  # the statistics of batch norm need more than one image
         with ThreadPoolExecutor(self._n_workers) as makers, ThreadPoolExecutor(1) as gatherer:
             waiting: list[Future[Batch]] = []
-            made: Iterator[IntArray] = iter(chunks)
+            remaining: Iterator[IntArray] = iter(chunks)
             try:
-                for chunk in made:
+                for chunk in remaining:
                     parts = [makers.submit(self._sample, number, int(index), settings) for index in chunk]
                     waiting.append(gatherer.submit(self._gathered, parts))
-                    if len(waiting) > _AHEAD:
+                    if len(waiting) > _N_AHEAD:
                         yield waiting.pop(0).result()
                 while waiting:
                     yield waiting.pop(0).result()
@@ -61,14 +61,16 @@ class BatchMaker:
                 makers.shutdown(wait=False, cancel_futures=True)
 
     def _sample(self, epoch: int, index: int, settings: AugmentationSettings) -> LabelledPixels:
+        """One augmented training image."""
         rng = np.random.default_rng((self._seed, epoch, index))
         if rng.random() >= settings.mosaic:
             return single(self._images.load(index), self._size_px, settings, rng)
         others = rng.integers(0, len(self._images), 3)
-        sources = [self._images.load(int(each)) for each in (index, *others)]
+        sources = [self._images.load(int(i)) for i in (index, *others)]
         return mosaic([sources[i] for i in rng.permutation(4)], self._size_px, settings, rng)
 
     def _gathered(self, parts: Sequence[Future[LabelledPixels]]) -> Batch:
+        """The batch of several training images."""
         samples = [part.result() for part in parts]
         images = torch.from_numpy(np.stack([sample.image for sample in samples])).permute(0, 3, 1, 2)
         complete = torch.from_numpy(np.stack([sample.is_complete for sample in samples]))
@@ -77,7 +79,7 @@ class BatchMaker:
 
 
 def scaled(images: Tensor) -> Tensor:
-    """(B, 3, H, W) uint8 -> float32 in 0..1, what networks see."""
+    """(B, 3, H, W) float32 images in 0..1, the input of networks, from uint8 images."""
     return images.float() / 255
 
 

@@ -1,4 +1,4 @@
-"""Sets of labelled images: what training wants of them, and images in memory, read again where they do not fit."""
+"""Sets of labelled images: the protocols that training uses, and a set that caches images in memory."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 
 _MEMORY_SHARE = 0.5
-"""Of the free memory that images may take."""
+"""Largest fraction of the free memory that cached images use."""
 
 _UNKNOWN_MEMORY_BYTES = 2 << 30
+"""Size of the cache if the free memory is unknown."""
+
 _N_READERS = 4
+"""Number of threads that read images."""
 
 
 class LabelledSet(Protocol):
-    """Images with labels, by number."""
+    """Labelled images by index."""
 
     def __len__(self) -> int: ...
 
     def load(self, index: int) -> LabelledPixels:
-        """Image and labels of one number."""
+        """Image and labels with this index."""
         ...
 
 
@@ -45,12 +48,12 @@ class ValidationSet(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TrainingSets:
-    """What to learn from.
+    """Data of a training run.
 
     Attributes:
-        train, validation: images.
+        train, validation: images with labels.
         road_class_id: (C,) road class of each of the network's classes.
-        name: tells this data from other data.
+        name: identifier of the data, to recognise it when a run is resumed.
     """
 
     train: LabelledSet
@@ -60,10 +63,10 @@ class TrainingSets:
 
 
 class CachedImages:
-    """Labelled images by number.
+    """Labelled images that are cached in memory as far as they fit, and read again otherwise.
 
     Attributes:
-        unreadable: a sentence on each image that could not be read and was left out.
+        unreadable: a message on each image that could not be read and was left out.
     """
 
     def __init__(
@@ -79,19 +82,19 @@ class CachedImages:
 
         Args:
             items: the images.
-            road_class_id: (C,) road class of each class to be learnt.
-            max_side_px: images with a longer side are kept scaled down to it; None = as they are.
-            max_bytes: that may be kept; None = half of the free memory.
-            progress: told after each image: how many are read, and of how many.
+            road_class_id: (C,) road class of each of the network's classes.
+            max_side_px: images are downscaled to this longer side; None = no limit.
+            max_bytes: size of the cache; None = half of the free memory.
+            progress: callback after each image with the number of images read and their total.
 
         Raises:
-            ImageFileError: none of them can be read.
+            ImageFileError: none of the images can be read.
         """
         self._road_class_id, self._max_side_px = road_class_id, max_side_px
         self._index_of = np.full(len(ROAD_CLASSES), -1)
         self._index_of[road_class_id] = np.arange(len(road_class_id))
         self._items: list[LabelledImage] = []
-        self._kept: list[Image | None] = []
+        self._cache: list[Image | None] = []
         self._scale: list[float] = []
         self.unreadable: list[str] = []
         room = _free_bytes() if max_bytes is None else max_bytes
@@ -105,24 +108,24 @@ class CachedImages:
                 fits = image.nbytes <= room
                 room -= image.nbytes if fits else 0
                 self._items.append(item)
-                self._kept.append(image if fits else None)
+                self._cache.append(image if fits else None)
                 self._scale.append(scale)
         if not self._items:
-            raise ImageFileError(f"none of the {len(items)} images can be read, the first: {self.unreadable[0]}")
+            raise ImageFileError(f"none of the {len(items)} images can be read; the first: {self.unreadable[0]}")
 
     def __len__(self) -> int:
         return len(self._items)
 
     @property
-    def n_kept(self) -> int:
-        """Images that are in memory."""
-        return sum(image is not None for image in self._kept)
+    def n_cached(self) -> int:
+        """Number of images in memory."""
+        return sum(image is not None for image in self._cache)
 
     def load(self, index: int) -> LabelledPixels:
-        """Image and labels, by the classes to be learnt.
+        """Image and labels with the network's classes.
 
         Raises:
-            ImageFileError: an image that is not in memory cannot be read any more.
+            ImageFileError: the image is not in memory and cannot be read again.
         """
         item = self._items[index]
         image = self._image(index)
@@ -137,7 +140,7 @@ class CachedImages:
         )
 
     def box_sizes_px(self, longer_side_px: int) -> FloatArray:
-        """(N, 2) width and height of all boxes to be learnt, each image scaled to a longer side."""
+        """(N, 2) width and height of all boxes that are not ignored, with each image scaled to `longer_side_px`."""
         sizes = [np.zeros((0, 2))]
         for index in range(len(self)):
             item = self.load(index)
@@ -146,17 +149,17 @@ class CachedImages:
         return np.concatenate(sizes)
 
     def __iter__(self) -> Iterator[tuple[Image, ImageTruth]]:
-        """Images as they were read, with their labels; only where they are not scaled down."""
+        """Images and labels; only for sets without `max_side_px`."""
         for index, item in enumerate(self._items):
             image = self._image(index)
             yield image, item.truth_in(image)
 
     def _image(self, index: int) -> Image:
-        image = self._kept[index]
+        image = self._cache[index]
         return self._scaled(read_image(self._items[index].path))[0] if image is None else image
 
     def _scaled(self, image: Image) -> tuple[Image, float]:
-        """The image no larger than wanted, and its scale."""
+        """The image, downscaled to the largest side if necessary, and its scale."""
         scale = 1.0 if self._max_side_px is None else min(self._max_side_px / max(image.shape[:2]), 1.0)
         if scale == 1.0:
             return image, scale
@@ -164,7 +167,7 @@ class CachedImages:
         return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8), scale
 
     def _read(self, item: LabelledImage) -> tuple[Image, float] | str:
-        """The image and its scale, or why there is none."""
+        """The image and its scale, or the message of the error."""
         try:
             return self._scaled(read_image(item.path))
         except ImageFileError as error:
@@ -172,12 +175,12 @@ class CachedImages:
 
 
 def _free_bytes() -> int:
-    """What images may take of the memory: of what Linux says is available, and of what a container may use."""
+    """Size of the cache in bytes, from the free memory of Linux and the limit of the container."""
     known = []
     with suppress(OSError, ValueError, IndexError):
         line = next(line for line in Path("/proc/meminfo").read_text().splitlines() if line.startswith("MemAvailable"))
         known.append(1024 * int(line.split()[1]))
-    with suppress(OSError, ValueError):  # "max" where there is no limit
+    with suppress(OSError, ValueError):  # "max" = no limit
         limit, used = (int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current"))
         known.append(max(limit - used, 0))
     return int(min(known) * _MEMORY_SHARE) if known else _UNKNOWN_MEMORY_BYTES

@@ -1,1 +1,1 @@
-"""The detection loss: assignment of anchors to objects, box and class losses."""
+"""The detection loss: assignment of objects to anchors, and losses of boxes, objectness and classes."""

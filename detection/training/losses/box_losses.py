@@ -1,10 +1,10 @@
-"""Box losses: 1 - IoU with penalties for how far apart the centres are and how the sides differ.
+"""Similarities of boxes for box losses 1 - CIoU and 1 - EIoU: IoU with penalties for distance and shape.
 
-    CIoU = IoU - d^2 / c^2 - a v       v = 4 / pi^2 (atan(w'/h') - atan(w/h))^2     a = v / (1 - IoU + v)
+    CIoU = IoU - d^2 / c^2 - alpha v    v = 4 / pi^2 (atan(w'/h') - atan(w/h))^2    alpha = v / (1 - IoU + v)
     EIoU = IoU - d^2 / c^2 - (w - w')^2 / C_w^2 - (h - h')^2 / C_h^2
 
-d is the distance of the centres, C_w and C_h the sides of the smallest box around both, c its diagonal. a is held
-constant under the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for CIoU; Zhang et al., "Focal and Efficient
+d is the distance of the centres, C_w and C_h are the sides of the smallest enclosing box, c is its diagonal. alpha is
+constant in the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for CIoU; Zhang et al., "Focal and Efficient
 IOU Loss", Neurocomputing 2022, for EIoU.)
 """
 
@@ -21,17 +21,17 @@ from torch import Tensor
 BoxLoss = Literal["ciou", "eiou"]
 
 _EPSILON = 1e-7
-"""Keeps boxes without extent from dividing by zero."""
+"""Number added to denominators, to avoid division by zero for empty boxes."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """What both losses are made of; all (P,).
+    """Terms that CIoU and EIoU share, for P pairs of boxes.
 
     Attributes:
-        iou: intersection over union.
-        centres: squared distance of the centres over the enclosing box's squared diagonal.
-        enclosing: (P, 2) width and height of the smallest box around both.
+        iou: (P,) intersection over union.
+        centres: (P,) d^2 / c^2, squared distance of the centres over squared diagonal of the enclosing box.
+        enclosing: (P, 2) C_w and C_h, width and height of the smallest enclosing box.
     """
 
     iou: Tensor
@@ -40,17 +40,17 @@ class _Pair:
 
 
 def ciou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
-    """(P,) complete IoU, at most 1, of boxes (P, 4) pairwise."""
+    """(P,) complete IoU, at most 1, of P pairs of boxes (P, 4)."""
     pair = _pair(a_cxcywh, b_cxcywh)
-    slopes = [torch.atan(box[:, 2] / (box[:, 3] + _EPSILON)) for box in (a_cxcywh, b_cxcywh)]
-    v = (4 / math.pi**2) * (slopes[1] - slopes[0]) ** 2
+    angles = [torch.atan(box[:, 2] / (box[:, 3] + _EPSILON)) for box in (a_cxcywh, b_cxcywh)]
+    v = (4 / math.pi**2) * (angles[1] - angles[0]) ** 2
     with torch.no_grad():
-        weight = v / (1 - pair.iou + v + _EPSILON)
-    return pair.iou - pair.centres - weight * v
+        alpha = v / (1 - pair.iou + v + _EPSILON)
+    return pair.iou - pair.centres - alpha * v
 
 
 def eiou(a_cxcywh: Tensor, b_cxcywh: Tensor) -> Tensor:
-    """(P,) efficient IoU, at most 1, of boxes (P, 4) pairwise."""
+    """(P,) efficient IoU, at most 1, of P pairs of boxes (P, 4)."""
     pair = _pair(a_cxcywh, b_cxcywh)
     sides = (a_cxcywh[:, 2:] - b_cxcywh[:, 2:]) ** 2 / (pair.enclosing**2 + _EPSILON)
     return pair.iou - pair.centres - sides.sum(1)
@@ -61,11 +61,11 @@ BOX_LOSSES: Mapping[BoxLoss, Callable[[Tensor, Tensor], Tensor]] = {"ciou": ciou
 
 def _pair(a: Tensor, b: Tensor) -> _Pair:
     (a1, a2), (b1, b2) = _corners(a), _corners(b)
-    shared = (torch.minimum(a2, b2) - torch.maximum(a1, b1)).clamp(min=0).prod(1)
-    union = a[:, 2:].prod(1) + b[:, 2:].prod(1) - shared
+    intersection = (torch.minimum(a2, b2) - torch.maximum(a1, b1)).clamp(min=0).prod(1)
+    union = a[:, 2:].prod(1) + b[:, 2:].prod(1) - intersection
     enclosing = torch.maximum(a2, b2) - torch.minimum(a1, b1)
     distance = ((a[:, :2] - b[:, :2]) ** 2).sum(1)
-    return _Pair(shared / (union + _EPSILON), distance / ((enclosing**2).sum(1) + _EPSILON), enclosing)
+    return _Pair(intersection / (union + _EPSILON), distance / ((enclosing**2).sum(1) + _EPSILON), enclosing)
 
 
 def _corners(cxcywh: Tensor) -> tuple[Tensor, Tensor]:

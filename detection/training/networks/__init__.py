@@ -1,1 +1,1 @@
-"""Networks that can be trained, their anchors, weights and export."""
+"""Networks that can be trained, and their anchors, weights and export."""

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 
 class ConvolutionBlock(nn.Module):
-    """Convolution without bias, batch norm, activation (SiLU unless told); "same" padding."""
+    """Convolution without bias, batch norm and activation (default SiLU), with "same" padding by default."""
 
     def __init__(
         self,
@@ -28,13 +28,13 @@ class ConvolutionBlock(nn.Module):
         self.activation = activation or nn.SiLU(inplace=True)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, n_in, H, W) -> (B, n_out, H / stride, W / stride)."""
+        """(B, n_out, H / stride, W / stride) from `x` (B, n_in, H, W)."""
         activated: Tensor = self.activation(self.norm(self.conv(x)))
         return activated
 
 
 class Bottleneck(nn.Module):
-    """A 1x1 and a 3x3 convolution, added to what went in where told."""
+    """A 1x1 and a 3x3 convolution; a residual block adds its input."""
 
     def __init__(self, n_channels: int, *, is_residual: bool = True) -> None:
         super().__init__()
@@ -43,13 +43,13 @@ class Bottleneck(nn.Module):
         self.is_residual = is_residual
 
     def forward(self, x: Tensor) -> Tensor:
-        """Keeps the shape."""
+        """Output in the shape of `x`."""
         y: Tensor = self.expand(self.reduce(x))
         return x + y if self.is_residual else y
 
 
 class C3(nn.Module):
-    """Cross-stage block of three convolutions and `n_bottlenecks`; with attention on its output where told."""
+    """Cross-stage block of three convolutions and `n_bottlenecks` bottlenecks, optionally with CBAM on its output."""
 
     def __init__(
         self, n_in: int, n_out: int, n_bottlenecks: int, *, is_residual: bool = True, has_attention: bool = False
@@ -63,13 +63,13 @@ class C3(nn.Module):
         self.attention: nn.Module = Cbam(n_out) if has_attention else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, n_in, H, W) -> (B, n_out, H, W)."""
+        """(B, n_out, H, W) from `x` (B, n_in, H, W)."""
         joined: Tensor = self.attention(self.join(torch.cat([self.steps(self.main(x)), self.side(x)], dim=1)))
         return joined
 
 
 class Sppf(nn.Module):
-    """Spatial pyramid pooling: three 5x5 max pools in a row see as much as 5, 9 and 13 side by side."""
+    """Spatial pyramid pooling: three consecutive 5x5 max pools, equivalent to parallel ones of 5x5, 9x9 and 13x13."""
 
     def __init__(self, n_in: int, n_out: int) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ class Sppf(nn.Module):
         self.pool = nn.MaxPool2d(5, stride=1, padding=2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, n_in, H, W) -> (B, n_out, H, W)."""
+        """(B, n_out, H, W) from `x` (B, n_in, H, W)."""
         parts = [self.reduce(x)]
         for _ in range(3):
             parts.append(self.pool(parts[-1]))
@@ -104,7 +104,7 @@ class Cbam(nn.Module):
         self.spatial = nn.Conv2d(2, 1, 7, padding=3, bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Keeps the shape."""
+        """Output in the shape of `x`."""
         channel = torch.sigmoid(self.mlp(x.mean((2, 3), keepdim=True)) + self.mlp(x.amax((2, 3), keepdim=True)))
         x = x * channel
         spatial = torch.sigmoid(self.spatial(torch.cat([x.mean(1, keepdim=True), x.amax(1, keepdim=True)], dim=1)))

@@ -1,7 +1,7 @@
-"""Export: a trained network as one .onnx file that the ordinary detector loads without being told anything.
+"""Export of a trained network as an .onnx file that `YoloDetector` loads without options.
 
-The boxes are decoded in the graph (rows of centre, size, objectness, class scores in input pixels, YOLOv5's layout),
-the input size is open, and the metadata has all that `detection.models.metadata` reads.
+The graph decodes the boxes (rows of centre, size, objectness and class scores in input pixels, YOLOv5's layout), the
+input size is variable, and the metadata has the attributes that `detection.models.metadata` reads.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ _OPSET = 17
 
 
 class _Decoded(nn.Module):
-    """A network whose output is its decoded rows."""
+    """A network with decoded output."""
 
     def __init__(self, network: AnchorNetwork) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, images: Tensor) -> Tensor:
-        """(B, 3, H, W) -> (B, N, 5 + classes)."""
+        """(B, N, 5 + classes) decoded boxes of images (B, 3, H, W)."""
         return self.network.decode(self.network(images))
 
 
 def export_onnx(network: AnchorNetwork, out: Path, metadata: Mapping[str, object]) -> None:
-    """Write a network as ONNX; `metadata` values are written as JSON.
+    """Write a network as an ONNX file with `metadata`, whose values are converted to JSON.
 
     Raises:
-        ModelError: it cannot be converted or written.
+        ModelError: the network cannot be converted, or the file cannot be written.
     """
-    decoded = _Decoded(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays where it is
+    decoded = _Decoded(copy.deepcopy(network)).cpu().float().eval()  # the network itself stays on its device
     with atomic_output(out) as folder:
         path = folder / out.name
         with silent_conversion(out, "exported"):

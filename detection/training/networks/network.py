@@ -1,4 +1,4 @@
-"""AnchorNetwork: what the loss, the validation and the export want of a YOLO network with anchors."""
+"""AnchorNetwork: the base class of YOLO networks with anchors, as used by loss, validation and export."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from track_range.detection.models.metadata import Anchors
 
 
 class AnchorNetwork(nn.Module):
-    """A network with some heads, each a grid of cells with A boxes per cell.
+    """A network with several heads, each a grid of cells with A boxes per cell.
 
     Attributes:
-        name: such as "yolov5n".
+        name: name of the network, such as "yolov5n".
         n_classes: number of classes.
-        has_cbam: there is attention in its backbone.
+        has_cbam: the backbone has CBAM attention.
         anchors_px: (heads, A, 2) width and height in input pixels.
-        strides_px: side of a cell per head, in the order of `forward`'s outputs.
-        reach_cells: how far a centre may lie outside the cell that is responsible for it.
-        max_ratio: how many times larger or smaller than its anchor a box may be.
+        strides_px: side of a cell in pixels for each head, in the order of `forward`'s outputs.
+        reach_cells: largest distance of a predicted centre outside its cell, in cells.
+        max_ratio: largest ratio of the sides of a box and its anchor.
     """
 
     anchors_px: Tensor
@@ -35,28 +35,31 @@ class AnchorNetwork(nn.Module):
 
     @property
     def n_anchors(self) -> int:
-        """Boxes per cell."""
+        """Number of boxes per cell."""
         return int(self.anchors_px.shape[1])
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """(B, 3, H, W) RGB in 0..1, sides in whole strides -> per head (B, A, rows, columns, 5 + classes), raw."""
+        """Raw outputs (B, A, rows, columns, 5 + classes) of each head for images (B, 3, H, W), RGB in 0..1.
+
+        H and W must be divisible by the largest stride.
+        """
         raise NotImplementedError
 
     def boxes(self, raw: Tensor, cells_xy: Tensor, anchors_px: Tensor, stride_px: int) -> Tensor:
-        """(..., 4) raw box numbers -> (..., 4) centre and size in input pixels.
+        """(..., 4) centre and size in input pixels of boxes.
 
         Args:
-            raw: (..., 4).
-            cells_xy: (..., 2) column and row.
-            anchors_px: (..., 2) width and height.
+            raw: (..., 4) raw outputs.
+            cells_xy: (..., 2) column and row of the cells.
+            anchors_px: (..., 2) width and height of the anchors.
             stride_px: side of a cell.
         """
         raise NotImplementedError
 
     def decode(self, raw: Sequence[Tensor]) -> Tensor:
-        """`forward`'s outputs -> (B, N, 5 + classes): centre, size in input pixels, objectness, class scores.
+        """(B, N, 5 + classes) centre, size in input pixels, objectness and class scores, from `forward`'s outputs.
 
-        Rows run head by head, anchor by anchor, row by row: the layout of YOLOv5's own export.
+        The boxes are ordered by head, anchor, row and column, as in YOLOv5's official export.
         """
         rows = []
         for head, stride_px, anchors_px in zip(raw, self.strides_px, self.anchors_px, strict=True):
@@ -68,16 +71,17 @@ class AnchorNetwork(nn.Module):
         return torch.cat(rows, 1)
 
     def as_heads(self, predictions: Sequence[Tensor]) -> list[Tensor]:
-        """Convolutions' outputs (B, A (5 + classes), rows, columns) -> (B, A, rows, columns, 5 + classes)."""
+        """Outputs (B, A, rows, columns, 5 + classes) from the convolutions' (B, A (5 + classes), rows, columns)."""
         heads = []
-        for each in predictions:
-            batch, _, n_rows, n_columns = each.shape
-            heads.append(each.view(batch, self.n_anchors, 5 + self.n_classes, n_rows, n_columns).permute(0, 1, 3, 4, 2))
+        for output in predictions:
+            batch, _, n_rows, n_columns = output.shape
+            grid = output.view(batch, self.n_anchors, 5 + self.n_classes, n_rows, n_columns)
+            heads.append(grid.permute(0, 1, 3, 4, 2))
         return heads
 
 
 def placed(network: AnchorNetwork, device: torch.device) -> AnchorNetwork:
-    """The network itself, moved to a device, its weights in the layout that convolutions are fastest in."""
+    """The network after moving it to a device, with weights in the memory layout that is fastest for convolutions."""
     network.to(device)
     for parameter in network.parameters():
         if parameter.dim() == 4:
@@ -86,7 +90,7 @@ def placed(network: AnchorNetwork, device: torch.device) -> AnchorNetwork:
 
 
 def cells_xy(n_rows: int, n_columns: int, *, device: torch.device) -> Tensor:
-    """(rows, columns, 2) column and row of each cell."""
+    """(rows, columns, 2) column and row of each cell of a grid."""
     rows, columns = torch.arange(n_rows, device=device), torch.arange(n_columns, device=device)
     y, x = torch.meshgrid(rows, columns, indexing="ij")
     return torch.stack([x, y], -1).float()

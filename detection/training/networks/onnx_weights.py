@@ -1,4 +1,4 @@
-"""Weights of an exported YOLOv5 back into the PyTorch network: teachers then run as fast as their students."""
+"""Import of the weights of an exported YOLOv5 into the PyTorch network, so that teachers run as fast as students."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, SCAL
 
 
 def yolov5_of_export(path: Path) -> YoloV5:
-    """A YOLOv5n or s, ready to answer, from its official export (batch norms folded into the convolutions).
+    """A YOLOv5n or YOLOv5s in evaluation mode, from its official export (with folded batch norms).
 
     Raises:
-        ModelError: unreadable, or other convolutions than those of a YOLOv5 with COCO's anchors.
+        ModelError: the file cannot be read, or does not have the convolutions of a YOLOv5n or YOLOv5s.
     """
     weights = _convolutions(path)
     for name in SCALES:
@@ -26,35 +26,35 @@ def yolov5_of_export(path: Path) -> YoloV5:
         if n_classes < 1:
             break
         network = YoloV5(name, n_classes, anchors_px=COCO_ANCHORS_PX).eval()
-        mine = _in_order(network)
-        if [tuple(each.weight.shape) for each in mine] == [weight.shape for weight, _ in weights]:
-            _fill(mine, weights)
+        convolutions = _in_order(network)
+        if [tuple(conv.weight.shape) for conv in convolutions] == [weight.shape for weight, _ in weights]:
+            _fill(convolutions, weights)
             for module in network.modules():
                 if hasattr(module, "norm"):
                     module.norm = nn.Identity()
             return network
-    raise ModelError(f"{path}: a teacher must be an export of {' or '.join(SCALES)}; its convolutions are not theirs.")
+    raise ModelError(f"{path}: expected an export of {' or '.join(SCALES)} as the teacher, got another network.")
 
 
 def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Weights and biases in the order of the graph."""
+    """Weights and biases of the convolutions, in the order of the graph."""
     try:
         graph = onnx.load(str(path)).graph
     except Exception as error:  # onnx and protobuf raise unrelated types
         raise ModelError(f"{path}: not a readable ONNX model ({type(error).__name__}).") from error
-    values = {each.name: each for each in graph.initializer}
-    for node in graph.node:  # equal weights may be kept once
+    values = {tensor.name: tensor for tensor in graph.initializer}
+    for node in graph.node:  # equal weights may be stored once
         if node.op_type == "Identity" and node.input[0] in values:
             values[node.output[0]] = values[node.input[0]]
     nodes = [node for node in graph.node if node.op_type == "Conv"]
     if not nodes or any(len(node.input) != 3 or not set(node.input[1:]) <= values.keys() for node in nodes):
-        raise ModelError(f"{path}: a teacher wants a float32 export with its batch norms folded.")
+        raise ModelError(f"{path}: expected a float32 export with folded batch norms as the teacher.")
     arrays = [[numpy_helper.to_array(values[name]) for name in node.input[1:]] for node in nodes]
     return [(weight, bias) for weight, bias in arrays]
 
 
 def _in_order(network: nn.Module) -> list[nn.Conv2d]:
-    """The convolutions in the order in which they run."""
+    """The convolutions of a network in the order of execution."""
     order: list[nn.Conv2d] = []
     hooks = [
         module.register_forward_pre_hook(lambda conv, _: order.append(conv))
@@ -69,6 +69,7 @@ def _in_order(network: nn.Module) -> list[nn.Conv2d]:
 
 
 def _fill(convolutions: list[nn.Conv2d], weights: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Set weights and biases of the convolutions."""
     for conv, (weight, bias) in zip(convolutions, weights, strict=True):
         conv.weight = nn.Parameter(torch.from_numpy(weight.copy()), requires_grad=False)
         conv.bias = nn.Parameter(torch.from_numpy(bias.copy()), requires_grad=False)

@@ -1,4 +1,4 @@
-"""Networks by name, with their default anchors."""
+"""The networks that can be trained, by name, with their default anchors."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class NetworkKind:
     """A network that can be trained.
 
     Attributes:
-        family: its name for people.
-        make: builds it.
-        anchors_px: its own, per head.
+        family: name for display.
+        make: function that creates the network.
+        anchors_px: default anchors of each head in input pixels.
     """
 
     family: str
@@ -28,12 +28,12 @@ class NetworkKind:
 
     @property
     def n_heads(self) -> int:
-        """Output grids."""
+        """Number of heads."""
         return len(self.anchors_px)
 
     @property
     def n_anchors(self) -> int:
-        """Anchors of all heads."""
+        """Number of anchors of all heads."""
         return sum(len(head) for head in self.anchors_px)
 
 
@@ -47,6 +47,6 @@ NETWORKS: Mapping[str, NetworkKind] = {
 def make_network(
     name: str, n_classes: int, *, anchors_px: Anchors | None = None, has_cbam: bool = False
 ) -> AnchorNetwork:
-    """A network with random weights, with its own anchors unless told."""
+    """A network with random weights and, unless `anchors_px` are given, its default anchors."""
     kind = NETWORKS[name]
     return kind.make(name, n_classes, anchors_px=anchors_px or kind.anchors_px, has_cbam=has_cbam)

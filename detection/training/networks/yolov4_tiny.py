@@ -4,7 +4,7 @@
     centre = (1.05 sigmoid(xy) - 0.025 + cell) stride      size = exp(wh) anchor
 
 (Bochkovskiy et al., "YOLOv4", 2020; Jiang et al., "Real-time object detection method based on improved YOLOv4-tiny",
-2020, for the network in words and its CSP blocks; scale_x_y = 1.05 as in AlexeyAB's yolov4-tiny.cfg.)
+2020, for a description of the network and its CSP blocks; scale_x_y = 1.05 as in AlexeyAB's yolov4-tiny.cfg.)
 """
 
 from __future__ import annotations
@@ -15,19 +15,21 @@ from torch import Tensor, nn
 from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.networks.blocks import Cbam, ConvolutionBlock
 from track_range.detection.training.networks.network import AnchorNetwork
-from track_range.detection.training.networks.yolov5 import quiet_head
+from track_range.detection.training.networks.yolov5 import background_head
 from track_range.detection.yolo.layouts import YOLOV4_TINY_ANCHORS
 
 DEFAULT_ANCHORS_PX: Anchors = YOLOV4_TINY_ANCHORS[::-1]
-"""Stride 16 first."""
+"""Anchors in input pixels, stride 16 first."""
 
 _SCALE_X_Y = 1.05
+"""Darknet's factor on the range of the centre offsets."""
+
 _MAX_LOG_SIZE = 6.0
-"""exp of it is 400: no box is that many times its anchor, and nothing overflows early in training."""
+"""Largest logarithm of the ratio of a box and its anchor (a ratio of 400), to avoid overflow early in training."""
 
 
 class CspBlock(nn.Module):
-    """A cross-stage block: half of the channels go through two convolutions; all are joined, and the size is halved."""
+    """Cross-stage block: two convolutions on half of the channels, concatenation with all channels, 2x2 max pooling."""
 
     def __init__(self, n_channels: int, *, has_attention: bool) -> None:
         super().__init__()
@@ -40,7 +42,7 @@ class CspBlock(nn.Module):
         self.pool = nn.MaxPool2d(2, 2)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, n, H, W) -> (B, 2 n, H / 2, W / 2), and (B, n, H, W) what the neck takes from the last block."""
+        """Output (B, 2 n, H / 2, W / 2) for `x` (B, n, H, W), and features (B, n, H, W) for the neck."""
         start = self.start(x)
         first = self.first(start[:, start.shape[1] // 2 :])
         joined = self.join(torch.cat([self.second(first), first], 1))
@@ -62,7 +64,7 @@ class YoloV4Tiny(AnchorNetwork):
         self.out_p4 = _block(384, 256, size=3)
         self.out_p5 = _block(256, 512, size=3)
         self.heads = nn.ModuleList(
-            quiet_head(n, self.n_anchors, n_classes, stride_px=stride)
+            background_head(n, self.n_anchors, n_classes, stride_px=stride)
             for n, stride in zip((256, 512), self.strides_px, strict=True)
         )
 

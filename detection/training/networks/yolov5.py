@@ -24,12 +24,12 @@ COCO_ANCHORS_PX: Anchors = (
     ((30, 61), (62, 45), (59, 119)),
     ((116, 90), (156, 198), (373, 326)),
 )
-"""YOLOv5's own, from COCO at 640 pixels."""
+"""YOLOv5's default anchors in input pixels, for COCO at 640 pixels."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How deep and wide a variant is, as multiples of the largest plan."""
+    """Depth and width of a variant as multiples of those of the base architecture (YOLOv5l)."""
 
     depth: float
     width: float
@@ -70,7 +70,7 @@ class YoloV5(AnchorNetwork):
         self.out_p5 = C3(2 * c4, c5, d1, is_residual=False)
         self.up = nn.Upsample(scale_factor=2, mode="nearest")
         self.heads = nn.ModuleList(
-            quiet_head(c, self.n_anchors, n_classes, stride_px=stride)
+            background_head(c, self.n_anchors, n_classes, stride_px=stride)
             for c, stride in zip((c3, c4, c5), self.strides_px, strict=True)
         )
 
@@ -92,8 +92,8 @@ class YoloV5(AnchorNetwork):
         return torch.cat([centre, (2 * predictions[..., 2:]) ** 2 * anchors_px], -1)
 
 
-def quiet_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int) -> nn.Conv2d:
-    """A head whose biases say: about 8 objects in an image of 640 pixels, all classes alike (YOLOv5's start)."""
+def background_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int) -> nn.Conv2d:
+    """A head with the initial biases of YOLOv5: about 8 objects per image of 640 pixels, equal class probabilities."""
     head = nn.Conv2d(n_in, n_anchors * (5 + n_classes), 1)
     with torch.no_grad():
         if head.bias is not None:
@@ -104,5 +104,5 @@ def quiet_head(n_in: int, n_anchors: int, n_classes: int, *, stride_px: int) -> 
 
 
 def _width(n_channels: int, scale: Scale) -> int:
-    """Channels at this width, in whole eights."""
+    """Number of channels at this width, rounded up to a multiple of 8."""
     return math.ceil(n_channels * scale.width / 8) * 8

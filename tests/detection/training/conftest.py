@@ -4,5 +4,5 @@ import torch
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread():
-    """Networks of 96 pixels gain nothing from threads, and lose much where others want the cores too."""
+    """One thread for torch: more do not speed up networks of 96 pixels, and slow down tests that run in parallel."""
     torch.set_num_threads(1)

@@ -14,9 +14,9 @@ def test_clusters_of_boxes_are_found():
     rng = np.random.default_rng(1)
     centres = np.array([[10.0, 20.0], [60.0, 30.0], [200.0, 150.0]])
     sizes = np.concatenate([centre * rng.uniform(0.95, 1.05, (50, 2)) for centre in centres])
-    found = kmeans_anchors(sizes, 3, np.random.default_rng(0))
-    assert found == pytest.approx(centres, rel=0.03)
-    assert mean_best_iou(sizes, found) > 0.93
+    anchors = kmeans_anchors(sizes, 3, np.random.default_rng(0))
+    assert anchors == pytest.approx(centres, rel=0.03)
+    assert mean_best_iou(sizes, anchors) > 0.93
 
 
 def test_more_anchors_fit_better():
@@ -29,7 +29,7 @@ def test_more_anchors_fit_better():
 
 
 def test_fewer_boxes_than_anchors():
-    with pytest.raises(ValueError, match="9 anchors want as many boxes of different sizes"):
+    with pytest.raises(ValueError, match="9 anchors"):
         kmeans_anchors(np.ones((40, 2)), 9, np.random.default_rng(0))
 
 

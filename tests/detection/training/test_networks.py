@@ -17,8 +17,8 @@ def n_weights(network):
     return sum(parameter.numel() for parameter in network.parameters())
 
 
-def trained_looking(name, **options):
-    """A network with random weights and batch statistics, whose objectness varies."""
+def random_network(name, **options):
+    """A network with random weights and batch statistics, with varying objectness."""
     torch.manual_seed(0)
     network = make_network(name, 8, **options)
     with torch.no_grad():
@@ -54,33 +54,33 @@ def test_attention_preserves_shapes(name):
 @pytest.mark.parametrize("has_cbam", [False, True])
 @pytest.mark.parametrize("name", NETWORKS)
 def test_export_equals_network(tmp_path, name, has_cbam):
-    network = trained_looking(name, has_cbam=has_cbam)
+    network = random_network(name, has_cbam=has_cbam)
     path = tmp_path / "model.onnx"
     export_onnx(network, path, {"names": ROAD, "letterbox": "centred-114"})
     images = torch.rand(2, 3, 96, 160, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():
-        wanted = network.decode(network(images)).numpy()
-    told = OnnxSession(path).run(images.numpy())[0]
-    assert told.shape == wanted.shape
-    assert np.allclose(told[..., :4], wanted[..., :4], atol=1e-3, rtol=1e-6)  # px; random boxes may be huge
-    assert np.abs(told[..., 4:] - wanted[..., 4:]).max() < 1e-5
+        expected = network.decode(network(images)).numpy()
+    actual = OnnxSession(path).run(images.numpy())[0]
+    assert actual.shape == expected.shape
+    assert np.allclose(actual[..., :4], expected[..., :4], atol=1e-3, rtol=1e-6)  # px; random boxes may be huge
+    assert np.abs(actual[..., 4:] - expected[..., 4:]).max() < 1e-5
 
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_detector_loads_export_without_options(tmp_path, name):
-    network = trained_looking(name)
+    network = random_network(name)
     path = tmp_path / "model.onnx"
     export_onnx(network, path, {"family": NETWORKS[name].family, "names": ROAD, "letterbox": "centred-114", "size": 96})
     detector = YoloDetector(path, YoloSettings(min_score=0.05))
-    found = detector.detect(np.random.default_rng(0).integers(0, 255, (80, 96, 3), dtype=np.uint8))
-    assert isinstance(found, Detections)
-    assert len(found) > 0
+    detections = detector.detect(np.random.default_rng(0).integers(0, 255, (80, 96, 3), dtype=np.uint8))
+    assert isinstance(detections, Detections)
+    assert len(detections) > 0
     assert (detector.model.family, detector.input_hw) == (NETWORKS[name].family, (96, 96))
     assert detector.model.names == tuple(ROAD)
 
 
 def test_import_of_official_export(tmp_path):
-    network = trained_looking("yolov5n")
+    network = random_network("yolov5n")
     path = tmp_path / "model.onnx"
     export_onnx(network, path, {"names": ROAD})
     again = yolov5_of_export(path)
@@ -94,14 +94,14 @@ def test_equals_official_yolov5(shared_data):
     network = yolov5_of_export(path)
     images = torch.rand(1, 3, 320, 416)
     with torch.no_grad():
-        told = network.decode(network(images)).numpy()
-    wanted = OnnxSession(path).run(images.numpy())[0]
-    assert np.abs(told - wanted)[..., :4].max() < 2e-3  # px of boxes up to 400
-    assert np.abs(told - wanted)[..., 4:].max() < 1e-5
+        actual = network.decode(network(images)).numpy()
+    expected = OnnxSession(path).run(images.numpy())[0]
+    assert np.abs(actual - expected)[..., :4].max() < 2e-3  # px of boxes up to 400
+    assert np.abs(actual - expected)[..., 4:].max() < 1e-5
 
 
 def test_import_of_other_models(tmp_path):
-    export_onnx(trained_looking("yolov4-tiny"), tmp_path / "tiny.onnx", {"names": ROAD})
+    export_onnx(random_network("yolov4-tiny"), tmp_path / "tiny.onnx", {"names": ROAD})
     write_model(tmp_path / "none.onnx", np.zeros((1, 252, 13)))
     (tmp_path / "text.onnx").write_text("not a model")
     for name in ("tiny", "none", "text"):

@@ -1,4 +1,4 @@
-"""Training end to end, on drawn scenes: it learns, it survives being killed, and it says what is wrong."""
+"""Training end to end on drawn scenes: learning, resuming after a kill, and errors."""
 
 import csv
 from dataclasses import replace
@@ -31,7 +31,7 @@ SMALL = TrainingSettings(size_px=96, n_epochs=4, batch_size=4, validate_every=2,
 
 
 class Quiet:
-    """Hears everything and says nothing."""
+    """Listener that does nothing."""
 
     def step(self, epoch, i, n, losses): ...
 
@@ -41,7 +41,7 @@ class Quiet:
 
 
 class Killed(Quiet):
-    """Stops a run in the middle of its third epoch."""
+    """Listener that stops a run in the middle of its third epoch."""
 
     def step(self, epoch, i, n, losses):
         if epoch == 2 and i == 2:
@@ -97,35 +97,35 @@ def test_files_of_the_run_folder(sets, tmp_path):
 
 @pytest.mark.train
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
-        (lambda s, o: training(s, o, name="yolov4-tiny"), "--model is yolov5n there and yolov4-tiny here"),
-        (lambda s, o: training(s, o, has_cbam=True), "--attention is False there and True here"),
-        (lambda s, o: training(s, o, replace(SMALL, size_px=128)), "--size is 96 there and 128 here"),
-        (lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")), "--box-loss is ciou there and eiou here"),
-        (lambda s, o: training(s, o, replace(SMALL, augmentation=AugmentationSettings(mosaic=0.5))), "--mosaic is"),
+        (lambda s, o: training(s, o, name="yolov4-tiny"), "--model yolov4-tiny, got .* yolov5n"),
+        (lambda s, o: training(s, o, has_cbam=True), "--attention True, got .* False"),
+        (lambda s, o: training(s, o, replace(SMALL, size_px=128)), "--size 128, got .* 96"),
+        (lambda s, o: training(s, o, replace(SMALL, box_loss="eiou")), "--box-loss eiou, got .* ciou"),
+        (lambda s, o: training(s, o, replace(SMALL, augmentation=AugmentationSettings(mosaic=0.5))), "--mosaic"),
     ],
 )
-def test_checkpoint_of_another_run(sets, tmp_path, change, said):
+def test_checkpoint_of_another_run(sets, tmp_path, change, message):
     run = training(sets, tmp_path, replace(SMALL, n_epochs=1))
     run.run(Quiet())
     content = load_checkpoint(tmp_path / LAST)
     content["identity"]["n_epochs"] = SMALL.n_epochs
     torch.save(content, tmp_path / LAST)
-    with pytest.raises(CheckpointError, match=said):
+    with pytest.raises(CheckpointError, match=rf"last\.pt: .*{message}"):
         change(sets, tmp_path).resume()
 
 
 def test_no_checkpoint_and_damaged_ones(sets, tmp_path):
     run = training(sets, tmp_path)
-    with pytest.raises(CheckpointError, match="no such checkpoint"):
+    with pytest.raises(CheckpointError, match=r"last\.pt: no such"):
         run.resume()
     for content in (b"", b"PK\x03\x04 cut off", b"text"):
         (tmp_path / LAST).write_bytes(content)
-        with pytest.raises(CheckpointError, match="damaged"):
+        with pytest.raises(CheckpointError, match=r"last\.pt: .*damaged"):
             run.resume()
     torch.save({"weights": torch.zeros(2)}, tmp_path / LAST)
-    with pytest.raises(CheckpointError, match="not a checkpoint of"):
+    with pytest.raises(CheckpointError, match=r"last\.pt: expected a checkpoint"):
         run.resume()
 
 
@@ -137,14 +137,14 @@ def test_initial_weights_of_another_run(sets, tmp_path):
     second.start_from(tmp_path / "first" / BEST)
     assert torch.equal(weights(second), weights(first))
     other = training(sets, tmp_path / "other", name="yolov4-tiny")
-    with pytest.raises(CheckpointError, match="of another network"):
+    with pytest.raises(CheckpointError, match=r"best\.pt: .*--model"):
         other.start_from(tmp_path / "first" / BEST)
 
 
 def test_nan_loss_ends_the_run(sets, tmp_path):
-    wild = replace(SMALL, schedule=ScheduleSettings(optimiser="sgd", learning_rate=1e9, warmup_epochs=0.1))
-    with pytest.raises(TrainingError, match="no number any more"):
-        training(sets, tmp_path, wild).run(Quiet())
+    diverging = replace(SMALL, schedule=ScheduleSettings(optimiser="sgd", learning_rate=1e9, warmup_epochs=0.1))
+    with pytest.raises(TrainingError, match="NaN"):
+        training(sets, tmp_path, diverging).run(Quiet())
 
 
 def failing(sets, out, error):
@@ -193,8 +193,8 @@ def test_every_image_once_per_epoch(sets):
 def test_single_leftover_image_is_skipped(sets):
     for batch_size, sizes in ((11, [11]), (5, [5, 5, 2]), (12, [12]), (50, [12])):
         maker = BatchMaker(sets.train, size_px=96, batch_size=batch_size, seed=0)
-        told = [len(batch.images) for batch in maker.epoch(0, PLAIN)]
-        assert (told, len(maker)) == (sizes, len(sizes))
+        actual = [len(batch.images) for batch in maker.epoch(0, PLAIN)]
+        assert (actual, len(maker)) == (sizes, len(sizes))
 
 
 def test_learning_rate_warmup_and_cosine():
@@ -230,11 +230,11 @@ def test_ema_follows_the_weights():
 
 @pytest.mark.train
 def test_student_learns_without_labels(sets, tmp_path):
-    """Labels of nothing, complete in no class: only the teacher can say where a car is."""
+    """Images without labels and without completely labelled classes: only the teacher detects cars."""
     prepare_torch(seed=1)
     network = make_network("yolov5n", 2)
     with torch.no_grad():
-        for head in network.heads:  # a teacher that always sees cars
+        for head in network.heads:  # a teacher that detects cars everywhere
             head.bias.view(3, -1)[:, 4] = 3.0
             head.bias.view(3, -1)[:, 5] = 3.0
     export_onnx(network.eval(), tmp_path / "teacher.onnx", {"names": ["car", "person"]})
@@ -251,18 +251,18 @@ def test_student_learns_without_labels(sets, tmp_path):
                 item, xyxy=item.xyxy[:0], class_index=none, is_ignored=none == 1, is_complete=~item.is_complete
             )
 
-    found = {}
+    objectness = {}
     quick = replace(SMALL, n_epochs=10, schedule=replace(SMALL.schedule, learning_rate=0.02))
-    for name, each in (("with", teacher), ("without", None)):
-        run = training(replace(sets, train=Unlabelled()), tmp_path / name, quick, teacher=each)
+    for name, used in (("with", teacher), ("without", None)):
+        run = training(replace(sets, train=Unlabelled()), tmp_path / name, quick, teacher=used)
         run.run(Quiet())
         with torch.no_grad():
-            told = run.network.eval()(torch.zeros(1, 3, 96, 96))
-        found[name] = float(told[0][..., 4].sigmoid().mean())
-    assert found["with"] > 0.5 > 0.2 > found["without"]
+            heads = run.network.eval()(torch.zeros(1, 3, 96, 96))
+        objectness[name] = float(heads[0][..., 4].sigmoid().mean())
+    assert objectness["with"] > 0.5 > 0.2 > objectness["without"]
 
 
 def test_teacher_without_road_classes(sets, tmp_path):
     export_onnx(make_network("yolov5n", 2).eval(), tmp_path / "pets.onnx", {"names": ["cat", "dog"]})
-    with pytest.raises(ModelError, match="none is a road class"):
+    with pytest.raises(ModelError, match=r"pets\.onnx: .*classes"):
         Teacher(tmp_path / "pets.onnx", sets.road_class_id, device="cpu")

@@ -111,7 +111,7 @@ def _prepared(
     print_line(
         console,
         f"{NETWORKS[options.model].family}, {n / 1e6:.2f} million parameters, {settings.device}, {settings.precision}; "
-        f"{len(images)} training images ({images.n_kept} in memory), {len(validation)} validation images.",
+        f"{len(images)} training images ({images.n_cached} in memory), {len(validation)} validation images.",
     )
     return training
 
@@ -194,7 +194,7 @@ def _teacher(options: TrainOptions, data: TrainingData, settings: TrainingSettin
 
 def _finish(training: Training, options: TrainOptions, data: TrainingData) -> None:
     """Export the best network and print its figures."""
-    training.take_best()
+    training.load_best()
     model = options.out / f"{options.model}.onnx"
     export_onnx(training.average.network, model, _metadata(options, data, training))
     figures = {"n_images": len(data.val), "models": {options.model: training.scores().as_dict()}}
