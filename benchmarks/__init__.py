@@ -1,1 +1,1 @@
-"""Benchmarks: named workloads, each a printed table and, on demand, JSON. Figures and protocol: README.md beside."""
+"""Benchmarks: named workloads that print tables and optionally write JSON; README.md has protocols and results."""

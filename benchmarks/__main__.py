@@ -9,11 +9,11 @@ from pathlib import Path
 from benchmarks import (
     ablation,
     alignment,
+    appearance,
     detection,
     fusion,
     history,
     lanes,
-    looks,
     memory,
     mutation,
     pipeline,
@@ -34,24 +34,24 @@ WORKLOADS = {
     "fusion": fusion,
     "history": history,
     "lanes": lanes,
-    "looks": looks,
+    "appearance": appearance,
     "tracking": tracking,
     "ranging": ranging,
     "recall": recall,
     "startup": startup,
     "stereo": stereo,
 }
-"""Each a module with `add_options(parser)` and `measure(options) -> figures`, printing its table itself."""
+"""Module of each workload, with `add_options(parser)` and `measure(options) -> figures`, which prints its tables."""
 
 
 def main() -> None:
     """Parse the command line and run the workload."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures here")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write the figures to")
     commands = parser.add_subparsers(dest="workload", required=True)
     for name, module in WORKLOADS.items():
         command = commands.add_parser(name, help=(module.__doc__ or "").splitlines()[0])
-        command.add_argument("--json", type=Path, metavar="FILE", default=argparse.SUPPRESS, help="also write here")
+        command.add_argument("--json", type=Path, metavar="FILE", default=argparse.SUPPRESS, help="JSON file to write")
         module.add_options(command)
     options = parser.parse_args()
     figures = WORKLOADS[options.workload].measure(options)

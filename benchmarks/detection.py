@@ -1,9 +1,10 @@
-"""Every detector at every input size that it takes: filling the input, inference and decoding, on one and two threads.
+"""Time of each detector at each input size: preprocessing, inference and postprocessing, on one and two threads.
 
-Protocol: the frames of a real drive, decoded beforehand; each model, size and number of threads is a row, and all rows
-take turns, frame by frame, so that the machine's moods fall on all alike. Medians over all turns. `pre` is resize,
-padding and channels into the network's bound input; `post` is reading the outputs, suppression and mapping back.
-OpenCV is held to one thread. Goals: pre + post at most 3 ms per 1242 x 375 frame at 640, and at most 8 % of inference.
+Protocol: the frames of a real drive, decoded beforehand; each model, size and number of threads is a row, and rows
+alternate frame by frame, so that variations of the machine affect all alike. Medians over all frames and rounds. `pre`
+is resizing, padding and channel order into the network's bound input; `post` is reading the outputs, non-maximum
+suppression and conversion to image coordinates. OpenCV uses one thread. Goals: pre + post at most 3 ms per 1242 x 375
+frame at 640, and at most 8 % of inference.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image
 
 SIZES_PX = (320, 416, 640)
+"""Input sizes of networks with a dynamic input."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """One line of the table: a detector as set up, and its (turns, 3) times in ms."""
+    """One line of the table: a detector, and its (frames * rounds, 3) times in ms."""
 
     name: str
     n_threads: int
@@ -39,26 +41,26 @@ class _Row:
     times_ms: list[list[float]]
 
     def median_ms(self) -> FloatArray:
-        """(3,) pre, inference, post."""
+        """(3,) median times of pre, inference and post in ms."""
         return np.asarray(np.median(self.times_ms, axis=0))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of this workload."""
+    """Add the options of this workload."""
     models = [REAL_DATA / "models" / f"{name}.onnx" for name in _DETECTORS]
     parser.add_argument("--models", type=Path, nargs="+", default=models, help="ONNX files")
     video = REAL_DATA / "kitti_stereo" / "0003" / "left.mp4"
-    parser.add_argument("--video", type=Path, default=video, help="whose first frames are used")
-    parser.add_argument("--frames", type=int, default=16)
-    parser.add_argument("--rounds", type=int, default=3, help="times that the frames are gone through")
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--video", type=Path, default=video, help="video with the frames")
+    parser.add_argument("--frames", type=int, default=16, help="number of frames, from the first on")
+    parser.add_argument("--rounds", type=int, default=3, help="number of passes over the frames")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="numbers of threads")
 
 
 _DETECTORS = ("yolov5n_coco_640", "yolov5n_coco_dyn", "yolov4tiny_voc_416", "yolox_nano_416")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Run all turns, print the table, and return its figures (milliseconds per frame)."""
+    """Time all rows, print the table, and return its figures (milliseconds per frame)."""
     cv2.setNumThreads(1)
     frames = _frames(options.video, options.frames)
     rows = [row for n in options.threads for path in options.models for row in _rows(path, n)]
@@ -80,26 +82,26 @@ def _frames(video: Path, n: int) -> list[Image]:
 
 
 def _rows(path: Path, n_threads: int) -> list[_Row]:
-    """One row for a model of fixed size; for an open one each size, as large as the frame needs and square."""
+    """One row for a network with a fixed input; for a dynamic one a rectangular and a square input of each size."""
     fixed = YoloDetector(path, runtime=Runtime(device="cpu", n_threads=n_threads))
     if None not in fixed.session.input_shape[2:]:
         return [_Row(path.stem, n_threads, fixed, [])]
     settings = [YoloSettings(size_px=size, is_square=square) for size in SIZES_PX for square in (False, True)]
     return [
-        _Row(path.stem, n_threads, YoloDetector(path, each, runtime=Runtime(device="cpu", n_threads=n_threads)), [])
-        for each in settings
+        _Row(path.stem, n_threads, YoloDetector(path, option, runtime=Runtime(device="cpu", n_threads=n_threads)), [])
+        for option in settings
     ]
 
 
 def _timed_ms(detector: YoloDetector, frame: Image) -> list[float]:
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     detector.fill(frame)
     filled_s = time.perf_counter()
     outputs = detector.infer()
     inferred_s = time.perf_counter()
     detector.decode(outputs)
     done_s = time.perf_counter()
-    return [1e3 * (filled_s - began_s), 1e3 * (inferred_s - filled_s), 1e3 * (done_s - inferred_s)]
+    return [1e3 * (filled_s - start_s), 1e3 * (inferred_s - filled_s), 1e3 * (done_s - inferred_s)]
 
 
 def _figures(row: _Row) -> dict[str, Any]:

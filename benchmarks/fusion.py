@@ -1,9 +1,9 @@
-"""Fusion where stereo goes blind: simulated drives whose right eye is black, then grey noise, for a second or two.
+"""Fusion while stereo fails: simulated drives with a right camera that is black, then grey noise, for 1 and 2 s.
 
-The ordinary command on the drive's files (lossless pictures, its recorded boxes, alignment from the drive, no dense
-stereo), at its defaults; errors against truth.csv at 5-100 m as `--truth` counts them, in the frames without a right
-eye and in all others, over what each method measured (`covered`: of the boxes with a truth); then, drive by drive, over
-the blind frames' boxes that all of mono, fused and their filters measured.
+Protocol: the `run` command with its defaults on the files of the drive (lossless images, recorded boxes, alignment from
+the drive, no dense stereo). Errors against truth.csv at 5-100 m as with `--truth`, separately for frames without and
+with a right image, over the boxes that each method measured (`coverage`: their share of the boxes with a true
+distance); then per scenario over the boxes without a right image that mono, fused and their filters all measured.
 """
 
 from __future__ import annotations
@@ -31,42 +31,55 @@ from track_range.run.settings import RunSettings
 from track_range.simulation.camera.drive_files import write_png
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.render.renderer import kitti_like_rig
-from track_range.simulation.world.scenarios import SCENARIOS as KNOWN
+from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 
 SCENARIOS = ("town", "highway", "city", "cut-in")
+"""Default scenarios of the drives."""
+
 SEED = 230
+"""Default random seed, which no test uses."""
+
 SECONDS = 8.0
+"""Length of a drive in s."""
+
 BLACK_S, NOISE_S = (3.0, 4.0), (5.5, 7.5)
-"""When the right eye sees nothing."""
+"""Intervals in s in which the right image is black, and grey noise."""
 
 METHODS = ("mono", "stereo", "fused", "mono_kf", "stereo_kf", "fused_kf")
-COMPARED = ("mono", "mono_kf", "fused", "fused_kf")
-"""On the same boxes."""
+"""Methods of the first table."""
 
-KINDS = ("median", "mean")
+COMPARED = ("mono", "mono_kf", "fused", "fused_kf")
+"""Methods of the second table, compared on the same boxes."""
+
+STATISTICS = ("median", "mean")
+"""Statistics of the relative errors."""
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Options of the workload."""
-    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS, choices=list(KNOWN), metavar="NAME")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[SEED], metavar="N")
-    parser.add_argument("--lanes", default=CLASSICAL, metavar="FILE", help="a lane network, or off; else by edges")
+    """Add the options of this workload."""
+    known = list(ALL_SCENARIOS)
+    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS, choices=known, metavar="NAME", help="scenarios")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[SEED], metavar="N", help="random seeds of the drives")
+    parser.add_argument(
+        "--lanes", default=CLASSICAL, metavar="FILE", help="lane network, or off (default: classical lane detection)"
+    )
 
 
 def measure(options: Namespace) -> dict[str, Any]:
-    """Errors of every method in blinded and other frames, of each scenario and of all together."""
+    """Errors of each method with and without a right image, per scenario and in total; prints the tables."""
     by_scenario = {
-        name: _joined([_driven(name, seed, options.lanes) for seed in options.seeds]) for name in options.scenarios
+        name: _concatenated([_run_on_drive(name, seed, options.lanes) for seed in options.seeds])
+        for name in options.scenarios
     }
-    every = _scores(_joined(list(by_scenario.values())))
-    figures = {"all": every} | {name: _scores(columns) for name, columns in by_scenario.items()}
-    _tell(every)
-    _tell_scenarios(figures)
+    total = _scores(_concatenated(list(by_scenario.values())))
+    figures = {"all": total} | {name: _scores(columns) for name, columns in by_scenario.items()}
+    _print_table(total)
+    _print_scenarios(figures)
     return figures
 
 
-def _driven(scenario: str, seed: int, lanes: str) -> Columns:
-    """The rows of a run on a drive, with their truth."""
+def _run_on_drive(scenario: str, seed: int, lanes: str) -> Columns:
+    """The result columns of a run on a drive, with the true distances."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         options = DriveOptions(scenario=scenario, is_lossless=True)
@@ -89,7 +102,7 @@ def _driven(scenario: str, seed: int, lanes: str) -> Columns:
 
 
 def _blind(folder: Path, seed: int) -> None:
-    """Put black and noise in the place of pictures; each file is named after its frame."""
+    """Replace the images in `BLACK_S` and `NOISE_S`; files are named after their frame."""
     rng = np.random.default_rng([seed, 21])
     camera = kitti_like_rig().left
     size = (camera.height_px, camera.width_px, 1)
@@ -109,14 +122,14 @@ def _is_within(time_s: Any, span_s: tuple[float, float]) -> BoolArray:
     return np.asarray((time_s > span_s[0] - 1e-6) & (time_s < span_s[1] - 1e-6))
 
 
-def _joined(runs: Sequence[Columns]) -> Columns:
+def _concatenated(runs: Sequence[Columns]) -> Columns:
     return {name: np.concatenate([columns[name] for columns in runs]) for name in runs[0]}
 
 
 def _scores(columns: Columns) -> dict[str, dict[str, Any]]:
-    """By kind of frame, then by method."""
+    """Scores with and without a right image ("blind"), by method."""
     is_blind = _is_within(columns["time_s"], BLACK_S) | _is_within(columns["time_s"], NOISE_S)
-    return {"blind": _scores_of(columns, is_blind), "seeing": _scores_of(columns, ~is_blind)}
+    return {"blind": _scores_of(columns, is_blind), "normal": _scores_of(columns, ~is_blind)}
 
 
 def _scores_of(columns: Columns, rows: BoolArray) -> dict[str, Any]:
@@ -132,27 +145,28 @@ def _scores_of(columns: Columns, rows: BoolArray) -> dict[str, Any]:
     }
 
 
-def _tell(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
-    headings = ("n", "covered %", "median %", "mean %", "bias %", "1 sigma %", "2 sigma %")
-    table = plain_table("all drives", "right eye", "method", *headings, n_words=2)
-    for eye, methods in figures.items():
+def _print_table(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
+    headings = ("n", "coverage %", "median %", "mean %", "bias %", "1 sigma %", "2 sigma %")
+    table = plain_table("all drives", "right camera", "method", *headings, n_words=2)
+    for state, methods in figures.items():
         for name, row in methods.items():
-            keys = (*(f"{kind}_relative_error_pct" for kind in KINDS), "bias_pct")
+            keys = (*(f"{statistic}_relative_error_pct" for statistic in STATISTICS), "bias_pct")
             errors = (figure_text(row[key]) for key in keys)
             coverage, *shares = (
                 figure_text(row[key], digits=0, times=100) for key in ("coverage", "within_1_sigma", "within_2_sigma")
             )
-            table.add_row(eye, name, str(row["n"]), coverage, *errors, *shares)
+            table.add_row(state, name, str(row["n"]), coverage, *errors, *shares)
     Console().print(table)
 
 
-def _tell_scenarios(figures: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Any]]]]) -> None:
-    title = "blind, median / mean error over the same boxes, %"
+def _print_scenarios(figures: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Any]]]]) -> None:
+    title = "right camera blind: median / mean error over the same boxes, %"
     table = plain_table(title, "drives", "n", *COMPARED)
-    for scenario, eyes in figures.items():
-        rows = [eyes["blind"][name]["same"] for name in COMPARED]
+    for scenario, by_state in figures.items():
+        rows = [by_state["blind"][name]["same"] for name in COMPARED]
         errors = (
-            " / ".join(figure_text(row[f"{kind}_relative_error_pct"], digits=1) for kind in KINDS) for row in rows
+            " / ".join(figure_text(row[f"{statistic}_relative_error_pct"], digits=1) for statistic in STATISTICS)
+            for row in rows
         )
         table.add_row(scenario, str(rows[0]["n"]), *errors)
     Console().print(table)

@@ -1,11 +1,11 @@
-"""Lane finders: what a look costs, how right they are on simulated drives, how far they agree on real videos.
+"""Lane detection: time per image, accuracy on simulated drives, agreement of detectors on real videos.
 
-Looks ten times a second, as a run looks, one thread; processor time, the median over looks at simulated drives. Where
-the lines are is compared in six rows, at 0.62 to 0.92 of the image's height (about 20 to 7 m ahead), and averaged over
-them: the lane's width against the truth's, and how far the worse of the two lines is from the true one, in true widths.
-Medians and 90 % over looks; a line that is off by more than 20 % of the width is another lane's, or none. Truth is the
-lane's own edge, the middle between two lines painted side by side: a finder that takes one of the two is wrong by 3 %.
-Real videos have no truth: the same comparison between finders.
+Protocol: ten images per second as in a run, on one thread; processor time, median over the images of simulated drives.
+Lines are compared with the truth in six rows at 0.62 to 0.92 of the image height (about 20 to 7 m ahead), averaged over
+the rows: relative error of the lane width, and error of the worse of the two lines relative to the true width. Medians
+and 90th percentiles over images; a line with an error above 20 % of the width belongs to another lane or to none. The
+true line is the edge of the lane, which is the middle of a double line: a detector of one of its two lines has an error
+of 3 %. Real videos have no ground truth; detectors are compared with each other.
 """
 
 from __future__ import annotations
@@ -29,55 +29,70 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.nets import CLASSICAL, open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.world.scenarios import SCENARIOS as KNOWN
+from track_range.simulation.world.scenarios import SCENARIOS as ALL_SCENARIOS
 from track_range.video.reader import VideoReader
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "queue")
+"""Default scenarios of the simulated drives."""
+
 SEEDS = (201, 202)
+"""Default random seeds of the simulated drives."""
+
 ROWS = np.linspace(0.62, 0.92, 6)
+"""(K,) rows in which lines are compared, as shares of the image height."""
+
 OTHER_LANE = 0.2
+"""Error of a line, in lane widths, above which it belongs to another lane."""
+
 STEP_S = 0.09
+"""Smallest interval between images of a real video in s."""
+
 NETS = tuple(REAL_DATA / "models" / name for name in ("twinlitenet_360x640.onnx", "lstr_tusimple_360x640.onnx"))
+"""Default lane networks."""
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Options of the workload."""
-    parser.add_argument("--net", type=Path, nargs="*", default=NETS, metavar="FILE", help="beside the edges")
-    parser.add_argument("--scenarios", nargs="*", default=SCENARIOS, choices=list(KNOWN), metavar="NAME")
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, metavar="N")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each simulated drive")
+    """Add the options of this workload."""
+    known = list(ALL_SCENARIOS)
+    parser.add_argument(
+        "--net", type=Path, nargs="*", default=NETS, metavar="FILE", help="lane networks, in addition to edges"
+    )
+    parser.add_argument("--scenarios", nargs="*", default=SCENARIOS, choices=known, metavar="NAME", help="scenarios")
+    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, metavar="N", help="random seeds of the drives")
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of a simulated drive")
     videos = [*(REAL_DATA / "kitti_stereo" / name / "left.mp4" for name in ("0003", "0005"))]
     videos += sorted((REAL_DATA / "dashcam").glob("*.mp4"))
-    parser.add_argument("--videos", type=Path, nargs="*", default=videos, metavar="FILE", help="real ones")
+    parser.add_argument("--videos", type=Path, nargs="*", default=videos, metavar="FILE", help="real videos")
 
 
 def measure(options: Namespace) -> dict[str, Any]:
-    """Run all finders over all of it, print the tables, and return their figures."""
+    """Run all detectors on all drives and videos, print the tables, and return their figures."""
     cv2.setNumThreads(1)
-    words = [CLASSICAL, *map(str, _present(options.net, "networks"))]
-    by_scenario = {name: _simulated(name, words, options) for name in options.scenarios}
+    finders = [CLASSICAL, *map(str, _available(options.net, "networks"))]
+    by_scenario = {name: _simulated(name, finders, options) for name in options.scenarios}
     simulated = {}
-    for word in words if by_scenario else ():
-        every = [look for looked in by_scenario.values() for look in looked[word]]
-        each = {name: _errors(looked[word]) for name, looked in by_scenario.items()}
-        simulated[_name(word)] = {"all": _errors(every)} | each
-    real = {_title(video): _agreement(video, words) for video in _present(options.videos, "videos")}
+    for finder in finders if by_scenario else ():
+        samples = [sample for by_finder in by_scenario.values() for sample in by_finder[finder]]
+        errors = {name: _errors(by_finder[finder]) for name, by_finder in by_scenario.items()}
+        simulated[_name(finder)] = {"all": _errors(samples)} | errors
+    real = {_title(video): _agreement(video, finders) for video in _available(options.videos, "videos")}
     if simulated:
-        _tell_simulated(simulated)
+        _print_simulated(simulated)
     if real:
-        _tell_real(real)
+        _print_real(real)
     return {"simulated": simulated, "real": real}
 
 
-def _present(paths: Sequence[Path], what: str) -> list[Path]:
+def _available(paths: Sequence[Path], what: str) -> list[Path]:
+    """The paths that exist; prints the others."""
     missing = [path.name for path in paths if not path.is_file()]
     if missing or not paths:
-        print(f"{what} left out, as there are none here: {', '.join(missing) or 'none given'}")
+        print(f"{what} not available: {', '.join(missing) or 'none given'}")
     return [path for path in paths if path.is_file()]
 
 
-def _name(word: str) -> str:
-    return "edges" if word == CLASSICAL else Path(word).stem.split("_")[0]
+def _name(finder: str) -> str:
+    return "edges" if finder == CLASSICAL else Path(finder).stem.split("_")[0]
 
 
 def _title(video: Path) -> str:
@@ -85,67 +100,78 @@ def _title(video: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _Look:
-    """One look at one image: columns (2, K) of the lines found and of the true ones (NaN = unknown), and its cost."""
+class _Sample:
+    """Lines detected in one image.
 
-    found_px: FloatArray
+    Attributes:
+        detected_px: (2, K) columns of the detected lines in `ROWS`; NaN = not both detected.
+        true_px: (2, K) columns of the true lines; NaN = unknown.
+        ms: processor time.
+    """
+
+    detected_px: FloatArray
     true_px: FloatArray
     ms: float
 
 
-def _looks(word: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray | None) -> list[_Look]:
-    finder = open_lane_finder(word, Runtime(n_threads=1, device="cpu"))
-    nothing = np.full((2, len(ROWS)), np.nan)
-    looks = []
+def _samples(
+    finder_name: str, images: Sequence[Image], times_s: Sequence[float], true_px: FloatArray | None
+) -> list[_Sample]:
+    """Lines detected in images; `true_px` (F, 2, K) are the true ones, None = unknown."""
+    finder = open_lane_finder(finder_name, Runtime(n_threads=1, device="cpu"))
+    unknown = np.full((2, len(ROWS)), np.nan)
+    samples = []
     for number, (image, time_s) in enumerate(zip(images, times_s, strict=True)):
-        began_s = time.process_time()
+        start_s = time.process_time()
         lines = finder.find(image, time_s)
-        ms = 1e3 * (time.process_time() - began_s)
-        looks.append(_Look(_columns_px(lines, len(image)), nothing if true_px is None else true_px[number], ms))
-    return looks
+        ms = 1e3 * (time.process_time() - start_s)
+        samples.append(_Sample(_columns_px(lines, len(image)), unknown if true_px is None else true_px[number], ms))
+    return samples
 
 
 def _columns_px(lines: LaneLines, height_px: int) -> FloatArray:
-    """(2, K) of both lines, NaN unless both were found."""
+    """(2, K) columns of both lines in `ROWS`; NaN unless both were detected."""
     if lines.left is None or lines.right is None:
         return np.full((2, len(ROWS)), np.nan)
     return np.stack([lines.left.x_px(ROWS * height_px), lines.right.x_px(ROWS * height_px)])
 
 
-def _simulated(scenario: str, words: Sequence[str], options: Namespace) -> dict[str, list[_Look]]:
-    looks: dict[str, list[_Look]] = {word: [] for word in words}
+def _simulated(scenario: str, finders: Sequence[str], options: Namespace) -> dict[str, list[_Sample]]:
+    """Samples of the drives of a scenario, by detector."""
+    samples: dict[str, list[_Sample]] = {finder: [] for finder in finders}
     for seed in options.seeds:
         drive = SimulatedDrive.of(scenario, seed=seed, seconds=options.seconds)
         images, true_px = drive.left_images(), drive.lane_px(ROWS * drive.renderer.rig.left.height_px)
-        for word in words:
-            looks[word] += _looks(word, images, drive.times_s.tolist(), true_px)
-    return looks
+        for finder in finders:
+            samples[finder] += _samples(finder, images, drive.times_s.tolist(), true_px)
+    return samples
 
 
-def _errors(looks: Sequence[_Look]) -> dict[str, float | int | None]:
-    found, true = np.array([look.found_px for look in looks]), np.array([look.true_px for look in looks])
+def _errors(samples: Sequence[_Sample]) -> dict[str, float | int | None]:
+    detected = np.array([sample.detected_px for sample in samples])
+    true = np.array([sample.true_px for sample in samples])
     return {
-        "looks": len(looks),
-        "ms": round(float(np.median([look.ms for look in looks])), 2),
-        "both_lines": round(float(np.isfinite(found).all(axis=(1, 2)).mean()), 3),
-        **_differences(found, true),
+        "images": len(samples),
+        "ms": round(float(np.median([sample.ms for sample in samples])), 2),
+        "both_lines": round(float(np.isfinite(detected).all(axis=(1, 2)).mean()), 3),
+        **_differences(detected, true),
     }
 
 
-def _differences(found_px: FloatArray, wanted_px: FloatArray) -> dict[str, float | int | None]:
-    """Of lines (F, 2, K) from others, over the frames where both are known in all rows."""
-    both = np.isfinite(found_px).all(axis=(1, 2)) & np.isfinite(wanted_px).all(axis=(1, 2))
-    found_px, wanted_px = found_px[both], wanted_px[both]
-    true_px = wanted_px[:, 1] - wanted_px[:, 0]
-    width = np.abs((found_px[:, 1] - found_px[:, 0]) / true_px - 1).mean(axis=1)
-    aside = (np.abs(found_px - wanted_px).max(axis=1) / true_px).mean(axis=1)
-    known = len(width) > 0
+def _differences(detected_px: FloatArray, reference_px: FloatArray) -> dict[str, float | int | None]:
+    """Differences of lines (F, 2, K) from reference lines, over the images with both of them in all rows."""
+    both = np.isfinite(detected_px).all(axis=(1, 2)) & np.isfinite(reference_px).all(axis=(1, 2))
+    detected_px, reference_px = detected_px[both], reference_px[both]
+    width_px = reference_px[:, 1] - reference_px[:, 0]
+    width_error = np.abs((detected_px[:, 1] - detected_px[:, 0]) / width_px - 1).mean(axis=1)
+    line_error = (np.abs(detected_px - reference_px).max(axis=1) / width_px).mean(axis=1)
+    has_any = len(width_error) > 0
     return {
-        "compared": len(width),
-        "width_median_pct": _pct(np.median(width)) if known else None,
-        "width_90_pct": _pct(np.quantile(width, 0.9)) if known else None,
-        "line_median_pct": _pct(np.median(aside)) if known else None,
-        "other_lane": round(float((aside > OTHER_LANE).mean()), 3) if known else None,
+        "compared": len(width_error),
+        "width_median_pct": _pct(np.median(width_error)) if has_any else None,
+        "width_90_pct": _pct(np.quantile(width_error, 0.9)) if has_any else None,
+        "line_median_pct": _pct(np.median(line_error)) if has_any else None,
+        "other_lane": round(float((line_error > OTHER_LANE).mean()), 3) if has_any else None,
     }
 
 
@@ -153,16 +179,20 @@ def _pct(share: np.floating[Any]) -> float:
     return round(100 * float(share), 2)
 
 
-def _agreement(video: Path, words: Sequence[str]) -> dict[str, Any]:
-    """Share of looks with both lines per finder, and how each two of them differ."""
-    images, times_s = zip(*_ten_a_second(video), strict=True)
-    found = {_name(word): np.array([look.found_px for look in _looks(word, images, times_s, None)]) for word in words}
-    both = {name: round(float(np.isfinite(px).all(axis=(1, 2)).mean()), 3) for name, px in found.items()}
-    pairs = {f"{one} - {other}": _differences(found[one], found[other]) for one, other in combinations(found, 2)}
-    return {"looks": len(images), "both_lines": both, "pairs": pairs}
+def _agreement(video: Path, finders: Sequence[str]) -> dict[str, Any]:
+    """Share of images with both lines by detector, and differences of each pair of detectors."""
+    images, times_s = zip(*_ten_per_second(video), strict=True)
+    lines_px = {
+        _name(finder): np.array([sample.detected_px for sample in _samples(finder, images, times_s, None)])
+        for finder in finders
+    }
+    both = {name: round(float(np.isfinite(px).all(axis=(1, 2)).mean()), 3) for name, px in lines_px.items()}
+    pairs = {f"{a} - {b}": _differences(lines_px[a], lines_px[b]) for a, b in combinations(lines_px, 2)}
+    return {"images": len(images), "both_lines": both, "pairs": pairs}
 
 
-def _ten_a_second(video: Path) -> Iterator[tuple[Image, float]]:
+def _ten_per_second(video: Path) -> Iterator[tuple[Image, float]]:
+    """About ten images per second of a video, with their times in s."""
     due_s = -np.inf
     for frame in VideoReader(video):
         if frame.time_s >= due_s:
@@ -170,25 +200,25 @@ def _ten_a_second(video: Path) -> Iterator[tuple[Image, float]]:
             due_s = frame.time_s + STEP_S
 
 
-def _tell_simulated(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
-    headings = ("finder", "drives", "looks", "ms", "both %", "width %", "90 %", "line %", "other lane %")
-    table = plain_table("simulated drives, against the truth", *headings, n_words=2)
-    for finder, each in figures.items():
-        for name, row in each.items():
+def _print_simulated(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
+    headings = ("detector", "drives", "images", "ms", "both %", "width %", "90 %", "line %", "other lane %")
+    table = plain_table("simulated drives: errors against the truth", *headings, n_words=2)
+    for finder, by_scenario in figures.items():
+        for name, row in by_scenario.items():
             errors = (figure_text(row[key]) for key in ("width_median_pct", "width_90_pct", "line_median_pct"))
             both, other = (figure_text(row[key], digits=0, times=100) for key in ("both_lines", "other_lane"))
-            table.add_row(finder, name, str(row["looks"]), figure_text(row["ms"], digits=1), both, *errors, other)
+            table.add_row(finder, name, str(row["images"]), figure_text(row["ms"], digits=1), both, *errors, other)
     Console().print(table)
 
 
-def _tell_real(figures: Mapping[str, Mapping[str, Any]]) -> None:
+def _print_real(figures: Mapping[str, Mapping[str, Any]]) -> None:
     finders = next(iter(figures.values()))["both_lines"]
-    table = plain_table("real videos: both lines, %", "video", "looks", *finders)
-    headings = ("video", "finders", "looks", "width %", "90 %", "other lane %")
-    pairs = plain_table("how far two finders differ", *headings, n_words=2)
+    table = plain_table("real videos: both lines, %", "video", "images", *finders)
+    headings = ("video", "detectors", "images", "width %", "90 %", "other lane %")
+    pairs = plain_table("real videos: difference of two detectors", *headings, n_words=2)
     for video, row in figures.items():
         shares = (figure_text(share, digits=0, times=100) for share in row["both_lines"].values())
-        table.add_row(video, str(row["looks"]), *shares)
+        table.add_row(video, str(row["images"]), *shares)
         for name, pair in row["pairs"].items():
             errors = (figure_text(pair[key]) for key in ("width_median_pct", "width_90_pct"))
             other = figure_text(pair["other_lane"], digits=0, times=100)

@@ -1,7 +1,7 @@
-"""Memory of a long run: a real drive looped to 2,000 frames, the process's resident memory over time.
+"""Memory of a long run: resident memory of the process over a real drive that is looped to 2,000 frames.
 
-A run whose memory does not depend on the video's length is as large in its last quarter as in its second. The peak is
-told too: the summary and the report at the end read tracks.csv back, 250 bytes of numbers per row.
+If memory does not depend on the length of the video, it is the same in the second and the last quarter. The peak
+includes the summary and the report at the end, with 250 bytes per row of tracks.csv.
 """
 
 from __future__ import annotations
@@ -21,17 +21,19 @@ from rich.table import Table
 from benchmarks.inputs.drives import add_drive_options, looped
 
 _SAMPLE_S = 0.25
+"""Interval in s between samples of the memory."""
+
 _MIB = 2**20
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of this workload."""
+    """Add the options of this workload."""
     add_drive_options(parser)
-    parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--frames", type=int, default=2000, help="number of frames of the looped drive")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Run it, print the table, and return medians in MiB by quarter of the frames."""
+    """Medians of the resident memory in MiB by quarter of the frames; prints the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive = looped(options.drive, folder, n_frames=options.frames)
@@ -53,17 +55,17 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _sampled(command: list[str], rows: Path) -> list[tuple[int, float]]:
-    """(frame, MiB) samples while the command runs; the frame is read from the last row that it wrote."""
-    import psutil  # of the extra `bench`, which the other workloads do without
+    """(frame, MiB) samples while the command runs; the frame is that of the last row in the file `rows`."""
+    import psutil  # a local import, since only this workload requires the extra `bench`
 
     samples = []
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    watched = psutil.Process(process.pid)
+    resources = psutil.Process(process.pid)
     while process.poll() is None:
         time.sleep(_SAMPLE_S)
         frame = _last_frame(rows)
         if frame is not None and process.poll() is None:
-            samples.append((frame, watched.memory_info().rss / _MIB))
+            samples.append((frame, resources.memory_info().rss / _MIB))
     if process.returncode:
         raise SystemExit(f"track-range failed with status {process.returncode}")
     return samples

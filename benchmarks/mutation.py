@@ -110,10 +110,10 @@ def measure(options: Namespace) -> dict[str, Any]:
     _import_libraries()
     limits_s = {}
     for tests in sorted({mutant.tests for mutant in mutants}):
-        began_s = time.perf_counter()
+        start_s = time.perf_counter()
         if (status := _finish(_start(None, tests), 1800.0)) != 0:
             raise SystemExit(f"{' '.join(tests)}: the tests fail without a mutant (status {status}).")
-        limits_s[tests] = max(_MIN_TIME_LIMIT_S, 5 * options.jobs * (time.perf_counter() - began_s))
+        limits_s[tests] = max(_MIN_TIME_LIMIT_S, 5 * options.jobs * (time.perf_counter() - start_s))
     killed, total, survivors = Counter[str](), Counter[str](), []
     for number, (mutant, is_killed) in enumerate(_run(mutants, limits_s, options.jobs), start=1):
         package = mutant.path.relative_to(ROOT).parts[0]

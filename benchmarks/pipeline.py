@@ -1,10 +1,9 @@
-"""Wall time of a whole stereo run against the detector's inference alone, both on one network thread.
+"""Wall time of a whole stereo run relative to the detector's inference alone, both with one network thread.
 
-Protocol: a real drive looped to 300 frames; in turn, several times, (a) the network alone on one prepared input, as
-often as there are frames, and (b) `track-range --stereo --threads 1 --no-sgbm` with its overlay, as a process of its
-own, its `wall_s` (opening the videos, and all frames to the last byte of the last one; not the start of Python and the
-loading of the network before, nor the summary and the report after). The ratio is taken round by round, and the median
-told, since the machine's speed drifts.
+Protocol: a real drive looped to 300 frames; alternating, several rounds of (a) the network alone on one prepared input,
+once per frame, and (b) `track-range --stereo --threads 1 --no-sgbm` with overlay in a separate process. Its time is
+`wall_s`: opening the videos and processing all frames, without the start of Python, the loading of the network, the
+summary and the report. The figure is the median of the ratios of the rounds, since the speed of the machine varies.
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ from track_range.detection.yolo.letterbox import rectangular_input_hw
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of this workload."""
+    """Add the options of this workload."""
     add_drive_options(parser)
-    parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=300, help="number of frames of the looped drive")
+    parser.add_argument("--rounds", type=int, default=3, help="number of rounds")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -62,15 +61,15 @@ def _round(drive: LoopedDrive, options: argparse.Namespace, out: Path) -> dict[s
 
 def _inference_alone_ms(detector: Path, *, n_frames: int, image_hw: tuple[int, int]) -> float:
     session = OnnxSession(detector, Runtime(device="cpu", n_threads=1))
-    free_hw = rectangular_input_hw(image_hw, size_px=DEFAULT_SIZE_PX)  # what the run takes where it may choose
+    free_hw = rectangular_input_hw(image_hw, size_px=DEFAULT_SIZE_PX)  # input size of a run with a dynamic network
     height, width = (fixed or free for fixed, free in zip(session.input_shape[2:], free_hw, strict=True))
     network = session.bound((height, width))
     network.blob[:] = np.random.default_rng(0).random((1, 3, height, width), np.float32)
     network.run()
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     for _ in range(n_frames):
         network.run()
-    return 1e3 * (time.perf_counter() - began_s) / n_frames
+    return 1e3 * (time.perf_counter() - start_s) / n_frames
 
 
 def _run(drive: LoopedDrive, detector: Path, out: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Tables of figures that fit into 80 columns and can be pasted: words at the left, numbers at the right."""
+"""Tables of figures for 80 columns that can be pasted as text: words are left-aligned, numbers right-aligned."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from rich.table import Table
 
 
 def plain_table(title: str, *headings: str, n_words: int = 1) -> Table:
-    """An empty table whose first `n_words` columns are words."""
+    """An empty table with words in the first `n_words` columns and numbers in the others."""
     table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
     for number, heading in enumerate(headings):
         is_word = number < n_words
@@ -16,5 +16,5 @@ def plain_table(title: str, *headings: str, n_words: int = 1) -> Table:
 
 
 def figure_text(value: float | None, *, digits: int = 2, times: float = 1.0) -> str:
-    """A number as text, so many times as large; "-" = there is none."""
+    """`times * value` as text with `digits` decimals; "-" for None."""
     return "-" if value is None else f"{times * value:.{digits}f}"

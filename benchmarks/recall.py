@@ -1,4 +1,4 @@
-"""Share of simulated cars that detectors of real roads find: how real the simulation looks to them."""
+"""Recall of detectors trained on real images for simulated cars, as a measure of the realism of the simulation."""
 
 from __future__ import annotations
 
@@ -22,62 +22,73 @@ from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import label_scene
 
 SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
+"""Scenarios of the drives."""
+
 _TIMES_S = (0.0, 1.1, 2.3, 3.7, 5.2)
+"""Times in s of the frames of a drive."""
+
 _MIN_HEIGHT_PX = 30.0
+"""Smallest height of a counted car."""
+
 _SCORES = (0.1, 0.25)
+"""Confidence thresholds."""
+
 _CAR = ROAD_CLASSES.index("car")
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """Options of the workload."""
+    """Add the options of this workload."""
     parser.add_argument(
-        "--model", type=Path, action="append", default=[], metavar="FILE", help="beside the packaged one"
+        "--model", type=Path, action="append", default=[], metavar="FILE", help="detector in addition to the packaged"
     )
-    parser.add_argument("--seeds", type=int, default=2, metavar="N")
+    parser.add_argument("--seeds", type=int, default=2, metavar="N", help="number of drives per scenario")
 
 
 def measure(options: Namespace) -> dict[str, object]:
-    """Recall of cars over 30 px high, at least half visible, at IoU 0.5 and the right class, per model and scenario."""
-    words = (DEFAULT_MODEL, *map(str, options.model))
+    """Recall of cars at least 30 px high and half visible, at IoU 0.5 with the class car, per model and scenario."""
+    names = (DEFAULT_MODEL, *map(str, options.model))
     runtime = Runtime(n_threads=1)
     models = {
-        word: YoloDetector(find_model(word).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime) for word in words
+        name: YoloDetector(find_model(name).path, YoloSettings(min_score=_SCORES[0]), runtime=runtime) for name in names
     }
-    best: dict[str, dict[str, list[float]]] = {word: {name: [] for name in SCENARIOS} for word in words}
-    for name in SCENARIOS:
-        for image, cars_px in _pictures(name, options.seeds):
-            for word, model in models.items():
-                found = model.detect(image)
-                hit = (iou(cars_px, found.xyxy_px) >= 0.5) & (found.class_id == _CAR)
-                best[word][name].extend((hit * found.score).max(axis=1, initial=0.0).tolist())
+    scores: dict[str, dict[str, list[float]]] = {name: {scenario: [] for scenario in SCENARIOS} for name in names}
+    for scenario in SCENARIOS:
+        for image, cars_px in _images(scenario, options.seeds):
+            for name, model in models.items():
+                detected = model.detect(image)
+                is_hit = (iou(cars_px, detected.xyxy_px) >= 0.5) & (detected.class_id == _CAR)
+                scores[name][scenario].extend((is_hit * detected.score).max(axis=1, initial=0.0).tolist())
     figures = {
-        word: {"all": _recall(list(chain.from_iterable(each.values())))} | {n: _recall(s) for n, s in each.items()}
-        for word, each in best.items()
+        name: {"all": _recall(list(chain.from_iterable(by_scenario.values())))}
+        | {scenario: _recall(best) for scenario, best in by_scenario.items()}
+        for name, by_scenario in scores.items()
     }
-    _tell(figures)
+    _print_table(figures)
     return {"recall": figures}
 
 
-def _pictures(name: str, n_seeds: int) -> Iterator[tuple[Image, FloatArray]]:
+def _images(scenario: str, n_seeds: int) -> Iterator[tuple[Image, FloatArray]]:
+    """Images, each with the (N, 4) boxes of its cars."""
     rig = kitti_like_rig()
     for seed in range(n_seeds):
-        scene = make_scenario(name, seed=seed, seconds=6.0)
+        scene = make_scenario(scenario, seed=seed, seconds=6.0)
         renderer, labels = Renderer(scene, rig), label_scene(scene, list(_TIMES_S), camera=rig.left)
-        high = labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1] > _MIN_HEIGHT_PX
-        cars = high & (labels.kitti_type == "Car") & (labels.occluded < 2)
+        is_high = labels.xyxy_px[:, 3] - labels.xyxy_px[:, 1] > _MIN_HEIGHT_PX
+        is_car = is_high & (labels.kitti_type == "Car") & (labels.occluded < 2)
         for frame, time_s in enumerate(_TIMES_S):
-            yield renderer.render(time_s), labels.xyxy_px[cars & (labels.frame == frame)]
+            yield renderer.render(time_s), labels.xyxy_px[is_car & (labels.frame == frame)]
 
 
 def _recall(scores: list[float]) -> dict[str, float]:
+    """Number of cars and recall at each threshold, from the confidence of the best detection of each car."""
     return {"n": len(scores)} | {
-        f"at_{least}": round(float(np.mean(np.array(scores) >= least)), 3) for least in _SCORES
+        f"at_{threshold}": round(float(np.mean(np.array(scores) >= threshold)), 3) for threshold in _SCORES
     }
 
 
-def _tell(figures: dict[str, dict[str, dict[str, float]]]) -> None:
-    table = Table("model", "scenario", "cars", *(f"recall at score {least}" for least in _SCORES))
-    for word, each in figures.items():
-        for name, row in each.items():
-            table.add_row(Path(word).name, name, *(f"{value}" for value in row.values()))
+def _print_table(figures: dict[str, dict[str, dict[str, float]]]) -> None:
+    table = Table("model", "scenario", "cars", *(f"recall at confidence {threshold}" for threshold in _SCORES))
+    for name, by_scenario in figures.items():
+        for scenario, row in by_scenario.items():
+            table.add_row(Path(name).name, scenario, *(f"{value}" for value in row.values()))
     Console().print(table)

@@ -23,7 +23,7 @@ COMMANDS = {
 
 
 def add_options(parser: ArgumentParser) -> None:
-    """The number of runs."""
+    """Add the options of this workload."""
     parser.add_argument("--runs", type=int, default=10, help="runs of each command (default: 10)")
 
 
@@ -51,9 +51,9 @@ def measure(options: Namespace) -> dict[str, Any]:
 def _times_s(arguments: tuple[str, ...]) -> tuple[float, float]:
     """Wall-clock and CPU time of one process."""
     cpu_s = _children_cpu_s()
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     subprocess.run([sys.executable, *arguments], stdout=subprocess.DEVNULL, check=True)
-    return time.perf_counter() - began_s, _children_cpu_s() - cpu_s
+    return time.perf_counter() - start_s, _children_cpu_s() - cpu_s
 
 
 def _children_cpu_s() -> float:

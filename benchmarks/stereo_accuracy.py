@@ -1,11 +1,11 @@
-"""Accuracy of stereo where the truth is exact or needs no truth: simulated drives, and repeatability on real ones.
+"""Accuracy of stereo matching: errors on simulated drives with exact ground truth, repeatability on real drives.
 
-Simulated: drives with KITTI's geometry (`track_range.simulation`, encoded as users get them), all labels at 15-25 m
-that count (not truncated, at most partly hidden), the box that of the label, priors from the frame before as in a run.
-The truth is the label's visible surface on the ray through the box's middle. Goal: median error at most 0.3 %.
-Repeatability: the real drives' labelled tracks of at least 8 measured frames; standard deviation of the disparity about
-a quadratic in time (three degrees of freedom taken off). Goal: at most 0.08 px. The row `labels` is what the labels'
-own distances leave: no quadratic follows a near car that passes.
+Simulated drives: KITTI's geometry (`track_range.simulation`, encoded videos), labels at 15-25 m that are not truncated
+and at most partly occluded, boxes of the labels, priors from the previous frame as in a run. The true distance is that
+of the label's visible surface on the ray through the box centre. Goal: median error at most 0.3 %. Repeatability:
+labelled tracks of real drives with at least 8 measured frames; standard deviation of the disparity about a quadratic in
+time (three degrees of freedom). Goal: at most 0.08 px. The row `labels` is the same for the disparities of the labels:
+the disparity of a near car that passes is not quadratic in time.
 """
 
 from __future__ import annotations
@@ -30,20 +30,25 @@ from track_range.stereo.evaluation.kitti_2015 import StereoPair
 from track_range.stereo.matching.box_matchers import Measured, measure_pairs
 
 FROM_M, TO_M = 15.0, 25.0
+"""Distance range in m on simulated drives."""
+
 MIN_FRAMES = 8
+"""Smallest number of measured frames of a track for its repeatability."""
+
 MATCHERS = ("patch", "sgbm")
+"""Names of the compared matchers."""
 
 
 def add_accuracy_options(parser: argparse.ArgumentParser) -> None:
-    """Options of the accuracy part."""
-    parser.add_argument("--seeds", type=int, default=3, help="simulated drives")
-    parser.add_argument("--fps", type=float, default=2.5, help="of the simulated drives, 6 s each")
+    """Add the options of the accuracy part."""
+    parser.add_argument("--seeds", type=int, default=3, help="number of simulated drives")
+    parser.add_argument("--fps", type=float, default=2.5, help="frame rate of the simulated drives, of 6 s each")
     drives = [REAL_DATA / "kitti_stereo" / name for name in ("0003", "0005")]
     parser.add_argument("--drives", type=Path, nargs="*", default=drives, help="real drives with labels")
 
 
 def measure_accuracy(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure both, print the tables, and return their figures."""
+    """Figures on simulated and on real drives; prints the tables."""
     simulated = _simulated(options.seeds, options.fps) if options.seeds else {}
     repeated = {drive.name: _repeatability(drive) for drive in options.drives if drive.is_dir()}
     _print(simulated, repeated)
@@ -69,7 +74,7 @@ def _drives(folder: Path, n_drives: int, fps: float) -> Iterator[StereoPair]:
 
 
 def _repeatability(drive: Path) -> dict[str, Any]:
-    """By matcher: the tracks' standard deviations, their median and the worst; and the same of the labels' truth."""
+    """Standard deviations per track, with their median and maximum, by matcher and for the labels."""
     measured = measure_pairs(read_drive(drive), MATCHERS)
     truth = Column(measured.objects.true_px, np.zeros(len(measured.objects)))
     return {name: _repeated(measured, column) for name, column in {**measured.columns, "labels": truth}.items()}
@@ -87,18 +92,18 @@ def _repeated(measured: Measured, column: Column) -> dict[str, Any]:
 
 
 def scatter_px(track_id: IntArray, frame: IntArray, disparity_px: FloatArray) -> dict[int, float]:
-    """Standard deviation of each track's disparities about a quadratic in the frame's number.
+    """Standard deviation of each track's disparities about a quadratic in the frame number.
 
-    Tracks of fewer than 8 measured frames are left out. All arrays are (N,); NaN = not measured.
+    Tracks of fewer than `MIN_FRAMES` measured frames are not included. All arrays are (N,); NaN = not measured.
     """
-    found = {}
+    scatter = {}
     for track in np.unique(track_id).tolist():
         rows = (track_id == track) & np.isfinite(disparity_px)
         if rows.sum() >= MIN_FRAMES:
-            line = np.polynomial.Polynomial.fit(frame[rows], disparity_px[rows], 2)
-            residual_px = disparity_px[rows] - line(frame[rows])
-            found[track] = float(np.sqrt((residual_px**2).sum() / (len(residual_px) - 3)))
-    return found
+            curve = np.polynomial.Polynomial.fit(frame[rows], disparity_px[rows], 2)
+            residual_px = disparity_px[rows] - curve(frame[rows])
+            scatter[track] = float(np.sqrt((residual_px**2).sum() / (len(residual_px) - 3)))
+    return scatter
 
 
 def _print(simulated: dict[str, Any], repeated: dict[str, Any]) -> None:

@@ -1,1 +1,1 @@
-"""Drives and sequences that benchmarks run on."""
+"""Drives and sequences for benchmarks."""

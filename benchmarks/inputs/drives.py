@@ -1,4 +1,4 @@
-"""The drives that benchmarks run on: a short real stereo drive, looped to any length without decoding it."""
+"""Real stereo drives for benchmarks, looped to any length without decoding."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ REAL_DATA = Path(os.environ.get("TRACK_RANGE_DATA", Path(__file__).resolve().par
 
 @dataclass(frozen=True, slots=True)
 class LoopedDrive:
-    """A stereo drive repeated until it is long enough; `rig` is the original's, image_hw (height, width)."""
+    """A stereo drive that is repeated to a given length.
+
+    Attributes:
+        left: left video.
+        right: right video.
+        rig: rig file of the original drive.
+        image_hw: (height, width) of the images.
+    """
 
     left: Path
     right: Path
@@ -23,7 +30,7 @@ class LoopedDrive:
 
 
 def add_drive_options(parser: argparse.ArgumentParser) -> None:
-    """Options that say which drive and which detector."""
+    """Add the options of the drive and the detector."""
     drive = REAL_DATA / "kitti_stereo" / "0003"
     parser.add_argument("--drive", type=Path, default=drive, help="folder with left.mp4, right.mp4 and calib.txt")
     model = REAL_DATA / "models" / "yolov5n_coco_640.onnx"
@@ -41,7 +48,7 @@ def looped(drive: Path, folder: Path, *, n_frames: int) -> LoopedDrive:
 
 
 def loop_video(source: Path, target: Path, *, n_frames: int) -> None:
-    """Copy the packets again and again, each round later by the video's length."""
+    """Write a video with the packets of `source`, repeated to at least `n_frames` frames."""
     with av.open(str(target), "w") as writer:
         stream = None
         n_written, offset = 0, 0

@@ -1,7 +1,7 @@
-"""What the tracking benchmark runs on: sequences with stored boxes and official truth, and scenes to take the time of.
+"""Sequences for the tracking benchmark: stored boxes with official ground truth, and random scenes for timing.
 
-KITTI tracking (RRC's boxes; cars, pedestrians), MOT15 and MOT17 as `evaluate tracks` scores them. A scene is objects on
-smooth random paths, with jitter, missing boxes and false alarms; the same for the same seed.
+KITTI tracking (RRC boxes of cars and pedestrians), MOT15 and MOT17, scored as by `evaluate tracks`. A scene has objects
+on smooth random paths, with jitter, missing boxes and false alarms, determined by its seed.
 """
 
 from __future__ import annotations
@@ -24,30 +24,37 @@ from track_range.tracking.mot_format import MotRows, read_mot
 from track_range.tracking.tracked_boxes import TrackedBoxes
 
 SETS = ("kitti-car", "kitti-person", "mot15", "mot17")
-_KITTI_FPS, _KITTI_SIZE_PX, _USUAL_SIZE_PX = 10.0, (1242, 375), (1920, 1080)
+"""Names of the data sets."""
+
+_KITTI_FPS, _KITTI_SIZE_PX, _DEFAULT_SIZE_PX = 10.0, (1242, 375), (1920, 1080)
+"""Frame rate and image size of KITTI, and image size of other sequences without one."""
+
 _MIN_SCORE = {"kitti-car": 0.5, "kitti-person": 0.5, "mot15": 0.5, "mot17": 0.3}
-"""Boxes below are dropped for trackers of one threshold."""
+"""Confidence threshold of boxes for trackers with one threshold, by data set."""
 
 N_WARM_UP = 20
-"""Frames of a scene that are not counted."""
+"""Number of frames at the start of a scene that are not timed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Boxes of a sequence, and the truth.
+    """Stored boxes of a sequence, with the ground truth.
 
     Attributes:
-        name, set_name: which, of `SETS`.
-        road_class: the class of all boxes.
-        found: the boxes.
-        n_frames, fps, size_px: length, rate, and (width, height) of the images.
-        truth: KITTI's or MOTChallenge's; None for a scene.
+        name: name of the sequence.
+        set_name: its data set, of `SETS`, or "scene".
+        road_class: class of all boxes.
+        detected: stored boxes.
+        n_frames: number of frames.
+        fps: frame rate.
+        size_px: (width, height) of the images.
+        truth: labels of KITTI or MOTChallenge; None for a scene.
     """
 
     name: str
     set_name: str
     road_class: str
-    found: RecordedDetections
+    detected: RecordedDetections
     n_frames: int
     fps: float
     size_px: tuple[int, int]
@@ -55,27 +62,31 @@ class Sequence:
 
     @property
     def min_score(self) -> float:
-        """For trackers of one threshold."""
+        """Confidence threshold of boxes for trackers with one threshold."""
         return _MIN_SCORE.get(self.set_name, 0.5)
 
     @property
-    def has_vectors(self) -> bool:
-        """Whether the boxes have appearance vectors."""
-        return bool(self.found.detections.descriptor.shape[1])
+    def has_embeddings(self) -> bool:
+        """Whether the boxes have stored appearance embeddings."""
+        return bool(self.detected.detections.descriptor.shape[1])
 
     def counts(self, frame: IntArray, track_id: IntArray, xyxy_px: FloatArray) -> TrackingCounts:
-        """How good these tracks (N rows) are by the official rules; boxes with two decimals, as files have them."""
+        """Counts of N track boxes by the official rules; boxes are rounded to two decimals, as in result files.
+
+        Raises:
+            ValueError: the sequence is a scene.
+        """
         class_id = np.full(len(frame), ROAD_CLASSES.index(self.road_class))
         boxes = TrackedBoxes(frame, track_id, np.round(xyxy_px, 2), class_id)
         if isinstance(self.truth, KittiLabels):
             return TrackingCounts.of(*kitti_cleaned(self.truth, boxes, self.road_class))
         if self.truth is None:
-            raise ValueError(f"{self.name}: a scene has no truth")
+            raise ValueError(f"{self.name}: expected a sequence with ground truth, got a scene")
         return TrackingCounts.of(*mot_cleaned(self.truth, boxes))
 
 
 def sequences_of(set_name: str, data: Path) -> list[Sequence]:
-    """All sequences of one of `SETS` that have boxes; none where `data` has no such folder."""
+    """All sequences of a data set, of `SETS`, with stored boxes; empty if `data` does not have the data set."""
     if set_name.startswith("kitti"):
         return list(_kitti(data / "kitti_labels", set_name))
     return list(_mot(data / "mot" / set_name.upper(), set_name))
@@ -84,32 +95,32 @@ def sequences_of(set_name: str, data: Path) -> list[Sequence]:
 def _kitti(folder: Path, set_name: str) -> Iterator[Sequence]:
     road_class = set_name.removeprefix("kitti-")
     boxes = folder / "rrc" / KITTI_TYPES[road_class][0]
-    for each in find_sequences(boxes, "det") if boxes.is_dir() else ():
-        if each.path.stat().st_size == 0:  # and its truth is without that class too
+    for source in find_sequences(boxes, "det") if boxes.is_dir() else ():
+        if source.path.stat().st_size == 0:  # the labels do not have the class either
             continue
-        found = read_detections(each.path, unnamed_class_id=ROAD_CLASSES.index(road_class))
-        truth = read_kitti(folder / "label_02" / f"{each.name}.txt")
-        n_frames = int(found.frame[-1]) + 1
-        yield Sequence(each.name, set_name, road_class, found, n_frames, _KITTI_FPS, _KITTI_SIZE_PX, truth)
+        detected = read_detections(source.path, unnamed_class_id=ROAD_CLASSES.index(road_class))
+        truth = read_kitti(folder / "label_02" / f"{source.name}.txt")
+        n_frames = int(detected.frame[-1]) + 1
+        yield Sequence(source.name, set_name, road_class, detected, n_frames, _KITTI_FPS, _KITTI_SIZE_PX, truth)
 
 
 def _mot(folder: Path, set_name: str) -> Iterator[Sequence]:
-    for each in find_sequences(folder, "det") if folder.is_dir() else ():
-        found = read_detections(each.path, unnamed_class_id=ROAD_CLASSES.index("person"))
-        n_frames = max(each.info.n_frames or 0, int(found.frame[-1]) + 1)
-        truth = read_mot(folder / each.name / "gt" / "gt.txt")
-        fps, size_px = each.info.fps or 30.0, each.info.size_px or _USUAL_SIZE_PX
-        yield Sequence(each.name, set_name, "person", found, n_frames, fps, size_px, truth)
+    for source in find_sequences(folder, "det") if folder.is_dir() else ():
+        detected = read_detections(source.path, unnamed_class_id=ROAD_CLASSES.index("person"))
+        n_frames = max(source.info.n_frames or 0, int(detected.frame[-1]) + 1)
+        truth = read_mot(folder / source.name / "gt" / "gt.txt")
+        fps, size_px = source.info.fps or 30.0, source.info.size_px or _DEFAULT_SIZE_PX
+        yield Sequence(source.name, set_name, "person", detected, n_frames, fps, size_px, truth)
 
 
 def scene(n_objects: int, *, n_frames: int, seed: int = 0) -> Sequence:
-    """Objects on smooth random paths: 2 % jitter, 5 % missing, 2 % false alarms, in a random order per frame.
+    """Random scene of objects on smooth paths: 2 % jitter, 5 % missing boxes, 2 % false alarms, in random order.
 
-    The image is 1920 x 1080, and larger for more than 200 objects, so that a crowd stays as dense.
+    The image is 1920 x 1080 px, and larger for more than 200 objects, so that their density stays the same.
     """
     random = np.random.default_rng(seed)
     side = max(1.0, (n_objects / 200) ** 0.5)
-    size_px = np.array(_USUAL_SIZE_PX) * side
+    size_px = np.array(_DEFAULT_SIZE_PX) * side
     height_px = random.uniform(40, 160, n_objects)
     size = np.stack([height_px * random.uniform(0.4, 1.5, n_objects), height_px], axis=1)
     middle, swing = random.uniform(0.1, 0.9, (2, n_objects, 2)) * size_px * np.array([[[1.0]], [[0.1 / side]]])
@@ -129,11 +140,11 @@ def scene(n_objects: int, *, n_frames: int, seed: int = 0) -> Sequence:
 
 def _recorded(frames: list[Detections]) -> RecordedDetections:
     boxes = Detections.of(
-        np.concatenate([each.xyxy_px for each in frames]),
-        np.concatenate([each.score for each in frames]),
-        np.concatenate([each.class_id for each in frames]),
+        np.concatenate([detections.xyxy_px for detections in frames]),
+        np.concatenate([detections.score for detections in frames]),
+        np.concatenate([detections.class_id for detections in frames]),
     )
-    frame = np.repeat(np.arange(len(frames)), [len(each) for each in frames])
+    frame = np.repeat(np.arange(len(frames)), [len(detections) for detections in frames])
     return RecordedDetections(frame, boxes, "rrc", notes=())
 
 

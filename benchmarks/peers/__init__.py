@@ -1,1 +1,1 @@
-"""Other projects' trackers, run on the same detections."""
+"""Trackers of other packages, run on the same detections."""

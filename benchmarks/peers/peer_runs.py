@@ -1,7 +1,7 @@
-"""Peers of the tracker: environments of their own, made on demand, and `peer_trackers.py` run in them.
+"""Virtual environments for trackers of other packages (peers), and runs of `peer_trackers.py` in them.
 
-Two peers want different releases of the same library, and one brings PyTorch (some GB): so there are three, apart from
-ours. Nothing here imports them.
+There are three environments, separate from that of track-range: two peers require different releases of the same
+library, and one requires PyTorch (several GB). They are created on demand. This module does not import the peers.
 """
 
 from __future__ import annotations
@@ -24,40 +24,45 @@ REQUIREMENTS: Mapping[str, tuple[str, ...]] = {
     "norfair": ("norfair>=2.3,<3",),
     "boxmot": ("boxmot>=25,<26",),
 }
+"""Requirements of each environment."""
+
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""Environment variables that limit numerical libraries to one thread."""
+
 _SCRIPT = Path(__file__).with_name("peer_trackers.py")
-_MADE = "made.stamp"
+_STAMP = "made.stamp"
+"""File in a complete environment."""
 
 
-def made_environments(folder: Path) -> dict[str, Path]:
-    """The interpreter of each environment, made where it is missing; without those that cannot be made."""
-    found = {name: folder / name for name in REQUIREMENTS}
-    return {name: each / "bin" / "python" for name, each in found.items() if _is_made(name, each)}
+def create_environments(folder: Path) -> dict[str, Path]:
+    """Python interpreters of the environments, created if missing; without those that cannot be created."""
+    folders = {name: folder / name for name in REQUIREMENTS}
+    return {name: path / "bin" / "python" for name, path in folders.items() if _is_created(name, path)}
 
 
-def _is_made(name: str, place: Path) -> bool:
-    if (place / _MADE).is_file():
+def _is_created(name: str, folder: Path) -> bool:
+    if (folder / _STAMP).is_file():
         return True
-    print(f"{place}: making it for {', '.join(REQUIREMENTS[name])} (once) ...", flush=True)
-    install = [str(place / "bin" / "python"), "-m", "pip", "install", "--quiet", *REQUIREMENTS[name]]
-    for command in ([sys.executable, "-m", "venv", "--clear", str(place)], install):
+    print(f"{folder}: installing {', '.join(REQUIREMENTS[name])} ...", flush=True)
+    install = [str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", *REQUIREMENTS[name]]
+    for command in ([sys.executable, "-m", "venv", "--clear", str(folder)], install):
         try:
             subprocess.run(command, check=True)
         except (OSError, subprocess.CalledProcessError) as error:
-            print(f"{place}: cannot be made ({error}); its peers are left out.", flush=True)
+            print(f"{folder}: cannot be created ({error}); its peers are skipped.", flush=True)
             return False
-    (place / _MADE).touch()
+    (folder / _STAMP).touch()
     return True
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What a peer said of some sequences.
+class PeerResult:
+    """Tracks and times of a peer on some sequences.
 
     Attributes:
-        version: of its package.
-        tracks: by index of the sequence: frame, track_id (N,), xyxy_px (N, 4).
-        us: by index of the sequence: time of every frame.
+        version: version of the peer's package.
+        tracks: frame (N,), track_id (N,) and xyxy_px (N, 4), by index of the sequence.
+        us: time of each frame in microseconds, by index of the sequence.
     """
 
     version: str
@@ -67,54 +72,58 @@ class Answer:
 
 def run_peers(
     python: Path, names: Iterable[str], sequences: Iterable[Sequence], *, max_s: float = np.inf
-) -> dict[str, Answer]:
-    """Run peers of one environment in one process, one after another; without those that fail, which say so.
+) -> dict[str, PeerResult]:
+    """Results of peers of one environment, run one after another in one process; without peers that fail.
 
     Args:
-        python: the environment's interpreter.
-        names: of `peer_trackers.PEERS`.
-        sequences: what they track.
-        max_s: seconds after which a tracker leaves a sequence.
+        python: interpreter of the environment.
+        names: names of the peers, of `peer_trackers.PEERS`.
+        sequences: sequences to track.
+        max_s: processor time in s after which a sequence is stopped.
     """
     with tempfile.TemporaryDirectory() as folder:
-        given, answers = Path(folder) / "given.npz", Path(folder)
-        np.savez(given, **_given(list(sequences), max_s))  # type: ignore[arg-type]
-        # -P: the script's own folder has modules whose names somebody else's may have too.
-        command = [str(python), "-P", str(_SCRIPT), str(given), folder, *names]
+        inputs, results = Path(folder) / "inputs.npz", Path(folder)
+        np.savez(inputs, **_inputs(list(sequences), max_s))  # type: ignore[arg-type]
+        # -P: modules in the folder of the script could shadow those of a peer.
+        command = [str(python), "-P", str(_SCRIPT), str(inputs), folder, *names]
         run = subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=False, stderr=subprocess.PIPE, text=True)
         if run.returncode:
             print(f"{python}: status {run.returncode}. {run.stderr[-300:]}", flush=True)
-        found = {name: answers / f"{name}.npz" for name in names}
-        return {name: _answer(file) for name, file in found.items() if file.is_file()}
+        files = {name: results / f"{name}.npz" for name in names}
+        return {name: _peer_result(file) for name, file in files.items() if file.is_file()}
 
 
-def _given(sequences: list[Sequence], max_s: float) -> dict[str, Array]:
-    """See `peer_trackers`."""
-    given: dict[str, Array] = {"n": np.array(len(sequences))}
-    for i, each in enumerate(sequences):
-        boxes = each.found.detections
-        given |= {
-            f"{i}/begin": np.searchsorted(each.found.frame, np.arange(each.n_frames + 1)),
+def _inputs(sequences: list[Sequence], max_s: float) -> dict[str, Array]:
+    """Input arrays of the script, as described in `peer_trackers`."""
+    inputs: dict[str, Array] = {"n": np.array(len(sequences))}
+    for i, sequence in enumerate(sequences):
+        boxes = sequence.detected.detections
+        inputs |= {
+            f"{i}/begin": np.searchsorted(sequence.detected.frame, np.arange(sequence.n_frames + 1)),
             f"{i}/xyxy_px": boxes.xyxy_px,
             f"{i}/score": boxes.score,
             f"{i}/descriptor": boxes.descriptor,
-            f"{i}/fps": np.array(each.fps),
-            f"{i}/size_px": np.array(each.size_px),
-            f"{i}/min_score": np.array(each.min_score),
+            f"{i}/fps": np.array(sequence.fps),
+            f"{i}/size_px": np.array(sequence.size_px),
+            f"{i}/min_score": np.array(sequence.min_score),
             f"{i}/max_s": np.array(max_s),
         }
-    return given
+    return inputs
 
 
-def _answer(file: Path) -> Answer:
+def _peer_result(file: Path) -> PeerResult:
     with np.load(file, allow_pickle=False) as arrays:
-        answer = Answer(str(arrays["version"]))
+        result = PeerResult(str(arrays["version"]))
         for i in (int(key.split("/")[0]) for key in arrays if key.endswith("/us")):
-            answer.us[i] = arrays[f"{i}/us"]
-            answer.tracks[i] = (arrays[f"{i}/frame"], arrays[f"{i}/track_id"], arrays[f"{i}/xyxy_px"])
-        return answer
+            result.us[i] = arrays[f"{i}/us"]
+            result.tracks[i] = (arrays[f"{i}/frame"], arrays[f"{i}/track_id"], arrays[f"{i}/xyxy_px"])
+        return result
 
 
-def names_in(environment: str, *, with_vectors: bool = True) -> list[str]:
-    """Peers of an environment, in the table's order."""
-    return [n for n, p in PEERS.items() if p.environment == environment and (with_vectors or not p.has_vectors)]
+def names_in(environment: str, *, with_embeddings: bool = True) -> list[str]:
+    """Names of the peers of an environment, in the order of the table."""
+    return [
+        name
+        for name, peer in PEERS.items()
+        if peer.environment == environment and (with_embeddings or not peer.has_embeddings)
+    ]

@@ -1,15 +1,15 @@
-"""Run other people's trackers over boxes: `python peer_trackers.py IN.npz OUT_FOLDER NAME...` -> OUT_FOLDER/NAME.npz.
+"""Run trackers of other packages on boxes: `python peer_trackers.py IN.npz OUT_FOLDER NAME...` -> OUT_FOLDER/NAME.npz.
 
-A script for the interpreter that a peer is installed in, so it imports the standard library, numpy and the peer alone.
-All run at their published defaults, a fresh instance per sequence, and get the frame rate where they ask for it.
+The script runs with the interpreter of a peer's environment and imports only the standard library, numpy and the peer.
+Trackers have their published defaults, a new instance per sequence, and the frame rate if they have such a parameter.
 
-    IN   n; for sequence i: i/begin (frames + 1) rows at which frames begin, i/xyxy_px (N, 4), i/score (N,),
-         i/descriptor (N, D), i/fps, i/size_px (2), i/min_score (trackers of one threshold do not see boxes below),
-         i/max_s (seconds of processor time after which a sequence that is only timed is left)
-    OUT  for sequence i: i/frame, i/track_id (M,), i/xyxy_px (M, 4), i/us (frames): processor time of the tracker's own
-         update with the conversion that its input requires, not of reading its answer; version
+    IN   n; for sequence i: i/begin (frames + 1) first row of each frame, i/xyxy_px (N, 4), i/score (N,),
+         i/descriptor (N, D) embeddings, i/fps, i/size_px (2), i/min_score confidence threshold for trackers with one
+         threshold, i/max_s processor time in s after which the sequence is stopped
+    OUT  for sequence i: i/frame, i/track_id (M,), i/xyxy_px (M, 4), i/us (frames): processor time of the tracker's
+         update with the conversion of its input, without that of its output; version
 
-abewley/sort is no package: `trackers`' SORT stands for it.
+abewley/sort is not a package; it is represented by the SORT tracker of `trackers`.
 """
 
 from __future__ import annotations
@@ -30,21 +30,28 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 Update = Callable[[Array, Array, Array], Any]
-"""Boxes (N, 4), scores (N,), descriptors (N, D) -> what the tracker says."""
+"""Function from boxes (N, 4), confidences (N,) and embeddings (N, D) to the output of the tracker."""
+
 Read = Callable[[Any], tuple[Array, Array]]
-"""What it said -> identities (M,), boxes (M, 4)."""
+"""Function from the output of the tracker to identities (M,) and boxes (M, 4)."""
 
 LOW_SCORE = 0.1
-"""Trackers of two thresholds see every box from here on."""
+"""Confidence threshold of boxes for trackers with two thresholds."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """What a tracker is told of a sequence beforehand."""
+    """Properties of a sequence that trackers are created with.
+
+    Attributes:
+        fps: frame rate.
+        size_px: (width, height) of the images.
+        has_embeddings: whether boxes have embeddings.
+    """
 
     fps: float
     size_px: tuple[int, int]
-    has_vectors: bool
+    has_embeddings: bool
 
 
 @dataclass(frozen=True)
@@ -52,19 +59,20 @@ class Peer:
     """One row of the table.
 
     Attributes:
-        package: as it is installed, of `environment`.
-        make: the tracker of this name, ready for a stream.
-        name: its class; "" = the package has one.
-        sees_weak: it has two thresholds, and sees weak boxes too.
-        has_vectors: it gets the stored appearance vectors, and runs where there are some.
+        package: name of the package.
+        environment: environment with the package.
+        make: creates the tracker `name` for a stream.
+        name: class or option of the tracker; "" = the package has a single tracker.
+        has_two_thresholds: whether it also uses low-confidence boxes.
+        has_embeddings: whether it gets the stored embeddings; it then runs only on sequences with embeddings.
     """
 
     package: str
     environment: str
     make: Callable[[str, Stream], tuple[Update, Read]]
     name: str = ""
-    sees_weak: bool = False
-    has_vectors: bool = False
+    has_two_thresholds: bool = False
+    has_embeddings: bool = False
 
 
 def _trackers(name: str, stream: Stream) -> tuple[Update, Read]:
@@ -75,19 +83,19 @@ def _trackers(name: str, stream: Stream) -> tuple[Update, Read]:
         class_id = np.zeros(len(xyxy), int)
         return tracker.update(supervision.Detections(xyxy.astype(np.float32), None, score.astype(np.float32), class_id))
 
-    def read(said: Any) -> tuple[Array, Array]:
-        if said.tracker_id is None:
-            return _nobody()
-        sure = said.tracker_id >= 0
-        return said.tracker_id[sure], said.xyxy[sure]
+    def read(output: Any) -> tuple[Array, Array]:
+        if output.tracker_id is None:
+            return _arrays([], [])
+        is_confirmed = output.tracker_id >= 0
+        return output.tracker_id[is_confirmed], output.xyxy[is_confirmed]
 
     return update, read
 
 
 def _boxmot(name: str, stream: Stream) -> tuple[Update, Read]:
-    """Without pictures there is no camera motion to estimate, and without vectors no network to download for them."""
+    """A tracker of boxmot without camera motion compensation, since there are no images, and without its networks."""
     boxmot = importlib.import_module("boxmot")
-    known: dict[str, dict[str, Any]] = {
+    options_of: dict[str, dict[str, Any]] = {
         "ByteTrack": {"frame_rate": round(stream.fps)},
         "BotSort": {"frame_rate": round(stream.fps), "use_cmc": False},
         "OccluBoost": {"use_cmc": False},
@@ -96,72 +104,74 @@ def _boxmot(name: str, stream: Stream) -> tuple[Update, Read]:
         "HybridSort": {"cmc_method": None},
         "SFSORT": dict(zip(("frame_width", "frame_height"), stream.size_px, strict=True)),
     }
-    constant = known.get(name, {})
-    if name in _WITH_LOOKS:
-        constant["use_embeddings"] = stream.has_vectors
-    tracker = getattr(boxmot, name)(**constant)
-    if name == "StrongSort":  # which has no switch for it
+    options = options_of.get(name, {})
+    if name in _OPTIONAL_EMBEDDINGS:
+        options["use_embeddings"] = stream.has_embeddings
+    tracker = getattr(boxmot, name)(**options)
+    if name == "StrongSort":  # it has no option for camera motion
         tracker.cmc, tracker._requires_frame = None, False
-    needs_vectors, unlike = tracker.use_embeddings, _Unlike()
+    needs_embeddings, random_embeddings = tracker.use_embeddings, _RandomEmbeddings()
     structures, torch = importlib.import_module("boxmot.structures"), importlib.import_module("torch")
 
-    def update(xyxy: Array, score: Array, vectors: Array) -> Any:
-        if not needs_vectors:
+    def update(xyxy: Array, score: Array, embeddings: Array) -> Any:
+        if not needs_embeddings:
             rows = np.concatenate([xyxy, score[:, None], np.zeros((len(xyxy), 1))], axis=1)
             return tracker.update(rows.astype(np.float32))
-        vectors = vectors if vectors.shape[1] else unlike(len(xyxy))
+        embeddings = embeddings if embeddings.shape[1] else random_embeddings(len(xyxy))
         boxes = structures.Boxes(torch.from_numpy(xyxy.astype(np.float32)))
         scores, class_id = torch.from_numpy(score.astype(np.float32)), torch.zeros(len(xyxy), dtype=torch.int64)
-        looks = torch.from_numpy(vectors.astype(np.float32))
-        return tracker.update(structures.Detections(boxes, scores, class_id, "frame", embeddings=looks))
+        tensor = torch.from_numpy(embeddings.astype(np.float32))
+        return tracker.update(structures.Detections(boxes, scores, class_id, "frame", embeddings=tensor))
 
-    def read(said: Any) -> tuple[Array, Array]:
-        if needs_vectors:
-            return said.track_ids.numpy(), said.geometry.values.numpy()
-        return said[:, 4].astype(int), said[:, :4]
+    def read(output: Any) -> tuple[Array, Array]:
+        if needs_embeddings:
+            return output.track_ids.numpy(), output.geometry.values.numpy()
+        return output[:, 4].astype(int), output[:, :4]
 
     return update, read
 
 
-_WITH_LOOKS = ("BotSort", "OccluBoost", "BoostTrack", "DeepOcSort", "HybridSort")
+_OPTIONAL_EMBEDDINGS = ("BotSort", "OccluBoost", "BoostTrack", "DeepOcSort", "HybridSort")
+"""Trackers of boxmot that use embeddings optionally."""
 
 
 def _norfair(name: str, stream: Stream) -> tuple[Update, Read]:
-    """The package has no default distance: IoU and corners' distances at several thresholds were tried for it.
+    """A tracker of norfair, which has no default distance, with the better two of 13 distances and thresholds.
 
-    Reported is what was seen in this frame; its predictions of lost objects cost 11 HOTA on KITTI's cars. IoU, at any
-    overlap, with boxes as found serves it best on KITTI, corners within 50 px with its filtered boxes on MOT15.
+    Only objects detected in the current frame are reported; predictions of lost objects cost 11 HOTA on KITTI's cars.
+    IoU with any overlap and the detected boxes is best on KITTI; corners within 50 px and the filtered boxes on MOT15.
     """
     norfair = importlib.import_module("norfair")
-    limit = {"iou": 1.0, "mean_euclidean": 50.0}[name]
-    tracker = norfair.Tracker(distance_function=name, distance_threshold=limit)
-    now = [0]
+    threshold = {"iou": 1.0, "mean_euclidean": 50.0}[name]
+    tracker = norfair.Tracker(distance_function=name, distance_threshold=threshold)
+    frame = [0]
 
     def update(xyxy: Array, score: Array, _: Array) -> Any:
-        now[0] += 1
+        frame[0] += 1
         pairs = zip(xyxy.reshape(-1, 2, 2), score, strict=True)
-        return tracker.update([norfair.Detection(box, scores=np.array([s, s]), data=now[0]) for box, s in pairs])
+        return tracker.update([norfair.Detection(box, scores=np.array([s, s]), data=frame[0]) for box, s in pairs])
 
-    def read(said: Any) -> tuple[Array, Array]:
-        seen = [each for each in said if each.last_detection.data == now[0]]
-        boxes = [each.last_detection.points if name == "iou" else each.estimate for each in seen]
-        return _gathered([each.id for each in seen], [box.reshape(4) for box in boxes])
+    def read(output: Any) -> tuple[Array, Array]:
+        current = [track for track in output if track.last_detection.data == frame[0]]
+        boxes = [track.last_detection.points if name == "iou" else track.estimate for track in current]
+        return _arrays([track.id for track in current], [box.reshape(4) for box in boxes])
 
     return update, read
 
 
 def _deep_sort_realtime(_: str, stream: Stream) -> tuple[Update, Read]:
     tracker = importlib.import_module("deep_sort_realtime.deepsort_tracker").DeepSort(embedder=None)
-    unlike = _Unlike()
+    random_embeddings = _RandomEmbeddings()
 
-    def update(xyxy: Array, score: Array, vectors: Array) -> Any:
+    def update(xyxy: Array, score: Array, embeddings: Array) -> Any:
         ltwh = np.concatenate([xyxy[:, :2], xyxy[:, 2:] - xyxy[:, :2]], axis=1)
         boxes = [(box, s, "object") for box, s in zip(ltwh.tolist(), score.tolist(), strict=True)]
-        return tracker.update_tracks(boxes, embeds=list(vectors if vectors.shape[1] else unlike(len(xyxy))))
+        embeds = list(embeddings if embeddings.shape[1] else random_embeddings(len(xyxy)))
+        return tracker.update_tracks(boxes, embeds=embeds)
 
-    def read(said: Any) -> tuple[Array, Array]:
-        seen = [each for each in said if each.is_confirmed() and each.time_since_update == 0]
-        return _gathered([int(each.track_id) for each in seen], [each.to_ltrb(orig=True) for each in seen])
+    def read(output: Any) -> tuple[Array, Array]:
+        current = [track for track in output if track.is_confirmed() and track.time_since_update == 0]
+        return _arrays([int(track.track_id) for track in current], [track.to_ltrb(orig=True) for track in current])
 
     return update, read
 
@@ -174,25 +184,22 @@ def _motpy(_: str, stream: Stream) -> tuple[Update, Read]:
     def update(xyxy: Array, score: Array, _: Array) -> Any:
         return tracker.step([motpy.Detection(box=box, score=s) for box, s in zip(xyxy, score.tolist(), strict=True)])
 
-    def read(said: Any) -> tuple[Array, Array]:
-        return _gathered([number.setdefault(each.id, len(number) + 1) for each in said], [each.box for each in said])
+    def read(output: Any) -> tuple[Array, Array]:
+        ids = [number.setdefault(track.id, len(number) + 1) for track in output]
+        return _arrays(ids, [track.box for track in output])
 
     return update, read
 
 
-def _gathered(track_id: list[int], boxes: list[Array]) -> tuple[Array, Array]:
+def _arrays(track_id: list[int], boxes: list[Array]) -> tuple[Array, Array]:
     return np.array(track_id, int), np.array(boxes, float).reshape(-1, 4)
 
 
-def _nobody() -> tuple[Array, Array]:
-    return _gathered([], [])
+class _RandomEmbeddings:
+    """Random embeddings, all dissimilar, for trackers that require embeddings.
 
-
-class _Unlike:
-    """Vectors for trackers that insist on looks where there are none: random, so that nothing looks like anything.
-
-    Constant ones, with which all looks alike, serve deep-sort-realtime and StrongSort by 1 HOTA better on KITTI, and by
-    3 to 8 worse on MOT.
+    Compared with constant embeddings, HOTA of deep-sort-realtime and StrongSort is lower by 1 on KITTI, and higher by 3
+    to 8 on MOT.
     """
 
     def __init__(self) -> None:
@@ -207,45 +214,50 @@ class _Unlike:
 def _rows() -> dict[str, Peer]:
     rows = {
         "trackers-sort": Peer("trackers", "trackers", _trackers, "SORTTracker"),
-        "trackers-bytetrack": Peer("trackers", "trackers", _trackers, "ByteTrackTracker", sees_weak=True),
+        "trackers-bytetrack": Peer("trackers", "trackers", _trackers, "ByteTrackTracker", True),
         "trackers-ocsort": Peer("trackers", "trackers", _trackers, "OCSORTTracker"),
-        "trackers-botsort": Peer("trackers", "trackers", _trackers, "BoTSORTTracker", sees_weak=True),
-        "trackers-cbiou": Peer("trackers", "trackers", _trackers, "CBIoUTracker", sees_weak=True),
+        "trackers-botsort": Peer("trackers", "trackers", _trackers, "BoTSORTTracker", True),
+        "trackers-cbiou": Peer("trackers", "trackers", _trackers, "CBIoUTracker", True),
         "deep-sort-realtime": Peer("deep-sort-realtime", "trackers", _deep_sort_realtime),
-        "deep-sort-realtime+vectors": Peer("deep-sort-realtime", "trackers", _deep_sort_realtime, has_vectors=True),
+        "deep-sort-realtime+embeddings": Peer(
+            "deep-sort-realtime", "trackers", _deep_sort_realtime, has_embeddings=True
+        ),
         "motpy": Peer("motpy", "trackers", _motpy),
         "norfair-iou": Peer("norfair", "norfair", _norfair, "iou"),
         "norfair-euclidean": Peer("norfair", "norfair", _norfair, "mean_euclidean"),
     }
-    weak = ("ByteTrack", "BotSort", "SFSORT", "OccluBoost", "BoostTrack", "HybridSort")
-    with_looks = (*_WITH_LOOKS, "StrongSort")
-    for name in ("ByteTrack", "SFSORT", "OcSort", *with_looks):
-        rows[f"boxmot-{name.lower()}"] = Peer("boxmot", "boxmot", _boxmot, name, name in weak)
-        if name in with_looks:
-            rows[f"boxmot-{name.lower()}+vectors"] = Peer("boxmot", "boxmot", _boxmot, name, name in weak, True)
+    two_thresholds = ("ByteTrack", "BotSort", "SFSORT", "OccluBoost", "BoostTrack", "HybridSort")
+    with_embeddings = (*_OPTIONAL_EMBEDDINGS, "StrongSort")
+    for name in ("ByteTrack", "SFSORT", "OcSort", *with_embeddings):
+        rows[f"boxmot-{name.lower()}"] = Peer("boxmot", "boxmot", _boxmot, name, name in two_thresholds)
+        if name in with_embeddings:
+            row = Peer("boxmot", "boxmot", _boxmot, name, name in two_thresholds, True)
+            rows[f"boxmot-{name.lower()}+embeddings"] = row
     return rows
 
 
 PEERS: Mapping[str, Peer] = _rows()
+"""Peers by name, in the order of the table."""
 
 
-def tracked(peer: Peer, given: Mapping[str, Array], i: int) -> dict[str, Array]:
-    """One sequence's answer; see the module's docstring."""
-    begin, max_s = given[f"{i}/begin"], float(given[f"{i}/max_s"])
-    vectors = given[f"{i}/descriptor"][:, :] if peer.has_vectors else np.zeros((begin[-1], 0), np.float32)
-    keep = given[f"{i}/score"] >= (LOW_SCORE if peer.sees_weak else float(given[f"{i}/min_score"]))
-    size_px = (int(given[f"{i}/size_px"][0]), int(given[f"{i}/size_px"][1]))
-    update, read = peer.make(peer.name, Stream(float(given[f"{i}/fps"]), size_px, peer.has_vectors))
+def tracked(peer: Peer, inputs: Mapping[str, Array], i: int) -> dict[str, Array]:
+    """Output arrays of sequence `i`, as described in the docstring of the module."""
+    begin, max_s = inputs[f"{i}/begin"], float(inputs[f"{i}/max_s"])
+    embeddings = inputs[f"{i}/descriptor"][:, :] if peer.has_embeddings else np.zeros((begin[-1], 0), np.float32)
+    xyxy_px, score = inputs[f"{i}/xyxy_px"], inputs[f"{i}/score"]
+    is_used = score >= (LOW_SCORE if peer.has_two_thresholds else float(inputs[f"{i}/min_score"]))
+    size_px = (int(inputs[f"{i}/size_px"][0]), int(inputs[f"{i}/size_px"][1]))
+    update, read = peer.make(peer.name, Stream(float(inputs[f"{i}/fps"]), size_px, peer.has_embeddings))
     frames, us = [], []
-    started_s = time.process_time()
+    sequence_start_s = time.process_time()
     for rows in map(slice, begin[:-1], begin[1:]):
-        own = keep[rows]
-        boxes, score, looks = given[f"{i}/xyxy_px"][rows][own], given[f"{i}/score"][rows][own], vectors[rows][own]
-        began_s = time.process_time()
-        said = update(boxes, score, looks)
-        us.append(1e6 * (time.process_time() - began_s))
-        frames.append(read(said))
-        if time.process_time() - started_s > max_s:
+        used = is_used[rows]
+        boxes = xyxy_px[rows][used], score[rows][used], embeddings[rows][used]
+        start_s = time.process_time()
+        output = update(*boxes)
+        us.append(1e6 * (time.process_time() - start_s))
+        frames.append(read(output))
+        if time.process_time() - sequence_start_s > max_s:
             break
     return {
         f"{i}/frame": np.repeat(np.arange(len(frames)), [len(track_id) for track_id, _ in frames]),
@@ -256,22 +268,22 @@ def tracked(peer: Peer, given: Mapping[str, Array], i: int) -> dict[str, Array]:
 
 
 def main() -> None:
-    """Run the named peers one after another; one that fails says so and leaves no file."""
+    """Run the named peers one after another; the error of one that fails is printed, and it writes no file."""
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
     with np.load(sys.argv[1], allow_pickle=False) as file:
-        given = dict(file)
+        inputs = dict(file)
     for name in sys.argv[3:]:
         peer = PEERS[name]
-        answer: dict[str, Array] = {"version": np.array(importlib.metadata.version(peer.package))}
+        result: dict[str, Array] = {"version": np.array(importlib.metadata.version(peer.package))}
         try:
-            for i in range(int(given["n"])):
-                if not peer.has_vectors or given[f"{i}/descriptor"].shape[1]:
-                    answer |= tracked(peer, given, i)
-        except Exception as error:  # somebody else's code may raise anything; the others are still to run
-            print(f"{name}: left out, {type(error).__name__}: {error}", flush=True)
+            for i in range(int(inputs["n"])):
+                if not peer.has_embeddings or inputs[f"{i}/descriptor"].shape[1]:
+                    result |= tracked(peer, inputs, i)
+        except Exception as error:  # a peer may raise anything; the next one runs regardless
+            print(f"{name}: failed and is skipped ({type(error).__name__}: {error})", flush=True)
             continue
-        np.savez(Path(sys.argv[2]) / f"{name}.npz", **answer)  # type: ignore[arg-type]
+        np.savez(Path(sys.argv[2]) / f"{name}.npz", **result)  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

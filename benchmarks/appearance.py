@@ -1,0 +1,291 @@
+"""Effect of appearance and camera motion on online tracking: simulated drives, MOT17-05 and KITTI's stereo drives.
+
+Protocol, simulated drives: a street for `--seconds` at 10 Hz, 1000 x 320 px, KITTI's focal length, with a camera that
+pitches (bumps, 0.45 deg rms at 0.8-3.5 Hz) and yaws back and forth (up to 9-15 deg/s;
+`benchmarks.inputs.appearance_drives`); seeds 1 to `--drives`, even ones at 10 m/s in traffic, odd ones at 3 m/s past 30
+people who cross each other. Boxes are those of the playback detector (true boxes with jitter, misses and false alarms).
+Road users are repeatedly missed for 0.5-2 s, without an occluder in the image. All classes are tracked and scored, all
+drives together; objects that are missed on purpose or largely outside the image are ignored. `kept` is the share of
+these gaps with the same identity in the last match within 1 s before and in the first match within 1 s after.
+
+Protocol, real data: MOT17-05-FRCNN with its stored embeddings, by MOTChallenge's rules, without images; the two drives
+of kitti_stereo with 16 frames, with boxes of the playback detector for five seeds and gaps of 0.5-0.8 s, scored as the
+simulated drives. Times are thread times, with OpenCV and the network on one thread, median over all frames; embeddings
+are computed for high-confidence boxes only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.inputs.appearance_drives import FPS, AppearanceDrive, class_ids, real, simulated
+from benchmarks.inputs.drives import REAL_DATA
+from benchmarks.inputs.tracking_sets import sequences_of
+from track_range.detection.boxes import iou
+from track_range.detection.detections import Descriptors
+from track_range.detection.models.onnx_session import Runtime
+from track_range.foundation.arrays import FloatArray, Image, IntArray
+from track_range.sequences.tracking import track_sequence
+from track_range.simulation.camera.playback import HIDDEN
+from track_range.tracking.appearance import ColourLayout
+from track_range.tracking.camera_motion import CameraMotion
+from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
+from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
+from track_range.tracking.reid import ReidModel
+from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.tracker import AppearanceModel
+from track_range.tracking.tracks import Tracks
+
+NO_APPEARANCE = AppearanceSettings(max_cosine_distance=0.0)
+"""Settings for tracking by motion only."""
+
+REAL_SEEDS = range(5)
+"""Random seeds of the playback detector on real drives."""
+
+_MIN_IOU = 0.5
+"""Smallest IoU of a track with the true box for the `kept` figure."""
+
+_FIGURES = {"hota": "HOTA", "idf1": "IDF1", "assa": "AssA", "deta": "DetA", "idsw": "IDsw"}
+"""Headings of the tracking metrics."""
+
+_DRIVE_OFFSET = 100_000
+"""Difference of frame numbers and identities between one drive and the next."""
+
+Figures = dict[str, Any]
+
+
+@dataclass(slots=True)
+class TimedModel:
+    """An appearance model that records the time of its calls.
+
+    Attributes:
+        inner: the model.
+        max_cosine_distance: threshold of the model.
+        notes: none.
+        times_ms: thread time of each call.
+    """
+
+    inner: AppearanceModel
+    max_cosine_distance: float
+    notes: tuple[str, ...] = ()
+    times_ms: list[float] = field(default_factory=list)
+
+    def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
+        """Embeddings of boxes by the inner model."""
+        start_s = time.thread_time()
+        embeddings = self.inner.embed(image, xyxy_px)
+        self.times_ms.append(1e3 * (time.thread_time() - start_s))
+        return embeddings
+
+
+@dataclass(slots=True)
+class Row:
+    """A tracker configuration and its results so far.
+
+    Attributes:
+        is_camera_motion_compensated: whether camera motion is estimated from the images.
+        model: appearance model; None = motion only.
+        parts: tracks of each drive, frame by frame.
+    """
+
+    is_camera_motion_compensated: bool = False
+    model: TimedModel | None = None
+    parts: list[list[Tracks]] = field(default_factory=list)
+
+    def track(self, drive: AppearanceDrive) -> None:
+        """Track a drive with a new tracker."""
+        appearance = NO_APPEARANCE if self.model is None else AppearanceSettings()
+        settings = DeepSortSettings(
+            is_camera_motion_compensated=self.is_camera_motion_compensated, appearance=appearance
+        )
+        tracker = DeepSortTracker(settings, appearance_model=self.model)
+        frames = enumerate(zip(drive.detected, drive.images, strict=True))
+        self.parts.append([tracker.update(detections, k / FPS, image) for k, (detections, image) in frames])
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this workload."""
+    parser.add_argument("--data", type=Path, default=REAL_DATA, help="folder with mot, kitti_stereo and models")
+    parser.add_argument("--drives", type=int, default=6, help="number of simulated drives")
+    parser.add_argument("--seconds", type=float, default=12.0, help="length of a simulated drive")
+    parser.add_argument("--steady", action="store_true", help="simulated camera without pitch and yaw")
+    parser.add_argument(
+        "--reid", type=Path, metavar="FILE", help="re-identification network (default: OSNet x0.25 in --data)"
+    )
+
+
+def measure(options: argparse.Namespace) -> Figures:
+    """Run everything for which there is data, print the tables, and return their figures."""
+    cv2.setNumThreads(1)
+    reid = options.reid or options.data / "models" / "osnet_x0_25_msmt17.onnx"
+    result: Figures = {"protocol": __doc__}
+    if options.drives:
+        seeds = range(1, options.drives + 1)
+        drives = (simulated(seed, seconds=options.seconds, is_shaken=not options.steady) for seed in seeds)
+        result["drives"] = _measured(drives, _rows(reid))
+        _print_table("Simulated drives, online", result["drives"])
+    if mot17 := _stored_embeddings(options.data):
+        result["mot17"] = mot17
+        _print_table("MOT17-05-FRCNN, stored embeddings, online", mot17)
+    if folders := sorted((options.data / "kitti_stereo").glob("0*")):
+        real_drives = (drive for folder in folders for drive in real(folder, REAL_SEEDS))
+        result["kitti_stereo"] = _measured(real_drives, _rows(reid))
+        _print_table("kitti_stereo 0003 and 0005, 16 frames each, online", result["kitti_stereo"])
+    return result
+
+
+def _rows(reid: Path) -> dict[str, Row]:
+    """Rows of the table by name."""
+
+    def built_in() -> TimedModel:
+        return _timed(ColourLayout())
+
+    rows = {
+        "motion": Row(),
+        "motion, camera": Row(True),
+        "motion, built-in appearance": Row(model=built_in()),
+        "motion, camera, built-in appearance": Row(True, built_in()),
+    }
+    if reid.is_file():
+        rows["motion, camera, OSNet"] = Row(True, _timed(ReidModel(reid, Runtime(device="cpu", n_threads=1))))
+    return rows
+
+
+def _timed(model: AppearanceModel) -> TimedModel:
+    return TimedModel(model, model.max_cosine_distance)
+
+
+def _measured(drives: Iterable[AppearanceDrive], rows: Mapping[str, Row]) -> dict[str, Figures]:
+    """Figures of all rows over all drives, with one drive in memory at a time."""
+    truths, camera_ms, n_boxes = [], [], 0
+    for drive in drives:
+        print(f"{drive.name}: {len(drive.images)} frames, {len(drive.occlusions)} occlusions", flush=True)
+        truths.append((drive.truth, drive.occlusions))
+        camera_ms += _camera_ms(drive)
+        n_boxes += sum(len(detections) for detections in drive.detected)
+        for row in rows.values():
+            row.track(drive)
+    truth, ignored, occlusions = _combined_truth(truths)
+    figures: dict[str, Figures] = {}
+    for name, row in rows.items():
+        results, is_observed = _combined_results(row.parts)
+        scores = asdict(evaluate_tracks(truth, results, ignore=ignored))
+        is_kept = _is_kept(truth, results.select(is_observed), occlusions)
+        figures[name] = {key: scores[key] for key in _FIGURES} | {
+            "kept_pct": 100 * float(np.mean(is_kept)),
+            "n_kept": int(np.sum(is_kept)),
+            "n_occlusions": len(is_kept),
+            "appearance_ms": float(np.median(row.model.times_ms)) if row.model else None,
+            "camera_ms": float(np.median(camera_ms)) if row.is_camera_motion_compensated else None,
+            "boxes_per_frame": n_boxes / len(camera_ms),
+        }
+    return figures
+
+
+def _camera_ms(drive: AppearanceDrive) -> list[float]:
+    """Thread time of the camera motion estimate of each frame."""
+    camera, times_ms = CameraMotion(), []
+    for image, detections in zip(drive.images, drive.detected, strict=True):
+        start_s = time.thread_time()
+        camera.update(image, detections.xyxy_px)
+        times_ms.append(1e3 * (time.thread_time() - start_s))
+    return times_ms
+
+
+def _combined_truth(truths: Sequence[tuple[Any, IntArray]]) -> tuple[TrackedBoxes, IgnoreRegions, IntArray]:
+    """Scored boxes, ignored regions and occlusions (N, 3) of all drives together."""
+    offsets = [_DRIVE_OFFSET * i for i in range(len(truths))]
+    labels = [drive_labels for drive_labels, _ in truths]
+    frame, track_id = (
+        np.concatenate([getattr(part, name) + offset for part, offset in zip(labels, offsets, strict=True)])
+        for name in ("frame", "track_id")
+    )
+    class_id = np.concatenate([class_ids(part) for part in labels])
+    xyxy_px = np.concatenate([part.xyxy_px for part in labels])
+    is_scored = np.concatenate([part.occluded for part in labels]) < HIDDEN
+    occlusions = np.concatenate([part + offset for (_, part), offset in zip(truths, offsets, strict=True)])
+    boxes = TrackedBoxes(frame, track_id, xyxy_px, class_id)
+    return boxes.select(is_scored), IgnoreRegions(frame[~is_scored], xyxy_px[~is_scored]), occlusions
+
+
+def _combined_results(parts: Sequence[Sequence[Tracks]]) -> tuple[TrackedBoxes, Any]:
+    """Tracks of all drives together, and (N,) whether each box was detected."""
+    items = [(_DRIVE_OFFSET * i, k, tracks) for i, frames in enumerate(parts) for k, tracks in enumerate(frames)]
+    boxes = TrackedBoxes(
+        np.concatenate([np.full(len(tracks), offset + k) for offset, k, tracks in items]),
+        np.concatenate([tracks.track_id + offset for offset, _, tracks in items]),
+        np.concatenate([tracks.xyxy_px for *_, tracks in items]),
+        np.concatenate([tracks.class_id for *_, tracks in items]),
+    )
+    return boxes, np.concatenate([tracks.observed for *_, tracks in items])
+
+
+def _is_kept(truth: TrackedBoxes, results: TrackedBoxes, occlusions: IntArray) -> list[bool]:
+    """Whether the identities before and after each occlusion are the same; False if there is none."""
+
+    def first_match(track_id: int, frames: Iterable[int]) -> int | None:
+        for frame in frames:
+            true_px = truth.xyxy_px[(truth.frame == frame) & (truth.track_id == track_id)]
+            rows = np.flatnonzero(results.frame == frame)
+            if len(true_px) and len(rows):
+                overlap = iou(true_px, results.xyxy_px[rows])[0]
+                if overlap.max() >= _MIN_IOU:
+                    return int(results.track_id[rows[overlap.argmax()]])
+        return None
+
+    second, is_kept = round(FPS), []
+    for track_id, first, last in occlusions.tolist():
+        before = first_match(track_id, range(first - 1, first - 1 - second, -1))
+        is_kept.append(before is not None and before == first_match(track_id, range(last + 1, last + 1 + second)))
+    return is_kept
+
+
+def _stored_embeddings(data: Path) -> dict[str, Figures]:
+    """Figures on MOT17; empty if there are no embeddings."""
+    sequences = [sequence for sequence in sequences_of("mot17", data) if sequence.has_embeddings]
+    figures: dict[str, Figures] = {}
+    for name, appearance in (("motion", NO_APPEARANCE), ("motion, stored embeddings", AppearanceSettings())):
+        counts = []
+        for sequence in sequences:
+            tracker = DeepSortTracker(DeepSortSettings(appearance=appearance))
+            n_frames, fps = sequence.n_frames, sequence.fps
+            frames = track_sequence(sequence.detected, tracker, n_frames=n_frames, fps=fps, is_online=True).frames
+            frame = np.repeat(np.arange(len(frames)), [len(tracks) for tracks in frames])
+            track_id = np.concatenate([tracks.track_id for tracks in frames])
+            counts.append(sequence.counts(frame, track_id, np.concatenate([tracks.xyxy_px for tracks in frames])))
+        if counts:
+            scores = asdict(TrackingCounts.sum_of(counts).scores())
+            figures[name] = {key: scores[key] for key in _FIGURES}
+    return figures
+
+
+_COLUMNS: Mapping[str, tuple[str, Callable[[Figures], str]]] = {
+    "kept_pct": ("kept", lambda row: f"{row['kept_pct']:.1f} % ({row['n_kept']}/{row['n_occlusions']})"),
+    "appearance_ms": (
+        "appearance ms",
+        lambda row: f"{row['appearance_ms']:.2f}" if row["appearance_ms"] is not None else "-",
+    ),
+    "camera_ms": ("camera ms", lambda row: f"{row['camera_ms']:.2f}" if row["camera_ms"] is not None else "-"),
+}
+
+
+def _print_table(title: str, rows: Mapping[str, Figures]) -> None:
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
+    columns = {key: column for key, column in _COLUMNS.items() if key in next(iter(rows.values()))}
+    for i, heading in enumerate(("tracker", *_FIGURES.values(), *(heading for heading, _ in columns.values()))):
+        table.add_column(heading, justify="right" if i else "left", no_wrap=True)
+    for name, row in rows.items():
+        figures = (f"{row[key]:.1f}" if isinstance(row[key], float) else str(row[key]) for key in _FIGURES)
+        table.add_row(name, *figures, *(text_of(row) for _, text_of in columns.values()))
+    Console(width=120).print(table)
