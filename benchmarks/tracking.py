@@ -240,7 +240,7 @@ def _print_margins(margins: Mapping[str, Mapping[str, Figures]]) -> None:
 
 
 def _print_speed(rows: Mapping[str, Mapping[int, float]]) -> None:
-    table = _table("us per frame, boxes alone, by number of objects", ["tracker", *map(str, SCENES)])
+    table = _table("us per frame, boxes only, by number of objects", ["tracker", *map(str, SCENES)])
     for name, times in sorted(rows.items(), key=lambda row: np.nan_to_num(row[1][200], nan=np.inf)):
         table.add_row(name, *("-" if np.isnan(us) else f"{us:,.0f}" for us in times.values()))
     if rows:
