@@ -47,7 +47,7 @@ mpl.rcParams.update(
     }
 )
 
-DEMO_FRAME = 34
+DEMO_FRAME = 30
 """The frame of the demo that is shown."""
 
 
@@ -172,7 +172,7 @@ def alignment() -> None:
 
 
 def fused() -> None:
-    """One track of the demo: the error of each method over time, with fused and its sigma."""
+    """One track of a simulated drive: the error of each method over time, with fused and its sigma."""
     rows, truth = _longest_track()
     figure = Figure((7.4, 2.9))
     plot = figure.subplots()
@@ -284,24 +284,25 @@ def _track_range(*arguments: str) -> None:
 
 @cache
 def _longest_track() -> tuple[dict[str, Any], Any]:
-    """Rows of the demo's car with the most frames and a distance that changes, and its true distances."""
-    table = pyarrow.csv.read_csv(_demo() / "tracks.csv").to_pandas()
-    truth = pyarrow.csv.read_csv(_demo() / "drive" / "truth.csv").to_pandas()
-    best: tuple[float, Any, Any] | None = None
-    for _, track in table[table["class"] == "car"].groupby("track_id"):
-        merged = track.merge(truth, on="frame", suffixes=("", "_true"))
-        centre = (merged.x1 + merged.x2 - merged.x1_px - merged.x2_px).abs() / 2
-        merged = merged[centre < 8]
-        merged = merged[merged["id"] == merged["id"].mode().min()].set_index("frame")
-        if len(merged) < 25 or merged.distance_m.max() > 60:
-            continue
-        length = float(np.isfinite(merged[["mono_m", "ground_m", "lane_m", "stereo_m"]]).all(axis=1).sum())
-        length += float(np.ptp(merged.distance_m))
-        if best is None or length > best[0]:
-            best = length, merged, merged.distance_m.to_numpy()
-    assert best is not None  # noqa: S101 - a drive without cars would be another demo
-    rows = {name: best[1][name].to_numpy() for name in table.columns if name in best[1]}
-    return rows | {"true_closing_mps": best[1]["closing_mps_true"].to_numpy()}, best[2]
+    """Rows of the car with the most visible frames in a simulated drive through a town, and its true distances."""
+    drive, out = _temporary() / "town", _temporary() / "town" / "results"
+    _track_range("simulate", "--out", str(drive), "--scenario", "town", "--seconds", "8", "--seed", "4")
+    options = ["--no-sgbm", "--no-overlay", "--align", "off", "--out", str(out)]
+    _track_range("--stereo", str(drive / "left.mp4"), str(drive / "right.mp4"), *options)
+    rows = pyarrow.csv.read_csv(out / "tracks.csv").to_pandas()
+    truth = pyarrow.csv.read_csv(drive / "truth.csv").to_pandas()
+    merged = rows[rows["class"] == "car"].merge(truth, on="frame", suffixes=("", "_true"))
+    centre_px = (merged.x1 + merged.x2 - merged.x1_px - merged.x2_px).abs() / 2
+    seen = merged[(centre_px < 8) & (merged.visible_share > 0.7) & merged.distance_m.between(5, 60)]
+    track = max((group for _, group in seen.groupby(["track_id", "id"])), key=_information)
+    columns = {name: track[name].to_numpy() for name in rows.columns}
+    return columns | {"true_closing_mps": track["closing_mps_true"].to_numpy()}, track.distance_m.to_numpy()
+
+
+def _information(track: Any) -> float:
+    """Number of frames that all methods measured, and the range of the distances: more is better to look at."""
+    methods_m = track[["mono_m", "ground_m", "lane_m", "stereo_m"]]
+    return float(np.isfinite(methods_m).all(axis=1).sum() + np.ptp(track.distance_m))
 
 
 def _by_size(height_px: Any, class_id: int, aspect: float) -> tuple[Any, Any]:
