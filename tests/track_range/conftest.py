@@ -1,4 +1,4 @@
-"""Films whose frames can be told apart: each is one level of grey, its number's."""
+"""Videos whose frames can be identified: each has one grey level, given by its number."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_film(
     aspect: Fraction = Fraction(1),
     rate: int = 10,
 ) -> Path:
-    """A film of one image per time: H.264 with B-frames unless told otherwise."""
+    """A video with one image per time; H.264 with B-frames by default."""
     images = [level_image(number) for number in range(len(times_s))] if images is None else images
     clock = Fraction(1, rate if path.suffix == ".avi" else 90_000)  # AVI has frames, not times
     with av.open(str(path), "w", options=options or {}) as container:

@@ -35,8 +35,10 @@ def result(
     n = len(boxes)
     ids = np.arange(1, n + 1)
     tracks = Tracks(ids, np.array(boxes).reshape(-1, 4), np.full(n, 2), np.ones(n), np.full(n, observed))
-    wanted = {"mono": (23.1, 1.5), "stereo": (22.4, 0.5), "fused": (22.5, 0.45)} if ranges is None else ranges
-    found = {name: Ranges(ids, np.full(n, metres), np.full(n, sigma)) for name, (metres, sigma) in wanted.items()}
+    distances = {"mono": (23.1, 1.5), "stereo": (22.4, 0.5), "fused": (22.5, 0.45)} if ranges is None else ranges
+    ranges_by_name = {
+        name: Ranges(ids, np.full(n, metres), np.full(n, sigma)) for name, (metres, sigma) in distances.items()
+    }
     given = {
         "closing_mps": np.full(n, closing[0]),
         "closing_sigma_mps": np.full(n, np.nan),
@@ -45,7 +47,7 @@ def result(
         "xyz_m": np.full((n, 3), np.nan),
     }
     frame = Frame(index, time_s, grey() if image is None else image, None)
-    return FrameResult(frame=frame, tracks=tracks, ranges=found, **(given | more))
+    return FrameResult(frame=frame, tracks=tracks, ranges=ranges_by_name, **(given | more))
 
 
 def painted(image: Image, colour: tuple[int, int, int]) -> BoolArray:

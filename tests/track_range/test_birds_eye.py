@@ -39,7 +39,7 @@ def mark(x_m: float, z_m: float, *, sigma_m: float = 0.1, **more: Any) -> tuple[
     return rows, columns
 
 
-def test_the_scale_is_one_in_both_directions() -> None:
+def test_same_scale_in_both_directions() -> None:
     near, far, right = mark(0, 35.0), mark(0, 55.0), mark(20, 35.0)
     assert near[0].mean() - far[0].mean() == pytest.approx(20 * PX_PER_M, abs=1)
     assert right[1].mean() - near[1].mean() == pytest.approx(20 * PX_PER_M, abs=1)
@@ -47,13 +47,13 @@ def test_the_scale_is_one_in_both_directions() -> None:
     assert near[0].mean() == pytest.approx(0.94 * 157 - 35 * PX_PER_M, abs=1)
 
 
-def test_the_bar_through_a_track_is_two_sigma_long() -> None:
+def test_bar_is_two_sigma_long() -> None:
     rows, columns = mark(0, 35.0, sigma_m=8.0)
     assert np.ptp(rows) == pytest.approx(16 * PX_PER_M, abs=3)
     assert np.ptp(columns) < 15
 
 
-def test_a_predicted_track_is_hollow_and_stands_on_its_boxs_ray() -> None:
+def test_predicted_track_is_hollow_and_on_its_ray() -> None:
     carried = {"fused": (np.nan, np.nan), "fused_kf": (40.0, 0.1)}
     box = [[1000.0, 150.0, 1041.0, 190.0]]  # 400 px right of the camera's middle: 40 * 400 / 700 m
     shown = result(box, observed=False, ranges=carried)
@@ -64,7 +64,7 @@ def test_a_predicted_track_is_hollow_and_stands_on_its_boxs_ray() -> None:
     assert hollow.astype(int).sum() < solid.astype(int).sum()  # black in the middle
 
 
-def test_the_camera_tells_the_field_of_view() -> None:
+def test_field_of_view_of_the_camera() -> None:
     narrow, none = (drawn(BirdsEye(camera), ranges={}) for camera in (CAMERA, None))
     rows, columns = np.nonzero((narrow != none).any(axis=2))
     slope = 620.5 / 700  # x / z of the left edge
@@ -72,13 +72,13 @@ def test_the_camera_tells_the_field_of_view() -> None:
         assert 63 - columns[rows == row].min() == pytest.approx(slope * (0.94 * 157 - row), abs=2)
 
 
-def test_an_urgent_track_has_a_red_ring() -> None:
+def test_urgent_track_has_a_red_ring() -> None:
     where: dict[str, Any] = {"ranges": {"fused": (20.0, 0.1)}, "xyz_m": at(0, 20.0)}
     assert painted(drawn(BirdsEye(), closing=(10.0, 1.0), **where), RED).any()
     assert not painted(drawn(BirdsEye(), closing=(1.0, 20.0), **where), RED).any()
 
 
-def test_the_range_grows_at_once_and_shrinks_after_three_calm_seconds() -> None:
+def test_range_grows_at_once_and_shrinks_after_3_s() -> None:
     scale, seen = Scale(), []
     for time_s, farthest_m in ((0.0, 20.0), (0.1, 45.0), (0.2, 10.0), (2.0, 10.0), (3.2, 10.0), (4.0, 300.0)):
         scale.update(farthest_m, time_s)
@@ -87,17 +87,17 @@ def test_the_range_grows_at_once_and_shrinks_after_three_calm_seconds() -> None:
 
 
 @pytest.mark.parametrize("where", [at(0, np.nan), at(np.inf, 10.0), at(0, 0.0), at(0, -5.0)])
-def test_what_is_nowhere_is_not_drawn(where: np.ndarray) -> None:
+def test_tracks_without_position_are_not_drawn(where: np.ndarray) -> None:
     empty = drawn(BirdsEye(), ranges={}, xyz_m=at(np.nan, np.nan))
     assert np.array_equal(drawn(BirdsEye(), ranges={"fused": (5.0, 0.1)}, xyz_m=where), empty)
 
 
-def test_what_is_far_outside_is_no_trouble() -> None:
+def test_tracks_far_outside() -> None:
     assert drawn(BirdsEye(), ranges={"fused": (5.0, 1e9)}, xyz_m=at(1e12, 1e-3)).shape == (157, 126, 3)
     assert drawn(BirdsEye(), ranges={"fused": (5.0, 1.0)}, xyz_m=at(-1e12, 1e12)).shape == (157, 126, 3)
 
 
-def test_a_small_image_has_no_inset() -> None:
+def test_small_image_has_no_inset() -> None:
     canvas = grey(100, 200)
     BirdsEye().draw(canvas, result([BOX], image=canvas))
     assert (canvas == 128).all()

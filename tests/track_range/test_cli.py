@@ -118,7 +118,7 @@ def test_completion_script_can_be_shown(cli, monkeypatch):
     assert (status, "_TRACK_RANGE_COMPLETE=complete_bash" in script) == (0, True)
 
 
-def test_names_in_help_texts_are_those_of_the_code():
+def test_names_in_help_texts():
     """They are written out, because importing them takes longer than showing the help."""
     shown = {name: field.description for name, field in RunSettings.model_fields.items()}
     assert all(name in shown["classes"] for name in ROAD_CLASSES)

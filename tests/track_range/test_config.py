@@ -9,7 +9,7 @@ from track_range.run.settings import save_settings, settings_from
 PAIR = {"stereo": (Path("left.mp4"), Path("right.mp4")), "detector": "m.onnx"}
 
 
-def test_the_results_are_named_after_the_left_video():
+def test_output_folder_is_named_after_the_left_video():
     assert settings_from(PAIR).out_dir == Path("left-track-range")
     assert settings_from({**PAIR, "out": Path("x")}).out_dir == Path("x")
 
@@ -31,14 +31,14 @@ def test_the_results_are_named_after_the_left_video():
         ({**PAIR, "folder_fps": float("inf")}, "--folder-fps: "),
     ],
 )
-def test_contradictions_are_one_sentence(given, message):
+def test_invalid_options(given, message):
     with pytest.raises(UsageError) as raised:
         settings_from(given)
     assert message in str(raised.value)
     assert "\n" not in str(raised.value)
 
 
-def test_settings_survive_the_file_and_options_win(tmp_path, monkeypatch):
+def test_settings_file_and_overriding_options(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = settings_from({**PAIR, "classes": ("car", "bus"), "duration_s": 2.0, "sgbm": False})
     save_settings(settings, tmp_path / "settings.yaml", detected={"fps": 10.0})
@@ -88,7 +88,7 @@ def test_unusable_settings_files(tmp_path, content, word):
     assert not isinstance(raised.value, UsageError)
 
 
-def test_a_missing_settings_file(tmp_path):
+def test_missing_settings_file(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.yaml"):
         settings_from({}, tmp_path / "none.yaml")
 
@@ -98,7 +98,7 @@ def test_settings_are_frozen():
         settings_from(PAIR).threads = 3
 
 
-def test_the_packaged_detector_is_taken_where_none_is_named(tmp_path):
+def test_packaged_detector_is_the_default(tmp_path):
     assert settings_from({"mono": Path("m.mp4")}).detector == "road"
     boxes = settings_from({"mono": Path("m.mp4"), "detections": Path("d.txt")})
     assert boxes.detector is None
@@ -116,7 +116,7 @@ def test_reid_needs_a_tracker_that_compares_appearance() -> None:
     assert settings_from({"mono": Path("a.mp4"), "reid": Path("r.onnx")}).tracker == "deepsort"
 
 
-def test_dense_parameters_and_the_alignment_survive_the_file(tmp_path, monkeypatch):
+def test_sgbm_options_and_alignment_in_the_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     chosen = {"mode": "hh", "block_size": 7}
     save_settings(settings_from({**PAIR, "sgbm_options": chosen, "align": "off"}), tmp_path / "s.yaml", detected={})

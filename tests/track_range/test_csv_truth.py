@@ -27,10 +27,10 @@ def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
     """`against(truth)`: run on the drive; status, summary (None where it failed), what it printed, complaint."""
 
     def run(truth: Path) -> tuple[int, Any, str, str]:
-        eyes = ("--stereo", drive.left, drive.right, "--rig", drive.rig, "--detections", drive.detections)
+        sides = ("--stereo", drive.left, drive.right, "--rig", drive.rig, "--detections", drive.detections)
         quick = ("--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off")
         out = tmp_path / "out"
-        status, printed, complaint = cli(*eyes, *quick, "--truth", truth, "--out", out)
+        status, printed, complaint = cli(*sides, *quick, "--truth", truth, "--out", out)
         summary = json.loads((out / "summary.json").read_text()) if status == 0 else None
         return status, summary, printed, complaint
 
@@ -48,7 +48,7 @@ def rewritten(drive: Drive, path: Path, change: Any) -> Path:
     return path
 
 
-def test_the_simulations_table_is_a_truth_that_is_exact(against: Any, drive: Drive) -> None:
+def test_truth_csv_of_the_simulation_is_exact(against: Any, drive: Drive) -> None:
     status, summary, printed, complaint = against(drive.table)
     assert status == 0, complaint
     assert summary["truth"] == CSV_PROTOCOL
@@ -61,7 +61,7 @@ def test_the_simulations_table_is_a_truth_that_is_exact(against: Any, drive: Dri
     assert "Error of the closing speed" in printed
 
 
-def test_both_truths_of_a_drive_say_about_the_same_of_cars(drive: Drive) -> None:
+def test_csv_and_kitti_truth_agree_on_cars(drive: Drive) -> None:
     """Boxes are the same; distances agree where a body fills its 3-D box: cars and trucks, not riders."""
     rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
     exact, kitti = (read_truth(path, rig.left, np.zeros(3)) for path in (drive.table, drive.truth))
@@ -76,7 +76,7 @@ def test_both_truths_of_a_drive_say_about_the_same_of_cars(drive: Drive) -> None
     assert np.mean(np.isfinite(exact.distance_m) == np.isfinite(kitti.distance_m[row])) > 0.95
 
 
-def test_a_file_of_ones_own_with_the_needed_columns(against: Any, drive: Drive, tmp_path: Path) -> None:
+def test_csv_with_required_columns_only(against: Any, drive: Drive, tmp_path: Path) -> None:
     needed = ("class", "id", "frame", "distance_m", "x1", "y1", "x2", "y2")
     status, summary, printed, complaint = against(
         rewritten(drive, tmp_path / "lidar.csv", lambda row: {name: row[name] for name in needed})
@@ -87,9 +87,7 @@ def test_a_file_of_ones_own_with_the_needed_columns(against: Any, drive: Drive, 
     assert "closing speed" not in printed
 
 
-def test_frames_beyond_the_video_do_not_count_and_another_videos_are_told(
-    against: Any, drive: Drive, tmp_path: Path
-) -> None:
+def test_truth_of_other_frames(against: Any, drive: Drive, tmp_path: Path) -> None:
     _, plain, _, _ = against(drive.table)
     more = tmp_path / "more.csv"
     rows = drive.table.read_text().splitlines()
@@ -97,12 +95,12 @@ def test_frames_beyond_the_video_do_not_count_and_another_videos_are_told(
     more.write_text("\n".join([*rows, *later]) + "\n")
     _, longer, printed, _ = against(more)
     assert (longer["methods"], longer["tracks"]) == (plain["methods"], plain["tracks"])
-    assert "is it of another video" not in printed
+    assert "--truth has boxes" not in printed
     more.write_text("\n".join([rows[0], *later]) + "\n")
     status, _, printed, _ = against(more)
     assert status == 0
     last = 2 * N_FRAMES - 1
-    assert f"--truth has boxes for frames {N_FRAMES} to {last}, but none for those of the video, 0 to 11" in printed
+    assert f"--truth has boxes for frames {N_FRAMES} to {last}" in printed
 
 
 @pytest.mark.parametrize(
@@ -111,35 +109,32 @@ def test_frames_beyond_the_video_do_not_count_and_another_videos_are_told(
         (
             "distance_m",
             "-3",
-            "positive number, or an empty cell",
+            "distance_m",
         ),
-        ("class", "ufo", "line 2: class 'ufo' is unknown"),
-        ("x1", "nan", "line 2: expected a number of pixels for x1"),
-        ("id", "7", "line 3: id 7 twice in frame 0"),
-        ("distance_m", "", "expected a distance_m"),
+        ("class", "ufo", "'ufo'"),
+        ("x1", "nan", "line 2: "),
+        ("id", "7", "line 3: "),
+        ("distance_m", "", "distance_m"),
     ],
 )
-def test_a_bad_truth_is_one_sentence(
-    against: Any, drive: Drive, tmp_path: Path, column: str, value: str, message: str
-) -> None:
+def test_invalid_truth(against: Any, drive: Drive, tmp_path: Path, column: str, value: str, message: str) -> None:
     status, _, _, complaint = against(rewritten(drive, tmp_path / "bad.csv", lambda row: {**row, column: value}))
     assert status == 1
+    assert "bad.csv" in complaint
     assert message in complaint
     assert complaint.count("\n") == 1
 
 
-def test_a_truth_without_a_column_or_with_nothing_in_it_is_one_sentence(
-    against: Any, drive: Drive, tmp_path: Path
-) -> None:
+def test_truth_without_a_column_or_rows(against: Any, drive: Drive, tmp_path: Path) -> None:
     bad = rewritten(drive, tmp_path / "bad.csv", lambda row: {k: v for k, v in row.items() if k != "distance_m"})
-    for message in ("no column distance_m", "the file is empty"):
+    for message in ("distance_m", "empty"):
         status, _, _, complaint = against(bad)
         assert (status, complaint.count("\n")) == (1, 1)
         assert message in complaint
         bad.write_text("")
 
 
-def test_what_hardly_shows_is_neither_found_nor_missed(drive: Drive, tmp_path: Path) -> None:
+def test_hardly_visible_objects_do_not_count(drive: Drive, tmp_path: Path) -> None:
     rig, _ = load_rig(drive.rig, size_px=(620, 188), is_grey=False)
     faint = rewritten(drive, tmp_path / "faint.csv", lambda row: row | {"visible_share": "0.19"})
     half = rewritten(drive, tmp_path / "half.csv", lambda row: row | {"visible_share": "0.21"})

@@ -22,16 +22,16 @@ def model(tmp_path):
     return write_model(tmp_path / "m.onnx", rows)
 
 
-def test_options_make_a_detector(model, tmp_path):
+def test_detector_from_options(model, tmp_path):
     (tmp_path / "two.names").write_text("person\n\ncar\n")
     for names in ("person,car", str(tmp_path / "two.names")):
-        found = open_detector(model, DetectorOptions(names=names)).detect(BLACK)
-        assert found.class_id.tolist() == [CAR, PERSON]
-    told = DetectorOptions(names="person,car", min_score="0.1,person=0.3")
-    assert open_detector(model, told).detect(BLACK).class_id.tolist() == [CAR]
-    assert len(open_detector(model, told, lowest_score=0.001).detect(BLACK)) == 2
-    told = DetectorOptions(names="person,car", classes=("pedestrian",), letterbox="stretch")
-    assert open_detector(model, told).detect(BLACK).class_id.tolist() == [PERSON]
+        detections = open_detector(model, DetectorOptions(names=names)).detect(BLACK)
+        assert detections.class_id.tolist() == [CAR, PERSON]
+    options = DetectorOptions(names="person,car", min_score="0.1,person=0.3")
+    assert open_detector(model, options).detect(BLACK).class_id.tolist() == [CAR]
+    assert len(open_detector(model, options, lowest_score=0.001).detect(BLACK)) == 2
+    options = DetectorOptions(names="person,car", classes=("pedestrian",), letterbox="stretch")
+    assert open_detector(model, options).detect(BLACK).class_id.tolist() == [PERSON]
     with pytest.raises(ModelError, match="none of its classes"):
         open_detector(model, DetectorOptions(names="person,car", classes=("truck",)))
     with pytest.raises(ModelError, match=r"--letterbox: .*middle"):
@@ -39,7 +39,7 @@ def test_options_make_a_detector(model, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("option", "wanted"),
+    ("option", "expected"),
     [
         (None, (0.1, ())),
         ("0.25", (0.25, ())),
@@ -47,28 +47,28 @@ def test_options_make_a_detector(model, tmp_path):
         ("0.2, car=0.3,pedestrian=0.5", (0.2, ((CAR, 0.3), (PERSON, 0.5)))),
     ],
 )
-def test_thresholds(option, wanted):
-    assert thresholds(option, otherwise=0.1) == wanted
+def test_thresholds(option, expected):
+    assert thresholds(option, otherwise=0.1) == expected
 
 
 @pytest.mark.parametrize("option", ["high", "1.5", "-0.1", "nan", "0.1,", "car=", "0.1,0.2"])
-def test_thresholds_that_are_none(option):
+def test_invalid_thresholds(option):
     with pytest.raises(UsageError, match="--min-score"):
         thresholds(option, otherwise=0.1)
 
 
-def test_unknown_class_of_a_threshold_is_told_with_the_nearest():
+def test_unknown_class_of_a_threshold():
     with pytest.raises(ClassNameError, match="unknown class 'cra': did you mean 'car'"):
         thresholds("cra=0.3", otherwise=0.1)
 
 
 @pytest.mark.parametrize("option", ["none.names", "a,,b", ""])
-def test_names_that_are_none(option):
+def test_invalid_names(option):
     with pytest.raises(ConfigError, match="--names"):
         class_names(option)
 
 
-def test_models_info_tells_what_is_known_and_who_says_so(model, cli):
+def test_models_info_shows_attributes_and_sources(model, cli):
     status, printed, _ = cli("models", "info", model, "--names", "person,car")
     assert status == 0
     for words in ("YOLOv5", "centred-114", "default of YOLOv5", "person, car", "as specified", "classes not covered"):
@@ -78,7 +78,7 @@ def test_models_info_tells_what_is_known_and_who_says_so(model, cli):
     assert "2 classes without names" in complaint
 
 
-def test_models_info_shows_anchors_as_the_option_takes_them(tmp_path, cli):
+def test_models_info_shows_anchors(tmp_path, cli):
     heads = [np.zeros((1, 75, 2, 2)), np.zeros((1, 75, 4, 4))]
     path = write_model(tmp_path / "m.onnx", *heads)
     anchors = "81,82 135,169 344,319 / 23,27 37,58 81,82"
@@ -89,11 +89,11 @@ def test_models_info_shows_anchors_as_the_option_takes_them(tmp_path, cli):
     assert "1,2 3,4 5,6.5 / 1,1 2,2 3,3" in printed
 
 
-def test_models_info_of_a_model_that_is_not_here_asks_nobody(cli, tmp_path, monkeypatch):
+def test_models_info_does_not_download(cli, tmp_path, monkeypatch):
     monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path))
     status, printed, _ = cli("models", "info", "yolov5n")
     assert status == 0
-    for words in ("not here yet", "models pull yolov5n", "AGPL-3.0", "releases/download/v7.0/yolov5n.onnx", "sha1:"):
+    for words in ("not downloaded", "models pull yolov5n", "AGPL-3.0", "releases/download/v7.0/yolov5n.onnx", "sha1:"):
         assert words in printed
     status, printed, _ = cli("models", "list")
     assert status == 0
@@ -101,17 +101,17 @@ def test_models_info_of_a_model_that_is_not_here_asks_nobody(cli, tmp_path, monk
     assert str(tmp_path) in printed
 
 
-def test_a_model_in_the_cache_is_used_by_its_name(model, cli, tmp_path, monkeypatch):
+def test_cached_model_is_used_by_name(model, cli, tmp_path, monkeypatch):
     (tmp_path / "models").mkdir()
-    model.rename(tmp_path / "models/mine.onnx")
+    model.rename(tmp_path / "models/custom.onnx")
     monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path))
-    status, printed, _ = cli("models", "info", "mine", "--names", "person,car")
+    status, printed, _ = cli("models", "info", "custom", "--names", "person,car")
     assert (status, "YOLOv5" in printed) == (0, True)
-    status, printed, _ = cli("models", "pull", "mine")
-    assert (status, "is ready: --detector mine" in printed) == (0, True)
+    status, printed, _ = cli("models", "pull", "custom")
+    assert (status, "--detector custom" in printed) == (0, True)
 
 
-def test_models_import_makes_a_detector_of_darknet_files(cli, tmp_path):
+def test_models_import_of_darknet_files(cli, tmp_path):
     cfg, weights, out = (tmp_path / f"net.{suffix}" for suffix in ("cfg", "weights", "onnx"))
     cfg.write_text(darknet_networks.yolov4_tiny(size_px=(64, 64), n_classes=2, width=16))
     darknet_networks.write_weights(weights, read_network(cfg), seed=0)

@@ -11,20 +11,20 @@ from track_range.run.throughput import FrameMeter
 
 
 @dataclass
-class Eye:
+class Camera:
     first_time_s: float
 
 
-def meter_of(times_s: list[float], frames: list[tuple[int, float]], live: Eye | None = None) -> FrameMeter:
+def meter_of(times_s: list[float], frames: list[tuple[int, float]], live: Camera | None = None) -> FrameMeter:
     now = iter(times_s)
     meter = FrameMeter(live, now_s=lambda: next(now))
     results = [result([], index=index, time_s=time_s) for index, time_s in frames]
-    for found in results:
-        meter.add(found)
+    for frame in results:
+        meter.add(frame)
     return meter
 
 
-def test_the_rate_is_that_of_the_last_two_seconds() -> None:
+def test_rate_over_two_seconds() -> None:
     meter = meter_of([0.0, 5.0, 5.5, 6.0, 6.5], [(number, 0.1 * number) for number in range(5)])
     assert meter.rate_hz == 2.0
     assert meter.captions() == ("2.0 fps",)
@@ -36,11 +36,13 @@ def test_one_frame_has_no_rate() -> None:
     assert np.isnan(meter.rate_hz)
     assert meter.captions() == ()
     assert FrameMeter().captions() == ()
-    assert FrameMeter(Eye(0.0)).notes == ()
+    assert FrameMeter(Camera(0.0)).notes == ()
 
 
-def test_a_live_run_says_how_late_it_is_and_what_it_left_out() -> None:
+def test_live_run_reports_latency_and_drops() -> None:
     """Images of 100.0, 100.1 and 100.4 s were ready at 100.2, 100.35 and 100.45 s; frames 5, 6 and 9."""
-    meter = meter_of([100.2, 100.35, 100.45], [(5, 0.0), (6, 0.1), (9, 0.4)], Eye(100.0))
+    meter = meter_of([100.2, 100.35, 100.45], [(5, 0.0), (6, 0.1), (9, 0.4)], Camera(100.0))
     assert meter.captions() == ("8.0 fps", "latency 50 ms", "2 dropped")
-    assert meter.notes == ("Results came a median of 200 ms after the camera's images, 250 ms at most.",)
+    (note,) = meter.notes
+    assert "200 ms" in note
+    assert "250 ms" in note

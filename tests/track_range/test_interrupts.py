@@ -13,7 +13,7 @@ from track_range.run.interrupts import (
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_waits_for_the_end_of_the_frame(number):
+def test_interrupt_is_deferred_to_the_end_of_the_frame(number):
     done = []
 
     def frame():
@@ -55,7 +55,7 @@ def test_only_the_first_interrupt_counts(first, is_deferred):
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
-def test_an_error_wins_over_a_deferred_interrupt():
+def test_error_precedes_a_deferred_interrupt():
     def frame():
         with defer_interrupts():
             signal.raise_signal(signal.SIGTERM)
@@ -65,7 +65,7 @@ def test_an_error_wins_over_a_deferred_interrupt():
         frame()
 
 
-def test_what_was_ignored_stays_ignored():
+def test_ignored_signals_stay_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with defer_interrupts():
@@ -74,7 +74,7 @@ def test_what_was_ignored_stays_ignored():
         signal.signal(signal.SIGINT, before)
 
 
-def test_sigterm_is_an_interrupt_inside_of_the_block():
+def test_sigterm_is_an_interrupt_in_the_block():
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt), stop_on_interrupt():
         signal.raise_signal(signal.SIGTERM)

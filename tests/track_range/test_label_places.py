@@ -26,7 +26,7 @@ def test_shared_areas_by_hand() -> None:
     assert shared_areas(places, np.zeros((0, 4))).tolist() == [0, 0]
 
 
-def test_a_label_stands_above_its_box_when_nothing_is_in_the_way() -> None:
+def test_label_above_its_box_by_default() -> None:
     boxes = np.array([BOX])
     places = label_places(boxes, np.array([[90.0, 40.0]]), (WIDTH, HEIGHT))
     number = free_place(places[0], place_costs(places, boxes)[0], np.zeros((0, 4)))
@@ -34,7 +34,7 @@ def test_a_label_stands_above_its_box_when_nothing_is_in_the_way() -> None:
     assert places[0, number].tolist() == [500, 160, 590, 200]
 
 
-def test_a_label_gives_way_and_gives_up() -> None:
+def test_label_moves_away_or_is_omitted() -> None:
     boxes = np.array([BOX])
     places = label_places(boxes, np.array([[90.0, 40.0]]), (WIDTH, HEIGHT))
     costs = place_costs(places, boxes)
@@ -44,7 +44,7 @@ def test_a_label_gives_way_and_gives_up() -> None:
     assert free_place(places[0], costs[0], np.array([[0.0, 0, WIDTH, HEIGHT]])) is None
 
 
-def test_the_place_of_the_frame_before_wins_over_one_that_is_little_better() -> None:
+def test_previous_place_is_preferred() -> None:
     boxes, size_px = np.array([BOX]), np.array([[90.0, 40.0]])
     places = label_places(boxes, size_px, (WIDTH, HEIGHT))
     nothing = np.zeros((0, 4))
@@ -60,46 +60,46 @@ coordinates = st.floats(-500, 2000)
 
 @given(st.lists(st.tuples(coordinates, coordinates, coordinates, coordinates), min_size=1, max_size=12))
 @settings(deadline=None, max_examples=60)
-def test_labels_stay_inside_and_never_cover_each_other(boxes: list[tuple[float, float, float, float]]) -> None:
-    found = np.array(boxes)
-    size_px = np.tile([130.0, 46.0], (len(found), 1))
-    places = label_places(found, size_px, (WIDTH, HEIGHT))
-    costs = place_costs(places, found)
+def test_labels_are_inside_without_overlap(boxes: list[tuple[float, float, float, float]]) -> None:
+    box_array = np.array(boxes)
+    size_px = np.tile([130.0, 46.0], (len(box_array), 1))
+    places = label_places(box_array, size_px, (WIDTH, HEIGHT))
+    costs = place_costs(places, box_array)
     assert places.min() >= 0
     assert (places[..., 2:] <= (WIDTH, HEIGHT)).all()
     assert np.array_equal(places[..., 2:] - places[..., :2], np.broadcast_to(size_px[:, None], (*places.shape[:2], 2)))
-    taken: FloatArray = np.zeros((0, 4))
-    for i in range(len(found)):
-        number = free_place(places[i], costs[i], taken)
+    occupied: FloatArray = np.zeros((0, 4))
+    for i in range(len(box_array)):
+        number = free_place(places[i], costs[i], occupied)
         if number is not None:
-            assert shared_areas(places[i, number][None], taken)[0] == 0
-            taken = np.vstack([taken, places[i, number]])
-    assert len(taken) >= 1
+            assert shared_areas(places[i, number][None], occupied)[0] == 0
+            occupied = np.vstack([occupied, places[i, number]])
+    assert len(occupied) >= 1
 
 
 def placed(boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] = (WIDTH, HEIGHT)) -> list[int | None]:
     """Which size (0 = full) each label takes, of 130 x 46 and 90 x 20 px."""
     n = len(boxes)
     sizes_px = np.array([[[130.0, 46.0]] * n, [[90.0, 20.0]] * n])
-    found = LabelPlacer().place(
+    placements = LabelPlacer().place(
         range(n), np.array(boxes), sizes_px, occupied=np.zeros((0, 4)), image_px=image_px, urgent=[urgent] * n
     )
-    return [None if one is None else one[0] for one in found]
+    return [None if one is None else one[0] for one in placements]
 
 
-def test_a_label_is_cut_short_where_it_would_hide_boxes_unless_it_is_urgent() -> None:
+def test_label_over_boxes_is_shortened_unless_urgent() -> None:
     assert placed([BOX], urgent=False) == [0]
     wall = [[x, 0.0, x + 40.0, float(HEIGHT)] for x in range(0, WIDTH, 40)]  # cars wherever one looks
     assert placed([*wall, BOX], urgent=False)[0] == 1
     assert placed([*wall, BOX], urgent=True)[0] == 0
 
 
-def test_a_label_that_the_image_cannot_hold_is_cut_short_or_left_out() -> None:
+def test_label_larger_than_the_image() -> None:
     assert placed([[10.0, 10.0, 40.0, 30.0]], urgent=True, image_px=(100, 60)) == [1]
     assert placed([[10.0, 10.0, 40.0, 30.0]], urgent=True, image_px=(80, 60)) == [None]
 
 
-def test_a_place_that_only_touches_is_free() -> None:
+def test_touching_places_are_free() -> None:
     places = np.array([[0.0, 0, 10, 10], [20, 20, 30, 30]])
     assert covered(places, np.array([[10.0, 0, 20, 10]])).tolist() == [False, False]
     assert covered(places, np.array([[9.0, 9, 20, 21]])).tolist() == [True, False]

@@ -1,4 +1,4 @@
-"""The methods' colours can be told from a page, light or dark (WCAG 2.2, 1.4.11: 3 : 1 for graphics)."""
+"""Contrast of the methods' colours on light and dark pages (WCAG 2.2, 1.4.11: 3 : 1 for graphics)."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ def contrast(a: str, b: str) -> float:
     return (light + 0.05) / (dark + 0.05)
 
 
-def test_black_on_white_is_21() -> None:
+def test_contrast_of_black_on_white_is_21() -> None:
     assert contrast("#000000", "#ffffff") == pytest.approx(21)
 
 
 @pytest.mark.parametrize("card", CARDS)
 @pytest.mark.parametrize("colour", [*method_colours().values(), *OTHER_COLOURS])
-def test_each_is_seen_on_light_and_dark(colour: str, card: str) -> None:
+def test_contrast_on_light_and_dark(colour: str, card: str) -> None:
     assert contrast(colour, card) >= 3
 
 
-def test_unknown_methods_have_own_colours_and_filtered_ones_their_methods() -> None:
-    found = colour_of_each(["fused", "fused_kf", "radar", "sonar", "radar_kf"])
-    assert found["fused"] == found["fused_kf"]
-    assert found["radar"] == found["radar_kf"] != found["sonar"]
+def test_colours_of_unknown_and_filtered_methods() -> None:
+    colours = colour_of_each(["fused", "fused_kf", "radar", "sonar", "radar_kf"])
+    assert colours["fused"] == colours["fused_kf"]
+    assert colours["radar"] == colours["radar_kf"] != colours["sonar"]

@@ -29,7 +29,7 @@ def cook():
 
     def run(*arguments):
         cooked = []
-        result = CliRunner().invoke(single_app(command(Recipe, cooked.append)), [str(each) for each in arguments])
+        result = CliRunner().invoke(single_app(command(Recipe, cooked.append)), [str(item) for item in arguments])
         return cooked[0] if cooked else result
 
     return run
@@ -71,7 +71,7 @@ def test_file_only_field_is_no_option(cook):
     assert Recipe(dish="soup", secret=1.0).secret == 1.0
 
 
-def test_wrong_values_from_python_name_the_option():
+def test_invalid_values_from_python():
     with pytest.raises(UsageError, match=r"^--guests: "):
         Recipe.of({"dish": "soup", "guests": 0})
     with pytest.raises(UsageError, match=r"^DISH: "):
@@ -81,16 +81,16 @@ def test_wrong_values_from_python_name_the_option():
 
 
 def test_parameters_show_panel_metavar_and_bounds():
-    guests = next(each for each in parameters(Recipe) if each.name == "guests")
+    guests = next(item for item in parameters(Recipe) if item.name == "guests")
     (info,) = guests.annotation.__metadata__
     assert (info.help, info.metavar, info.rich_help_panel) == ("Number of guests (default: 4).", "N", "Table")
     assert (info.min, info.max) == (1, 9)
     assert guests.default == 4
 
 
-def test_only_given_parameters_have_no_defaults_but_name_them():
-    listed = {each.name: each for each in parameters(RunSettings, is_only_given=True)}
-    assert {each.default for each in listed.values()} == {None}
+def test_only_given_parameters_name_their_defaults():
+    listed = {item.name: item for item in parameters(RunSettings, is_only_given=True)}
+    assert {item.default for item in listed.values()} == {None}
     assert "(default: 10)" in listed["folder_fps"].annotation.__metadata__[0].help
     assert "sgbm_options" not in listed
 

@@ -20,7 +20,7 @@ from track_range.overlay.labels import (
 from track_range.ranging.filtering.collision_course import PassingOffsets
 
 
-def test_the_frame_is_copied_and_never_written_to() -> None:
+def test_frame_is_not_modified() -> None:
     rng = np.random.default_rng(3)
     image = rng.integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
     before = image.copy()
@@ -32,7 +32,7 @@ def test_the_frame_is_copied_and_never_written_to() -> None:
     assert not np.array_equal(drawn, before)
 
 
-def test_a_seen_box_has_a_whole_outline_and_a_predicted_one_has_gaps() -> None:
+def test_predicted_box_is_dashed() -> None:
     # The lower edge: no label stands there while there is room above.
     share = {}
     for observed in (True, False):
@@ -42,7 +42,7 @@ def test_a_seen_box_has_a_whole_outline_and_a_predicted_one_has_gaps() -> None:
     assert 0.3 < share[False] < 0.8
 
 
-def test_a_dashed_outline_keeps_to_the_box() -> None:
+def test_dashed_outline_stays_on_the_box() -> None:
     drawn = Overlay().draw(result([BOX], observed=False))
     changed = (drawn != 128).any(axis=2)
     changed[:200] = changed[:, :160] = False
@@ -52,7 +52,7 @@ def test_a_dashed_outline_keeps_to_the_box() -> None:
     assert not changed[210:270, 510:610].any()
 
 
-def test_the_window_in_which_stereo_looks_is_marked_by_its_corners() -> None:
+def test_inner_window_is_marked_by_its_corners() -> None:
     # The inner half of BOX: columns 530..590, rows 220..260.
     inside = Overlay().draw(result([BOX]))[205:275, 505:615]
     rows, columns = np.nonzero(painted(inside, track_colour(1)))
@@ -63,7 +63,7 @@ def test_the_window_in_which_stereo_looks_is_marked_by_its_corners() -> None:
         assert not painted(Overlay().draw(unmarked)[205:275, 505:615], track_colour(1)).any()
 
 
-def test_lane_lines_are_drawn_where_they_were_seen() -> None:
+def test_lane_lines_are_drawn() -> None:
     straight = LaneLine(np.array([700.0, 0.5, 0.0]), np.eye(3), 210.0, 350.0)
     drawn = Overlay().draw(result([], lanes=LaneLines(None, straight)))
     lime = painted(drawn, LANE_COLOUR)
@@ -74,19 +74,19 @@ def test_lane_lines_are_drawn_where_they_were_seen() -> None:
     assert not painted(Overlay().draw(result([])), LANE_COLOUR).any()
 
 
-def test_a_lane_line_that_runs_off_the_image_is_drawn_as_far_as_it_goes() -> None:
+def test_lane_line_beyond_the_image() -> None:
     wild = LaneLine(np.array([-1e9, 1e7, 0.0]), np.eye(3), 90.0, 373.0)
     assert Overlay().draw(result([], lanes=LaneLines(wild, None))).shape == (HEIGHT, WIDTH, 3)
 
 
-def test_a_track_keeps_its_colour_in_every_frame_and_neighbours_differ() -> None:
+def test_colours_of_tracks() -> None:
     assert len(set(PALETTE)) == len(PALETTE) == 12
     assert track_colour(5) == track_colour(5 + 12) != track_colour(6)
     for blue, green, red in PALETTE:
         assert 0.114 * blue + 0.587 * green + 0.299 * red >= 0.49 * 255
 
 
-def test_with_no_tracks_only_the_corners_and_the_inset_are_drawn_on() -> None:
+def test_frame_without_tracks() -> None:
     drawn = Overlay().draw(result([]))
     changed = (drawn != 128).any(axis=2)
     assert changed[:20].any()
@@ -99,7 +99,7 @@ def passing(*may_hit: bool) -> PassingOffsets:
     return PassingOffsets(nan, nan, nan, np.array(may_hit))
 
 
-def test_what_passes_beside_is_said_to_and_never_red() -> None:
+def test_passing_track_is_not_red() -> None:
     beside = closing_span(20.5, 0.7, 11, may_hit=False)
     assert beside is not None
     assert (beside.text, beside.filled, beside.fill) == ("passes in 0.7 s  closing 20.5 m/s", 0.0, CALM)
@@ -113,13 +113,13 @@ def test_what_passes_beside_is_said_to_and_never_red() -> None:
     assert n_red[2] == 0
 
 
-def test_an_urgent_track_shows_red_and_a_calm_one_does_not() -> None:
+def test_urgent_track_is_red() -> None:
     n_red = [painted(Overlay().draw(result([BOX], closing=(10.0, ttc_s))), RED).sum() for ttc_s in (1.5, 3.0, 10.0)]
     assert n_red[0] > 500
     assert n_red[1:] == [0, 0]
 
 
-def test_names_of_classes_are_cut_and_kept_on_one_line() -> None:
+def test_class_names_are_shortened() -> None:
     assert shown_name("小汽车 <b>&\"'") == "小汽车 <b>&\"'"
     assert shown_name("two\nlines\tof it") == "two lines of it"
     assert shown_name("x" * 300) == "x" * 23 + "…"
@@ -141,25 +141,25 @@ HOSTILE = [
 
 @pytest.mark.parametrize("observed", [True, False])
 @pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (24, 32), (1, 1), (2160, 3840), (1280, 720)])
-def test_boxes_of_any_kind_on_images_of_any_size_are_drawn(observed: bool, size: tuple[int, int]) -> None:
+def test_any_boxes_on_any_image(observed: bool, size: tuple[int, int]) -> None:
     ranges = {"fused": (np.nan, np.nan), "mono": (np.inf, np.nan)}
-    found = result(HOSTILE, image=grey(*size), observed=observed, ranges=ranges, closing=(9.0, 1.0))
-    assert Overlay().draw(found).shape == (*size, 3)
+    shown = result(HOSTILE, image=grey(*size), observed=observed, ranges=ranges, closing=(9.0, 1.0))
+    assert Overlay().draw(shown).shape == (*size, 3)
 
 
-def test_a_box_with_nan_leaves_no_mark() -> None:
+def test_box_with_nan_is_not_drawn() -> None:
     nowhere = Overlay().draw(result([[np.nan, 10.0, 20.0, 30.0]]))
     assert np.array_equal(nowhere, Overlay().draw(result([])))
 
 
-def test_a_box_partly_outside_is_drawn_to_the_image_edge() -> None:
+def test_box_partly_outside() -> None:
     drawn = Overlay().draw(result([[1100.0, 250.0, 1400.0, 500.0]]))
-    mine = painted(drawn, track_colour(1))
-    assert mine[250, 1110:WIDTH].all()
-    assert not mine[300:340, WIDTH - 2].any()
+    own = painted(drawn, track_colour(1))
+    assert own[250, 1110:WIDTH].all()
+    assert not own[300:340, WIDTH - 2].any()
 
 
-def test_a_crowd_is_drawn_near_ones_first() -> None:
+def test_crowd_is_drawn_nearest_on_top() -> None:
     rng = np.random.default_rng(5)
     corner = rng.uniform((0, 100), (1200, 300), (80, 2))
     boxes = np.hstack([corner, corner + 40]).tolist()
@@ -167,28 +167,28 @@ def test_a_crowd_is_drawn_near_ones_first() -> None:
     assert (drawn != 128).any(axis=2).mean() > 0.3
 
 
-def test_of_a_thousand_the_nearest_have_labels() -> None:
+def test_nearest_of_a_thousand_have_labels() -> None:
     """Whoever reaches lowest is nearest; what a farther one is called makes no difference."""
     column, row = np.divmod(np.arange(1000), 20)
     boxes = np.stack([70.0 * column, 100.0 * row + 50, 70.0 * column + 20, 100.0 * row + 70 + column / 100], axis=1)
-    found = result(boxes.tolist(), image=grey(2160, 3840))
+    shown = result(boxes.tolist(), image=grey(2160, 3840))
     pictures = []
     for changed in (np.argmax(boxes[:, 3]), np.argmin(boxes[:, 3]), None):
-        tracks = found.tracks
+        tracks = shown.tracks
         class_id = np.where(np.arange(1000) == changed, 1, tracks.class_id)
-        pictures.append(Overlay().draw(replace(found, tracks=replace(tracks, class_id=class_id))))
+        pictures.append(Overlay().draw(replace(shown, tracks=replace(tracks, class_id=class_id))))
     assert not np.array_equal(pictures[0], pictures[2])
     assert np.array_equal(pictures[1], pictures[2])
 
 
-def test_an_image_too_small_for_text_has_none() -> None:
+def test_image_too_small_for_text() -> None:
     tiny = Overlay().draw(result([[4.0, 4.0, 20.0, 16.0]], image=grey(24, 32)))
     assert painted(tiny, track_colour(1)).any()
     assert (tiny[0] == 128).all()
     assert (tiny[20:] == 128).all()
 
 
-def test_real_frames_keep_their_picture_under_the_marks(shared_data: Path) -> None:
+def test_real_frame_is_visible_under_the_overlay(shared_data: Path) -> None:
     video = cv2.VideoCapture(str(shared_data / "kitti_stereo/0003/left.mp4"))
     read, image = video.read()
     video.release()
@@ -197,14 +197,14 @@ def test_real_frames_keep_their_picture_under_the_marks(shared_data: Path) -> No
     assert (drawn == image).all(axis=2).mean() > 0.9
 
 
-def test_the_corner_says_what_the_run_says_at_each_frame() -> None:
-    said = iter([(), ("12.3 fps", "a sentence that needs room")])
-    overlay = Overlay(status=lambda: next(said))
+def test_status_in_the_corner() -> None:
+    statuses = iter([(), ("12.3 fps", "a sentence that needs room")])
+    overlay = Overlay(status=lambda: next(statuses))
     short, long = (overlay.draw(result([])) for _ in range(2))
     assert (long != short).any(axis=2)[:15, 150:350].any()
 
 
-def test_a_label_keeps_its_place_when_another_becomes_as_good() -> None:
+def test_label_keeps_its_place() -> None:
     """Car 1 covers what is above car 2; when it has gone, car 2's label stays below."""
     overlay = Overlay()
     blocked = [[480.0, 60.0, 700.0, 195.0], BOX]

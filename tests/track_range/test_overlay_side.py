@@ -17,21 +17,21 @@ def disparity_at(metres: float) -> np.ndarray:
     return np.full((HEIGHT, WIDTH), 350.0 / metres, np.float32)
 
 
-def test_the_upper_half_is_the_overlay_and_the_lower_one_the_disparities() -> None:
-    found = result([], disparity=disparity_at(20.0))
-    both = StackedPicture(Overlay(), RIG).draw(found)
+def test_overlay_above_disparities() -> None:
+    shown = result([], disparity=disparity_at(20.0))
+    both = StackedPicture(Overlay(), RIG).draw(shown)
     assert both.shape == (2 * HEIGHT, WIDTH, 3)
-    assert np.array_equal(both[:HEIGHT], Overlay().draw(found))
+    assert np.array_equal(both[:HEIGHT], Overlay().draw(shown))
     lower = both[HEIGHT:]
-    assert np.array_equal(lower[:300], DisparityPicture(RIG).draw(found)[:300])
+    assert np.array_equal(lower[:300], DisparityPicture(RIG).draw(shown)[:300])
 
 
-def test_the_scale_has_the_colours_of_the_picture() -> None:
+def test_scale_has_the_colours_of_the_picture() -> None:
     pictures = DisparityPicture(RIG)
     for metres in (10.0, 30.0):
         assert metres in SCALE_M
-        found = result([], disparity=disparity_at(metres))
-        colour = pictures.draw(found)[0, 0].astype(int)
+        shown = result([], disparity=disparity_at(metres))
+        colour = pictures.draw(shown)[0, 0].astype(int)
         scale = pictures.draw_marked(result([]))[HEIGHT - 40 :]
         assert (np.abs(scale.astype(int) - colour).max(axis=2) <= 12).any()
 
@@ -42,11 +42,11 @@ def test_boxes_are_outlined_on_the_disparities() -> None:
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (200, 280, 500, 620)
 
 
-def test_without_dense_stereo_the_lower_half_is_black_but_for_the_scale() -> None:
+def test_lower_half_without_dense_stereo() -> None:
     lower = StackedPicture(Overlay(), RIG).draw(result([]))[HEIGHT:]
     assert not lower[:300].any()
 
 
-def test_a_narrow_image_has_no_scale() -> None:
+def test_narrow_image_has_no_scale() -> None:
     narrow = StereoRig.rectified(PinholeCamera(70.0, 70.0, 31.5, 23.5, 64, 48), 0.5)
     assert not DisparityPicture(narrow).draw_marked(result([], image=np.zeros((48, 64, 3), np.uint8))).any()

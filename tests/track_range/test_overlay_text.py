@@ -1,4 +1,4 @@
-"""The overlay's words: what a label and the corners say, in which size and colour."""
+"""Texts of the overlay: labels and corners, their sizes and colours."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from track_range.overlay.text_renderer import TextRenderer
 from track_range.run.frame_result import FrameResult
 
 
-def words(found: FrameResult, row: int = 0) -> list[list[str]]:
-    lines = label_lines(found, row, class_names=["person", "bicycle", "car"], sizes_px=(15, 11))
+def words(shown: FrameResult, row: int = 0) -> list[list[str]]:
+    lines = label_lines(shown, row, class_names=["person", "bicycle", "car"], sizes_px=(15, 11))
     return [[span.text for span in line] for line in lines]
 
 
-def test_corners_say_frame_time_methods_and_strokes() -> None:
+def test_texts_in_the_corners() -> None:
     clock, legend = corner_lines(result([BOX]), 11)
     assert [span.text for span in clock[0]] == ["frame 7", "0.72 s"]
     more, _ = corner_lines(result([BOX]), 11, status=("9.8 fps", "85 ms behind"), warning="uncalibrated")
@@ -35,24 +35,24 @@ def test_corners_say_frame_time_methods_and_strokes() -> None:
     assert legend[0][0].text == "large: fused ±1 sigma   M mono   S stereo   dashed: predicted"
 
 
-def test_a_label_says_fused_identity_and_the_methods_side_by_side() -> None:
+def test_label_shows_distances_and_identity() -> None:
     assert words(result([BOX])) == [["22.5 m", "±0.5", "car 1"], ["M 23.1  S 22.4"]]
     both = {"sgbm": (np.nan, np.nan), "lane": (104.2, 9.0), "mono": (99.96, 3.0), "fused": (7.04, 0.1)}
     assert words(result([BOX], ranges=both)) == [["7.0 m", "±0.1", "car 1"], ["M 100  L 104"]]
 
 
-def test_a_track_without_any_range_still_has_its_name() -> None:
+def test_label_without_distance() -> None:
     assert words(result([BOX], ranges={})) == [["- m", "car 1"]]
     assert words(result([BOX], ranges={"fused": (np.nan, np.nan)})) == [["- m", "car 1"]]
 
 
-def test_a_predicted_track_shows_its_filtered_distance() -> None:
+def test_predicted_track_shows_its_filtered_distance() -> None:
     carried = result([BOX], observed=False, ranges={"fused": (np.nan, np.nan), "fused_kf": (31.0, 2.0)})
     assert shown_distance(carried, 0) == (31.0, 2.0)
     assert words(carried) == [["31.0 m", "±2.0", "car 1"]]
 
 
-def test_closing_is_said_only_when_the_gap_shrinks_on_a_bar_that_turns_amber_and_red() -> None:
+def test_closing_speed_and_its_bar() -> None:
     spans = [closing_span(6.2, ttc_s, 11) for ttc_s in (1.9, 3.6, 6.0, 12.0)]
     texts = [f"TTC {ttc_s:.1f} s  closing 6.2 m/s" for ttc_s in (1.9, 3.6, 6.0, 12.0)]
     assert [span.text for span in spans if span] == texts
@@ -65,7 +65,7 @@ def test_closing_is_said_only_when_the_gap_shrinks_on_a_bar_that_turns_amber_and
     assert (slow.text, slow.filled) == ("closing 0.6 m/s", 0.0)
 
 
-def test_a_bar_is_as_long_as_it_says_and_its_text_is_read_on_either_part() -> None:
+def test_bar_length_and_text_contrast() -> None:
     place = np.array([10.0, 10.0, 213.0, 30.0])  # 200 px behind the stripe
     for filled in (0.0, 0.25, 0.75, 1.0):
         canvas = grey(60, 300)
@@ -86,12 +86,12 @@ def test_warnings_start_below_four_and_two_seconds() -> None:
 
 
 @pytest.mark.parametrize(("metres", "text"), [(7.04, "7.0"), (99.94, "99.9"), (99.96, "100"), (np.nan, "-")])
-def test_distances_are_as_long_as_they_are_useful(metres: float, text: str) -> None:
+def test_distance_texts(metres: float, text: str) -> None:
     assert distance_text(metres) == text
 
 
 @pytest.mark.parametrize(("sigma_m", "text"), [(0.04, "0.04"), (0.094, "0.09"), (0.096, "0.1"), (12.3, "12.3")])
-def test_a_sigma_is_never_said_to_be_nothing(sigma_m: float, text: str) -> None:
+def test_sigma_text_is_never_zero(sigma_m: float, text: str) -> None:
     assert sigma_text(sigma_m) == text
 
 

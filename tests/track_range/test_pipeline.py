@@ -45,7 +45,7 @@ def pipeline(detect=lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5]], [0.9
     return Pipeline(camera=CAMERA, detect=detect, tracker=OneTrack(), rangers={"mono": Falling()})
 
 
-def test_every_frame_comes_out_in_order_with_all_methods():
+def test_frames_in_order_with_all_methods():
     loop = pipeline()
     results = list(loop.run(frames(30)))
     assert [r.frame.index for r in results] == list(range(30))
@@ -57,13 +57,13 @@ def test_every_frame_comes_out_in_order_with_all_methods():
     np.testing.assert_allclose(last.xyz_m, [[0.1 * 21, 0.3 * 21, 21.0]])  # box centre 10 px right, 30 px below
 
 
-def test_the_clock_counts_the_stages_that_ran_and_no_others():
+def test_clock_counts_the_stages_that_ran():
     loop = pipeline()
     list(loop.run(frames(30)))
     assert {name for name, seconds in loop.clock.busy_s.items() if seconds > 0} == {"detect", "track", "mono", "fuse"}
 
 
-def test_an_error_that_all_methods_share_widens_every_sigma_and_moves_nothing():
+def test_shared_error_increases_every_sigma():
     plain, doubtful = pipeline(), pipeline()
     doubtful.shared_sigma = 0.25
     for one, other in zip(plain.run(frames(3)), doubtful.run(frames(3)), strict=True):
@@ -124,7 +124,7 @@ def test_every_hook_of_a_ranger_is_called():
     assert 7.0 <= loop.clock.busy_s["lane"] < 8.0
 
 
-def test_lanes_are_searched_ten_times_a_second_and_passed_on_once():
+def test_lanes_are_detected_ten_times_per_second():
     loop, ranger = pipeline(), Listening()
     loop.lane_finder, loop.rangers = LinesTo(40.0), {"ground": ranger}
     results = list(loop.run(frames(7, dt_s=1 / 30)))
@@ -134,20 +134,20 @@ def test_lanes_are_searched_ten_times_a_second_and_passed_on_once():
 
 
 @pytest.mark.parametrize("y_px", [35.0, 44.0])
-def test_the_grounds_horizon_is_where_lane_lines_meet(y_px):
+def test_horizon_is_where_lane_lines_meet(y_px):
     loop, ranger = pipeline(), GroundRanger(CAMERA)
     loop.lane_finder, loop.rangers = LinesTo(y_px), {"ground": ranger}
     assert len(list(loop.run(frames(3)))) == 3
     assert ranger.plane.horizon.y_px == pytest.approx(y_px, abs=1.0)
 
 
-def test_a_frame_without_boxes_is_a_result_without_rows():
+def test_frame_without_boxes():
     empty = list(pipeline(lambda frame: Detections.empty()).run(frames(3)))
     assert [len(r.tracks) for r in empty] == [0, 0, 0]
     assert empty[0].xyz_m.shape == (0, 3)
 
 
-def test_an_error_in_a_stage_comes_after_the_frames_before_it():
+def test_error_in_a_stage_follows_earlier_frames():
     def detect(frame):
         if frame.index == 5:
             raise ValueError("broken")
@@ -173,7 +173,7 @@ def test_closing_early_stops_reading():
     assert len(asked) < 50
 
 
-def test_a_receding_track_has_no_time_to_collision():
+def test_receding_track_has_no_ttc():
     class Rising(Ranger):
         def measure(self, tracks, frame):
             return Ranges(tracks.track_id, np.full(len(tracks), 20 + 5 * frame.time_s), np.full(len(tracks), 0.2))
@@ -185,7 +185,7 @@ def test_a_receding_track_has_no_time_to_collision():
     assert np.isnan(last.ttc_s[0])
 
 
-def test_a_ranger_that_measures_other_tracks_is_named():
+def test_ranger_of_other_tracks():
     class Missing(Ranger):
         def measure(self, tracks, frame):
             return Ranges.unmeasured(tracks.track_id[1:])
@@ -214,7 +214,7 @@ class Returning(Ranger):
         (lambda tracks: Ranges.unmeasured(tracks.track_id + 1), "track_id"),
     ],
 )
-def test_a_ranger_that_returns_something_else_is_named(made_of, word):
+def test_ranger_without_ranges(made_of, word):
     loop = pipeline()
     loop.rangers = {"radar": Returning(made_of)}
     with pytest.raises(MethodError, match=f"radar.*{word}"):
@@ -236,21 +236,21 @@ def test_a_ranger_that_returns_something_else_is_named(made_of, word):
         (20.0, 1.0, np.inf),
     ],
 )
-def test_values_that_are_no_distances_are_not_measured(distance_m, sigma_m, systematic_m):
+def test_invalid_distances_become_nan(distance_m, sigma_m, systematic_m):
     values = np.array([[distance_m, 30.0], [sigma_m, 1.0], [systematic_m, 0.5]])
     loop = pipeline(
         lambda frame: Detections.of([[49.5, 59.5, 69.5, 79.5], [9.5, 59.5, 29.5, 79.5]], [0.9, 0.9], [2, 2])
     )
     loop.rangers = {"mono": Falling(), "ground": Returning(lambda tracks: Ranges(tracks.track_id, *values))}
     (result,) = loop.run(frames(1))
-    found = result.ranges["ground"]
-    for column, value in zip((found.distance_m, found.sigma_m, found.sigma_systematic_m), values, strict=True):
+    ground = result.ranges["ground"]
+    for column, value in zip((ground.distance_m, ground.sigma_m, ground.sigma_systematic_m), values, strict=True):
         np.testing.assert_array_equal(column, [np.nan, value[1]])
     assert result.ranges["fused"].distance_m[0] == pytest.approx(50.0)
     np.testing.assert_array_equal(values[:, 0], [distance_m, sigma_m, systematic_m])  # the ranger's own arrays
 
 
-def test_a_tracker_and_a_detector_that_return_nothing_are_named():
+def test_tracker_and_detector_without_results():
     class Silent:
         def update(self, detections, time_s, image):
             return None

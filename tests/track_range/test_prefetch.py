@@ -20,7 +20,7 @@ def prefetch_threads() -> list[threading.Thread]:
 
 
 class Source:
-    """Numbers from 0 on that says how far it was asked and whether it was closed."""
+    """Numbers from 0 on; records how many were requested and whether it was closed."""
 
     def __init__(self, end: int | None = None, error_at: int | None = None) -> None:
         self.n_made = 0
@@ -44,7 +44,7 @@ class Source:
 
 @given(items=st.lists(st.integers() | st.none()), depth=st.integers(1, 5))
 @settings(deadline=None, max_examples=50)
-def test_the_same_items_in_the_same_order(items: list[int | None], depth: int) -> None:
+def test_items_in_order(items: list[int | None], depth: int) -> None:
     assert list(prefetch(items, depth=depth)) == items
     assert not prefetch_threads()
 
@@ -56,7 +56,7 @@ def test_chained_stages_keep_order() -> None:
 
 
 @pytest.mark.parametrize("depth", [1, 4])
-def test_the_thread_is_never_more_than_depth_ahead(depth: int) -> None:
+def test_thread_is_at_most_depth_ahead(depth: int) -> None:
     source = Source()
     ahead = prefetch(source.items(), depth=depth)
     for n_taken in range(1, 30):
@@ -65,18 +65,18 @@ def test_the_thread_is_never_more_than_depth_ahead(depth: int) -> None:
     ahead.close()
 
 
-def test_the_thread_does_run_ahead() -> None:
+def test_thread_runs_ahead() -> None:
     source = Source()
     ahead = prefetch(source.items(), depth=4)
     next(ahead)
-    for _ in range(5):  # the one taken and four more, with nobody asking
+    for _ in range(5):  # the consumed item and four more, without a request
         assert source.made.acquire(timeout=WAIT_S)
     assert source.n_made == 5
     assert source.thread is not threading.current_thread()
     ahead.close()
 
 
-def test_nothing_runs_before_the_first_item_is_asked_for() -> None:
+def test_nothing_runs_before_the_first_request() -> None:
     source = Source()
     ahead = prefetch(source.items(), depth=2)
     assert not prefetch_threads()
@@ -85,24 +85,24 @@ def test_nothing_runs_before_the_first_item_is_asked_for() -> None:
 
 
 @pytest.mark.parametrize("depth", [1, 3])
-def test_an_error_comes_in_the_items_place(depth: int) -> None:
+def test_error_is_raised_in_the_caller(depth: int) -> None:
     source = Source(error_at=5)
     ahead = prefetch(source.items(), depth=depth)
     assert list(itertools.islice(ahead, 5)) == [0, 1, 2, 3, 4]
     with pytest.raises(LookupError, match="item 5") as raised:
         next(ahead)
-    assert any(entry.name == "items" for entry in raised.traceback)  # it tells where it was raised
+    assert any(entry.name == "items" for entry in raised.traceback)  # the traceback contains the origin
     assert next(ahead, "over") == "over"
     assert not prefetch_threads()
 
 
-def test_an_iterable_that_cannot_be_iterated_is_an_error() -> None:
+def test_iterable_that_fails_at_iter() -> None:
     with pytest.raises(TypeError, match="not iterable"):
         list(prefetch(5, depth=1))  # type: ignore[arg-type]
     assert not prefetch_threads()
 
 
-def test_even_the_end_of_the_program_passes() -> None:
+def test_system_exit_is_raised_in_the_caller() -> None:
     def leaving() -> Iterator[int]:
         yield 1
         raise SystemExit(3)
@@ -134,7 +134,7 @@ def test_leaving_a_loop_ends_the_thread() -> None:
     assert not prefetch_threads()
 
 
-def test_collecting_an_abandoned_generator_ends_the_thread() -> None:
+def test_garbage_collection_ends_the_thread() -> None:
     source = Source()
     ahead = prefetch(source.items(), depth=3)
     next(ahead)
@@ -156,7 +156,7 @@ def test_closing_a_chain_ends_every_thread() -> None:
     assert not prefetch_threads()
 
 
-def test_an_error_of_the_caller_ends_the_thread() -> None:
+def test_error_of_the_caller_ends_the_thread() -> None:
     source = Source()
 
     def consume() -> None:
@@ -169,7 +169,7 @@ def test_an_error_of_the_caller_ends_the_thread() -> None:
     assert source.closed.wait(WAIT_S)
 
 
-def test_items_that_were_handed_over_are_not_kept() -> None:
+def test_consumed_items_are_released() -> None:
     class Big:
         pass
 
@@ -180,7 +180,7 @@ def test_items_that_were_handed_over_are_not_kept() -> None:
     assert [ref() for ref in held] == [None] * 5
 
 
-def test_the_thread_does_not_keep_a_program_from_ending() -> None:
+def test_thread_does_not_block_the_end_of_the_program() -> None:
     ahead = prefetch(itertools.count(), depth=1)
     next(ahead)
     assert all(thread.daemon for thread in prefetch_threads())
@@ -188,6 +188,6 @@ def test_the_thread_does_not_keep_a_program_from_ending() -> None:
 
 
 @pytest.mark.parametrize("depth", [0, -1])
-def test_a_depth_below_one_is_refused(depth: int) -> None:
+def test_depth_below_one(depth: int) -> None:
     with pytest.raises(ValueError, match="depth"):
         prefetch([], depth=depth)

@@ -80,7 +80,7 @@ def test_pandas_frame(finished):
     assert run.to_pandas()["fused_m"].notna().any()
 
 
-def test_run_writes_nothing_unasked(drive, tmp_path, monkeypatch):
+def test_run_without_out_writes_nothing(drive, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = recorded(drive, duration=0.3)
     assert sum(1 for _ in run) > 0
@@ -98,7 +98,7 @@ def test_run_is_iterated_once(drive):
     assert run.summary["frames"] == n_frames
 
 
-def test_leaving_the_loop_keeps_what_was_seen(drive, tmp_path):
+def test_leaving_the_loop_keeps_the_rows(drive, tmp_path):
     run = recorded(drive, out=tmp_path / "out")
     for frame in run:
         if frame.index == 2:
@@ -109,7 +109,7 @@ def test_leaving_the_loop_keeps_what_was_seen(drive, tmp_path):
     assert any("early" in note for note in run.notes)
 
 
-def test_write_does_the_whole_job(drive, tmp_path):
+def test_write_processes_all_frames(drive, tmp_path):
     folder = recorded(drive, duration=0.3).write(tmp_path / "out")
     assert {"tracks.csv", "mot.txt", "summary.json", "report.html", "settings.yaml"} <= {
         p.name for p in folder.iterdir()
@@ -147,7 +147,7 @@ def test_runs_side_by_side_restore_the_switch_interval(drive):
     assert sys.getswitchinterval() == before_s
 
 
-def test_writing_again_into_the_same_folder_keeps_the_videos(drive, tmp_path):
+def test_second_write_keeps_the_videos(drive, tmp_path):
     run = tr.Run.mono(drive.left, focal_px=700, detections=drive.detections, duration=0.3, out=tmp_path / "out")
     for _ in run:
         pass

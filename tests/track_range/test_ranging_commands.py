@@ -23,18 +23,18 @@ def folders(tmp_path):
     return write
 
 
-def test_methods_side_by_side_in_terminal_json_and_markdown(cli, folders, tmp_path):
+def test_output_as_table_json_and_markdown(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1), c=drive(2))
     files = ("--json", tmp_path / "f.json", "--table", tmp_path / "f.md")
     status, out, err = cli("evaluate", "ranges", *given, "--cross-validate", *files)
     assert (status, err) == (0, "")
-    told = json.loads((tmp_path / "f.json").read_text())
-    assert set(told["methods"]) >= {"diagonal-3", "diagonal-4", "diagonal-5", "inverse-height", "log-linear", "mono"}
-    assert {"ground", "mono+ground"} <= set(told["methods"])
-    for name, classes in told["methods"].items():
+    figures = json.loads((tmp_path / "f.json").read_text())
+    assert set(figures["methods"]) >= {"diagonal-3", "diagonal-4", "diagonal-5", "inverse-height", "log-linear", "mono"}
+    assert {"ground", "mono+ground"} <= set(figures["methods"])
+    for name, classes in figures["methods"].items():
         assert set(classes) == {"car", "person"}, name
         assert {"n", "bias_pct", "within_1_sigma", "within_2_sigma", "rear_view_pct", "far_pct"} <= set(classes["car"])
-    mono, plain = told["methods"]["mono"]["car"], told["methods"]["diagonal-3"]["car"]
+    mono, plain = figures["methods"]["mono"]["car"], figures["methods"]["diagonal-3"]["car"]
     assert mono["mean_relative_error_pct"] < 1.0 < plain["mean_relative_error_pct"] < 60.0
     assert mono["bands"][0]["to_m"] == 10.0
     assert "closing_median_error_mps" not in mono
@@ -59,7 +59,7 @@ def test_noise_is_seeded(cli, folders, tmp_path):
     assert exact < 0.2 * noisy
 
 
-def test_filters_smooth_and_tell_closing_speeds(cli, folders, tmp_path):
+def test_filters_smooth_and_give_closing_speeds(cli, folders, tmp_path):
     given = (*folders(a=drive(0), b=drive(1), c=drive(2)), "--noise-px", 2)
     none, paper, default = (
         car_by(cli, tmp_path / "f.json", "mono", *given, "--filter", name) for name in ("none", "paper", "default")
@@ -69,7 +69,7 @@ def test_filters_smooth_and_tell_closing_speeds(cli, folders, tmp_path):
     assert none["within_2_sigma"] > 0.85
 
 
-def test_fitted_and_tested_on_one_drive_as_the_paper_did(cli, folders, tmp_path):
+def test_fit_and_test_on_the_same_drive(cli, folders, tmp_path):
     """People are 5 % taller in one drive: nothing for who fits on it, all for who does not."""
     tall = [row(k, 0, "Pedestrian", 60 - 0.3 * k, scale=1.1) for k in range(160)]
     usual = [[row(k, 0, "Pedestrian", d_m - 0.3 * k) for k in range(160)] for d_m in (58.0, 62.0)]
@@ -85,12 +85,12 @@ def test_fitted_and_tested_on_one_drive_as_the_paper_did(cli, folders, tmp_path)
     assert error["--same-drive"]["rear_view_far_pct"] < 0.1
 
 
-def test_packaged_curves_one_sequence_and_chosen_methods(cli, folders, tmp_path):
+def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
     given = folders(a=drive(0))
     status, out, _ = cli("evaluate", "ranges", *given, "--method", "ground,log-linear", "--json", tmp_path / "f.json")
     assert status == 0
-    told = json.loads((tmp_path / "f.json").read_text())
-    assert list(told["methods"]) == ["ground", "log-linear"]
+    figures = json.loads((tmp_path / "f.json").read_text())
+    assert list(figures["methods"]) == ["ground", "log-linear"]
     assert "the only sequence" in " ".join(out.split())
     assert "packaged" in out
 
@@ -107,15 +107,15 @@ def test_packaged_curves_one_sequence_and_chosen_methods(cli, folders, tmp_path)
         (("--json", "no/such/folder/f.json"), 1, "cannot be written"),
     ],
 )
-def test_what_evaluate_ranges_refuses(cli, folders, options, status, message):
-    found, _, err = cli("evaluate", "ranges", *folders(a=drive(0)), *options)
-    assert (found, message in err) == (status, True), err
+def test_invalid_usage_of_evaluate_ranges(cli, folders, options, status, message):
+    actual_status, _, err = cli("evaluate", "ranges", *folders(a=drive(0)), *options)
+    assert (actual_status, message in err) == (status, True), err
 
 
 def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1), c=drive(2, n_frames=20))
-    wanted = ("--compare", "--picture", tmp_path / "p.png", "--out", tmp_path / "c.json", "--leave-out", "c")
-    status, out, err = cli("fit", *given, *wanted, "--source", "made drives")
+    outputs = ("--compare", "--picture", tmp_path / "p.png", "--out", tmp_path / "c.json", "--leave-out", "c")
+    status, out, err = cli("fit", *given, *outputs, "--source", "made drives")
     assert (status, err) == (0, "")
     assert out.count("inverse-height") == 2  # of cars and of people
     assert "car: 240 boxes" in out
@@ -129,7 +129,7 @@ def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
 
 
 @pytest.mark.parametrize("curve", MODEL_NAMES)
-def test_whatever_is_fitted_can_be_run_with(cli, folders, tmp_path, curve):
+def test_fitted_curves_are_usable_in_a_run(cli, folders, tmp_path, curve):
     given = folders(a=drive(0), b=drive(1))
     assert cli("fit", *given, "--curve", curve, "--out", tmp_path / "c.json")[0] == 0
     assert (
@@ -144,7 +144,7 @@ def test_whatever_is_fitted_can_be_run_with(cli, folders, tmp_path, curve):
     assert car["within_2_sigma"] > 0.7
 
 
-def test_a_curve_file_of_another_version_is_refused(cli, folders, tmp_path):
+def test_curve_file_of_another_version(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1))
     assert cli("fit", *given, "--out", tmp_path / "c.json")[0] == 0
     old = json.loads((tmp_path / "c.json").read_text()) | {"track_range_size_curves": 1}
@@ -153,7 +153,7 @@ def test_a_curve_file_of_another_version_is_refused(cli, folders, tmp_path):
     assert (status, "c.json: " in err, "version" in err) == (1, True, True), err
 
 
-def test_labels_without_3d_boxes_are_refused(cli, folders, tmp_path):
+def test_labels_without_3d_boxes(cli, folders, tmp_path):
     flat = [f"{k} 0 Car 0 0 0 10 10 {60 + k} 40 -1 -1 -1 -1000 -1000 -1000 -10" for k in range(150)]
     status, _, err = cli("fit", *folders(a=flat), "--out", tmp_path / "c.json")
     assert (status, "3-D box" in err) == (1, True), err
@@ -182,14 +182,14 @@ def test_fit_on_a_csv(cli, tmp_path):
         (("Car", "Pedestrian"), 60, "person (60 boxes"),
     ],
 )
-def test_too_few_boxes_are_refused(cli, folders, tmp_path, kinds, n_frames, message):
+def test_too_few_boxes(cli, folders, tmp_path, kinds, n_frames, message):
     given = folders(a=drive(0, kinds, n_frames))
     status, _, err = cli("fit", *given, "--out", tmp_path / "c.json")
     assert (status, message in err) == (1, True), err
     assert not (tmp_path / "c.json").exists()
 
 
-def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_path):
+def test_only_classes_with_enough_boxes_are_fitted(cli, folders, tmp_path):
     rows = [row(k, k // 50, "Car", 10.0 + 0.3 * k) for k in range(150)]
     rows += [row(k, 3, "Van", 20.0, x_m=6) for k in range(150)]
     status, out, _ = cli("fit", *folders(a=rows), "--out", tmp_path / "c.json")
@@ -212,33 +212,35 @@ def test_one_class_only_is_fitted_and_the_others_are_told_of(cli, folders, tmp_p
         (("--csv", "none.csv", "--compare"), 1, "none.csv: cannot be read"),
     ],
 )
-def test_what_fit_refuses(cli, options, status, message):
-    found, _, err = cli("fit", *options)
-    assert (found, message in err) == (status, True), err
+def test_invalid_usage_of_fit(cli, options, status, message):
+    actual_status, _, err = cli("fit", *options)
+    assert (actual_status, message in err) == (status, True), err
 
 
-def test_kitti_is_measured_as_it_was(cli, shared_data, tmp_path):
+def test_kitti_figures_are_unchanged(cli, shared_data, tmp_path):
     """Two-sided: the plain curves on all drives."""
     place = shared_data / "kitti_labels"
     given = ("--labels", place / "label_02", "--calib", place / "calib", "--json", tmp_path / "f.json")
     assert cli("evaluate", "ranges", *given, "--method", "log-linear,inverse-height,height-5")[0] == 0
-    found = json.loads((tmp_path / "f.json").read_text())["methods"]
-    mean = {name: {kind: row["mean_relative_error_pct"] for kind, row in rows.items()} for name, rows in found.items()}
+    methods = json.loads((tmp_path / "f.json").read_text())["methods"]
+    mean = {
+        name: {kind: row["mean_relative_error_pct"] for kind, row in rows.items()} for name, rows in methods.items()
+    }
     assert mean["log-linear"]["car"] == pytest.approx(5.36, abs=0.02)
     assert mean["inverse-height"]["bicycle"] == pytest.approx(3.27, abs=0.02)
     assert mean["height-5"]["person"] == pytest.approx(5.97, abs=0.02)
-    assert found["log-linear"]["car"]["n"] == 10670
+    assert methods["log-linear"]["car"]["n"] == 10670
 
 
-def test_ours_beside_them_on_four_drives(cli, shared_data, tmp_path):
+def test_methods_on_four_drives(cli, shared_data, tmp_path):
     for kind in ("label_02", "calib"):
         (tmp_path / kind).mkdir()
         for name in ("0000", "0002", "0013", "0018"):
             (tmp_path / kind / f"{name}.txt").symlink_to(shared_data / "kitti_labels" / kind / f"{name}.txt")
     given = ("--labels", tmp_path / "label_02", "--calib", tmp_path / "calib", "--json", tmp_path / "f.json")
     assert cli("evaluate", "ranges", *given, "--method", "log-linear,mono,ground,mono+ground")[0] == 0
-    found = json.loads((tmp_path / "f.json").read_text())["methods"]
-    assert 2.0 < found["mono"]["car"]["mean_relative_error_pct"] < 7.0
-    assert 4.0 < found["ground"]["car"]["mean_relative_error_pct"] < 20.0
-    assert 0.55 < found["ground"]["car"]["within_1_sigma"] < 0.92
-    assert 2.0 < found["mono+ground"]["person"]["mean_relative_error_pct"] < 10.0
+    methods = json.loads((tmp_path / "f.json").read_text())["methods"]
+    assert 2.0 < methods["mono"]["car"]["mean_relative_error_pct"] < 7.0
+    assert 4.0 < methods["ground"]["car"]["mean_relative_error_pct"] < 20.0
+    assert 0.55 < methods["ground"]["car"]["within_1_sigma"] < 0.92
+    assert 2.0 < methods["mono+ground"]["person"]["mean_relative_error_pct"] < 10.0

@@ -1,4 +1,4 @@
-"""The report: one page that works offline, says the figures, escapes what it is given and is written whole."""
+"""The report: one self-contained page with all figures, escaped text, written atomically."""
 
 from __future__ import annotations
 
@@ -64,10 +64,10 @@ class Page(HTMLParser):
 def columns(*lengths: int, class_name: str = "car", truth: bool = True) -> dict[str, npt.NDArray[Any]]:
     """tracks.csv's columns with one track of each length, ids from 1; mono, stereo and fused measured."""
     n = sum(lengths)
-    found: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in column_names()}
+    changed: dict[str, npt.NDArray[Any]] = {name: np.full(n, np.nan) for name in column_names()}
     time_s = np.concatenate([np.arange(length) * 0.1 for length in lengths]) if lengths else np.zeros(0)
     distance_m = 40.0 - time_s
-    found |= {
+    changed |= {
         "time_s": time_s,
         "track_id": np.repeat(np.arange(1.0, len(lengths) + 1), lengths),
         "class": np.full(n, class_name),
@@ -78,7 +78,7 @@ def columns(*lengths: int, class_name: str = "car", truth: bool = True) -> dict[
         "fused_sigma_m": np.full(n, 0.4),
         "ttc_s": np.where(time_s > 0.35, 9.5, np.nan),
     }
-    return found | ({"truth_m": distance_m} if truth else {})
+    return changed | ({"truth_m": distance_m} if truth else {})
 
 
 def row(median_pct: float | None, **more: Any) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def summary(**more: Any) -> dict[str, Any]:
     }
 
 
-def test_the_figures_of_the_summary_are_on_the_page() -> None:
+def test_page_shows_the_summary() -> None:
     page = Page(report_page(summary(), columns(9, 5, 7)))
     for words in (
         "drive/left.mp4 + drive/right.mp4",
@@ -113,7 +113,7 @@ def test_the_figures_of_the_summary_are_on_the_page() -> None:
         "median distance error 3.4 %",
         "stereo, the best method on its own coverage",
         "The rig was taken from calib.txt.",
-        "Errors are relative to the visible surface.",
+        "Ground truth: the visible surface.",
         "rig.file calib.txt",
         "rig.note -",
         "numpy 2.4.6",
@@ -121,7 +121,7 @@ def test_the_figures_of_the_summary_are_on_the_page() -> None:
         assert words in page.text
 
 
-def test_the_page_needs_nothing_from_elsewhere() -> None:
+def test_page_is_self_contained() -> None:
     text = report_page(summary(), columns(700, 5, 7))
     page = Page(text)
     assert set(re.findall(r"https?://[^\"']+", text)) == {"http://www.w3.org/2000/svg"}  # the name of a language
@@ -132,7 +132,7 @@ def test_the_page_needs_nothing_from_elsewhere() -> None:
     assert {address for address in page.addresses if address[:1] != "#"} == {"overlay.mp4"}
 
 
-def test_only_the_pages_own_script_may_run() -> None:
+def test_content_security_policy() -> None:
     text = report_page(summary(), columns(5))
     page = Page(text)
     assert page.counts["script"] == 2  # the data, and the script
@@ -140,14 +140,14 @@ def test_only_the_pages_own_script_may_run() -> None:
     assert f"default-src 'none'; script-src 'sha256-{checksum}';" in text
 
 
-def test_the_longest_tracks_come_first() -> None:
+def test_longest_tracks_come_first() -> None:
     tracks = Page(report_page(summary(), columns(5, 9, 7))).content["tracks"]
     assert [track["id"] for track in tracks] == [2, 3, 1]
 
 
 def test_classes_files_and_notes_cannot_become_markup() -> None:
     evil = "<img src=x onerror=alert(1)>$&{{7*7}}"
-    found = summary(
+    changed = summary(
         notes=[evil],
         truth=evil,
         inputs={"left": evil, evil: evil},
@@ -155,7 +155,7 @@ def test_classes_files_and_notes_cannot_become_markup() -> None:
         stages_ms={evil: 3.0},
         files={"overlay": 'x/"><script>alert(1)</script>.mp4'},
     )
-    text = report_page(found, columns(5, class_name=evil))
+    text = report_page(changed, columns(5, class_name=evil))
     page = Page(text)
     assert "img" not in page.counts
     assert page.counts["script"] == 2
@@ -165,7 +165,7 @@ def test_classes_files_and_notes_cannot_become_markup() -> None:
     assert page.text.count(evil) >= 7
 
 
-def test_a_video_is_embedded_by_its_address_from_the_page() -> None:
+def test_address_of_the_video() -> None:
     page = Page(report_page(summary(files={"overlay": "out dir/overlay 1.mp4"}), columns(5)))
     assert "out%20dir/overlay%201.mp4" in page.addresses
     assert page.counts["video"] == 1
@@ -173,33 +173,33 @@ def test_a_video_is_embedded_by_its_address_from_the_page() -> None:
         assert "video" not in Page(report_page(summary(files=files), columns(5))).counts
 
 
-def test_a_run_without_truth_says_so() -> None:
-    found = summary(truth=None, methods={"mono": row(None)})
-    page = Page(report_page(found, columns(9, truth=False)))
+def test_run_without_truth() -> None:
+    changed = summary(truth=None, methods={"mono": row(None)})
+    page = Page(report_page(changed, columns(9, truth=False)))
     assert "No ground truth was given" in page.text
     assert "median distance error" not in page.text
     assert page.content["errors"] == page.content["calibration"] == {}
     assert page.text.count("Not available without ground truth.") == 2
 
 
-def test_a_run_without_tracks_or_figures_still_has_a_page() -> None:
+def test_run_without_tracks_or_figures() -> None:
     page = Page(report_page({"frames": 0}, columns()))
     assert "No track was confirmed in this run." in page.text
     assert "The summary contains no figures." in page.text
     assert page.content["tracks"] == page.content["methods"] == []
 
 
-def test_a_run_of_one_frame_has_a_chart() -> None:
+def test_run_of_one_frame() -> None:
     (track,) = Page(report_page(summary(), columns(1))).content["tracks"]
     assert (track["n"], track["from_s"], track["to_s"], track["near_m"]) == (1, 0.0, 0.0, 40.0)
     assert track["t"] == "0"
     assert track["m"] == {"mono": "4400", "stereo": "3960", "fused": "4000"}
 
 
-def test_a_single_camera_without_any_distance_is_fine() -> None:
-    found = columns(4, truth=False)
-    found |= {name: np.full(4, np.nan) for name in ("mono_m", "stereo_m", "fused_m", "fused_sigma_m")}
-    page = Page(report_page(summary(truth=None, methods={}, inputs={"video": "dash.mp4"}), found))
+def test_single_camera_without_distances() -> None:
+    changed = columns(4, truth=False)
+    changed |= {name: np.full(4, np.nan) for name in ("mono_m", "stereo_m", "fused_m", "fused_sigma_m")}
+    page = Page(report_page(summary(truth=None, methods={}, inputs={"video": "dash.mp4"}), changed))
     assert "dash.mp4" in page.text
     assert page.content["tracks"][0]["m"] == {}
     assert page.content["tracks"][0]["near_m"] is None
@@ -211,14 +211,14 @@ def test_two_thousand_tracks_stay_small() -> None:
     assert len(Page(text).content["tracks"]) == 2000
 
 
-def test_methods_keep_their_colour_and_filtered_ones_wait_to_be_shown() -> None:
-    found = columns(9) | {"fused_kf_m": np.full(9, 30.0), "radar_m": np.full(9, 30.0), "only_kf_m": np.full(9, 30.0)}
-    methods = {method["name"]: method for method in run_content(summary(), found)["methods"]}
+def test_colours_of_methods_and_hidden_filtered_ones() -> None:
+    changed = columns(9) | {"fused_kf_m": np.full(9, 30.0), "radar_m": np.full(9, 30.0), "only_kf_m": np.full(9, 30.0)}
+    methods = {method["name"]: method for method in run_content(summary(), changed)["methods"]}
     assert [name for name, method in methods.items() if not method["shown"]] == ["fused_kf"]
     assert methods["fused"]["colour"] == methods["fused_kf"]["colour"] != methods["radar"]["colour"]
 
 
-def test_the_video_begins_where_the_summary_says() -> None:
+def test_start_of_the_video() -> None:
     assert run_content(summary(starts_s=4.2), columns(9))["starts_s"] == 4.2
     assert run_content(summary(), columns(9))["starts_s"] == 0.0
 
@@ -229,7 +229,7 @@ def test_data_cannot_end_its_element() -> None:
     assert json.loads(text) == {"name": "</script><!--&amp;\u2028"}
 
 
-def test_several_runs_stand_side_by_side() -> None:
+def test_comparison_page() -> None:
     runs = [
         ComparedRun(name="a", summary=summary(), settings={"size_px": 640}, link="a b/report.html"),
         ComparedRun(name="<b>", summary=summary(truth=None), settings={"size_px": 320}, notes=("gone",)),
@@ -241,12 +241,12 @@ def test_several_runs_stand_side_by_side() -> None:
     assert page.content == {"lines": []}
 
 
-def test_a_comparison_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_comparison_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"c\.html: cannot be written"):
         write_comparison(tmp_path / "missing" / "c.html", [ComparedRun(name="a", summary={}, settings={})])
 
 
-def test_the_file_is_written_whole_and_replaces_the_one_before(tmp_path: Path) -> None:
+def test_report_replaces_an_earlier_one(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text("old", encoding="utf-8")
     write_report(path, summary(notes=["caf\udce9 \N{SNOWMAN}"]), columns(5))
@@ -256,6 +256,6 @@ def test_the_file_is_written_whole_and_replaces_the_one_before(tmp_path: Path) -
     assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"report\.html: cannot be written"):
         write_report(tmp_path / "missing" / "report.html", summary(), columns(3))

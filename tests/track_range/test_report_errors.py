@@ -46,20 +46,20 @@ def test_errors_are_relative_to_the_truth() -> None:
     assert error_curves(columns, {}) == {"mono": {"points": [[10.0, 20.0], [10.0, -5.0]], "line": [[], []]}}
 
 
-def test_errors_are_of_the_truth_that_is_scored() -> None:
+def test_errors_of_scored_truth_only() -> None:
     columns = {"time_s": np.zeros(2), "mono_m": np.array([11.0, 30.0]), "truth_m": np.array([10.0, 20.0])}
     columns["scored_truth_m"] = np.array([10.0, np.nan])
     assert error_curves(columns, {})["mono"]["points"] == [[10.0], [10.0]]
 
 
-def test_many_points_are_thinned_and_filtered_methods_are_lines_alone() -> None:
-    found = error_curves(drive(5000), {})
-    assert len(found["fused"]["points"][0]) == SCATTER_POINTS
-    assert found["fused_kf"]["points"] == [[], []]
-    assert found["fused_kf"]["line"] == [[15.0, 25.0, 35.0, 45.0, 55.0], [1.0] * 5]
+def test_many_points_are_thinned() -> None:
+    curves = error_curves(drive(5000), {})
+    assert len(curves["fused"]["points"][0]) == SCATTER_POINTS
+    assert curves["fused_kf"]["points"] == [[], []]
+    assert curves["fused_kf"]["line"] == [[15.0, 25.0, 35.0, 45.0, 55.0], [1.0] * 5]
 
 
-def test_without_truth_the_summarys_bands_are_shown() -> None:
+def test_bands_of_the_summary_without_truth() -> None:
     summary = {"methods": {"fused": {"bands": BANDS}, "mono": {"bands": BANDS[1:]}, "sgbm": {}}}
     columns = drive(9, truth=False)
     assert error_curves(columns, summary) == {"fused": {"points": [[], []], "line": [[7.5], [3.0]]}}
@@ -69,16 +69,16 @@ def test_without_truth_the_summarys_bands_are_shown() -> None:
 @pytest.mark.parametrize(
     ("sigma", "within_1", "within_2"), [(0.02, 68.3, 95.5), (0.04, 95.5, 99.9), (0.01, 38.3, 68.3)]
 )
-def test_honest_sigmas_lie_on_the_diagonal(sigma: float, within_1: float, within_2: float) -> None:
-    found = calibration_curves(drive(20_000, sigma=sigma), {})
-    assert set(found) == {"fused"}  # fused_kf has no sigma here
-    expected, observed = (np.array(part) for part in found["fused"]["line"])
-    assert found["fused"]["n"] == 20_000
+def test_calibrated_sigmas_lie_on_the_diagonal(sigma: float, within_1: float, within_2: float) -> None:
+    curves = calibration_curves(drive(20_000, sigma=sigma), {})
+    assert set(curves) == {"fused"}  # fused_kf has no sigma here
+    expected, observed = (np.array(part) for part in curves["fused"]["line"])
+    assert curves["fused"]["n"] == 20_000
     assert np.interp(68.27, expected, observed) == pytest.approx(within_1, abs=1.5)
     assert np.interp(95.0, expected, observed) == pytest.approx(within_2, abs=1.5)
 
 
-def test_without_truth_the_summarys_shares_are_shown() -> None:
+def test_fractions_of_the_summary_without_truth() -> None:
     row = {"within_1_sigma": 0.7, "within_2_sigma": 0.9, "n": 12}
-    found = calibration_curves(drive(9, truth=False), {"methods": {"fused": row, "mono": {"within_1_sigma": None}}})
-    assert found == {"fused": {"line": [[68.27, 95.45], [70.0, 90.0]], "n": 12}}
+    curves = calibration_curves(drive(9, truth=False), {"methods": {"fused": row, "mono": {"within_1_sigma": None}}})
+    assert curves == {"fused": {"line": [[68.27, 95.45], [70.0, 90.0]], "n": 12}}

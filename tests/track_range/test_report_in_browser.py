@@ -1,6 +1,6 @@
-"""The report as a person uses it: in a real, headless Chromium; skipped, with the reason, where there is none.
+"""The report in a headless Chromium; skipped, with the reason, if there is none.
 
-Each frame of the little overlay is as bright as its number says, so that a picture of the page tells which it shows.
+The brightness of each frame of the small overlay encodes its number, so that a screenshot shows which one is displayed.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ def browser() -> Iterator[Any]:
     with playwright.sync_playwright() as started:
         own = Path(started.chromium.executable_path)
         names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-        found = str(own) if own.is_file() else next(filter(None, map(shutil.which, names)), None)
-        if found is None:
+        changed = str(own) if own.is_file() else next(filter(None, map(shutil.which, names)), None)
+        if changed is None:
             pytest.skip("no Chromium here: neither playwright's own nor one on the PATH")
         try:
-            launched = started.chromium.launch(executable_path=found, args=["--no-sandbox"])
+            launched = started.chromium.launch(executable_path=changed, args=["--no-sandbox"])
         except playwright.Error as error:
-            pytest.skip(f"{found} does not start here: {str(error).splitlines()[0]}")
+            pytest.skip(f"{changed} does not start here: {str(error).splitlines()[0]}")
         yield launched
         launched.close()
 
 
 @pytest.fixture
 def page_of(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Opens a file; at the end nothing may have been said on the console, and nothing asked of the network."""
+    """Opens a file; fails at the end if there were console messages or network requests."""
     opened, complaints = [], []
 
     def open_page(path: Path, **options: Any) -> Any:
@@ -70,8 +70,8 @@ def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0
     """tracks.csv with one track of each length; the distance of each falls by a metre per frame, the truth likewise."""
     n = sum(lengths)
     number = np.concatenate([np.arange(length, dtype=np.float64) for length in lengths]) if lengths else np.zeros(0)
-    found: dict[str, Any] = {column: np.full(n, np.nan) for column in column_names()}
-    found |= {
+    changed: dict[str, Any] = {column: np.full(n, np.nan) for column in column_names()}
+    changed |= {
         "frame": number,
         "time_s": from_s + number * STEP_S,
         "track_id": np.repeat(np.arange(1.0, len(lengths) + 1), lengths),
@@ -82,8 +82,8 @@ def rows(*lengths: int, name: str = "car", truth: bool = True, from_s: float = 0
         "fused_kf_m": 60.0 - number,
     }
     for method, factor in (("mono", 1.1), ("stereo", 0.99), ("sgbm", 1.01)):
-        found |= {f"{method}_m": (60.0 - number) * factor, f"{method}_sigma_m": np.full(n, 1.0)}
-    return found | ({"truth_m": 60.0 - number} if truth else {})
+        changed |= {f"{method}_m": (60.0 - number) * factor, f"{method}_sigma_m": np.full(n, 1.0)}
+    return changed | ({"truth_m": 60.0 - number} if truth else {})
 
 
 def summary(**more: Any) -> dict[str, Any]:
@@ -149,7 +149,7 @@ def click_at(page: Any, time_s: float, *, first_s: float = 0.0, last_s: float = 
     chart.click(position={"x": x, "y": box["height"] / 2})
 
 
-def test_a_click_in_a_chart_takes_the_video_there(page_of: Callable[..., Any], run: Path) -> None:
+def test_click_in_a_chart_moves_the_video(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)
     for number in (12, 3, 24, 0):
@@ -164,7 +164,7 @@ def test_a_click_in_a_chart_takes_the_video_there(page_of: Callable[..., Any], r
         assert f"truth {60 - number:.1f} m" in readout
 
 
-def test_the_cursor_runs_with_the_video(page_of: Callable[..., Any], run: Path) -> None:
+def test_cursor_follows_the_video(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)
     first_chart(page)
@@ -202,7 +202,7 @@ def test_keys_step_through_a_chart_and_start_the_video(page_of: Callable[..., An
     page.wait_for_function("() => document.getElementById('video').currentTime > 0.15")
 
 
-def test_the_bar_below_the_video_moves_it_and_leaves_the_picture_free(page_of: Callable[..., Any], run: Path) -> None:
+def test_slider_below_the_video(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     wait_for_video(page)
     video, when = page.locator("#video"), page.get_by_role("slider", name="Time in the video")
@@ -228,7 +228,7 @@ def test_the_bar_below_the_video_moves_it_and_leaves_the_picture_free(page_of: C
     assert float(when.input_value()) >= 0.5
 
 
-def test_what_is_not_needed_is_not_shown(page_of: Callable[..., Any], run: Path) -> None:
+def test_unneeded_controls_are_hidden(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     first_chart(page)
     assert page.locator("#count").inner_text() == "2 of 2 tracks"
@@ -236,7 +236,7 @@ def test_what_is_not_needed_is_not_shown(page_of: Callable[..., Any], run: Path)
     assert not page.locator("#video-missing").is_visible()
 
 
-def test_a_name_under_the_video_leads_to_its_chart(page_of: Callable[..., Any], run: Path) -> None:
+def test_button_below_the_video_leads_to_its_chart(page_of: Callable[..., Any], run: Path) -> None:
     write_report(run / "many.html", summary(), rows(*([N_FRAMES] * 30), 9))
     page = page_of(run / "many.html")
     first_chart(page)
@@ -251,7 +251,7 @@ def test_a_name_under_the_video_leads_to_its_chart(page_of: Callable[..., Any], 
     )
 
 
-def test_a_run_that_starts_late_seeks_by_its_own_clock(page_of: Callable[..., Any], run: Path) -> None:
+def test_run_that_starts_late(page_of: Callable[..., Any], run: Path) -> None:
     write_report(run / "late.html", summary(starts_s=5.0), rows(N_FRAMES, from_s=5.0))
     page = page_of(run / "late.html")
     wait_for_video(page)
@@ -278,7 +278,7 @@ def test_tables_sort_by_mouse_and_by_key(page_of: Callable[..., Any], run: Path)
         assert names()[0] == "fused"  # what was not measured stays below, either way
 
 
-def test_methods_are_switched_everywhere_at_once(page_of: Callable[..., Any], run: Path) -> None:
+def test_methods_are_switched_in_all_charts(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html")
     first_chart(page)
     strokes = (
@@ -293,7 +293,7 @@ def test_methods_are_switched_everywhere_at_once(page_of: Callable[..., Any], ru
     assert "mono" not in page.locator(".readout").first.inner_text()
 
 
-def test_the_theme_follows_the_system_until_it_is_chosen(page_of: Callable[..., Any], run: Path) -> None:
+def test_theme_follows_the_system(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html", color_scheme="dark")
     background = "() => getComputedStyle(document.body).backgroundColor"
     dark = page.evaluate(background)
@@ -307,7 +307,7 @@ def test_the_theme_follows_the_system_until_it_is_chosen(page_of: Callable[..., 
     assert page.evaluate(background) == dark
 
 
-def test_a_phone_need_not_scroll_sideways(page_of: Callable[..., Any], run: Path) -> None:
+def test_no_horizontal_scrolling_on_a_phone(page_of: Callable[..., Any], run: Path) -> None:
     page = page_of(run / "report.html", viewport={"width": 360, "height": 740})
     first_chart(page)
     page.locator("#sigma-chart").scroll_into_view_if_needed()
@@ -315,7 +315,7 @@ def test_a_phone_need_not_scroll_sideways(page_of: Callable[..., Any], run: Path
     assert page.evaluate("() => document.documentElement.scrollWidth") == 360
 
 
-def test_two_thousand_tracks_open_and_draw_only_what_is_seen(page_of: Callable[..., Any], tmp_path: Path) -> None:
+def test_two_thousand_tracks_in_the_browser(page_of: Callable[..., Any], tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     write_report(path, summary(files={}), rows(*([30] * 2000)))
     assert path.stat().st_size < 10_000_000
@@ -331,9 +331,11 @@ def test_two_thousand_tracks_open_and_draw_only_what_is_seen(page_of: Callable[.
     assert page.locator("#track-list figure").count() == 40
 
 
-def test_nothing_that_a_run_names_becomes_markup_or_runs(page_of: Callable[..., Any], tmp_path: Path) -> None:
-    found = summary(notes=[EVIL], truth=EVIL, inputs={"left": EVIL, EVIL: EVIL}, files={}, stages_ms={EVIL: 3.0})
-    write_report(tmp_path / "report.html", {**found, "methods": {EVIL: found["methods"]["mono"]}}, rows(9, name=EVIL))
+def test_names_cannot_become_markup(page_of: Callable[..., Any], tmp_path: Path) -> None:
+    changed = summary(notes=[EVIL], truth=EVIL, inputs={"left": EVIL, EVIL: EVIL}, files={}, stages_ms={EVIL: 3.0})
+    write_report(
+        tmp_path / "report.html", {**changed, "methods": {EVIL: changed["methods"]["mono"]}}, rows(9, name=EVIL)
+    )
     page = page_of(tmp_path / "report.html")
     first_chart(page)
     assert page.locator("#track-list figcaption").first.inner_text().startswith(EVIL)
@@ -342,7 +344,7 @@ def test_nothing_that_a_run_names_becomes_markup_or_runs(page_of: Callable[..., 
     assert page.locator("script").count() == 2
 
 
-def test_a_missing_video_is_said(page_of: Callable[..., Any], tmp_path: Path) -> None:
+def test_missing_video(page_of: Callable[..., Any], tmp_path: Path) -> None:
     (tmp_path / "overlay.mp4").write_bytes(b"no video")
     write_report(tmp_path / "report.html", summary(), rows(9))
     page = page_of(tmp_path / "report.html")
@@ -354,14 +356,12 @@ def test_a_missing_video_is_said(page_of: Callable[..., Any], tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("found", "lengths", "truth"),
+    ("actual", "lengths", "truth"),
     [({}, (1,), True), ({"truth": None, "methods": {}}, (5, 3), False), ({"truth": None, "methods": {}}, (), False)],
     ids=["one frame", "no truth", "no track"],
 )
-def test_runs_that_lack_something_open(
-    page_of: Callable[..., Any], tmp_path: Path, found: Any, lengths: Any, truth: bool
-) -> None:
-    write_report(tmp_path / "report.html", summary(files={}, **found), rows(*lengths, truth=truth))
+def test_incomplete_runs(page_of: Callable[..., Any], tmp_path: Path, changed: Any, lengths: Any, truth: bool) -> None:
+    write_report(tmp_path / "report.html", summary(files={}, **changed), rows(*lengths, truth=truth))
     page = page_of(tmp_path / "report.html")
     assert page.locator("h1").inner_text() == "drive/left.mp4"
     if lengths:

@@ -45,11 +45,11 @@ def test_packing_by_hand() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.floats(-1e4, 1e4) | st.just(np.nan), min_size=1, max_size=40))
-def test_what_is_packed_comes_out_again_without_drift(values: list[float]) -> None:
+def test_packing_round_trip(values: list[float]) -> None:
     np.testing.assert_allclose(unpacked(packed(np.array(values), 100), 100), values, atol=0.0051)
 
 
-def test_a_track_is_told_by_its_facts_and_series() -> None:
+def test_track_record() -> None:
     truth_m = np.array([40.0, np.nan, 48.0])
     columns = drive(3, truth_m=truth_m, ttc_s=np.array([9.0, 7.5, np.nan]), closing_mps=np.array([np.nan, 1.25, 3.0]))
     columns |= {"observed": np.array([1.0, 0.0, 1.0]), "class": np.array(["van", "car", "car"])}
@@ -73,24 +73,24 @@ def test_a_track_is_told_by_its_facts_and_series() -> None:
     ]
 
 
-def test_rows_of_several_tracks_may_lie_mixed() -> None:
+def test_rows_of_several_tracks_interleaved() -> None:
     columns = drive(2, 3)
     order = np.array([2, 0, 3, 1, 4])
-    found = list(track_records({name: values[order] for name, values in columns.items()}))
-    assert [(track["id"], track["n"], track["t"]) for track in found] == [(2, 3, "0,100,100"), (1, 2, "0,100")]
+    records = list(track_records({name: values[order] for name, values in columns.items()}))
+    assert [(track["id"], track["n"], track["t"]) for track in records] == [(2, 3, "0,100,100"), (1, 2, "0,100")]
 
 
 def test_no_track_no_record() -> None:
     assert list(track_records({name: values[:0] for name, values in drive(1).items()})) == []
 
 
-def test_methods_are_what_was_measured_in_the_columns_order() -> None:
+def test_measured_methods_in_column_order() -> None:
     empty = np.full(2, np.nan)
     columns = drive(2, sgbm_m=empty, mono_m=np.ones(2), truth_m=np.ones(2), x_m=np.ones(2), y_m=np.ones(2))
     assert methods_measured(columns) == ["fused", "mono"]
 
 
-def test_a_long_line_is_thinned_and_keeps_its_ends() -> None:
+def test_long_line_is_thinned() -> None:
     assert thinned(5, 5).tolist() == [0, 1, 2, 3, 4]
     kept = thinned(10 * LINE_POINTS, LINE_POINTS)
     assert len(kept) == LINE_POINTS
@@ -100,13 +100,13 @@ def test_a_long_line_is_thinned_and_keeps_its_ends() -> None:
     assert len(track["t"].split(",")) == LINE_POINTS
 
 
-def test_many_long_tracks_share_the_room_and_short_ones_stay_whole() -> None:
-    found = list(track_records(drive(*[1000] * 900, 20)))
+def test_only_long_tracks_are_thinned() -> None:
+    records = list(track_records(drive(*[1000] * 900, 20)))
     cells = sum(
-        len(text.split(",")) for track in found for text in (track["t"], track["m"]["fused"], track["s"]["fused"])
+        len(text.split(",")) for track in records for text in (track["t"], track["m"]["fused"], track["s"]["fused"])
     )
     assert 0.3 * MOST_CELLS < cells <= MOST_CELLS
-    assert len(found[-1]["t"].split(",")) == 20
+    assert len(records[-1]["t"].split(",")) == 20
 
 
 @pytest.mark.parametrize("limit", [2, 7, 100])

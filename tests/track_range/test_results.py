@@ -75,7 +75,7 @@ def toy_method(*, is_filtered):
     )  # fmt: skip
 
 
-def test_columns_are_the_contract():
+def test_fixed_columns():
     assert column_names() == CONTRACT
 
 
@@ -85,11 +85,11 @@ def test_columns_of_further_methods_are_appended(tmp_path):
     with registered(toy_method(is_filtered=True)):
         assert column_names() == [*CONTRACT, "toy_m", "toy_sigma_m", "toy_kf_m", "toy_kf_sigma_m"]
         assert methods_with_sigma()[-5:] == ["toy", "mono_kf", "stereo_kf", "fused_kf", "toy_kf"]
-        found = result()
-        toy = {"toy": replace(found.ranges["mono"], distance_m=np.array([9.0, np.nan]))}
+        frame = result()
+        toy = {"toy": replace(frame.ranges["mono"], distance_m=np.array([9.0, np.nan]))}
         with writing(tmp_path) as rows, RunTable() as table:
-            rows.write(replace(found, ranges={**found.ranges, **toy}))
-            table.append(replace(found, ranges={**found.ranges, **toy}))
+            rows.write(replace(frame, ranges={**frame.ranges, **toy}))
+            table.append(replace(frame, ranges={**frame.ranges, **toy}))
             np.testing.assert_equal(table.to_columns()["toy_m"], [9.0, np.nan])
         columns = read_tracks_csv(tmp_path / "tracks.csv")
     np.testing.assert_equal(columns["toy_m"], [9.0, np.nan])
@@ -133,7 +133,7 @@ def test_rows_are_on_disk_before_the_run_ends(tmp_path):
         assert len(read_tracks_csv(tmp_path / "tracks.csv")["frame"]) == 2
 
 
-def test_columns_come_back_and_a_torn_last_row_is_dropped(tmp_path):
+def test_incomplete_last_row_is_dropped(tmp_path):
     with writing(tmp_path) as rows:
         rows.write(result(4))
         rows.write(result(5))
@@ -170,10 +170,10 @@ def test_table_equals_tracks_csv(tmp_path_factory, values, times_s):
     folder = tmp_path_factory.mktemp("run")
     with writing(folder) as rows, RunTable(rows_per_batch=3) as table:
         for index, time_s in enumerate(times_s):
-            found = replace(result(index), closing_mps=np.array(values), ttc_s=np.array(values[::-1]))
-            found = replace(found, frame=replace(found.frame, time_s=time_s))
-            rows.write(found)
-            table.append(found)
+            frame = replace(result(index), closing_mps=np.array(values), ttc_s=np.array(values[::-1]))
+            frame = replace(frame, frame=replace(frame.frame, time_s=time_s))
+            rows.write(frame)
+            table.append(frame)
         columns = table.to_columns()
     read = read_tracks_csv(folder / "tracks.csv")
     assert list(columns) == list(read)

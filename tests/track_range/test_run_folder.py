@@ -1,4 +1,4 @@
-"""A run's folder read again, whole or with files missing, and the command that makes its pages anew."""
+"""Reading the folder of a run, complete or with missing files, and rewriting its report."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ N_FRAMES = 6
 
 
 def write_run(folder: Path, **run: Any) -> Path:
-    """A run over a car that stands 20 m ahead, 4 m long: its rear is at 18 m, and fused says 18.9 m, 5 % too much."""
+    """A run with a static car 20 m ahead and 4 m long: its rear is at 18 m, and fused measures 18.9 m, 5 % too much."""
     folder.mkdir(parents=True)
     (folder / "truth.txt").write_text(
         "".join(
@@ -52,7 +52,7 @@ def write_run(folder: Path, **run: Any) -> Path:
     }
     (folder / "settings.yaml").write_text(yaml.safe_dump(settings))
     (folder / "overlay.mp4").write_bytes(b"a film")
-    summary = {"frames": 9, "methods": {}, "files": {"overlay": "overlay.mp4"}, "notes": ["as said"], "truth": "t"}
+    summary = {"frames": 9, "methods": {}, "files": {"overlay": "overlay.mp4"}, "notes": ["a note"], "truth": "t"}
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder
 
@@ -62,18 +62,18 @@ def run(tmp_path: Path) -> Path:
     return write_run(tmp_path / "run")
 
 
-def test_a_whole_run_is_read_as_it_is(run: Path) -> None:
-    found = read_run_folder(run)
-    assert found.missing == ()
-    assert (found.summary["frames"], found.summary["notes"]) == (9, ["as said"])
-    assert found.columns["truth_m"] == pytest.approx([18.0] * N_FRAMES)
-    assert found.columns["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
-    assert found.summary["focal_px"] == 1000.0
-    assert found.summary["settings"] == {key: value for key, value in found.settings.items() if key != "classes"}
+def test_complete_run(run: Path) -> None:
+    read = read_run_folder(run)
+    assert read.missing == ()
+    assert (read.summary["frames"], read.summary["notes"]) == (9, ["a note"])
+    assert read.columns["truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert read.columns["scored_truth_m"] == pytest.approx([18.0] * N_FRAMES)
+    assert read.summary["focal_px"] == 1000.0
+    assert read.summary["settings"] == {key: value for key, value in read.settings.items() if key != "classes"}
 
 
 @pytest.mark.parametrize(("old", "new"), [("Car", "Van"), (" 20.0 ", " 120.0 ")])
-def test_truth_that_is_not_scored_is_drawn_all_the_same(run: Path, old: str, new: str) -> None:
+def test_unscored_truth_is_shown(run: Path, old: str, new: str) -> None:
     labels = (run / "truth.txt").read_text().replace(old, new)
     (run / "truth.txt").write_text(labels)
     columns = read_run_folder(run).columns
@@ -81,13 +81,13 @@ def test_truth_that_is_not_scored_is_drawn_all_the_same(run: Path, old: str, new
     assert bool(np.isnan(columns["scored_truth_m"]).all())
 
 
-def test_a_truth_of_no_label_matches_nothing(run: Path) -> None:
+def test_truth_without_labels(run: Path) -> None:
     columns = read_run_folder(run).columns
     nothing = Truth(*(np.zeros((0, 4) if n == 4 else 0, np.int64) for n in range(7)))
     assert bool(np.isnan(with_truth(columns, matched_truth(columns, nothing))["scored_truth_m"]).all())
 
 
-def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:
+def test_truth_in_a_csv(run: Path) -> None:
     rows = "".join(f"{frame},1,car,280,140,360,220,18.0,2.0\n" for frame in range(N_FRAMES))
     (run / "truth.txt").write_text("frame,id,class,x1,y1,x2,y2,distance_m,closing_mps\n" + rows)
     lines = (run / "tracks.csv").read_text().splitlines()
@@ -105,22 +105,22 @@ def test_a_truth_in_a_csv_is_read_again(run: Path) -> None:
     assert "Error of the closing speed" in page
 
 
-def test_a_killed_run_is_counted_from_its_rows(run: Path) -> None:
+def test_killed_run(run: Path) -> None:
     (run / "summary.json").unlink()
     with (run / "tracks.csv").open("a") as file:
         file.write("6,0.6,1,ca")  # the row that it was writing
-    found = read_run_folder(run)
-    assert found.missing[0].startswith("summary.json is missing")
-    assert found.summary["notes"] == list(found.missing)
-    assert found.summary["frames"] == N_FRAMES
-    assert found.summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
-    assert found.summary["tracks"]["mota"] == pytest.approx(100.0)
-    assert found.summary["files"] == {"overlay": "overlay.mp4"}
-    assert found.summary["inputs"] == {"mono": "drive.mp4", "truth": str(run / "truth.txt")}
-    assert found.summary["versions"] == {"numpy": "2"}
+    read = read_run_folder(run)
+    assert read.missing[0].startswith("summary.json is missing")
+    assert read.summary["notes"] == list(read.missing)
+    assert read.summary["frames"] == N_FRAMES
+    assert read.summary["methods"]["fused"]["median_relative_error_pct"] == pytest.approx(5.0)
+    assert read.summary["tracks"]["mota"] == pytest.approx(100.0)
+    assert read.summary["files"] == {"overlay": "overlay.mp4"}
+    assert read.summary["inputs"] == {"mono": "drive.mp4", "truth": str(run / "truth.txt")}
+    assert read.summary["versions"] == {"numpy": "2"}
 
 
-def test_a_killed_pair_names_both_of_its_videos(tmp_path: Path) -> None:
+def test_killed_run_of_a_pair(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", mono=None, stereo=["l.mp4", "r.mp4"])
     (folder / "summary.json").unlink()
     assert read_run_folder(folder).summary["inputs"] | {"mono": None, "truth": None} == {
@@ -140,35 +140,35 @@ def test_a_killed_pair_names_both_of_its_videos(tmp_path: Path) -> None:
         ("overlay.mp4", "overlay.mp4 is missing"),
     ],
 )
-def test_what_is_missing_is_said_and_the_rest_is_shown(run: Path, gone: str, words: str) -> None:
+def test_missing_files(run: Path, gone: str, words: str) -> None:
     (run / gone).unlink()
     written = report([run])
     assert any(words in sentence for sentence in written.missing)
     page = written.page.read_text()
     assert words in page
-    assert "as said" in page
+    assert "a note" in page
     assert ("<video" in page) == (gone != "overlay.mp4")
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "\x00"])
-def test_a_broken_summary_is_said_and_counted_anew(run: Path, text: str) -> None:
+def test_damaged_summary(run: Path, text: str) -> None:
     (run / "summary.json").write_text(text)
-    found = read_run_folder(run)
-    assert len(found.missing) == 1
-    assert found.missing[0].startswith("summary.json cannot be read")
-    assert found.summary["frames"] == N_FRAMES
+    read = read_run_folder(run)
+    assert len(read.missing) == 1
+    assert read.missing[0].startswith("summary.json cannot be read")
+    assert read.summary["frames"] == N_FRAMES
 
 
-def test_settings_without_a_camera_tell_no_truth(run: Path) -> None:
+def test_settings_without_a_camera(run: Path) -> None:
     settings = yaml.safe_load((run / "settings.yaml").read_text())
-    for found in ({}, {"focal_px": 1.0, "principal_point_px": None, "image_size_px": 3}):
-        (run / "settings.yaml").write_text(yaml.safe_dump(settings | {"found": found}))
+    for read in ({}, {"focal_px": 1.0, "principal_point_px": None, "image_size_px": 3}):
+        (run / "settings.yaml").write_text(yaml.safe_dump(settings | {"found": read}))
         read = read_run_folder(run)
         assert "truth_m" not in read.columns
         assert len(read.missing) == 1
 
 
-def test_folders_that_are_no_runs_are_refused(run: Path, tmp_path: Path) -> None:
+def test_folders_without_a_run(run: Path, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="nowhere: "):
         read_run_folder(tmp_path / "nowhere")
     with pytest.raises(OutputError, match=r"neither tracks\.csv nor summary\.json"):
@@ -181,21 +181,21 @@ def test_folders_that_are_no_runs_are_refused(run: Path, tmp_path: Path) -> None
         read_run_folder(run)
 
 
-def test_a_killed_run_without_any_track_has_a_page(run: Path) -> None:
+def test_killed_run_without_tracks(run: Path) -> None:
     (run / "tracks.csv").write_text(",".join(column_names()) + "\n")
     (run / "summary.json").unlink()
     assert "No track was confirmed in this run." in report([run]).page.read_text()
 
 
-def test_a_page_elsewhere_points_to_the_overlay(run: Path, tmp_path: Path) -> None:
+def test_page_in_another_folder_links_the_overlay(run: Path, tmp_path: Path) -> None:
     (tmp_path / "pages").mkdir()
-    path = report([run], tmp_path / "pages" / "mine.html").page
-    assert path == tmp_path / "pages" / "mine.html"
+    path = report([run], tmp_path / "pages" / "page.html").page
+    assert path == tmp_path / "pages" / "page.html"
     assert 'src="../run/overlay.mp4"' in path.read_text()
     assert not (run / "report.html").exists()
 
 
-def test_a_page_never_takes_the_place_of_what_it_is_made_from(run: Path, tmp_path: Path) -> None:
+def test_page_must_not_overwrite_an_input(run: Path, tmp_path: Path) -> None:
     other = write_run(tmp_path / "other")
     for folders, out, words in (
         ([run], run / "tracks.csv", "tracks.csv: .*overwritten"),
@@ -209,7 +209,7 @@ def test_a_page_never_takes_the_place_of_what_it_is_made_from(run: Path, tmp_pat
     assert report([run], tmp_path / "new" / "page.html").page.is_file()
 
 
-def test_a_row_far_beyond_the_others_does_not_fill_the_memory(run: Path) -> None:
+def test_row_with_a_huge_frame_number(run: Path) -> None:
     (run / "summary.json").unlink()
     text = (run / "tracks.csv").read_text()
     (run / "tracks.csv").write_text(text.replace("\n5,0.5", "\n99999999999,0.5"))
@@ -217,13 +217,13 @@ def test_a_row_far_beyond_the_others_does_not_fill_the_memory(run: Path) -> None
 
 
 @pytest.mark.parametrize(("part", "name"), [({"start_s": "x"}, "starts_s"), ({"found": 3}, None)])
-def test_settings_of_another_shape_are_left_out(run: Path, part: dict[str, Any], name: str | None) -> None:
+def test_settings_of_wrong_types(run: Path, part: dict[str, Any], name: str | None) -> None:
     settings = yaml.safe_load((run / "settings.yaml").read_text())
     settings["run"] |= part
     (run / "settings.yaml").write_text(yaml.safe_dump(settings))
-    found = read_run_folder(run)
-    told = [sentence for sentence in found.missing if "unexpected types" in sentence]
-    assert [sentence.rpartition(": ")[2] for sentence in told] == ([] if name is None else [f"{name}."])
+    read = read_run_folder(run)
+    sentences = [sentence for sentence in read.missing if "unexpected types" in sentence]
+    assert [sentence.rpartition(": ")[2] for sentence in sentences] == ([] if name is None else [f"{name}."])
 
 
 def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
@@ -242,6 +242,6 @@ def test_several_runs_are_compared(run: Path, tmp_path: Path) -> None:
     assert {"more/run", "5.00"} <= cells
 
 
-def test_names_are_as_long_as_they_must_be() -> None:
+def test_short_names() -> None:
     assert short_names([Path("/a/x"), Path("/a/y")]) == ["x", "y"]
     assert short_names([Path("/a/x"), Path("/b/x"), Path("/b/y")]) == ["a/x", "b/x", "b/y"]

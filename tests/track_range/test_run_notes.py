@@ -10,11 +10,11 @@ from tests.tracking.test_reid import write_mean_network
 from track_range.detection.models.onnx_session import OnnxSession, Runtime
 
 
-def test_the_reid_networks_notes_are_the_runs(tmp_path, cli, film):
+def test_notes_of_the_reid_network(tmp_path, cli, film):
     network = write_mean_network(tmp_path / "reid.onnx", input_shape=["batch", 3, 60, 30])
     notes = OnnxSession(network, Runtime(device="cuda")).notes
     if not notes:
-        pytest.skip("CUDA is here, so nothing is to be said")
+        pytest.skip("CUDA is available, so there is no note")
     video = film(tmp_path / "film.mp4", [0.0, 0.1, 0.2])
     (tmp_path / "boxes.txt").write_text("0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n")
     inputs = ("--mono", video, "--detections", tmp_path / "boxes.txt", "--focal-px", 60)

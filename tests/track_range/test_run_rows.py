@@ -23,15 +23,15 @@ def write(folder: Path, *lines: str, end: str = "\n") -> Path:
     return path
 
 
-def test_whole_rows_are_read_as_they_are_and_columns_of_later_versions_are_empty(tmp_path: Path) -> None:
+def test_valid_rows_and_missing_columns(tmp_path: Path) -> None:
     missing: list[str] = []
-    found = read_run_rows(write(tmp_path, row("0"), row("1", "0.1")), missing)
+    columns = read_run_rows(write(tmp_path, row("0"), row("1", "0.1")), missing)
     assert missing == []
-    assert found["fused_m"].tolist() == [18.5, 18.5]
-    assert found["class"].tolist() == ["car", "car"]
-    assert np.isnan(found["closing_mps"]).all()
-    assert len(found["closing_sigma_mps"]) == 2
-    assert "fused_sigma_m" not in found  # methods without sigmas are not judged
+    assert columns["fused_m"].tolist() == [18.5, 18.5]
+    assert columns["class"].tolist() == ["car", "car"]
+    assert np.isnan(columns["closing_mps"]).all()
+    assert len(columns["closing_sigma_mps"]) == 2
+    assert "fused_sigma_m" not in columns  # methods without sigmas are not judged
 
 
 @pytest.mark.parametrize(
@@ -44,39 +44,39 @@ def test_whole_rows_are_read_as_they_are_and_columns_of_later_versions_are_empty
         row("0", "0.5"),
     ],
 )
-def test_rows_that_no_run_writes_are_left_out_and_counted(tmp_path: Path, broken: str) -> None:
+def test_invalid_rows_are_skipped(tmp_path: Path, broken: str) -> None:
     missing: list[str] = []
-    found = read_run_rows(write(tmp_path, row("0"), broken, row("2", "0.2")), missing)
-    assert found["frame"].tolist() == [0.0, 2.0]
+    columns = read_run_rows(write(tmp_path, row("0"), broken, row("2", "0.2")), missing)
+    assert columns["frame"].tolist() == [0.0, 2.0]
     assert len(missing) == 1
     assert missing[0].startswith("1 of 3 rows of tracks.csv")
 
 
-def test_a_file_that_ends_within_a_row_is_said_to(tmp_path: Path) -> None:
+def test_file_that_ends_within_a_row(tmp_path: Path) -> None:
     missing: list[str] = []
-    found = read_run_rows(write(tmp_path, row("0"), "1,0.1,1,ca", end=""), missing)
-    assert found["frame"].tolist() == [0.0]
+    columns = read_run_rows(write(tmp_path, row("0"), "1,0.1,1,ca", end=""), missing)
+    assert columns["frame"].tolist() == [0.0]
     assert len(missing) == 1
     assert "middle of a row" in missing[0]
 
 
-def test_file_with_words_for_numbers(tmp_path: Path) -> None:
+def test_file_with_text_for_numbers(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"tracks\.csv: "):
         read_run_rows(write(tmp_path, "a,b,c,d,e,f,g,h,i"), [])
 
 
 def test_unfinished_quote_is_an_unfinished_row(tmp_path: Path) -> None:
-    found = read_run_rows(write(tmp_path, row("0"), '1,0.1,1,"car' + 200_000 * "x"), [])
-    assert found["frame"].tolist() == [0.0]
+    columns = read_run_rows(write(tmp_path, row("0"), '1,0.1,1,"car' + 200_000 * "x"), [])
+    assert columns["frame"].tolist() == [0.0]
 
 
-def test_a_column_twice_is_no_table(tmp_path: Path) -> None:
+def test_duplicate_column(tmp_path: Path) -> None:
     (tmp_path / "tracks.csv").write_text(f"{HEADER},frame\n{row()},0\n")
     with pytest.raises(OutputError, match=r"tracks\.csv: "):
         read_run_rows(tmp_path / "tracks.csv", [])
 
 
-def test_the_first_row_of_an_identity_in_a_frame_counts() -> None:
+def test_duplicate_track_in_a_frame() -> None:
     ones = np.ones(4)
     box = dict.fromkeys(("x1_px", "y1_px", "x2_px", "y2_px"), ones)
     columns = {"frame": np.array([0.0, 0, 0, 1]), "track_id": np.array([2.0, 1, 2, 2]), "time_s": ones, **box}

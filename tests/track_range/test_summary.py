@@ -38,7 +38,7 @@ def test_methods_and_common_coverage():
     assert set(scores["methods"]) == {"mono", "fused"}
 
 
-def test_closing_speed_against_a_truth_that_knows_it():
+def test_closing_speed_against_truth():
     columns = columns_of() | {"closing_mps": np.full(10, 3.0), "closing_sigma_mps": np.full(10, 0.4)}
     columns["closing_mps"][:5] = np.nan
     closing = range_scores(columns, matched_truth(columns, truth_of(closing_mps=2.5)), ("fused",))["closing"]
@@ -60,7 +60,7 @@ def test_no_closing_speed_where_nothing_is_scored(truth):
     assert "closing" not in range_scores(columns_of(), matched_truth(columns_of(), truth), ("fused",))
 
 
-def test_without_truth_coverage_alone():
+def test_coverage_without_truth():
     scores = range_scores(columns_of(), None, ("mono", "fused"))
     assert scores["methods"]["mono"]["coverage"] == 0.5
     assert scores["methods"]["mono"]["bias_pct"] is None
@@ -76,7 +76,7 @@ def test_mot_metrics_and_ignored_classes():
     assert track_scores(columns_of(), None, frames)["mota"] is None
 
 
-def test_what_is_lower_than_25_px_is_neither_found_nor_missed():
+def test_objects_below_25_px_do_not_count():
     low = replace(truth_of(), xyxy_px=np.array([[10.0, 10.0, 40.0, 34.9]] * 5 + [BOX] * 5))
     tracked = track_scores(columns_of(), low, np.arange(10))
     assert (tracked["n_truth_boxes"], tracked["fn"], tracked["fp"]) == (5, 0, 0)
@@ -85,13 +85,13 @@ def test_what_is_lower_than_25_px_is_neither_found_nor_missed():
     assert track_scores(stray | {"y2_px": np.full(10, 35.1)}, truth_of(), np.arange(10))["fp"] == 10
 
 
-def test_truth_beyond_the_frames_that_ran_is_not_missed():
+def test_truth_of_other_frames_does_not_count():
     columns = {key: value[:4] for key, value in columns_of().items()}
     assert track_scores(columns, truth_of(), np.arange(4))["mota"] == 100.0
     assert track_scores(columns, truth_of(), np.arange(10))["fn"] == 6
 
 
-def test_classes_that_the_truth_does_not_label_are_no_false_alarms():
+def test_unlabelled_classes_are_no_false_positives():
     lights = columns_of(name="traffic light")
     assert track_scores(lights, truth_of(), np.arange(10))["fp"] == 0
 

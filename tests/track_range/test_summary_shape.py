@@ -1,4 +1,4 @@
-"""What of a summary that was damaged, edited or written by another version is still told."""
+"""Reading a summary that was damaged, edited or written by another version."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ WHOLE: dict[str, Any] = {
 }
 
 
-def test_a_whole_summary_stays_as_it_is() -> None:
+def test_valid_summary_is_unchanged() -> None:
     assert valid_summary(WHOLE) == (WHOLE, [])
 
 
 @pytest.mark.parametrize(
-    ("part", "told"),
+    ("part", "name"),
     [
         ({"frames": "x"}, "frames"),
         ({"wall_s": float("inf")}, "wall_s"),
@@ -60,16 +60,16 @@ def test_a_whole_summary_stays_as_it_is() -> None:
         ({"closing": "fast"}, "closing"),
     ],
 )
-def test_what_does_not_fit_is_named_left_out_and_harms_no_page(part: dict[str, Any], told: str) -> None:
-    found, invalid = valid_summary(WHOLE | part)
-    assert invalid == [told]
-    assert "<h2>Accuracy</h2>" in report_page(found, no_rows())
+def test_invalid_values_are_omitted(part: dict[str, Any], name: str) -> None:
+    summary, invalid = valid_summary(WHOLE | part)
+    assert invalid == [name]
+    assert "<h2>Accuracy</h2>" in report_page(summary, no_rows())
 
 
-def test_the_rest_of_a_section_is_kept() -> None:
+def test_other_values_of_a_section_are_used() -> None:
     notes = ["one", 2, *"abcdefgh", 10, "three"]  # item 10 goes before item 2
-    found, invalid = valid_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": notes})
-    assert found == {"stages_ms": {"detect": 3.0}, "notes": ["one", *"abcdefgh", "three"]}
+    summary, invalid = valid_summary({"stages_ms": {"read": "slow", "detect": 3.0}, "notes": notes})
+    assert summary == {"stages_ms": {"detect": 3.0}, "notes": ["one", *"abcdefgh", "three"]}
     assert invalid == ["notes.1", "notes.10", "stages_ms.read"]
 
 
@@ -81,13 +81,13 @@ def test_the_rest_of_a_section_is_kept() -> None:
         ({"wall_s": 1e300}, "wall_s"),
     ],
 )
-def test_figures_beyond_all_reason_are_left_out(part: dict[str, Any], name: str) -> None:
+def test_huge_figures_are_omitted(part: dict[str, Any], name: str) -> None:
     summary, invalid = valid_summary(WHOLE | part)
     assert invalid == [name]
     assert "<html" in report_page(summary, no_rows())
 
 
 @pytest.mark.parametrize("part", [{"methods": {"fused": {"n": -4, "within_1_sigma": 0.5}}}, {"wall_s": 1e-300}])
-def test_figures_that_no_run_has_make_a_page_all_the_same(part: dict[str, Any]) -> None:
+def test_page_of_impossible_figures(part: dict[str, Any]) -> None:
     summary, _ = valid_summary(WHOLE | part)
     assert "<html" in report_page(summary, no_rows())

@@ -311,7 +311,7 @@ def test_unreadable_sequence_among_others(tmp_path, cli, moving):
     assert sorted(path.name for path in (tmp_path / "out/mot").iterdir()) == ["a.txt", "c.txt"]
 
 
-def test_files_next_to_motchallenge_folders_are_ignored(tmp_path, cli, moving):
+def test_files_beside_motchallenge_folders_are_ignored(tmp_path, cli, moving):
     (tmp_path / "in/A/det").mkdir(parents=True)
     (tmp_path / "in/A/det/det.txt").write_text("1,-1,1,1,10,10,1\n")
     (tmp_path / "in/b.txt").write_text(rrc_rows(*moving))
@@ -352,7 +352,7 @@ def test_classes_without_a_kitti_type_are_reported(tmp_path, cli, moving):
     assert "of 20 boxes" not in cli(*arguments, "--classes", "car")[1]
 
 
-def test_classes_option_is_ignored_for_rows_with_classes(tmp_path, cli):
+def test_classes_option_and_rows_with_classes(tmp_path, cli):
     row = "{} -1 Car -1 -1 -10 100 100 160 160 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
     (tmp_path / "boxes.txt").write_text("".join(row.format(f) for f in range(3)))
     arguments = ("track", tmp_path / "boxes.txt", "--kitti", "--out", tmp_path / "out")

@@ -106,7 +106,7 @@ def test_unknown_and_unusable_writers():
         create_writer("gone")
 
 
-def test_failing_writer_names_its_file_and_the_others_are_finished(tmp_path):
+def test_failing_writer(tmp_path):
     with registered_writer("full", FullDisk), registered_writer(NAME, JsonLinesWriter):
         opened = OpenWriters(["jsonl", "full", "mot"], INFO, tmp_path)
         with pytest.raises(OutputError, match=r"full\.bin: .*No space"):
@@ -137,10 +137,10 @@ def test_writers_left_open_are_closed(tmp_path):
 
 
 def writer_of(*files):
-    return type("Mine", (JsonLinesWriter,), {"files": files})
+    return type("Custom", (JsonLinesWriter,), {"files": files})
 
 
-def test_unusable_writers_stop_only_the_runs_that_choose_them(tmp_path, mono_run, monkeypatch):
+def test_unusable_writers(tmp_path, mono_run, monkeypatch):
     (tmp_path / "broken_writer.py").write_text("1 / 0\n")
     monkeypatch.syspath_prepend(tmp_path)
     point = EntryPoint("broken", "broken_writer:Writer", writers.ENTRY_POINT_GROUP)
@@ -177,24 +177,24 @@ def test_unusable_writers_stop_only_the_runs_that_choose_them(tmp_path, mono_run
         (5,),
     ],
 )
-def test_files_that_no_writer_may_write(tmp_path, files):
-    with registered_writer("mine", writer_of(*files)):
-        with pytest.raises(WriterError, match="mine"):
-            create_writer("mine")
+def test_invalid_file_names_of_writers(tmp_path, files):
+    with registered_writer("custom", writer_of(*files)):
+        with pytest.raises(WriterError, match="custom"):
+            create_writer("custom")
         assert not set(files) - {"summary.json", "overlay.mp4"} & set(result_names())
 
 
-def test_files_outside_of_the_folder_stay(tmp_path, mono_run):
+def test_files_outside_the_folder_are_kept(tmp_path, mono_run):
     (tmp_path / "evil.txt").write_text("precious")
-    with registered_writer("mine", writer_of("../evil.txt")):
+    with registered_writer("custom", writer_of("../evil.txt")):
         assert mono_run("  write: [csv]")[0] == 0
-        assert mono_run("  write: [mine]")[0] == 1
+        assert mono_run("  write: [custom]")[0] == 1
     assert (tmp_path / "evil.txt").read_text() == "precious"
 
 
-def test_writers_of_one_file():
-    with registered_writer("mine", writer_of("tracks.csv")):
-        assert len(create_writers(["mine", "mot"])) == 2
-        with pytest.raises(WriterError, match=r"'csv' and 'mine'.*tracks\.csv"):
-            create_writers(["csv", "mine"])
+def test_two_writers_of_one_file():
+    with registered_writer("custom", writer_of("tracks.csv")):
+        assert len(create_writers(["custom", "mot"])) == 2
+        with pytest.raises(WriterError, match=r"'csv' and 'custom'.*tracks\.csv"):
+            create_writers(["csv", "custom"])
     assert len(create_writers(["csv", "csv"])) == 1

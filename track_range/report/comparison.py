@@ -97,7 +97,7 @@ def _stage_grid(runs: Sequence[ComparedRun]) -> Grid:
         Column(name, [figure(of_run, name) or None for of_run in stages], "{:.1f}", cost=abs)
         for name in dict.fromkeys(name for of_run in stages for name in of_run)
     ]
-    return grid_of("Run time of the stages, which overlap, in ms per frame", "run", [run.name for run in runs], columns)
+    return grid_of("Run time by stage in ms per frame (stages overlap)", "run", [run.name for run in runs], columns)
 
 
 def settings_grid(runs: Sequence[ComparedRun]) -> Grid:

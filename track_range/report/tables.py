@@ -173,7 +173,7 @@ def speed_grid(summary: Mapping[str, Any]) -> Grid:
     names = list(stages) + (["whole run"] if fps else [])
     values = [*stages.values(), 1000.0 / fps] if fps else list(stages.values())
     columns = [Column("ms/frame", values, "{:.2f}"), Column("frames/s", [1000.0 / ms for ms in values])]
-    return grid_of("Run time of the stages, which overlap", "stage", names, columns)
+    return grid_of("Run time by stage (stages overlap)", "stage", names, columns)
 
 
 def frames_per_s(summary: Mapping[str, Any]) -> float | None:
