@@ -32,7 +32,7 @@ COMMANDS = {
     ),
     "demo": Lazy(
         "track_range.cli.demo",
-        "Simulate a short stereo drive, run on it, and print the tables.",
+        "Simulate a short stereo drive, process it, and print a summary.",
         examples=("track-range demo --out demo",),
     ),
     "report": Lazy(

@@ -1,6 +1,6 @@
 """Help pages as plain text that reads well at 80 columns: options under their headings, then examples.
 
-Rich's boxes spend a column on the type of each value, cut long option names off and leave 30 characters for the text.
+Rich's boxes would show the types of values in a column, cut off long option names and leave 30 characters for texts.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ class HelpPage:
 
 
 class HelpCommand(HelpPage, TyperCommand):
-    """A command with such a help page."""
+    """Command with a help page of this layout."""
 
 
 class HelpGroup(HelpPage, TyperGroup):
-    """A group of commands with such a help page, which lists the commands by their whole summaries."""
+    """Group of commands with a help page of this layout, which lists the commands with their full summaries."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the commands, then the options of the group."""
@@ -101,7 +101,7 @@ def _write_list(formatter: Any, heading: str, rows: Iterable[tuple[str, str]]) -
     with formatter.section(heading):
         margin = " " * formatter.current_indent
         for name, text in rows:
-            # hyphens are parts of names here, at which no line ends (click's own lists break there)
+            # no line breaks at hyphens, which are parts of names (unlike click's own lists)
             lines = textwrap.wrap(
                 text, formatter.width - column - len(margin), break_on_hyphens=False, break_long_words=False
             ) or [""]

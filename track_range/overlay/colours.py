@@ -55,7 +55,7 @@ def track_colour(track_id: int) -> Bgr:
 
 
 def alarm_colour(ttc_s: float, *, may_hit: bool = True) -> Bgr | None:
-    """Red below 2 s to collision, amber below 4 s, else None (also for NaN); None for objects that will pass beside."""
+    """Red below 2 s to collision, amber below 4 s, else None (also for NaN); None for objects that will pass by."""
     if not may_hit:
         return None
     if ttc_s < TTC_RED_S:

@@ -16,7 +16,7 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.matching.sgbm import disparity_picture
 
 REDDEST_M = 5.0
-"""Distance in metres at and below which the colour is the reddest."""
+"""Distance in metres shown in the reddest colour; nearer ones have the same colour."""
 
 SCALE_M = (5, 7, 10, 15, 20, 30, 50)
 """Distances on the scale, in metres."""

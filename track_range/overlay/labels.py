@@ -3,7 +3,7 @@
 +------------------------+   fused distance (large) and its sigma, class and track ID in the colour of the track;
 | 22.4 m ±0.7   car 12   |   distance by each method, after its letter in the registry;
 | M 23.1  S 22.4  G 22.0 |   for a closing object time to collision and closing speed, on a bar that fills as the time
-|#TTC 3.6 s##closing 6.2 |   decreases, amber or red if urgent; "passes in" without a bar if it will pass beside.
+|#TTC 3.6 s##closing 6.2 |   decreases, amber or red if urgent; "passes in" without a bar if it will pass by.
 +------------------------+
 """
 
@@ -120,7 +120,7 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
 def closing_span(closing_mps: float, ttc_s: float, size_px: int, *, may_hit: bool = True) -> Span | None:
     """Time to collision and closing speed on a bar, amber or red if urgent; None for objects that do not close in.
 
-    Objects that will pass beside have no bar.
+    Objects that will pass by have no bar.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None

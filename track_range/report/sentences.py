@@ -45,7 +45,7 @@ def cards(summary: Summary) -> Iterator[dict[str, str]]:
 
 
 def _error_cards(summary: Summary) -> Iterator[dict[str, str]]:
-    """Median error of `fused`, and of the best method where that is another one."""
+    """Median error of `fused`, and of the best method if that is another one."""
     best = best_method(summary)
     if best is None:
         return
@@ -67,7 +67,7 @@ def card(name: str, value: object, detail: str) -> dict[str, str]:
 def best_method(summary: Summary) -> tuple[str, float, str] | None:
     """Name and median relative error in per cent of the best method and the coverage it refers to; None without truth.
 
-    Methods are compared on common coverage where there is one; otherwise a method that measures only easy objects wins.
+    Methods are compared on common coverage if there is one; otherwise one that measures only easy objects could win.
     """
     for part, where in (("common", "on common coverage"), ("methods", "on its own coverage")):
         errors = {

@@ -25,15 +25,16 @@ class FrameResult:
         tracks: N boxes with identities.
         ranges: distances by name of the method, "fused" and the filtered ones (NAME_kf) included; a method that did
             not run is absent.
-        closing_mps: (N,) speed at which the gap shrinks, from the filtered fused distance; NaN = unknown.
+        closing_mps: (N,) closing speed in m/s (positive = approaching), from the filtered fused distance; NaN =
+            unknown.
         closing_sigma_mps: (N,) its standard deviation.
-        ttc_s: (N,) time to collision, distance / closing speed where the gap shrinks; NaN elsewhere.
+        ttc_s: (N,) time to collision in seconds, distance / closing speed; NaN = not approaching.
         ttc_sigma_s: (N,) its standard deviation.
         xyz_m: (N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the fused distance;
             NaN = unknown.
-        disparity: (H, W) px, NaN = unknown; None where dense stereo did not run.
-        lanes: lines of the own lane; None where no lane finder ran.
-        misses: lateral offset of each track at its time to collision; None where it was not estimated.
+        disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
+        lanes: lines of the own lane; None if no lane detector ran.
+        misses: lateral offset of each track at its time to collision; None if it was not estimated.
     """
 
     frame: Frame
@@ -59,5 +60,5 @@ class FrameResult:
         return self.frame.time_s
 
     def may_hit(self, row: int) -> bool:
-        """False if the track in this row is known to pass beside the camera."""
+        """False if the track in this row is known to pass by the camera without a collision."""
         return self.misses is None or bool(self.misses.may_hit[row])

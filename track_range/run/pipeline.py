@@ -83,7 +83,7 @@ class Pipeline:
         camera: the left camera, undistorted.
         detect: returns the boxes of a frame.
         tracker: assigns identities to boxes.
-        rangers: the ranging methods by name, in the order in which they measure (`registry.create_rangers`).
+        rangers: ranging methods by name, in the order of execution (`registry.create_rangers`).
         lane_finder: detects the lines of the own lane; None = off.
         ego_speed: speed of the camera; None = unknown.
         shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
@@ -116,8 +116,7 @@ class Pipeline:
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """Results of the frames in order; closing the generator ends the threads."""
         with ExitStack() as stack:
-            # Closed in reverse order: first the threads, beginning with the last one, so that none still reads when
-            # the videos are closed; then the rangers.
+            # closed in reverse order: threads, last one first, so that none reads from closed videos; then rangers
             stack.callback(self._close_rangers)
 
             def in_thread(items: Iterable[_T], depth: int, *, low_priority: bool) -> Iterable[_T]:

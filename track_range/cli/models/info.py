@@ -96,7 +96,7 @@ def _rectangular(detector: YoloDetector) -> str:
 
 
 def _text(value: Any) -> str:
-    """A fact's value; anchors as `--anchors` takes them."""
+    """Text of the value of an attribute; anchors in the format of `--anchors`."""
     if not isinstance(value, tuple):
         return f"{value:g}" if isinstance(value, float) else str(value)
     if isinstance(value[0], tuple):
