@@ -107,22 +107,22 @@ _RAYS: dict[tuple, np.ndarray] = {}
 
 
 def _rays(camera: PinholeCamera, offset: tuple[float, float]) -> np.ndarray:
-    """(H W, 3) rays, cached, because undistortion is slow."""
+    """(H W, 1, 2) x/z and y/z of the rays, cached, because undistortion is slow."""
     key = (camera, offset)
     if key not in _RAYS:
         y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px].astype(np.float64)
         xy = np.stack([x.ravel() + offset[0], y.ravel() + offset[1]], axis=1)[:, None]
-        flat = cv2.undistortPoints(xy, camera.matrix, np.array(camera.distortion or (0.0,) * 4))[:, 0]
-        _RAYS[key] = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
+        _RAYS[key] = cv2.undistortPoints(xy, camera.matrix, np.array(camera.distortion or (0.0,) * 4))
     return _RAYS[key]
 
 
 def _one_ray(camera, board_to_camera, texture, origin_m, offset) -> np.ndarray:
-    to_board = np.linalg.inv(board_to_camera)
-    rays = _rays(camera, offset) @ to_board[:3, :3].T
-    camera_m = to_board[:3, 3]
-    board_m = camera_m[:2] - rays[:, :2] * (camera_m[2] / rays[:, 2])[:, None]
-    texel = ((board_m - origin_m) / _TEXEL_M - 0.5).astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
+    texel_from_board = np.array(
+        [[1 / _TEXEL_M, 0, -origin_m[0] / _TEXEL_M - 0.5], [0, 1 / _TEXEL_M, -origin_m[1] / _TEXEL_M - 0.5], [0, 0, 1]]
+    )
+    homography = texel_from_board @ np.linalg.inv(board_to_camera[:3, [0, 1, 3]])  # the board is the plane z = 0
+    texel = cv2.perspectiveTransform(_rays(camera, offset), homography)
+    texel = texel.astype(np.float32).reshape(camera.height_px, camera.width_px, 2)
     return cv2.remap(
         texture, texel[..., 0], texel[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128.0
     ).astype(np.float64)

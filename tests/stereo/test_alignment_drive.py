@@ -51,7 +51,7 @@ def estimated(shown: Iterator[Frame], rig: StereoRig = RIG) -> Alignment:
     return drive.estimate()
 
 
-@pytest.mark.parametrize(("x_px", "y_px"), [(0.0, 0.0), (0.5, 0.4)])
+@pytest.mark.parametrize(("x_px", "y_px"), [pytest.param(0.0, 0.0, marks=pytest.mark.slow), (0.5, 0.4)])
 def test_known_error_of_a_rendered_drive(x_px: float, y_px: float) -> None:
     found = estimated(frames(x_px=x_px, y_px=y_px))
     assert found.offset_px == pytest.approx(x_px, abs=2 * found.offset_sigma_px)

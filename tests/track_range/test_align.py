@@ -139,6 +139,7 @@ def test_wrong_usage(drive, tmp_path, cli, options, status, word):
     assert word in errors
 
 
+@pytest.mark.slow
 def test_missing_and_different_rigs(drive, videos, tmp_path, cli):
     alone = tmp_path / "alone"
     alone.mkdir()
