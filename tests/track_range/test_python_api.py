@@ -257,7 +257,7 @@ def test_tracks_measured_against_themselves(tmp_path):
     "name",
     [
         *("Run", "Detections", "Tracks", "Ranges", "PinholeCamera", "StereoRig", "Detector", "Tracker", "SizeRanger"),
-        *("StereoRanger", "Fusion", "DistanceFilters", "Rectifier", "load_rig", "evaluate_stereo"),
+        *("StereoRanger", "Fusion", "DistanceFilters", "Rectifier", "load_rig", "evaluate_stereo", "open_recording"),
     ],
 )
 def test_docstring_example(drive, tmp_path, monkeypatch, name):

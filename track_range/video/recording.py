@@ -114,8 +114,12 @@ def open_recording(
         RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
 
     Example:
-        for frame in open_recording("left.mp4", "right.mp4", rig="rig.yaml").frames:
-            print(frame.index, frame.time_s, frame.left.shape)
+        >>> import track_range as tr
+        >>> recording = tr.open_recording("left.mp4", "right.mp4", rig="rig.yaml", align="off")
+        >>> frame = next(recording.frames)
+        >>> frame.index, frame.time_s, frame.right is None
+        (0, 0.0, False)
+        >>> recording.close()
     """
     left, right = video_name(left), None if right is None else video_name(right)
     with ExitStack() as on_error:
