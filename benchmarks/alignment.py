@@ -66,14 +66,14 @@ def _drive(seed: int) -> dict[str, Any]:
     alignment = find_alignment("auto", drive.renderer.rig, _generator(frames)).measured
     alignment_s = time.process_time() - start_s
     u = np.linspace(-1.0, 1.0, 101)
-    remaining_px = offset_px + alignment.offset_px + alignment.bow_px * u**2
+    remaining_px = offset_px + alignment.offset_px + alignment.curvature_px * u**2
     return {
         "seed": seed,
         "scenario": scenario,
         "offset_px": offset_px,
         "is_measured": alignment.is_measured,
         "estimate_px": -alignment.offset_px,
-        "curvature_px": -alignment.bow_px,
+        "curvature_px": -alignment.curvature_px,
         "error_px": -(offset_px + alignment.offset_px),
         "sigma_px": alignment.offset_sigma_px,
         "remaining_px": float(np.sqrt((remaining_px**2).mean())),

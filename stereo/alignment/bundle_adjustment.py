@@ -2,13 +2,13 @@
 
     point on frame 0's ray (a, b, 1), inverse depth r:    q = R (a, b, 1) + r t         R, t = frame f from frame 0
     left image   x = f q_x / q_z + cx,  y = f q_y / q_z + cy
-    right image  x - f B r / q_z + offset + bow u^2       u = column from the axis, see `stereo.alignment.model`
+    right image  x - f B r / q_z + offset + curvature u^2     u = column from the axis, see `stereo.alignment.model`
 
-Motion alone gives depths up to scale, disparity alone up to the error; where near and far points are observed from
-several positions, the error is the intercept of one against the other. Points fixed at their triangulated positions
-would bias it by their noise, so points are unknowns too. Levenberg-Marquardt with the points eliminated by the Schur
-complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6), and Cauchy weights, which suppress
-moving objects and bad tracks.
+Motion alone gives depths up to a scale, disparity alone up to the error; with near and far points observed from several
+positions, the error is the intercept of one as a function of the other. Points fixed at their triangulated positions
+would bias it by their noise, so points are unknowns too. Solved by Levenberg-Marquardt, with the points eliminated by
+the Schur complement (Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6), and Cauchy weights, which
+suppress moving objects and bad tracks.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.stereo.geometry.rig import StereoRig
 
 N_ERRORS = 2
-"""Number of disparity errors: offset and bow."""
+"""Number of disparity errors: offset and curvature."""
 
 _MAX_STEPS = 25
-"""Steps of Levenberg-Marquardt at most."""
+"""Largest number of Levenberg-Marquardt steps."""
 
 _MAX_DAMPING = 1e6
-"""Damping, relative to the diagonal, at which no step is found to lower the cost."""
+"""Largest damping, relative to the diagonal; if no step lowers the cost up to it, the iteration ends."""
 
 _MIN_RELATIVE_GAIN = 1e-5
 """Decrease of the cost, relative to the cost, below which the iteration has converged."""
@@ -45,18 +45,19 @@ _MEDIAN_NORM = 1.538
 """Median length of a vector of three standard normal numbers."""
 
 _POSE_RIDGE = 1e-6
-"""Ridge on poses; negligible beside the information of points (1e5 per m^2, 1e8 per rad^2), for frames without any."""
+"""Ridge on poses, for frames without points; negligible compared to the information of points (1e5 per m^2, 1e8 per
+rad^2)."""
 
 _ERROR_PRIOR_PX = 5.0
-"""Prior standard deviation of offset and bow: wide, it only keeps the equations solvable."""
+"""Prior standard deviation of offset and curvature: wide, it only keeps the equations solvable."""
 
 
 class Observations(NamedTuple):
-    """Tracked points in both images, one row per point and frame, no pair twice.
+    """Tracked points in both images, at most one row per point and frame.
 
     Attributes:
-        frame: (N,) from 0.
-        point: (N,) from 0.
+        frame: (N,) frame numbers from 0.
+        point: (N,) point numbers from 0.
         xyx_px: (N, 3) x and y in the left image, x in the right one.
     """
 
@@ -70,10 +71,10 @@ class Bundle:
     """Unknowns of a segment of F frames and P points.
 
     Attributes:
-        rotation: (F, 3, 3), frame from frame 0.
-        translation_m: (F, 3).
+        rotation: (F, 3, 3) R, frame from frame 0.
+        translation_m: (F, 3) t.
         points: (P, 3) a, b and r (1/m): ray and inverse depth in frame 0.
-        error_px: (2,) offset and bow.
+        error_px: (2,) offset and curvature.
     """
 
     rotation: FloatArray
@@ -84,12 +85,12 @@ class Bundle:
     @property
     def path_m(self) -> float:
         """Distance between the first position of the left camera and the one farthest from it."""
-        places = np.einsum("fji,fj->fi", self.rotation, self.translation_m)
-        return float(np.linalg.norm(places - places[0], axis=1).max())
+        positions = np.einsum("fji,fj->fi", self.rotation, self.translation_m)
+        return float(np.linalg.norm(positions - positions[0], axis=1).max())
 
 
 class Fit(NamedTuple):
-    """A bundle at its best, the noise of its points, and the (N,) weight, 0..1, of each observation."""
+    """An optimised bundle, the standard deviation of its points, and the (N,) weights, 0..1, of the observations."""
 
     bundle: Bundle
     noise_px: float
@@ -100,10 +101,10 @@ class Linear(NamedTuple):
     """Residuals and Jacobians of N observations.
 
     Attributes:
-        residual: (N, 3) observed less predicted, px: x and y in the left image, x in the right one.
+        residual: (N, 3) observed minus predicted, px: x and y in the left image, x in the right one.
         by_pose: (N, 3, 6) derivatives of the prediction by rotation vector and translation of the frame.
-        by_point: (N, 3, 3) by a, b and r of the point.
-        by_error: (N, 3, E) by the disparity errors.
+        by_point: (N, 3, 3) derivatives of the prediction by a, b and r of the point.
+        by_error: (N, 3, E) derivatives of the prediction by the disparity errors.
     """
 
     residual: FloatArray
@@ -140,7 +141,7 @@ class Equations(NamedTuple):
 
 
 class _Elimination(NamedTuple):
-    """Equations without the points, and what solves for the points y = V^-1 (b_y - W x) afterwards.
+    """Equations without the points, and the matrices that give the points y = V^-1 (b_y - W x) afterwards.
 
     Attributes:
         equations: S x = b.
@@ -156,7 +157,7 @@ class _Elimination(NamedTuple):
 
 
 def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> Fit:
-    """The bundle of least robust cost, from a start within a few pixels of it; `rig` is the rectified one."""
+    """The bundle with the least robust cost, from a start within a few pixels of it; `rig` is rectified."""
     bundle, damping = start, 1e-4
     linear = linearize(observed, bundle, rig)
     for _ in range(_MAX_STEPS):
@@ -185,33 +186,30 @@ def equations_of(observed: Observations, linear: Linear, weight: FloatArray, *, 
 
 
 def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: FloatArray | None = None) -> Linear:
-    """Residuals and derivatives at a bundle; `extra` (N, E) are columns of further errors of the right x."""
+    """Residuals and derivatives at a bundle; `extra` (N, E) are columns of additional errors of the right x."""
     camera, bf = rig.left, rig.left.fx_px * rig.baseline_m
-    turn, shift, point = (
-        bundle.rotation[observed.frame],
-        bundle.translation_m[observed.frame],
-        bundle.points[observed.point],
-    )
-    turned = turn[:, :, 0] * point[:, :1] + turn[:, :, 1] * point[:, 1:2] + turn[:, :, 2]
-    place = turned + point[:, 2:] * shift
-    inverse_z = 1.0 / place[:, 2]
-    x, y = place[:, 0] * inverse_z, place[:, 1] * inverse_z
+    r, t = bundle.rotation[observed.frame], bundle.translation_m[observed.frame]
+    point = bundle.points[observed.point]
+    rotated = r[:, :, 0] * point[:, :1] + r[:, :, 1] * point[:, 1:2] + r[:, :, 2]
+    q = rotated + point[:, 2:] * t
+    inverse_z = 1.0 / q[:, 2]
+    x, y = q[:, 0] * inverse_z, q[:, 1] * inverse_z
     disparity_px = bf * point[:, 2] * inverse_z
     left_x = camera.fx_px * x + camera.cx_px
     u_per_px = 2 / camera.width_px
     u = x * camera.fx_px * u_per_px
     columns = error_columns(u)
-    stretch = 1 + 2 * bundle.error_px[1] * u * u_per_px  # the bow moves right points apart
+    magnification = 1 + 2 * bundle.error_px[1] * u * u_per_px  # derivative of the right x, without disparity, by left x
     right_x = left_x - disparity_px + columns @ bundle.error_px
     expected = np.stack([left_x, camera.fy_px * y + camera.cy_px, right_x], axis=1)
-    by_place = np.zeros((len(x), 3, 3))
-    by_place[:, 0, 0] = camera.fx_px * inverse_z
-    by_place[:, 0, 2] = -camera.fx_px * x * inverse_z
-    by_place[:, 1, 1], by_place[:, 1, 2] = camera.fy_px * inverse_z, -camera.fy_px * y * inverse_z
-    by_place[:, 2] = by_place[:, 0] * stretch[:, None]
-    by_place[:, 2, 2] += disparity_px * inverse_z
-    by_pose = np.concatenate([-by_place @ _cross(turned), by_place * point[:, 2, None, None]], axis=2)
-    by_point = by_place @ np.concatenate([turn[:, :, :2], shift[:, :, None]], axis=2)
+    by_q = np.zeros((len(x), 3, 3))
+    by_q[:, 0, 0] = camera.fx_px * inverse_z
+    by_q[:, 0, 2] = -camera.fx_px * x * inverse_z
+    by_q[:, 1, 1], by_q[:, 1, 2] = camera.fy_px * inverse_z, -camera.fy_px * y * inverse_z
+    by_q[:, 2] = by_q[:, 0] * magnification[:, None]
+    by_q[:, 2, 2] += disparity_px * inverse_z
+    by_pose = np.concatenate([-by_q @ _cross(rotated), by_q * point[:, 2, None, None]], axis=2)
+    by_point = by_q @ np.concatenate([r[:, :, :2], t[:, :, None]], axis=2)
     by_point[:, 2, 2] -= bf * inverse_z
     all_columns = columns if extra is None else np.concatenate([columns, extra], axis=1)
     by_error = np.zeros((len(x), 3, all_columns.shape[1]))
@@ -220,7 +218,7 @@ def linearize(observed: Observations, bundle: Bundle, rig: StereoRig, *, extra: 
 
 
 def error_columns(u: FloatArray) -> FloatArray:
-    """(N, 2) what a unit of offset and of bow add to the right x at the columns `u` (N,) from the axis."""
+    """(N, 2) derivatives of the right x by offset and curvature, at the columns `u` (N,) from the axis."""
     return np.stack([np.ones_like(u), u**2], axis=1)
 
 
@@ -257,7 +255,7 @@ def _eliminate_points(
 
 
 def _sparse(blocks: FloatArray, columns: IntArray, n_columns: int) -> sparse.csr_array:
-    """Blocks (N, 3, K) that stand in the columns (N, K) -> (3 N, n_columns)."""
+    """(3 N, n_columns) sparse matrix of blocks (N, 3, K) at the columns (N, K)."""
     n, n_rows, width = blocks.shape
     starts = np.arange(n * n_rows + 1) * width
     return sparse.csr_array(
@@ -285,7 +283,7 @@ def _updated(bundle: Bundle, elimination: _Elimination) -> Bundle:
 
 
 def _cross(vectors: FloatArray) -> FloatArray:
-    """(N, 3, 3) matrices whose product with w is vectors x w."""
+    """(N, 3, 3) cross-product matrices of vectors (N, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

@@ -1,9 +1,9 @@
-"""FeatureTracks: corners followed through the left images and found in each right one, to parts of a pixel.
+"""FeatureTracks: corners tracked through the left images and matched in each right image, with subpixel accuracy.
 
-    left t-1 --LK--> left t --LK--> right t        each way and back again: what does not return to its start is dropped
+    left t-1 --LK--> left t --LK--> right t        with a forward-backward check: both directions must agree
 
-Lucas-Kanade flow (Bouguet's pyramids) starts across the eyes from a coarse disparity map, since it only finds what is
-near; through time it starts from where the point was.
+Pyramidal Lucas-Kanade (Bouguet) finds only nearby positions: from left to right it starts from a coarse disparity map,
+over time from the last position.
 """
 
 from __future__ import annotations
@@ -17,35 +17,52 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 
 MIN_ROWS = 30
-"""Fewer points tell no row offset."""
+"""Least number of points for a row offset."""
 
 _N_POINTS = 1100
+"""Number of points that are tracked."""
+
 _GRID = (3, 8)
-"""Rows and columns of cells that get equal numbers of new points."""
+"""Rows and columns of cells with equal numbers of new points."""
 
 _MIN_GAP_PX = 10
+"""Least distance between two points, px."""
+
 _MIN_QUALITY = 0.01
+"""Least quality of a corner, as a share of the best corner's in its cell."""
+
 _WINDOW_PX = (15, 15)
+"""Size of the tracked window, px."""
+
 _LEVELS = 3
+"""Pyramid levels above the full image for tracking over time."""
+
 _MAX_RETURN_PX = 0.5
+"""Largest error of the forward-backward check, px."""
+
 _MAX_ROW_PX = 2.0
-"""A right point further from the common row offset is a wrong one."""
+"""Largest difference between the row offset of a right point and the common one, px."""
 
 _BORDER_PX = 8
+"""Least distance of a point from the image border, px."""
+
 _COARSE_RANGE_PX = 80
-"""Disparities of the half-size images that are searched: up to twice as many of the whole ones."""
+"""Disparities searched in the half-size images; twice as many in full pixels."""
 
 _UNKNOWN_PX = 5.0
+"""Initial disparity where the coarse map has none, px."""
+
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 20, 0.01)
+"""Stop criteria of Lucas-Kanade: number of iterations and step in px."""
 
 
 class PairPoints(NamedTuple):
-    """The points of one frame that both eyes see.
+    """The points of one frame that are visible in both images.
 
     Attributes:
-        number: (N,) the point's number, the same in all frames.
-        left_px: (N, 2) x, y.
-        right_px: (N, 2).
+        number: (N,) numbers of the points, equal in all frames.
+        left_px: (N, 2) x, y in the left image.
+        right_px: (N, 2) x, y in the right image.
     """
 
     number: IntArray
@@ -59,71 +76,72 @@ class PairPoints(NamedTuple):
 
 
 class FeatureTracks:
-    """Corners of a drive, followed.
+    """Tracks corners through the frames of a drive.
 
     Attributes:
-        flow_px: median distance that points moved since the frame before; 0 for the first.
-        share_kept: share of the points that were followed into this frame; 1 for the first.
+        flow_px: median flow since the frame before; 0 for the first frame.
+        share_tracked: share of the points tracked from the frame before; 1 for the first frame.
     """
 
     def __init__(self) -> None:
-        self.flow_px, self.share_kept = 0.0, 1.0
+        self.flow_px, self.share_tracked = 0.0, 1.0
         self._before: Image | None = None
         self._left_px: FloatArray32 = np.zeros((0, 2), np.float32)
         self._number: IntArray = np.zeros(0, np.int64)
-        self._n_made = 0
+        self._next_number = 0
         self._coarse = _coarse_matcher()
 
     def add(self, left: Image, right: Image) -> PairPoints:
-        """Follow into the next frame of the drive, (H, W) uint8 grey and rectified, and take up new points."""
-        self.flow_px, self.share_kept = 0.0, 1.0
+        """Track the points into the next frame, (H, W) uint8 grey and rectified, and add new corners."""
+        self.flow_px, self.share_tracked = 0.0, 1.0
         if self._before is not None and len(self._left_px):
-            self._follow(self._before, left)
-        self._take_up(left)
+            self._track(self._before, left)
+        self._add_corners(left)
         self._before = left
-        return self._across(left, right)
+        return self._match_right(left, right)
 
-    def _follow(self, before: Image, left: Image) -> None:
-        moved, kept = _flow(before, left, self._left_px, self._left_px, _LEVELS)
-        step_px = np.linalg.norm(moved - self._left_px, axis=1)[kept]
+    def _track(self, before: Image, left: Image) -> None:
+        moved, is_tracked = _flow(before, left, self._left_px, self._left_px, _LEVELS)
+        step_px = np.linalg.norm(moved - self._left_px, axis=1)[is_tracked]
         self.flow_px = float(np.median(step_px)) if len(step_px) else float("inf")
-        self.share_kept = float(kept.mean())
-        self._left_px, self._number = moved[kept], self._number[kept]
+        self.share_tracked = float(is_tracked.mean())
+        self._left_px, self._number = moved[is_tracked], self._number[is_tracked]
 
-    def _take_up(self, left: Image) -> None:
-        n_wanted = _N_POINTS - len(self._left_px)
-        if n_wanted <= 0:
+    def _add_corners(self, left: Image) -> None:
+        n_missing = _N_POINTS - len(self._left_px)
+        if n_missing <= 0:
             return
         free = np.full(left.shape, 255, np.uint8)
         for x, y in np.round(self._left_px).astype(int).tolist():
             cv2.circle(free, (x, y), _MIN_GAP_PX, 0, -1)
-        found = np.concatenate([self._left_px, *_new_corners(left, free, n_wanted)])
-        n_new = len(found) - len(self._left_px)
-        self._number = np.concatenate([self._number, self._n_made + np.arange(n_new)])
-        self._n_made += n_new
-        self._left_px = found.astype(np.float32)
+        points = np.concatenate([self._left_px, *_new_corners(left, free, n_missing)])
+        n_new = len(points) - len(self._left_px)
+        self._number = np.concatenate([self._number, self._next_number + np.arange(n_new)])
+        self._next_number += n_new
+        self._left_px = points.astype(np.float32)
 
-    def _across(self, left: Image, right: Image) -> PairPoints:
-        """The points that the right eye sees too."""
+    def _match_right(self, left: Image, right: Image) -> PairPoints:
+        """The points that are also visible in the right image."""
         if not len(self._left_px):
             return PairPoints(self._number, np.zeros((0, 2)), np.zeros((0, 2)))
         coarse = _coarse_disparity(self._coarse, left, right)
         height, width = coarse.shape
         column = np.clip(self._left_px[:, 0] / 2, 0, width - 1).astype(int)
         row = np.clip(self._left_px[:, 1] / 2, 0, height - 1).astype(int)
-        guess_px = coarse[row, column]
-        is_known = guess_px > 0
+        coarse_px = coarse[row, column]
+        is_known = coarse_px > 0
         start = self._left_px.copy()
-        start[:, 0] -= np.where(is_known, guess_px, _UNKNOWN_PX)
-        found, kept = _flow(left, right, self._left_px, start, 1)
-        row_px = found[:, 1] - self._left_px[:, 1]
-        if (kept & is_known).any():
-            kept &= is_known & (np.abs(row_px - np.median(row_px[kept & is_known])) < _MAX_ROW_PX)
-        return PairPoints(self._number[kept], self._left_px[kept].astype(float), found[kept].astype(float))
+        start[:, 0] -= np.where(is_known, coarse_px, _UNKNOWN_PX)
+        right_px, is_matched = _flow(left, right, self._left_px, start, 1)
+        row_px = right_px[:, 1] - self._left_px[:, 1]
+        if (is_matched & is_known).any():
+            is_matched &= is_known & (np.abs(row_px - np.median(row_px[is_matched & is_known])) < _MAX_ROW_PX)
+        left_px = self._left_px[is_matched].astype(float)
+        return PairPoints(self._number[is_matched], left_px, right_px[is_matched].astype(float))
 
 
 def row_offset_px(left: Image, right: Image) -> float | None:
-    """Median y_right - y_left of the points of one pair, (H, W) or (H, W, 3) each; None with too few points."""
+    """Median y_right - y_left of the points of a pair, (H, W) or (H, W, 3) each; None with too few points."""
     rows_px = FeatureTracks().add(grey(left), grey(right)).row_offsets_px
     return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else None
 
@@ -150,48 +168,47 @@ def _coarse_matcher() -> cv2.StereoSGBM:
 
 
 def _coarse_disparity(matcher: cv2.StereoSGBM, left: Image, right: Image) -> FloatArray32:
-    """(H / 2, W / 2) disparities in pixels of the whole images; not positive where unknown."""
+    """(H / 2, W / 2) disparities in full pixels; not positive where unknown."""
     halves = [cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in (left, right)]
-    wide = [cv2.copyMakeBorder(half, 0, 0, _COARSE_RANGE_PX, 0, cv2.BORDER_REPLICATE) for half in halves]
-    steps = matcher.compute(wide[0], wide[1])[:, _COARSE_RANGE_PX:]
+    padded = [cv2.copyMakeBorder(half, 0, 0, _COARSE_RANGE_PX, 0, cv2.BORDER_REPLICATE) for half in halves]
+    steps = matcher.compute(padded[0], padded[1])[:, _COARSE_RANGE_PX:]
     return np.asarray(steps.astype(np.float32) * (2 / 16), np.float32)
 
 
-def _new_corners(left: Image, free: Image, n_wanted: int) -> list[FloatArray32]:
-    """Corners in each cell, where `free` is not 0."""
+def _new_corners(left: Image, free: Image, n_corners: int) -> list[FloatArray32]:
+    """About `n_corners` corners, equally many in each cell, where `free` is not 0."""
     n_rows, n_columns = _GRID
     rows = np.linspace(0, left.shape[0], n_rows + 1).astype(int).tolist()
     columns = np.linspace(0, left.shape[1], n_columns + 1).astype(int).tolist()
-    n_each = max(5, n_wanted // (n_rows * n_columns))
-    found = []
+    n_per_cell = max(5, n_corners // (n_rows * n_columns))
+    new = []
     for top, bottom in pairwise(rows):
         for start, end in pairwise(columns):
             cell = np.s_[top:bottom, start:end]
             corners = cv2.goodFeaturesToTrack(
-                left[cell], n_each, _MIN_QUALITY, _MIN_GAP_PX, mask=free[cell], blockSize=5
+                left[cell], n_per_cell, _MIN_QUALITY, _MIN_GAP_PX, mask=free[cell], blockSize=5
             )
             if corners is not None:
-                found.append(corners.reshape(-1, 2).astype(np.float32) + np.array([start, top], np.float32))
-    return found
+                new.append(corners.reshape(-1, 2).astype(np.float32) + np.array([start, top], np.float32))
+    return new
 
 
 def _flow(
     source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
 ) -> tuple[FloatArray32, BoolArray]:
-    """Where the points (N, 2) of one image lie in another, and which of them are sure."""
-    there, back = start.copy(), points.copy()
-    found, is_found = _lucas_kanade(source, target, points, there, levels)
-    returned, has_returned = _lucas_kanade(target, source, found, back, levels)
+    """Positions in another image of points (N, 2), and (N,) whether they pass the forward-backward check."""
+    moved, is_tracked = _lucas_kanade(source, target, points, start.copy(), levels)
+    returned, has_returned = _lucas_kanade(target, source, moved, points.copy(), levels)
     height, width = target.shape
-    inside = (found >= _BORDER_PX).all(axis=1) & (found < np.array([width, height]) - 1 - _BORDER_PX).all(axis=1)
-    same = np.abs(returned - points).max(axis=1) < _MAX_RETURN_PX
-    return found, np.asarray(is_found & has_returned & inside & same)
+    is_inside = (moved >= _BORDER_PX).all(axis=1) & (moved < np.array([width, height]) - 1 - _BORDER_PX).all(axis=1)
+    is_consistent = np.abs(returned - points).max(axis=1) < _MAX_RETURN_PX
+    return moved, np.asarray(is_tracked & has_returned & is_inside & is_consistent)
 
 
 def _lucas_kanade(
     source: Image, target: Image, points: FloatArray32, start: FloatArray32, levels: int
 ) -> tuple[FloatArray32, BoolArray]:
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
         source,
         target,
         points,
@@ -201,4 +218,4 @@ def _lucas_kanade(
         criteria=_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    return np.asarray(found, np.float32), status.reshape(-1) > 0
+    return np.asarray(moved, np.float32), status.reshape(-1) > 0

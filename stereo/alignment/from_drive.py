@@ -1,9 +1,9 @@
-"""DriveAlignment: the disparity error of a rig from a drive with it, without anything known about the scene.
+"""DriveAlignment: the disparity error of a rig from a drive through an unknown scene.
 
-Frames about 0.1 s apart are cut into segments of 1.6 s; each is a bundle of its own
-(`stereo.alignment.bundle_adjustment`), and their estimates of offset and curvature are combined. Measured: on KITTI's
-drives 0003 and 0005, 16 frames each, 0.47 and 0.44 px (curvature 1.60 and 1.47), where lidar and labels give 0.4 to
-0.5 px; three segments of one other drive within 0.03 px.
+Frames about 0.1 s apart are divided into segments of 1.6 s, each with a separate bundle adjustment
+(`stereo.alignment.bundle_adjustment`); their estimates of offset and curvature are combined. Results: on KITTI's drives
+0003 and 0005, 16 frames each, 0.47 and 0.44 px (curvature 1.60 and 1.47), where lidar and labels give 0.4 to 0.5 px;
+three segments of another drive agree within 0.03 px.
 """
 
 from __future__ import annotations
@@ -21,66 +21,71 @@ from track_range.stereo.geometry.frames import Frame, whole_image
 from track_range.stereo.geometry.rig import StereoRig
 
 N_FRAMES = 16
-"""Frames of a stretch; some more give points more time to show parallax, but few points live as long."""
+"""Frames of a segment; longer segments would have more parallax, but few points are tracked that long."""
 
 MIN_FRAMES = 10
-"""A shorter rest says too little."""
+"""Fewest frames of a segment."""
 
 _MAX_SEGMENTS = 3
+"""Largest number of segments of a drive."""
+
 _MAX_FRAMES = 300
-"""Frames that are looked at before it gives up on a vehicle that does not move."""
+"""Largest number of frames of a drive, in case the vehicle does not move."""
 
 MIN_STEP_S = 0.09
-"""Frames nearer than this to the last one are passed by."""
+"""Shortest time between two used frames, seconds."""
 
 _MAX_GAP_S = 0.5
+"""Longest time between two frames of a segment, seconds."""
+
 _MIN_FLOW_PX = 0.5
-"""Points that move less from frame to frame say that the vehicle stands still: such frames add nothing."""
+"""Least median flow between frames of a moving vehicle; other frames are not used."""
 
-_MIN_KEPT = 0.1
-"""With fewer points that can be followed, the frames are not of one drive."""
+_MIN_TRACKED_SHARE = 0.1
+"""Least share of points tracked between two frames of a segment; below it, the video was cut."""
 
-_MIN_BOW_SIGMAS = 3.0
-"""A bow nearer to zero is left out: one more number must earn its place."""
+_MIN_CURVATURE_SIGMAS = 3.0
+"""Least ratio of the curvature to its standard deviation at which it is estimated."""
 
 _MAX_SIGMA_PX = 0.25
-"""A less certain estimate is none."""
+"""Largest standard deviation of a usable offset."""
 
 _SPREADS = 2.0
-"""What is left of the error at an object, as a multiple of the strips' spread: from 36 cars of 16 KITTI 2015 pairs."""
+"""Remaining error at an object, as a multiple of the spread of the strips: from 36 cars of 16 KITTI 2015 pairs."""
 
-_LOCKING_PX = 0.02
-"""What points followed to fractions of a pixel may be off together, which no jackknife sees: on simulated drives the
-offset errs by 0.013 px in the median and by 0.05 at worst, where strips and times agree within 0.011."""
+_PIXEL_LOCKING_PX = 0.02
+"""Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
+offset is 0.013 px in the median and 0.05 px at most, while strips and times agree within 0.011 px."""
 
-_LEAST_RESIDUAL_PX = 0.05
+_MIN_RESIDUAL_PX = 0.05
+"""Lower limit of the remaining error, px."""
 
 
 class DriveAlignment:
-    """Takes in the frames of a drive, or of several drives with one rig, and estimates the alignment."""
+    """Estimates the alignment of a rig from the frames of one or several drives."""
 
     def __init__(self, rig: StereoRig) -> None:
-        """For frames rectified to `rig`."""
+        """Start an estimate from frames rectified to `rig`."""
         self._rig = rig
         self._segments: list[Segment] = []
         self._reasons: list[str] = []
         self._rows_px: list[FloatArray] = []
-        self._seen: list[PairPoints] = []
+        self._points: list[PairPoints] = []
         self._last_s: float
         self._begin_drive()
 
     @property
     def is_full(self) -> bool:
-        """Whether enough of this drive has been seen; more frames of it are not looked at."""
+        """Whether the drive has enough frames; further frames of it are ignored."""
         return self._n_segments_left <= 0 or self._n_frames_left <= 0
 
     def start_drive(self) -> None:
-        """Say that the next frame is of another drive with the same rig."""
+        """Start another drive with the same rig at the next frame."""
         self._close()
         self._begin_drive()
 
     def add(self, frame: Frame) -> None:
-        """Look at the next frame; those without a right image, or too soon after the last one, are passed by."""
+        """Add the next frame; frames without a right image, or too soon after the last one, are ignored."""
         step_s = frame.time_s - self._last_s
         if self.is_full or frame.right is None or step_s < MIN_STEP_S:
             return
@@ -91,78 +96,79 @@ class DriveAlignment:
         self._n_frames_left -= 1
         points = self._tracks.add(grey(frame.left), grey(whole_image(frame.right)))
         self._rows_px.append(points.row_offsets_px)
-        if self._tracks.share_kept < _MIN_KEPT:
+        if self._tracks.share_tracked < _MIN_TRACKED_SHARE:
             self._close()
-        is_seen = len(points.number) >= MIN_ROWS
-        if self._seen and is_seen and self._tracks.flow_px < _MIN_FLOW_PX:
-            self._n_still += 1
+        has_points = len(points.number) >= MIN_ROWS
+        if self._points and has_points and self._tracks.flow_px < _MIN_FLOW_PX:
+            self._n_static += 1
             return
-        self._seen.append(points)
-        if len(self._seen) == N_FRAMES:
+        self._points.append(points)
+        if len(self._points) == N_FRAMES:
             self._close()
 
     def estimate(self) -> Alignment:
-        """The alignment that the drives so far call for; not more than asked: the caller applies it or not.
+        """The alignment estimated from the drives so far; the caller decides whether it is applied.
 
-        Where they tell nothing of the disparities, the offset is 0, its sigma as before anything was seen, and the
-        source says why; the rows are told in any case.
+        Without enough data for the disparities, the offset is 0 with the default standard deviation, and the source
+        contains the reason; the row offset is estimated in any case.
         """
         self._close()
         row_offset_px = self._row_offset_px()
         if not self._segments:
-            return Alignment(row_offset_px=row_offset_px, source=f"this drive tells nothing ({self._reason()})")
-        found = combine(self._segments, has_bow=True)
-        if abs(found.error_px[1]) <= _MIN_BOW_SIGMAS * found.sigma_px[1]:
-            found = combine(self._segments, has_bow=False)
-        offset_sigma_px = math.hypot(found.sigma_px[0], _LOCKING_PX)
+            return Alignment(row_offset_px=row_offset_px, source=f"not enough data in this drive ({self._reason()})")
+        combined = combine(self._segments, has_curvature=True)
+        if abs(combined.error_px[1]) <= _MIN_CURVATURE_SIGMAS * combined.sigma_px[1]:
+            combined = combine(self._segments, has_curvature=False)
+        offset_sigma_px = math.hypot(combined.sigma_px[0], _PIXEL_LOCKING_PX)
         if not offset_sigma_px <= _MAX_SIGMA_PX:
-            reason = f"its estimate of {found.error_px[0]:+.2f} px is uncertain by {offset_sigma_px:.2f} px"
-            return Alignment(row_offset_px=row_offset_px, source=f"this drive tells too little ({reason})")
+            reason = f"offset {combined.error_px[0]:+.2f} px with a standard deviation of {offset_sigma_px:.2f} px"
+            return Alignment(row_offset_px=row_offset_px, source=f"not enough data in this drive ({reason})")
         return Alignment(
-            offset_px=float(found.error_px[0]),
-            bow_px=float(found.error_px[1]),
+            offset_px=float(combined.error_px[0]),
+            curvature_px=float(combined.error_px[1]),
             row_offset_px=row_offset_px,
-            residual_px=_residual_px(found),
+            residual_px=_residual_px(combined),
             offset_sigma_px=offset_sigma_px,
-            bow_sigma_px=float(found.sigma_px[1]),
-            source=f"this drive, {sum(stretch.n_frames for stretch in self._segments)} frames",
+            curvature_sigma_px=float(combined.sigma_px[1]),
+            source=f"this drive, {sum(segment.n_frames for segment in self._segments)} frames",
         )
 
     def _begin_drive(self) -> None:
-        self._n_segments_left, self._n_frames_left, self._n_still = _MAX_SEGMENTS, _MAX_FRAMES, 0
+        self._n_segments_left, self._n_frames_left, self._n_static = _MAX_SEGMENTS, _MAX_FRAMES, 0
         self._last_s, self._tracks = -math.inf, FeatureTracks()
 
     def _close(self) -> None:
-        """Make a stretch of what has been seen since the last one."""
-        seen, self._seen = self._seen, []
-        n_still, self._n_still = self._n_still, 0
-        if len(seen) < MIN_FRAMES:
-            if seen:
-                still = n_still > len(seen)
-                self._reasons.append("the vehicle stands still" if still else "fewer than 10 frames in motion")
+        """Make a segment of the frames since the last one."""
+        points, self._points = self._points, []
+        n_static, self._n_static = self._n_static, 0
+        if len(points) < MIN_FRAMES:
+            if points:
+                is_static = n_static > len(points)
+                reason = "the vehicle is stationary" if is_static else f"fewer than {MIN_FRAMES} frames in motion"
+                self._reasons.append(reason)
             return
-        found = segment_of(_sightings(seen), self._rig)
-        if isinstance(found, str):
-            self._reasons.append(found)
+        segment = segment_of(_observations(points), self._rig)
+        if isinstance(segment, str):
+            self._reasons.append(segment)
             return
         self._n_segments_left -= 1
-        self._segments.append(found)
+        self._segments.append(segment)
 
     def _reason(self) -> str:
-        return max(self._reasons, key=self._reasons.count) if self._reasons else "no pairs of images"
+        return max(self._reasons, key=self._reasons.count) if self._reasons else "no stereo frames"
 
     def _row_offset_px(self) -> float:
         rows_px = np.concatenate([np.zeros(0), *self._rows_px])
         return float(np.median(rows_px)) if len(rows_px) >= MIN_ROWS else 0.0
 
 
-def _sightings(seen: list[PairPoints]) -> Observations:
-    frame = np.concatenate([np.full(len(points.number), index) for index, points in enumerate(seen)])
-    number = np.concatenate([points.number for points in seen])
-    xyx_px = np.concatenate([np.column_stack([points.left_px, points.right_px[:, 0]]) for points in seen])
+def _observations(frames: list[PairPoints]) -> Observations:
+    frame = np.concatenate([np.full(len(points.number), index) for index, points in enumerate(frames)])
+    number = np.concatenate([points.number for points in frames])
+    xyx_px = np.concatenate([np.column_stack([points.left_px, points.right_px[:, 0]]) for points in frames])
     return Observations(frame, number, xyx_px)
 
 
-def _residual_px(found: CombinedEstimate) -> float:
-    spread_px = found.spread_px if np.isfinite(found.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
-    return float(max(_LEAST_RESIDUAL_PX, np.hypot(found.sigma_px[0], _SPREADS * spread_px)))
+def _residual_px(combined: CombinedEstimate) -> float:
+    spread_px = combined.spread_px if np.isfinite(combined.spread_px) else UNCORRECTED_SIGMA_PX / _SPREADS
+    return float(max(_MIN_RESIDUAL_PX, np.hypot(combined.sigma_px[0], _SPREADS * spread_px)))

@@ -1,7 +1,7 @@
-"""initial_bundle: poses and points to begin a bundle from, by the perspective-n-point problem from frame to frame.
+"""initial_bundle: initial poses and points of a bundle adjustment, by PnP (perspective-n-point) from frame to frame.
 
-Points are triangulated from their first observation, with the measured disparity; the next frame's pose is the one that
-most of the known points agree on (RANSAC), so moving objects have no influence unless they are the majority.
+Points are triangulated from their first observation with the measured disparity; the pose of the next frame has the
+most inliers among the known points (RANSAC), so moving objects have no influence unless they are the majority.
 """
 
 from __future__ import annotations
@@ -15,90 +15,97 @@ from track_range.stereo.alignment.bundle_adjustment import Bundle, Observations
 from track_range.stereo.geometry.rig import StereoRig
 
 MIN_OBSERVATIONS = 4
-"""A point seen less often says little, and is left out."""
+"""Least number of observations of a point; points with fewer carry little information."""
 
 MIN_POINTS = 60
+"""Least number of points of a bundle."""
 
-_MIN_AGREEING = 12
-_AGREE_PX = 2.0
+_MIN_INLIERS = 12
+"""Least number of inliers of a pose."""
+
+_MAX_ERROR_PX = 2.0
+"""Largest reprojection error of an inlier."""
+
 _N_TRIALS = 200
-_LEAST_DISPARITY_PX = 0.5
-"""Points further away start here; the bundle moves them on."""
+"""Iterations of RANSAC."""
+
+_MIN_DISPARITY_PX = 0.5
+"""Initial disparity of farther points; the bundle adjustment moves them."""
 
 _FAR_M = 200.0
-"""Points further away say nothing about the shift and are kept out of the first pose."""
+"""Largest distance of points used for PnP; farther ones carry no information on the translation."""
 
-_LEAST_DEPTH_SHARE = 0.3
-"""A point must keep this share of its depth in frame 0, where its ray is taken; in sharp turns some do not."""
+_MIN_DEPTH_SHARE = 0.3
+"""Least ratio of a point's depth in frame 0, where its ray starts, to its first depth; in sharp turns it is smaller."""
 
 
-def initial_bundle(seen: Observations, rig: StereoRig) -> tuple[Observations, Bundle] | None:
-    """The observations that can be used, renumbered, and where to start from; None with too few points or no pose."""
-    seen = _often_seen(seen)
-    if not len(seen.point) or seen.point.max() + 1 < MIN_POINTS:
+def initial_bundle(observed: Observations, rig: StereoRig) -> tuple[Observations, Bundle] | None:
+    """The usable observations, renumbered, and the initial bundle; None with too few points or without a pose."""
+    observed = _often_observed(observed)
+    if not len(observed.point) or observed.point.max() + 1 < MIN_POINTS:
         return None
-    places_m = _triangulated(seen, rig)
-    n_frames, n_points = int(seen.frame.max()) + 1, int(seen.point.max()) + 1
+    points_m = _triangulated(observed, rig)
+    n_frames, n_points = int(observed.frame.max()) + 1, int(observed.point.max()) + 1
     world_m, depth_m = np.full((n_points, 3), np.nan), np.full(n_points, np.nan)
     rotation, translation_m = np.eye(3), np.zeros(3)
     rotations, translations = [], []
     for frame in range(n_frames):
-        rows = np.flatnonzero(seen.frame == frame)
+        rows = np.flatnonzero(observed.frame == frame)
         if frame > 0:
-            pose = _pose(world_m[seen.point[rows]], seen.xyx_px[rows, :2], rig, (rotation, translation_m))
+            pose = _pose(world_m[observed.point[rows]], observed.xyx_px[rows, :2], rig, (rotation, translation_m))
             if pose is None:
                 return None
             rotation, translation_m = pose
-        new = rows[np.isnan(depth_m[seen.point[rows]])]
-        world_m[seen.point[new]] = (places_m[new] - translation_m) @ rotation
-        depth_m[seen.point[new]] = places_m[new, 2]
+        new = rows[np.isnan(depth_m[observed.point[rows]])]
+        world_m[observed.point[new]] = (points_m[new] - translation_m) @ rotation
+        depth_m[observed.point[new]] = points_m[new, 2]
         rotations.append(rotation)
         translations.append(translation_m)
-    ahead = world_m[:, 2] > _LEAST_DEPTH_SHARE * depth_m
-    if ahead.sum() < MIN_POINTS:
+    is_ahead = world_m[:, 2] > _MIN_DEPTH_SHARE * depth_m
+    if is_ahead.sum() < MIN_POINTS:
         return None
-    rays = np.column_stack([world_m[ahead, :2], np.ones(int(ahead.sum()))]) / world_m[ahead, 2:]
-    return only_points(seen, ahead), Bundle(np.stack(rotations), np.stack(translations), rays, np.zeros(2))
+    rays = np.column_stack([world_m[is_ahead, :2], np.ones(int(is_ahead.sum()))]) / world_m[is_ahead, 2:]
+    return only_points(observed, is_ahead), Bundle(np.stack(rotations), np.stack(translations), rays, np.zeros(2))
 
 
-def _often_seen(seen: Observations) -> Observations:
-    points, index, count = np.unique(seen.point, return_inverse=True, return_counts=True)
+def _often_observed(observed: Observations) -> Observations:
+    points, index, count = np.unique(observed.point, return_inverse=True, return_counts=True)
     if not len(points):
-        return seen
-    return only_points(Observations(seen.frame, index, seen.xyx_px), count >= MIN_OBSERVATIONS)
+        return observed
+    return only_points(Observations(observed.frame, index, observed.xyx_px), count >= MIN_OBSERVATIONS)
 
 
-def only_points(seen: Observations, wanted: npt.NDArray[np.bool_]) -> Observations:
-    """The observations of the wanted points (P,), numbered anew."""
-    keep, number = wanted[seen.point], np.cumsum(wanted) - 1
-    return Observations(seen.frame[keep], number[seen.point[keep]], seen.xyx_px[keep])
+def only_points(observed: Observations, is_used: npt.NDArray[np.bool_]) -> Observations:
+    """The observations of the points in the mask (P,), with points renumbered."""
+    rows, number = is_used[observed.point], np.cumsum(is_used) - 1
+    return Observations(observed.frame[rows], number[observed.point[rows]], observed.xyx_px[rows])
 
 
-def _triangulated(seen: Observations, rig: StereoRig) -> FloatArray:
-    disparity_px = np.maximum(seen.xyx_px[:, 0] - seen.xyx_px[:, 2], _LEAST_DISPARITY_PX)
-    return rig.left.rays(seen.xyx_px[:, :2]) * rig.distance_m(disparity_px)[:, None]
+def _triangulated(observed: Observations, rig: StereoRig) -> FloatArray:
+    disparity_px = np.maximum(observed.xyx_px[:, 0] - observed.xyx_px[:, 2], _MIN_DISPARITY_PX)
+    return rig.left.rays(observed.xyx_px[:, :2]) * rig.distance_m(disparity_px)[:, None]
 
 
 def _pose(
     world_m: FloatArray, xy_px: FloatArray, rig: StereoRig, before: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Frame from frame 0, from points (N, 3), NaN = not known yet, at pixels (N, 2); None where too few agree."""
+    """Frame from frame 0, from points (N, 3), NaN = unknown, at pixels (N, 2); None with too few inliers."""
     rotation, translation_m = before
     with np.errstate(invalid="ignore"):
-        near = (world_m @ rotation.T + translation_m)[:, 2] < _FAR_M
-    if near.sum() < _MIN_AGREEING:
+        is_near = (world_m @ rotation.T + translation_m)[:, 2] < _FAR_M
+    if is_near.sum() < _MIN_INLIERS:
         return None
-    found, turn, shift, agreeing = cv2.solvePnPRansac(
-        world_m[near],
-        xy_px[near],
+    is_solved, rvec, tvec, inliers = cv2.solvePnPRansac(
+        world_m[is_near],
+        xy_px[is_near],
         rig.left.matrix,
         np.zeros(5),
         rvec=cv2.Rodrigues(rotation)[0],
         tvec=translation_m.reshape(3, 1).copy(),
         useExtrinsicGuess=True,
         iterationsCount=_N_TRIALS,
-        reprojectionError=_AGREE_PX,
+        reprojectionError=_MAX_ERROR_PX,
     )
-    if not found or agreeing is None or len(agreeing) < _MIN_AGREEING:
+    if not is_solved or inliers is None or len(inliers) < _MIN_INLIERS:
         return None
-    return np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).reshape(3)
+    return np.asarray(cv2.Rodrigues(rvec)[0], np.float64), np.asarray(tvec, np.float64).reshape(3)

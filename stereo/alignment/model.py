@@ -1,15 +1,15 @@
-"""Alignment: what a calibrated pair still gets wrong, and its correction.
+"""Alignment: the remaining errors of a calibrated pair, and their correction.
 
-    d_true = d_measured + offset_px + bow_px u^2        u = (x - cx) / (width / 2), about -1 .. 1
-    y_right = y_left + row_offset_px                    rows of the rectified right image that match those of the left
+    d_true = d_measured + offset_px + curvature_px u^2      u = (x - cx) / (width / 2), about -1 .. 1
+    y_right = y_left + row_offset_px                        rows of corresponding points in the rectified images
 
-The offset is an error of vergence, the bow what distortion leaves (and vergence: it turns the right image plane). On
-KITTI's pairs six matchers agree on about half a pixel at the objects.
+The offset is an error of the vergence angle; the curvature comes from residual distortion, and from vergence, which
+rotates the right image plane. On KITTI's pairs six matchers agree on about half a pixel at the objects.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -17,21 +17,24 @@ from track_range.foundation.arrays import FloatArray
 from track_range.stereo.geometry.camera import PinholeCamera
 
 UNCORRECTED_SIGMA_PX = 0.5
-"""Disparity error that a calibrated pair keeps while nobody has measured and corrected it.
+"""Standard deviation of the disparity error of a calibrated pair without a measured alignment, px.
 
-Six matchers agree that KITTI's pairs, carefully calibrated, read about half a pixel low at small disparities.
+Six matchers agree that the disparities of KITTI's carefully calibrated pairs are about half a pixel too small.
 """
 
-
 MIN_SIGMAS = 2.0
-"""An estimate nearer to zero than this many of its standard deviations is not to be applied."""
+"""Least ratio of an estimate to its standard deviation at which it is applied."""
 
 MAX_ROW_OFFSET_PX = 0.3
-"""Rows further apart than this are worth a warning and a correction."""
+"""Largest vertical offset without a warning and a correction."""
+
+
+KEYS = {"curvature_px": "bow_px", "curvature_sigma_px": "bow_sigma_px"}
+"""Keys in alignment files and JSON of the fields of `Alignment` with other names."""
 
 
 def column_from_axis(x_px: FloatArray, camera: PinholeCamera) -> FloatArray:
-    """(N,) u of columns (N,) of the left image: 0 on the optical axis, 1 half an image's width right of it."""
+    """(N,) u of columns (N,) of the left image: 0 on the optical axis, 1 half an image width to the right of it."""
     return (x_px - camera.cx_px) / (camera.width_px / 2)
 
 
@@ -40,74 +43,84 @@ class Alignment:
     """A measured correction of the disparities of one rectified rig.
 
     Attributes:
-        offset_px: added to each disparity.
-        bow_px: added at the image's side edges, and less by the square of the distance from the axis inside.
-        row_offset_px: y_right - y_left of matching points.
-        residual_px: standard deviation of the disparity error that is left, this estimate's own error included.
-        offset_sigma_px: standard deviation of the estimated offset.
-        bow_sigma_px: of the bow; 0 where none was estimated.
-        source: where it comes from, in words for the user.
+        offset_px: correction of all disparities.
+        curvature_px: additional correction at the left and right image edges, proportional to u^2.
+        row_offset_px: vertical offset y_right - y_left of corresponding points.
+        residual_px: standard deviation of the remaining disparity error, including that of the estimate.
+        offset_sigma_px: standard deviation of the offset.
+        curvature_sigma_px: standard deviation of the curvature; 0 if it was not estimated.
+        source: origin of the estimate, for the user.
     """
 
     offset_px: float = 0.0
-    bow_px: float = 0.0
+    curvature_px: float = 0.0
     row_offset_px: float = 0.0
     residual_px: float = UNCORRECTED_SIGMA_PX
     offset_sigma_px: float = UNCORRECTED_SIGMA_PX
-    bow_sigma_px: float = 0.0
+    curvature_sigma_px: float = 0.0
     source: str = "not measured"
 
     def corrected(
         self, disparity_px: FloatArray, sigma_px: FloatArray, *, x_px: FloatArray, camera: PinholeCamera
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) disparities measured at the columns x_px (N,) of the left image, put right, and (N,) their sigmas.
+        """(N,) corrected disparities, measured at the columns x_px (N,) of the left image, and (N,) their sigmas.
 
-        `camera` is the rectified left one. NaN stays NaN.
+        `camera` is the rectified left camera. NaN stays NaN.
         """
         u = column_from_axis(x_px, camera)
-        return disparity_px + self.offset_px + self.bow_px * u**2, np.hypot(sigma_px, self.residual_px)
+        return disparity_px + self.offset_px + self.curvature_px * u**2, np.hypot(sigma_px, self.residual_px)
 
     @property
     def is_correcting(self) -> bool:
-        """Whether it changes any disparity."""
-        return self.offset_px != 0.0 or self.bow_px != 0.0
+        """Whether it changes disparities."""
+        return self.offset_px != 0.0 or self.curvature_px != 0.0
 
     @property
     def is_clear(self) -> bool:
-        """Whether its correction is more than its own uncertainty."""
+        """Whether offset or curvature are significantly different from 0."""
         return (
-            abs(self.offset_px) > MIN_SIGMAS * self.offset_sigma_px or abs(self.bow_px) > MIN_SIGMAS * self.bow_sigma_px
+            abs(self.offset_px) > MIN_SIGMAS * self.offset_sigma_px
+            or abs(self.curvature_px) > MIN_SIGMAS * self.curvature_sigma_px
         )
 
     @property
-    def rows_to_move_px(self) -> float:
-        """How far the right image is to be moved up; 0 for a small offset, since moving by part of a pixel blurs."""
+    def row_correction_px(self) -> float:
+        """Upward shift of the right image; 0 for a small row offset, because a subpixel shift blurs the image."""
         return self.row_offset_px if abs(self.row_offset_px) > MAX_ROW_OFFSET_PX else 0.0
 
     def if_clear(self) -> Alignment:
-        """Itself where it is clear, else `withheld`."""
+        """This alignment if it is significant, else `withheld`."""
         return self if self.is_clear else self.withheld()
 
     def withheld(self) -> Alignment:
-        """Without its correction, which is then part of what is left."""
+        """The alignment without its correction of disparities, which becomes part of the residual."""
         residual_px = min(float(np.hypot(self.offset_px, self.residual_px)), UNCORRECTED_SIGMA_PX)
-        return replace(self, offset_px=0.0, bow_px=0.0, residual_px=residual_px)
+        return replace(self, offset_px=0.0, curvature_px=0.0, residual_px=residual_px)
 
     @property
     def is_measured(self) -> bool:
-        """Whether anybody has measured the offset, applied or not."""
+        """Whether the offset was measured, applied or not."""
         return self.offset_sigma_px < UNCORRECTED_SIGMA_PX
 
+    def to_dict(self) -> dict[str, float | str]:
+        """The values by their keys in alignment files and JSON."""
+        return {KEYS.get(name, name): value for name, value in asdict(self).items()}
+
     def sentence(self) -> str:
-        """What it says and does, in plain words."""
+        """The alignment and its effect, as one sentence for the user."""
         if self.is_correcting:
-            way = "low" if self.offset_px >= 0 else "high"
-            bow = f", and {abs(self.bow_px):.2f} px {'lower' if self.bow_px > 0 else 'higher'} at the side edges"
-            told = f"{abs(self.offset_px):.2f} +- {self.offset_sigma_px:.2f} px {way}{bow if self.bow_px else ''}"
-            return f"Alignment: disparities read {told} (from {self.source}); corrected."
+            error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {_direction(self.offset_px)}"
+            if self.curvature_px:
+                edge_error = f"{abs(self.curvature_px):.2f} px {_direction(self.curvature_px)}"
+                error += f", and another {edge_error} at the image edges"
+            return f"Alignment: disparities {error} (source: {self.source}); corrected."
         if self.is_measured:
             return (
-                f"Alignment: no clear error of the disparities, +- {self.offset_sigma_px:.2f} px (from {self.source}); "
-                "they are taken as they are."
+                f"Alignment: no significant disparity error, ± {self.offset_sigma_px:.2f} px (source: {self.source}); "
+                "not corrected."
             )
-        return f"Alignment: {self.source}; disparities are taken as they are, +- {self.residual_px:.2f} px."
+        return f"Alignment: {self.source}; disparities not corrected, uncertainty ± {self.residual_px:.2f} px."
+
+
+def _direction(correction_px: float) -> str:
+    return "too small" if correction_px >= 0 else "too large"

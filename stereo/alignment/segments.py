@@ -1,9 +1,9 @@
 """Disparity errors from segments of a drive, and their uncertainty by a jackknife over image strips and time.
 
-The noise of single points is the smallest part of the uncertainty: errors of a facade, a bush, the road's slope or a
-wrong lens model are common to many points. So the normal equations are stored per strip of the image and part of the
-time, and sigma is that of the delete-a-group jackknife (`foundation.robust_statistics`) over strips and over parts,
-instead of what the number of points suggests.
+The noise of single points is the smallest part of the uncertainty: errors from a facade, vegetation, the slope of the
+road or a wrong distortion model are common to many points. So the normal equations are stored per strip of the image
+and part of the time, and sigma comes from the delete-a-group jackknife (`foundation.robust_statistics`) over strips and
+over parts, which is larger than the number of points suggests.
 """
 
 from __future__ import annotations
@@ -31,39 +31,41 @@ from track_range.stereo.alignment.initial_poses import MIN_POINTS, initial_bundl
 from track_range.stereo.geometry.rig import StereoRig
 
 N_STRIPS = 8
-"""Vertical strips of the image."""
+"""Number of vertical strips of the image."""
 
 _N_ALL = N_ERRORS + N_STRIPS
+"""Number of errors in the equations: offset, curvature and an additional offset of each strip."""
+
 _N_PARTS = 12
-"""Parts of a segment by time; with fewer, leaving one out would leave frames without points to hold their pose."""
+"""Number of parts of a segment by time; with fewer, leaving one out would leave frames without points."""
 
 _MIN_PATH_M = 2.0
-"""Shortest path; on a shorter one the noise of the poses is a good part of the points' apparent motion."""
+"""Shortest path of a segment; on shorter ones, the noise of the poses is not small compared to the parallax."""
 
-_STILL_WEIGHT = 0.25
+_STATIC_WEIGHT = 0.25
 """Mean Cauchy weight from which a point counts as static (about 0.6 for static points, 0.02 for moving objects)."""
 
-_MIN_STILL = 0.5
-"""Smallest share of static points."""
+_MIN_STATIC_SHARE = 0.5
+"""Least share of static points."""
 
 _MAX_ERROR_PX = 15.0
-"""Largest plausible offset or bow; beyond, motion and disparities contradict each other."""
+"""Largest plausible offset or curvature; beyond, motion and disparities contradict each other."""
 
 _PRIOR_PX = 5.0
-"""Prior standard deviation of offset and bow."""
+"""Prior standard deviation of offset and curvature."""
 
 _STRIP_PRIOR_PX = 1.0
-"""Prior standard deviation of a strip's own offset."""
+"""Prior standard deviation of the additional offset of a strip."""
 
 _MAX_STRIP_SIGMA_PX = 0.3
-"""Largest standard deviation of a strip's own offset that counts in the spread."""
+"""Largest standard deviation of a strip's offset that counts in the spread."""
 
 _MIN_STRIPS = 3
 """Fewest strips for a spread."""
 
 
 class Cell(NamedTuple):
-    """A strip of the image and a part of the time; points belong where they are on average."""
+    """A strip of the image and a part of the time; points are assigned by their mean position."""
 
     strip: int
     part: int
@@ -71,12 +73,12 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Equations for the disparity error from some seconds of a drive.
+    """Equations for the disparity error from a few seconds of a drive.
 
     Attributes:
         n_frames: number of frames used.
-        error_px: (2,) offset and bow that the equations are linearize at.
-        cells: equations for offset, bow, and an additional offset of each strip, by strip and part of the time.
+        error_px: (2,) offset and curvature at which the equations are linearized.
+        cells: equations for offset, curvature, and an additional offset of each strip, by strip and part of the time.
     """
 
     n_frames: int
@@ -84,7 +86,7 @@ class Segment:
     cells: dict[Cell, Equations]
 
     def information(self, left_out: Collection[Cell] = ()) -> tuple[FloatArray, FloatArray]:
-        """I (E, E) and I e (E,): information on the errors e, and its product with them, without some cells."""
+        """Information I (E, E) on the errors e, and I e (E,), without the cells in `left_out`."""
         used = [equations for cell, equations in self.cells.items() if cell not in left_out]
         if not used:
             return np.zeros((_N_ALL, _N_ALL)), np.zeros(_N_ALL)
@@ -97,9 +99,9 @@ class CombinedEstimate(NamedTuple):
     """The disparity error estimated from several segments.
 
     Attributes:
-        error_px: (2,) offset and bow; bow 0 where it was not estimated.
+        error_px: (2,) offset and curvature; curvature 0 if not estimated.
         sigma_px: (2,) their standard deviations.
-        spread_px: root mean square of the strips' own offsets, beyond offset and bow; NaN where too few are determined.
+        spread_px: root mean square of the additional offsets of the strips; NaN if too few are determined.
     """
 
     error_px: FloatArray
@@ -108,40 +110,40 @@ class CombinedEstimate(NamedTuple):
 
 
 def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
-    """The segment of some observations, or why they cannot be used; `rig` is the rectified one."""
-    start_points = initial_bundle(observed, rig)
-    if start_points is None:
-        return "too few points that stay in view"
-    observed, start = start_points
-    observed, fit, share_still = _static_points(observed, start, rig)
+    """The segment of some observations, or the reason why they are unusable; `rig` is rectified."""
+    initial = initial_bundle(observed, rig)
+    if initial is None:
+        return "too few points could be tracked"
+    observed, start = initial
+    observed, fit, static_share = _static_points(observed, start, rig)
     if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > _MAX_ERROR_PX:
-        return "the points' motion and their disparities do not fit each other"
+        return "motion and disparities of the points contradict each other"
     if fit.bundle.path_m < _MIN_PATH_M:
         return "the vehicle hardly moves, or only turns"
-    if share_still < _MIN_STILL:
-        return "too little of the scene stands still"
+    if static_share < _MIN_STATIC_SHARE:
+        return "too many moving objects in the scene"
     return Segment(int(observed.frame.max()) + 1, fit.bundle.error_px, _cells(observed, fit, rig))
 
 
 def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, Fit, float]:
-    """Observations and fit of static points only, and their share: moving ones bias it even with small weights."""
+    """Observations and fit of static points, and their share; moving points would bias it even with small weights."""
     fit = fit_bundle(observed, start, rig)
     n_points = len(start.points)
     weight = np.bincount(observed.point, fit.weight, n_points) / np.bincount(observed.point, minlength=n_points)
-    is_still = weight > _STILL_WEIGHT
-    if is_still.all() or is_still.sum() < MIN_POINTS:
-        return observed, fit, float(is_still.mean())
-    kept = only_points(observed, is_still)
-    start = replace(fit.bundle, points=fit.bundle.points[is_still])
-    return kept, fit_bundle(kept, start, rig), float(is_still.mean())
+    is_static = weight > _STATIC_WEIGHT
+    if is_static.all() or is_static.sum() < MIN_POINTS:
+        return observed, fit, float(is_static.mean())
+    static = only_points(observed, is_static)
+    start = replace(fit.bundle, points=fit.bundle.points[is_static])
+    return static, fit_bundle(static, start, rig), float(is_static.mean())
 
 
-def combine(segments: Sequence[Segment], *, has_bow: bool) -> CombinedEstimate:
-    """The least-squares error of one or more segments together.
+def combine(segments: Sequence[Segment], *, has_curvature: bool) -> CombinedEstimate:
+    """The least-squares disparity error of one or more segments.
 
     sigma^2 = jackknife variance over the strips (of all segments) + jackknife variance over the parts of the time.
     """
-    estimated = np.arange(N_ERRORS if has_bow else 1)
+    estimated = np.arange(N_ERRORS if has_curvature else 1)
     all_parts = range(_N_PARTS)
     strips = {cell.strip for segment in segments for cell in segment.cells}
     whole = [segment.information() for segment in segments]
@@ -159,7 +161,7 @@ def combine(segments: Sequence[Segment], *, has_bow: bool) -> CombinedEstimate:
 
 
 def _cells(observed: Observations, fit: Fit, rig: StereoRig) -> dict[Cell, Equations]:
-    """Equations per cell; a point belongs to the cell of its mean column and mean frame, parts hold equally many."""
+    """Equations by cell; a point belongs to the cell of its mean column and mean frame; parts have equal numbers."""
     n_points, n_frames = int(observed.point.max()) + 1, int(observed.frame.max()) + 1
     n_observations = np.bincount(observed.point, minlength=n_points)
     mean_x_px = np.bincount(observed.point, observed.xyx_px[:, 0], n_points) / n_observations
@@ -167,16 +169,16 @@ def _cells(observed: Observations, fit: Fit, rig: StereoRig) -> dict[Cell, Equat
     edges = np.quantile(mean_frame, np.arange(1, _N_PARTS) / _N_PARTS)
     point_cell = _strip(mean_x_px, rig) * _N_PARTS + np.searchsorted(edges, mean_frame)
 
-    own_offset = np.eye(N_STRIPS)[_strip(observed.xyx_px[:, 0], rig)]
-    linear = linearize(observed, fit.bundle, rig, extra=own_offset)
+    strip_columns = np.eye(N_STRIPS)[_strip(observed.xyx_px[:, 0], rig)]
+    linear = linearize(observed, fit.bundle, rig, extra=strip_columns)
     weight = fit.weight / fit.noise_px**2
     cells = {}
     for number in np.unique(point_cell).tolist():
-        keep = (point_cell == number)[observed.point]
-        _, point = np.unique(observed.point[keep], return_inverse=True)
-        in_cell = Observations(observed.frame[keep], point, observed.xyx_px[keep])
-        rows = Linear(*(part[keep] for part in linear))
-        cells[Cell(*divmod(number, _N_PARTS))] = equations_of(in_cell, rows, weight[keep], n_frames=n_frames)
+        rows = (point_cell == number)[observed.point]
+        _, point = np.unique(observed.point[rows], return_inverse=True)
+        in_cell = Observations(observed.frame[rows], point, observed.xyx_px[rows])
+        cell_linear = Linear(*(part[rows] for part in linear))
+        cells[Cell(*divmod(number, _N_PARTS))] = equations_of(in_cell, cell_linear, weight[rows], n_frames=n_frames)
     return cells
 
 
@@ -185,7 +187,7 @@ def _strip(x_px: FloatArray, rig: StereoRig) -> IntArray:
 
 
 def _solve(parts: Sequence[tuple[FloatArray, FloatArray]], estimated: IntArray) -> FloatArray:
-    """The estimated errors, the others 0, from the sums of I and I e of the segments."""
+    """The estimated errors, with the others 0, from I and I e of the segments."""
     information, rhs = _summed(parts)
     prior = np.eye(len(estimated)) / _PRIOR_PX**2
     return np.asarray(np.linalg.solve(information[np.ix_(estimated, estimated)] + prior, rhs[estimated]))
@@ -198,11 +200,11 @@ def _summed(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray,
 def _spread_px(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float:
     information, rhs = _summed(parts)
     prior = np.diag([_PRIOR_PX**-2] * N_ERRORS + [_STRIP_PRIOR_PX**-2] * N_STRIPS)
-    own_offset_px = np.linalg.solve(information + prior, rhs)[N_ERRORS:]
+    strip_offset_px = np.linalg.solve(information + prior, rhs)[N_ERRORS:]
     is_determined = np.diag(information)[N_ERRORS:] > _MAX_STRIP_SIGMA_PX**-2
     if is_determined.sum() < _MIN_STRIPS:
         return float("nan")
-    return float(np.sqrt((own_offset_px[is_determined] ** 2).mean()))
+    return float(np.sqrt((strip_offset_px[is_determined] ** 2).mean()))
 
 
 def _padded(errors: FloatArray) -> FloatArray:

@@ -1,9 +1,9 @@
-"""check_pair: row offset and order (left and right swapped?) of a rectified pair, from sparse features.
+"""check_pair: row offset and order (are left and right swapped?) of a rectified pair, from sparse features.
 
-    row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for every real point
+    row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for all points
 
-A pair whose disparities are nearly all negative, in equal rows, has been swapped. Few matches, unequal rows or
-disparities of both signs leave the order unknown.
+The images are swapped if the rows agree and nearly all disparities are negative. With few matches, different rows or
+disparities of both signs the order is unknown.
 """
 
 from __future__ import annotations
@@ -20,23 +20,25 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image
 ViewOrder = Literal["correct", "swapped", "unknown"]
 
 _N_FEATURES = 2000
+"""Number of ORB features per image."""
 
 _MAX_RATIO = 0.85
-"""A match must be nearer than this share of the next best one (Lowe 2004)."""
+"""Largest ratio of the distances of the best and the second best match (Lowe 2004)."""
 
 _ROW_TOLERANCE_PX = 2.0
-"""Matches whose row offset is further from the most frequent one are outliers."""
+"""Largest difference between the row offset of an inlier and the most frequent one."""
 
 _CLEAR_DISPARITY_PX = 1.0
-"""Smaller disparities, of far points and of small alignment errors, have no meaningful sign."""
+"""Least disparity with a meaningful sign; far points and small alignment errors have smaller ones."""
 
 _MIN_MATCHES = 30
+"""Least number of disparities with a meaningful sign."""
 
 _MIN_SHARE_OF_SIGN = 0.8
-"""Share of the signed disparities that must agree."""
+"""Least share of the disparities with equal sign."""
 
 _MIN_SHARE_IN_ROW = 0.5
-"""Share of all matches that must agree in row; of chance matches about 1 % do."""
+"""Least share of matches in equal rows; of chance matches about 1 % are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +46,11 @@ class PairCheck:
     """Row offset and order of one pair.
 
     Attributes:
-        n_matches: matches that agree in row.
-        row_offset_px: mean of y_right - y_left over them (features lie on whole rows, so a median would too); NaN
+        n_matches: number of matches in equal rows.
+        row_offset_px: their mean y_right - y_left (the median would be an integer, like the rows of features); NaN
             without matches.
         negative_share: share of them with a disparity below -1 px, 0..1; NaN without matches.
-        view_order: "unknown" where the matches are too few or contradict each other.
+        view_order: "unknown" with too few or contradictory matches.
     """
 
     n_matches: int
@@ -58,7 +60,7 @@ class PairCheck:
 
     @property
     def is_conclusive(self) -> bool:
-        """Whether the order is known; only then is the row offset meaningful, too."""
+        """Whether the order is known; only then the row offset is meaningful too."""
         return self.view_order != "unknown"
 
     @property
@@ -68,7 +70,7 @@ class PairCheck:
 
 
 def check_pair(left: Image, right: Image) -> PairCheck:
-    """Check one pair, (H, W) or (H, W, 3) uint8 each, taken by a rig that is (or has been) rectified."""
+    """Row offset and order of one rectified pair, (H, W) or (H, W, 3) uint8 each."""
     left_px, right_px = matched_points(Features.of(left), Features.of(right))
     if len(left_px) == 0:
         return PairCheck(0, float("nan"), float("nan"), "unknown")
@@ -84,13 +86,13 @@ def check_pair(left: Image, right: Image) -> PairCheck:
 
 
 def is_in_row(left_px: FloatArray, right_px: FloatArray, *, tolerance_px: float) -> BoolArray:
-    """(N,) which of the matched points (N, 2) are as far apart in y as most, give or take `tolerance_px`."""
+    """(N,) whether matched points (N, 2) have the most frequent row offset, within `tolerance_px`."""
     row_offset = right_px[:, 1] - left_px[:, 1]
     return np.asarray(np.abs(row_offset - _mode_px(row_offset, tolerance_px)) <= tolerance_px)
 
 
 def _mode_px(offset_px: FloatArray, tolerance_px: float) -> float:
-    """The centre of the fullest row band, which wrong matches, scattered over all rows, do not move."""
+    """Median offset in the band with the most values, which is not affected by wrong matches in random rows."""
     offsets = np.sort(offset_px)
     until = np.searchsorted(offsets, offsets + 2 * tolerance_px, side="right")
     start = int((until - np.arange(len(offsets))).argmax())
@@ -112,26 +114,26 @@ class Features:
     """ORB features of one image: (N, 2) pixels and (N, 32) descriptors."""
 
     xy_px: FloatArray
-    words: npt.NDArray[np.uint8]
+    descriptors: npt.NDArray[np.uint8]
 
     @classmethod
     def of(cls, image: Image) -> Features:
         """The features of an image (H, W) or (H, W, 3) uint8."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
-        points, words = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey, None)
+        points, descriptors = cv2.ORB.create(nfeatures=_N_FEATURES).detectAndCompute(grey, None)
         xy_px = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
-        return cls(xy_px, np.zeros((0, 32), np.uint8) if len(points) == 0 else np.asarray(words, np.uint8))
+        return cls(xy_px, np.zeros((0, 32), np.uint8) if len(points) == 0 else np.asarray(descriptors, np.uint8))
 
 
 def matched_points(left: Features, right: Features) -> tuple[FloatArray, FloatArray]:
-    """(N, 2) pixels of matching features in the left and the right image: each other's best, and clearly so."""
+    """(N, 2) pixels of matched features in the left and the right image, by cross-check and ratio test."""
     if min(len(left.xy_px), len(right.xy_px)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    back = {match.queryIdx: match.trainIdx for match in matcher.match(right.words, left.words)}
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(right.descriptors, left.descriptors)}
     pairs = [
         (first.queryIdx, first.trainIdx)
-        for first, second in matcher.knnMatch(left.words, right.words, k=2)
+        for first, second in matcher.knnMatch(left.descriptors, right.descriptors, k=2)
         if first.distance < _MAX_RATIO * second.distance and back[first.trainIdx] == first.queryIdx
     ]
     chosen = np.array(pairs, np.int64).reshape(-1, 2)

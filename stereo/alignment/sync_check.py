@@ -1,10 +1,10 @@
-"""check_sync: do the two images of a pair belong to one instant, or does one camera lag by a frame?
+"""check_sync: whether the two images of a pair are simultaneous, or one camera lags by a frame.
 
-    rows of matched points: y_right - y_left is one constant for a pair of one instant; once the cameras have moved on
-    between the two images, near points have moved outwards (or, in a pitch, near and far ones up and down)
+    y_right - y_left of matched points is constant in simultaneous images; if the cameras move between the two images,
+    near points move outwards (or, when pitching, all points up or down)
 
-So left image i is matched with the right images i - 1, i and i + 1: that of its own instant keeps most points in row.
-A static scene keeps its rows with all three, and leaves it unknown.
+So left image i is matched with the right images i - 1, i and i + 1: the simultaneous one has most points in equal rows.
+In a static scene all three have, and the result is unknown.
 """
 
 from __future__ import annotations
@@ -18,25 +18,28 @@ from track_range.stereo.alignment.swap_check import Features, is_in_row, matched
 Sync = Literal["synchronised", "right lags", "left lags", "unknown"]
 
 _ROW_TOLERANCE_PX = 1.5
+"""Largest difference between the row offset of an inlier and the most frequent one."""
+
 _MIN_SHARE = 0.6
-"""Share of the matches that must keep their rows with the image of the same instant."""
+"""Least share of matches in equal rows with the simultaneous image."""
 
 _MIN_LEAD = 0.1
-"""By how much that share must exceed those of both other images."""
+"""Least difference between that share and those of both other images."""
 
 _MIN_MATCHES = 60
+"""Least number of matches."""
 
 
 def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
-    """Which of three successive right images is of the left image's instant.
+    """Which of three successive right images is simultaneous with the left image.
 
     Args:
         left: (H, W) or (H, W, 3) uint8, rectified; paired with the second of `rights`.
         rights: three right images of the same kind.
 
     Returns:
-        "synchronised": the second; "right lags": the third, so that each right image comes a frame too late;
-        "left lags": the first.
+        "synchronised": the second; "right lags": the third, so that right images are one frame late; "left lags": the
+        first; "unknown".
     """
     features = Features.of(left)
     shares = [_share_in_row(features, Features.of(right)) for right in rights]
@@ -44,12 +47,12 @@ def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
     lead = shares[best] - sorted(shares)[1]
     if shares[best] < _MIN_SHARE or lead < _MIN_LEAD:
         return "unknown"
-    answers: tuple[Sync, ...] = ("left lags", "synchronised", "right lags")
-    return answers[best]
+    results: tuple[Sync, ...] = ("left lags", "synchronised", "right lags")
+    return results[best]
 
 
 def _share_in_row(left: Features, right: Features) -> float:
-    """Share of the matches that keep their rows; 0 where too few match."""
+    """Share of the matches in equal rows; 0 with too few matches."""
     left_px, right_px = matched_points(left, right)
     if len(left_px) < _MIN_MATCHES:
         return 0.0

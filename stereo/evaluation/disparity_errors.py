@@ -1,10 +1,11 @@
-"""How far measured disparities, and the distances they stand for, are from the truth: the figures of stereo matchers.
+"""Errors of measured disparities, and of the distances from them: the figures of stereo matchers.
 
-    d = f B / disparity        error = d / d_true - 1 = true_px / measured_px - 1
+    Z = f B / d        error = Z / Z_true - 1 = d_true / d - 1
 
-A failure is an object without a value or with an error above 15 %. Intervals are 95 % bootstrap: objects of one pair
-(one track of a drive) err together, so pairs (tracks) are drawn, not objects. As in `ranging/evaluation/errors.py`,
-`bias_pct` is the median error and shares are fractions 0..1; `n` counts all objects, `n_measured` those with a value.
+A failure is an object without a value or with an error above 15 %. Intervals are 95 % bootstrap intervals: the errors
+of objects in one pair (of one track of a drive) are correlated, so pairs (tracks) are resampled instead of objects. As
+in `ranging/evaluation/errors.py`, `bias_pct` is the median error and shares are fractions 0..1; `n` counts all objects,
+`n_measured` those with a value.
 """
 
 from __future__ import annotations
@@ -20,17 +21,18 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
 BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))
-"""Bands of true distance that errors are also told in; objects outside them count in the whole."""
+"""Bands of true distance, metres, with separate figures; objects outside them count only in the total."""
 
 FAILURE = 0.15
-"""Relative distance error from which a value is a failure, as no value is."""
+"""Relative distance error above which a value is a failure."""
 
 N_RESAMPLES = 500
+"""Number of bootstrap samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What one matcher read of N objects: (N,) disparity and (N,) standard deviation, px; NaN = no value."""
+    """Results of one matcher for N objects: (N,) disparities and (N,) standard deviations, px; NaN = no value."""
 
     disparity_px: FloatArray
     sigma_px: FloatArray
@@ -38,14 +40,14 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Objects:
-    """The objects that are measured, with their truth.
+    """The measured objects with their true disparities.
 
     Attributes:
         true_px: (N,) true disparity.
-        focal_baseline_m: (N,) f B, px m: a disparity divides it into a distance.
-        x_px: (N,) column of the box's middle in the left image.
-        pair: (N,) number of the pair (frame) that each is in, an index into `cameras`.
-        group: (N,) which objects err together: the pair, or the track of a drive.
+        focal_baseline_m: (N,) f B, px m.
+        x_px: (N,) column of the box centre in the left image.
+        pair: (N,) number of the pair (frame), an index into `cameras`.
+        group: (N,) group of correlated errors: the pair, or the track of a drive.
         cameras: rectified left camera of each pair.
     """
 
@@ -66,33 +68,33 @@ class Objects:
 
 
 def corrected(column: Column, objects: Objects, alignments: Mapping[int, Alignment]) -> Column:
-    """The column put right, each pair's disparities by that pair's own alignment; not positive ones become NaN."""
+    """The disparities corrected with the alignment of each pair; disparities <= 0 become NaN."""
     disparity_px, sigma_px = column.disparity_px.copy(), column.sigma_px.copy()
     for number, camera in enumerate(objects.cameras):
         rows = objects.pair == number
         disparity_px[rows], sigma_px[rows] = alignments[number].corrected(
             disparity_px[rows], sigma_px[rows], x_px=objects.x_px[rows], camera=camera
         )
-    good = disparity_px > 0
-    return Column(np.where(good, disparity_px, np.nan), np.where(good, sigma_px, np.nan))
+    is_positive = disparity_px > 0
+    return Column(np.where(is_positive, disparity_px, np.nan), np.where(is_positive, sigma_px, np.nan))
 
 
 def folds(n_pairs: int, *, n_left_out: int = 2) -> list[range]:
-    """Pairs in order of name, `n_left_out` at a time, the last fold perhaps fewer."""
+    """Folds of `n_left_out` successive pairs, the last one possibly smaller."""
     return [range(start, min(start + n_left_out, n_pairs)) for start in range(0, n_pairs, n_left_out)]
 
 
 Fit = Callable[..., Alignment]
-"""`stereo.alignment.from_reference.fit_reference`, or anything that is called as it is."""
+"""`stereo.alignment.from_reference.fit_reference`, or a function with the same parameters."""
 
 
 def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int = 0) -> dict[int, Alignment]:
-    """Alignment by pair, each fitted on all pairs but the two of its own fold.
+    """Alignment by pair, each fitted to all pairs except those of its fold (cross-validation).
 
     Raises:
-        RigError: a fold leaves too few objects to fit.
+        RigError: too few objects are outside a fold.
     """
-    found: dict[int, Alignment] = {}
+    alignments: dict[int, Alignment] = {}
     for fold in folds(len(objects.cameras)):
         rest = ~np.isin(objects.pair, list(fold))
         alignment = fit(
@@ -104,43 +106,44 @@ def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int
             sigma_px=column.sigma_px[rest],
             seed=seed,
         )
-        found |= dict.fromkeys(fold, alignment)
-    return found
+        alignments |= dict.fromkeys(fold, alignment)
+    return alignments
 
 
 def matcher_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
-    """Figures of each matcher over all objects, with bands and bootstrap intervals."""
+    """Figures of each matcher for all objects, with bands and bootstrap intervals."""
     return {name: _figures_with_intervals(column, objects, seed=seed) for name, column in columns.items()}
 
 
 def common_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
-    """The same over objects that every matcher has a value for, so that none looks good by refusing the hard ones."""
-    everyone = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
-    shared = _selected(objects, everyone)
+    """Figures of each matcher for the objects measured by all of them, so that rejecting hard objects gives no gain."""
+    is_common = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
+    common = _selected(objects, is_common)
     return {
-        name: _figures_with_intervals(_rows(column, everyone), shared, seed=seed) for name, column in columns.items()
+        name: _figures_with_intervals(_rows(column, is_common), common, seed=seed) for name, column in columns.items()
     }
 
 
 def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
-    """Figures of one matcher over objects of the (N,) true disparities; None where there is nothing to say."""
-    found = np.isfinite(column.disparity_px)
-    measured_px, wanted_px, sigma_px = column.disparity_px[found], true_px[found], column.sigma_px[found]
-    error, off_px = wanted_px / measured_px - 1, np.abs(measured_px - wanted_px)
-    n_failed = int((~found).sum() + (np.abs(error) > FAILURE).sum())
+    """Figures of one matcher for objects with true disparities (N,); None where undefined."""
+    is_measured = np.isfinite(column.disparity_px)
+    n, measured_px = len(is_measured), column.disparity_px[is_measured]
+    expected_px, sigma_px = true_px[is_measured], column.sigma_px[is_measured]
+    error, abs_error_px = expected_px / measured_px - 1, np.abs(measured_px - expected_px)
+    n_failed = int((~is_measured).sum() + (np.abs(error) > FAILURE).sum())
     has_value = len(error) > 0
     return {
-        "coverage": _rounded(found.mean()) if len(found) else None,
-        "failures_pct": _rounded(100 * n_failed / len(found)) if len(found) else None,
-        "n": len(found),
+        "coverage": _rounded(is_measured.mean()) if n else None,
+        "failures_pct": _rounded(100 * n_failed / n) if n else None,
+        "n": n,
         "n_measured": len(error),
         "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if has_value else None,
         "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if has_value else None,
         "p95_relative_error_pct": _rounded(100 * np.percentile(np.abs(error), 95)) if has_value else None,
         "bias_pct": _rounded(100 * np.median(error)) if has_value else None,
-        "median_abs_error_px": _rounded(np.median(off_px)) if has_value else None,
-        "within_1_sigma": _rounded((off_px <= sigma_px).mean()) if has_value else None,
-        "within_2_sigma": _rounded((off_px <= 2 * sigma_px).mean()) if has_value else None,
+        "median_abs_error_px": _rounded(np.median(abs_error_px)) if has_value else None,
+        "within_1_sigma": _rounded((abs_error_px <= sigma_px).mean()) if has_value else None,
+        "within_2_sigma": _rounded((abs_error_px <= 2 * sigma_px).mean()) if has_value else None,
     }
 
 
@@ -148,8 +151,8 @@ def _figures_with_intervals(column: Column, objects: Objects, *, seed: int) -> d
     bands = []
     for low, high in BANDS_M:
         rows = (objects.distance_m >= low) & (objects.distance_m < high)
-        inside = _figures_and_intervals(_rows(column, rows), _selected(objects, rows), seed=seed)
-        bands.append({"from_m": low, "to_m": high, **inside})
+        band = _figures_and_intervals(_rows(column, rows), _selected(objects, rows), seed=seed)
+        bands.append({"from_m": low, "to_m": high, **band})
     return {**_figures_and_intervals(column, objects, seed=seed), "bands": bands}
 
 
@@ -158,7 +161,7 @@ def _figures_and_intervals(column: Column, objects: Objects, *, seed: int) -> di
 
 
 def _intervals(column: Column, objects: Objects, *, seed: int) -> dict[str, list[float]]:
-    """95 % interval of each figure, by drawing groups with replacement; none from fewer than two groups."""
+    """95 % bootstrap interval of each figure, by resampling groups; none with fewer than two groups."""
     members = [np.flatnonzero(objects.group == number) for number in np.unique(objects.group)]
     if len(members) < 2:
         return {}

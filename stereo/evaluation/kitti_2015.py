@@ -1,11 +1,11 @@
-"""KITTI's stereo set of 2015: pairs of images with the true disparities of labelled cars.
+"""KITTI's stereo set of 2015: stereo pairs with the true disparities of labelled cars.
 
-    FOLDER/image_2/NAME.png     left eye           FOLDER/disp_occ_0/NAME.png  true disparity * 256, 16 bit, 0 = unknown
-    FOLDER/image_3/NAME.png     right eye          FOLDER/obj_map/NAME.png     number of the car, 0 = none
-    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file of the user's
+    FOLDER/image_2/NAME.png     left image      FOLDER/disp_occ_0/NAME.png  true disparity * 256, 16 bit, 0 = unknown
+    FOLDER/image_3/NAME.png     right image     FOLDER/obj_map/NAME.png     number of the car, 0 = none
+    FOLDER/calib.txt for all pairs, or FOLDER/calib_cam_to_cam/NUMBER.txt for each, or a rig file given by the user
 
-An instance's box is the bounding box of its pixels, its truth the median of its true disparities in the box's inner
-half. (Menze & Geiger, "Object scene flow for autonomous vehicles", CVPR 2015.)
+The box of an instance is the bounding box of its pixels, its truth the median of the true disparities in the inner half
+of the box. (Menze & Geiger, "Object scene flow for autonomous vehicles", CVPR 2015.)
 """
 
 from __future__ import annotations
@@ -30,28 +30,29 @@ LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
 """The four folders of a set."""
 
 MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
-"""Pixels of known disparity that an instance needs, in all and in its box's inner half."""
+"""Least number of pixels with known disparity of an instance, in total and in the inner half of its box."""
 
 _STEPS_PER_PX = 256.0
+"""Steps of the stored disparities per pixel."""
 
 
 class PairFileError(UserError):
-    """A set of stereo pairs that cannot be used; the message names the file and what is wanted."""
+    """A set of stereo pairs that cannot be used; the message names the file."""
 
 
 @dataclass(frozen=True, slots=True)
 class StereoPair:
-    """One pair of a set, N labelled objects in it.
+    """One pair of a set with N labelled objects.
 
     Attributes:
-        name: of the pair's files, without .png.
+        name: name of the files, without .png.
         left: (H, W, 3) uint8 BGR, rectified.
-        right: the same of the right eye, perhaps grey, and only where it is looked at.
+        right: rectified right image, possibly grey and computed only where it is read.
         xyxy_px: (N, 4) boxes in the left image.
-        true_px: (N,) true disparity of each box's inner half.
-        rig: the rectified pair of cameras.
-        notes: what the user should know of the rig.
-        track_id: (N,) who each object is over the frames of a drive; (0,) where pairs are unrelated.
+        true_px: (N,) true disparity of the inner half of each box.
+        rig: the rectified rig.
+        notes: sentences for the user about the rig.
+        track_id: (N,) identities of the objects over the frames of a drive; (0,) for unrelated pairs.
     """
 
     name: str
@@ -65,33 +66,33 @@ class StereoPair:
 
     @property
     def x_px(self) -> FloatArray:
-        """(N,) column of each box's middle."""
+        """(N,) column of the centre of each box."""
         return np.asarray((self.xyxy_px[:, 0] + self.xyxy_px[:, 2]) / 2)
 
 
 def is_kitti_2015(folder: Path) -> bool:
-    """Whether a folder, or its `training`, has the set's left images or its truths."""
+    """Whether a folder, or its `training`, contains the set's left images or true disparities."""
     return any((_root(folder) / part).is_dir() for part in (LEFT, TRUTH))
 
 
 def pair_names(folder: Path) -> list[str]:
-    """Names of the set's pairs, in order: those whose truth is there.
+    """Names of the pairs with true disparities, in order.
 
     Raises:
-        PairFileError: no such folder, one of its four parts is missing, or there is no truth in it.
+        PairFileError: the folder or one of its four parts is missing, or there are no true disparities.
     """
     if not folder.is_dir():
-        raise PairFileError(f"{folder}: there is no such folder; give one with {LEFT}, {RIGHT}, {TRUTH}, {INSTANCES}.")
+        raise PairFileError(f"{folder}: no such folder; give one with {LEFT}, {RIGHT}, {TRUTH} and {INSTANCES}.")
     root = _root(folder)
     missing = [part for part in (LEFT, RIGHT, TRUTH, INSTANCES) if not (root / part).is_dir()]
     if missing:
         raise PairFileError(
-            f"{folder}: the folder {' and '.join(missing)} is missing; KITTI 2015's {LEFT} (left eye), {RIGHT} (right "
-            f"eye), {TRUTH} (true disparities) and {INSTANCES} (cars) are wanted."
+            f"{folder}: expected KITTI 2015's folders {LEFT} (left images), {RIGHT} (right images), {TRUTH} (true "
+            f"disparities) and {INSTANCES} (cars), found no {' and no '.join(missing)}."
         )
     names = sorted(path.stem for path in (root / TRUTH).glob("*.png"))
     if not names:
-        raise PairFileError(f"{root / TRUTH}: no true disparities (*.png) in it.")
+        raise PairFileError(f"{root / TRUTH}: expected true disparities (*.png), found none.")
     return names
 
 
@@ -99,9 +100,9 @@ def read_pairs(folder: Path, *, rig: Path | None = None, row_offset_px: float = 
     """The pairs of a set, by name, read one by one.
 
     Args:
-        folder: the set, or the folder whose `training` it is.
-        rig: a rig file of a rectified pair; None = the set's own calibration.
-        row_offset_px: y_right - y_left, taken out of the right images.
+        folder: the set, or the parent of the set `training`.
+        rig: a rig file of a rectified pair; None = the calibration of the set.
+        row_offset_px: vertical offset y_right - y_left, which is removed from the right images.
 
     Raises:
         PairFileError: a part or an image is missing, damaged, or of another size.
@@ -118,30 +119,30 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
     for part, image in ((RIGHT, right), (TRUTH, truth), (INSTANCES, instance)):
         if image.shape[:2] != left.shape[:2]:
             raise PairFileError(
-                f"{root / part / name}.png: it is {_size(image)} px and its left image {_size(left)} px; equal sizes "
-                "wanted."
+                f"{root / part / name}.png: expected the size of the left image, {_size(left)} px, found "
+                f"{_size(image)} px."
             )
     if truth.ndim != 2 or truth.dtype != np.uint16:
-        raise PairFileError(f"{root / TRUTH / name}.png: 16 bit grey (256 times the disparity) wanted.")
+        raise PairFileError(f"{root / TRUTH / name}.png: expected 16-bit grey values (256 times the disparity).")
     if instance.ndim != 2:
-        raise PairFileError(f"{root / INSTANCES / name}.png: grey (the number of the car) wanted, not colour.")
+        raise PairFileError(f"{root / INSTANCES / name}.png: expected grey values (numbers of cars), found colour.")
     file = rig or _calibration(root, name)
     cameras, notes = load_rig(file, size_px=(left.shape[1], left.shape[0]))
     if not cameras.is_rectified:
-        raise RigError(f"{file}: it is of an unrectified pair, but the set's images are rectified; give their rig.")
+        raise RigError(f"{file}: expected a rectified rig for the rectified images of the set; give their rig.")
     boxes, true_px = labelled_instances(truth / _STEPS_PER_PX, instance)
-    level = Rectifier(cameras, row_offset_px=row_offset_px)
-    return StereoPair(name, *level.rectify(_in_colour(left), _in_colour(right)), boxes, true_px, cameras, notes)
+    rectifier = Rectifier(cameras, row_offset_px=row_offset_px)
+    return StereoPair(name, *rectifier.rectify(_in_colour(left), _in_colour(right)), boxes, true_px, cameras, notes)
 
 
 def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
-    """(N, 4) boxes and (N,) true disparities of the instances of which enough is known.
+    """(N, 4) boxes and (N,) true disparities of the instances with enough known pixels.
 
     Args:
         true_px: (H, W) true disparity, 0 = unknown.
-        instance: (H, W) number of each pixel's object, 0 = none.
+        instance: (H, W) number of the object at each pixel, 0 = none.
     """
-    boxes, found_px = [], []
+    boxes, medians_px = [], []
     for number in np.unique(instance[instance > 0]).tolist():
         mask = instance == number
         rows, columns = np.nonzero(mask)
@@ -154,8 +155,8 @@ def labelled_instances(true_px: FloatArray, instance: npt.NDArray[np.integer]) -
         values_px = true_px[inner][known[inner]]
         if len(values_px) >= MIN_INNER_PIXELS:
             boxes.append(box)
-            found_px.append(float(np.median(values_px)))
-    return np.array(boxes).reshape(-1, 4), np.array(found_px)
+            medians_px.append(float(np.median(values_px)))
+    return np.array(boxes).reshape(-1, 4), np.array(medians_px)
 
 
 def _root(folder: Path) -> Path:
@@ -164,12 +165,13 @@ def _root(folder: Path) -> Path:
 
 
 def _calibration(root: Path, name: str) -> Path:
-    """The pair's own file, else the set's."""
-    own = root / "calib_cam_to_cam" / f"{name.removesuffix('_10')}.txt"
-    file = own if own.is_file() else root / "calib.txt"
+    """The calibration file of the pair, else of the set."""
+    of_pair = root / "calib_cam_to_cam" / f"{name.removesuffix('_10')}.txt"
+    file = of_pair if of_pair.is_file() else root / "calib.txt"
     if not file.is_file():
         raise RigError(
-            f"{root}: no calib.txt in it, nor {own.parent.name}/{own.name}; give the cameras with --rig FILE."
+            f"{root}: expected calib.txt or {of_pair.parent.name}/{of_pair.name}, found neither; give the rig with "
+            "--rig FILE."
         )
     return file
 
@@ -178,17 +180,17 @@ def _read(path: Path) -> npt.NDArray[np.integer]:
     try:
         encoded = np.fromfile(path, np.uint8)
     except FileNotFoundError as error:
-        raise PairFileError(f"{path}: it is missing; each pair wants all four images.") from error
+        raise PairFileError(f"{path}: no such file; each pair needs all four images.") from error
     except OSError as error:
         raise PairFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if len(encoded) else None
     if image is None:
-        raise PairFileError(f"{path}: not an image, or a damaged one.")
+        raise PairFileError(f"{path}: expected an image, found another or a damaged file.")
     return np.asarray(image)
 
 
 def _in_colour(image: npt.NDArray[np.integer]) -> Image:
-    """(H, W, 3) uint8 BGR of what a file holds."""
+    """(H, W, 3) uint8 BGR of an image of any type."""
     eight = image if image.dtype == np.uint8 else image >> 8
     if eight.ndim == 2:
         return np.repeat(eight.astype(np.uint8)[:, :, None], 3, axis=2)

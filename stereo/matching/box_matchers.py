@@ -1,9 +1,9 @@
-"""The matchers by name, each as a disparity per box, and how they are measured side by side on pairs with a truth.
+"""Stereo matchers by name, and their comparison on pairs with true disparities.
 
-patch                                       the patch matcher, the program's own
-sgbm                                        dense, as the main run does it: the inner half's median
-sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4     dense, by the directions it smooths along (OpenCV's modes)
-NAME-centre                                 any dense one read at the box's middle pixel (Guo's binocular paper)
+patch                                       track-range's patch matcher
+sgbm                                        dense matching as in a run: median of the inner half of each box
+sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4     dense matching with other aggregation directions (OpenCV's modes)
+NAME-centre                                 a dense matcher read at the centre pixel of the box (Guo's binocular paper)
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ MATCHER_NAMES = ("patch", *(name + end for name in ("sgbm", *_MODE) for end in (
 
 
 class DenseMatcher:
-    """Reads boxes from the disparity of the whole image; priors do not serve it."""
+    """Reads the disparities of boxes from dense disparities; does not use priors."""
 
     def __init__(self, settings: SgbmSettings, *, is_centre: bool = False) -> None:
         self._sgbm, self._settings = Sgbm(settings), settings
         self._read = centre_disparity if is_centre else inner_half_median
 
     def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
-        """As `BoxMatcher.match`; a box without a disparity counts as one without texture."""
+        """As `BoxMatcher.match`; the outcome of boxes without a disparity is NO_TEXTURE."""
         dense = self._sgbm.dense_disparity(left, whole_image(right))
         disparity_px, sigma_px = self._read(dense, xyxy_px, settings=self._settings)
         outcome = np.where(np.isnan(disparity_px), int(Outcome.NO_TEXTURE), int(Outcome.MATCHED))
@@ -49,13 +49,13 @@ class DenseMatcher:
 
 
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
-    """The matcher of a name, set for a rig as the main run sets it.
+    """The matcher with a name, with the settings of a run for a rig.
 
     Raises:
-        ValueError: there is none of this name.
+        ValueError: the name is unknown.
     """
     if name not in MATCHER_NAMES:
-        raise ValueError(f"'{name}' is no matcher; there are: {', '.join(MATCHER_NAMES)}")
+        raise ValueError(f"unknown matcher '{name}': expected one of {', '.join(MATCHER_NAMES)}")
     if name == "patch":
         return PatchMatcher(PatchMatcherSettings.for_rig(rig))
     mode = _MODE.get(name.removesuffix(CENTRE))
@@ -65,13 +65,13 @@ def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What matchers read of the objects of all pairs.
+    """Disparities of the objects of all pairs by several matchers.
 
     Attributes:
-        objects: N of them, with their truth.
-        columns: by name of the matcher, N rows each.
-        ms_per_frame: by name, median time of a pair with all its boxes, on one thread.
-        notes: what the user should know, each once.
+        objects: N objects with their true disparities.
+        columns: disparities of the N objects, by name of the matcher.
+        ms_per_frame: median time per pair on one thread, milliseconds, by name of the matcher.
+        notes: sentences for the user, without duplicates.
     """
 
     objects: Objects
@@ -81,17 +81,17 @@ class Measured:
 
 
 def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> Measured:
-    """Run matchers side by side over pairs.
+    """Run several matchers on the same pairs.
 
-    A drive's track (`StereoPair.track_id`) that was matched in the pair before is searched about where it was, as in a
-    run; all else over the full range.
+    As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next pair; other objects are
+    searched in the full range.
 
     Args:
-        pairs: read one by one.
-        names: of the matchers, see `MATCHER_NAMES`.
+        pairs: pairs, read one by one.
+        names: names of the matchers, see `MATCHER_NAMES`.
 
     Raises:
-        ValueError: an unknown name.
+        ValueError: a name is unknown.
     """
     parts, notes = _Parts(names), dict[str, None]()
     for pair in pairs:
@@ -103,7 +103,7 @@ def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> Measured
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """OpenCV on one thread, and on as many as before after it."""
+    """Context in which OpenCV uses one thread; the number of threads is restored afterwards."""
     n_before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -113,42 +113,42 @@ def one_thread() -> Iterator[None]:
 
 
 class _Parts:
-    """Rows of all matchers so far, pair by pair; images are not kept."""
+    """Results of all matchers, collected pair by pair."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._objects = [_no_objects()]
         self._cameras: list[PinholeCamera] = []
-        self._found: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [_NOTHING] for name in names}
+        self._results: dict[str, list[tuple[FloatArray, FloatArray]]] = {name: [_EMPTY] for name in names}
         self._ms: dict[str, list[float]] = {name: [] for name in names}
         self._last: dict[str, dict[int, float]] = {name: {} for name in names}
 
     def add(self, pair: StereoPair) -> None:
         ids = pair.track_id.tolist() or [-1] * len(pair.true_px)
-        for name in self._found:
+        for name in self._results:
             matcher, last = open_matcher(name, pair.rig), self._last[name]
             prior_px = np.array([last.get(number, np.nan) for number in ids])
-            began_s = time.perf_counter()
-            found = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px)
-            self._ms[name].append(1e3 * (time.perf_counter() - began_s))
-            self._found[name].append((found.disparity_px, found.sigma_px))
-            self._last[name] = {n: d for n, d in zip(ids, found.disparity_px.tolist(), strict=True) if n >= 0}
+            start_s = time.perf_counter()
+            matches = matcher.match(pair.left, pair.right, pair.xyxy_px, prior_px)
+            self._ms[name].append(1e3 * (time.perf_counter() - start_s))
+            self._results[name].append((matches.disparity_px, matches.sigma_px))
+            self._last[name] = {n: d for n, d in zip(ids, matches.disparity_px.tolist(), strict=True) if n >= 0}
         self._objects.append(_objects_of(pair, number=len(self._cameras)))
         self._cameras.append(pair.rig.left)
 
     def measured(self, notes: tuple[str, ...]) -> Measured:
         columns = {
             name: Column(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
-            for name, parts in self._found.items()
+            for name, parts in self._results.items()
         }
-        joined = {
+        arrays = {
             part: np.concatenate([getattr(objects, part) for objects in self._objects])
             for part in ("true_px", "focal_baseline_m", "x_px", "pair", "group")
         }
-        ms = {name: float(np.median(each)) for name, each in self._ms.items() if each}
-        return Measured(Objects(**joined, cameras=tuple(self._cameras)), columns, ms, notes)
+        ms = {name: float(np.median(times)) for name, times in self._ms.items() if times}
+        return Measured(Objects(**arrays, cameras=tuple(self._cameras)), columns, ms, notes)
 
 
-_NOTHING = (np.zeros(0), np.zeros(0))
+_EMPTY = (np.zeros(0), np.zeros(0))
 
 
 def _no_objects() -> Objects:

@@ -1,4 +1,4 @@
-"""Match confidence: how far a surface's cost lies below a chance match and below the second best disparity."""
+"""Match confidence: margins between a surface's cost and those of a chance match and the second best disparity."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from track_range.stereo.matching.plane_fit import Surface
 from track_range.stereo.matching.sample_windows import BoxWindows
 
 _CHANCE_PERCENTILE = 75.0
-"""Percentile of a box's costs that is taken as the cost of a chance match; above the median, since in a search about a
+"""Percentile of a box's costs that estimates the cost of a chance match; above the median, because in a search around a
 prior half of the costs belong to the minimum."""
 
 _PEAK_HALF_WIDTH = 2
-"""Disparities on both sides of the best one that belong to its own minimum, px of the level."""
+"""Disparities on both sides of the best one that belong to its minimum, px of the level."""
 
 _PEAK_HALF_WIDTH_PER_DISPARITY = 20
 """The half width grows by 1 px with each 20 px of disparity: nearer objects extend over more disparities."""
@@ -23,12 +23,12 @@ _PEAK_HALF_WIDTH_PER_DISPARITY = 20
 
 @dataclass(frozen=True, slots=True)
 class MatchConfidence:
-    """How clearly each of N boxes has one disparity; costs in bits of 24 per pixel.
+    """Confidence of the disparities of N boxes; costs in bits of 24 per pixel.
 
     Attributes:
         cost: (N,) cost of the object's minimum; inf = none.
-        margin: (N,) cost of a chance match less that of the minimum.
-        second_best_margin: (N,) cost of the second best minimum less that of the best; inf = there is no other.
+        margin: (N,) cost of a chance match minus that of the minimum.
+        second_best_margin: (N,) cost of the second best minimum minus that of the best; inf = there is no other.
         is_inside: (N,) whether the minimum lies inside the search range, not at an end.
     """
 
@@ -39,7 +39,7 @@ class MatchConfidence:
 
 
 def match_confidence(cost: FloatArray32, surface: Surface, windows: BoxWindows, first: IntArray) -> MatchConfidence:
-    """Confidence of surfaces found in costs (D, N, G), bits per pixel, at the disparities first (N,) + k."""
+    """Confidence of surfaces in costs (D, N, G), bits per pixel, at the disparities first (N,) + k."""
     last = len(cost) - 1
     curve = _object_curve(cost, surface, windows.normalized_positions())
     best = np.nan_to_num(np.rint(surface.centre - first), nan=-1.0).astype(np.int64)
@@ -55,11 +55,11 @@ def match_confidence(cost: FloatArray32, surface: Surface, windows: BoxWindows, 
 
 
 def _object_curve(cost: FloatArray32, surface: Surface, positions: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(D, N) mean cost of the object's windows as a function of the plane's p0; inf = less than half of them are seen.
+    """(D, N) mean cost of the object's windows as a function of the plane's p0; inf = more than half are not visible.
 
         curve(k) = mean over the object's windows i of C_i(k + round(p1 u_i + p2 v_i))
 
-    so that a slanted surface, too, has one minimum.
+    so that a slanted surface also has one minimum.
     """
     last = len(cost) - 1
     u, v = positions

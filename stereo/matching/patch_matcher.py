@@ -1,4 +1,4 @@
-"""PatchMatcher: the disparity of each box, from windows in its inner half, all boxes of a frame at once.
+"""PatchMatcher: the disparity of each box from windows in its inner half, for all boxes of a frame at once.
 
     1. windows    a grid of windows in each box, in the image pyramid                     `sample_windows`
     2. costs      census costs of each window at each disparity                           `census`
@@ -7,12 +7,12 @@
     5. surface    the windows that belong to the object, and a plane through them         `plane_fit`
     6. checks     texture, uniqueness, search range, cost; sigma                          `confidence`
 
-Boxes without a prior are searched in the full range on a coarse grid first, and again about what was found.
+Boxes without a prior are first searched in the full range on a coarse grid, then around the result on the fine grid.
 
 A doubtful match is NaN, with the reason: the minimum lies at the end of the search range, is shallow (no texture), has
-a second best of nearly the same depth (repeated texture), or costs nearly as much as a match by chance (12 bits). The
-best of many chance matches has some depth too: that the object is not near its prior shows in the cost, and in windows
-without a minimum; then the full range is searched.
+a second best minimum of nearly the same cost (repeated texture), or costs nearly as much as a chance match (12 bits).
+The best of many chance matches has some depth too. An object that is not near its prior is recognised by the cost and
+by windows without a minimum; then the full range is searched.
 """
 
 from __future__ import annotations
@@ -52,16 +52,19 @@ class PatchMatcherSettings:
         max_disparity_px: largest disparity; sets the nearest distance (192 px: 2 m with KITTI's rig).
         max_disparity_per_side: largest disparity per px of the box's larger side, baseline / smallest object, both in
             metres; inf = no limit.
-        search_px: half width of the search about a prior, px of the box's level.
+        search_px: half width of the search around a prior, px of the box's level.
         min_side_px: smallest side of a box.
         min_seen_share: smallest share of the windows that must have a minimum, and lie within the right image.
         min_support: smallest share of those that must belong to one surface.
-        min_margin_bits: least cost of a chance match less the minimum's, in bits of 24 per pixel.
-        max_cost_bits: largest cost of the minimum; not checked where the full search has found the prior.
-        min_minima_share: share of the windows seen that must have a minimum near a track's prior: where the object is
-            elsewhere, most have theirs at an end of the search. Not checked where the full search has found the prior.
-        min_confirmed_share: share of those minima that grey values must confirm; as above.
-        min_uniqueness: least cost of the second best minimum less the best one's, as a share of the margin.
+        min_margin_bits: least difference between the costs of a chance match and of the minimum, in bits of 24 per
+            pixel.
+        max_cost_bits: largest cost of the minimum; not checked for priors from the full search.
+        min_minima_share: least share of the visible windows with a minimum near a track's prior: if the object is
+            elsewhere, most minima lie at an end of the search range. Not checked for priors from the full search.
+        min_confirmed_share: least share of those minima that are confirmed by grey values. Not checked for priors from
+            the full search.
+        uniqueness_ratio: least difference between the costs of the second best and the best minimum, as a share of the
+            margin (OpenCV's uniquenessRatio is a share of the cost).
         floor_px: sigma of a flat, textured, noiseless box, px of its level.
         noise_share: share of the propagated variances of the windows that goes into sigma.
         scatter_share: share of the windows' scatter about the plane that goes into sigma.
@@ -79,7 +82,7 @@ class PatchMatcherSettings:
     max_cost_bits: float = 8.0
     min_minima_share: float = 0.5
     min_confirmed_share: float = 0.25
-    min_uniqueness: float = 0.1
+    uniqueness_ratio: float = 0.1
     floor_px: float = 0.03
     noise_share: float = 0.7
     scatter_share: float = 0.75
@@ -87,7 +90,7 @@ class PatchMatcherSettings:
 
     @classmethod
     def for_rig(cls, rig: StereoRig, *, nearest_m: float = 2.0, smallest_m: float = 0.3) -> PatchMatcherSettings:
-        """Settings for a rectified rig that measure from `nearest_m` on, for objects no smaller than `smallest_m`."""
+        """Settings for a rectified rig, for distances from `nearest_m` and objects of at least `smallest_m`, metres."""
         nearest_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls(max_disparity_px=math.ceil(nearest_px), max_disparity_per_side=rig.baseline_m / smallest_m)
 
@@ -96,11 +99,12 @@ class _Search(NamedTuple):
     """Costs of the windows of N boxes.
 
     Attributes:
-        cost: (D, N, G) bits per pixel at the disparities first (N,) + k, px of the boxes' levels; NaN = not seen.
+        cost: (D, N, G) bits per pixel at the disparities first (N,) + k, px of the boxes' levels; NaN = outside the
+            right image.
         first: (N,) disparity of index 0, px of the level.
         windows: the windows.
         prior_px: (N,) priors, px of the image; NaN = none.
-        is_known: whether the priors were found by the full search of this very pair.
+        is_known: whether the priors are results of the full search in the same pair.
     """
 
     cost: FloatArray32
@@ -111,20 +115,20 @@ class _Search(NamedTuple):
 
 
 class PatchMatcher:
-    """Measures disparities of boxes; stateless."""
+    """Measures the disparities of boxes; stateless."""
 
     def __init__(self, settings: PatchMatcherSettings | None = None) -> None:
         self._settings = settings or PatchMatcherSettings()
 
     def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
-        """The disparities of boxes in the left image, and why some have none.
+        """The disparities of boxes in the left image, with the reasons of failures.
 
         Args:
             left: (H, W) grey or (H, W, 3) BGR uint8, rectified.
-            right: the same height and width; only the pixels that the boxes need are read.
-            xyxy_px: (N, 4) boxes; any values, also NaN and outside the image.
-            prior_px: (N,) expected disparity; NaN = none. Without a prior, and where the match near the prior is
-                doubtful, the full range is searched.
+            right: rectified right image of equal size; only the pixels that the boxes need are read.
+            xyxy_px: (N, 4) boxes; any values, including NaN and boxes outside the image.
+            prior_px: (N,) expected disparity; NaN = none. Without a prior, or with a doubtful match near it, the full
+                range is searched.
 
         Raises:
             ValueError: the images differ in size.
@@ -138,18 +142,18 @@ class PatchMatcher:
         near = np.flatnonzero(is_usable & (prior_px >= self._settings.min_disparity_px) & (prior_px <= limit_px))
         if len(near):
             matches.put(near, self._search(left, right, boxes[near], prior_px[near], limit_px[near]))
-        lost = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
-        if len(lost):
-            no_prior = np.full(len(lost), np.nan)
-            matches.put(lost, self._search(left, right, boxes[lost], no_prior, limit_px[lost]))
-            again = lost[np.isfinite(matches.disparity_px[lost])]
-            if len(again):
-                coarse_px = matches.disparity_px[again]
-                matches.put(again, self._search(left, right, boxes[again], coarse_px, limit_px[again], is_known=True))
+        unmatched = np.flatnonzero(is_usable & np.isnan(matches.disparity_px))
+        if len(unmatched):
+            no_prior = np.full(len(unmatched), np.nan)
+            matches.put(unmatched, self._search(left, right, boxes[unmatched], no_prior, limit_px[unmatched]))
+            rows = unmatched[np.isfinite(matches.disparity_px[unmatched])]
+            if len(rows):
+                coarse_px = matches.disparity_px[rows]
+                matches.put(rows, self._search(left, right, boxes[rows], coarse_px, limit_px[rows], is_known=True))
         return matches
 
     def _usable(self, xyxy_px: FloatArray, image_hw: tuple[int, int]) -> tuple[FloatArray, IntArray]:
-        """Boxes (N, 4) clipped to the image, and (N,) outcome: MATCHED where they can be searched."""
+        """Boxes (N, 4) clipped to the image, and (N,) outcomes: MATCHED for boxes that can be searched."""
         height, width = image_hw
         with np.errstate(invalid="ignore"):
             boxes = np.clip(xyxy_px, -0.5, np.array([width, height, width, height]) - 0.5)
@@ -179,15 +183,21 @@ class PatchMatcher:
         *,
         is_known: bool = False,
     ) -> PatchMatches:
-        """Matches of usable boxes: all about their priors, on the fine grid, or all (NaN) in the full range, coarsely.
+        """Matches of usable boxes: around priors on the fine grid, or (all NaN) in the full range on the coarse grid.
 
-        is_known: whether the priors were found by the full search of this very pair.
+        Args:
+            left: left image.
+            right: right image.
+            boxes: (N, 4) boxes inside the image.
+            prior_px: (N,) priors, all finite or all NaN.
+            limit_px: (N,) largest disparities.
+            is_known: whether the priors are results of the full search in the same pair.
         """
         has_prior = bool(np.isfinite(prior_px).all())
         image_hw = (left.shape[0], left.shape[1])
         windows = BoxWindows.of_boxes(boxes, image_hw, grid=FINE_GRID if has_prior else COARSE_GRID)
         first, n_disparities = self._range(windows.scale, prior_px, limit_px)
-        # Only the rows that the windows need are made grey and shrunk; the windows then count rows from the first.
+        # Only the rows that the windows need are converted to grey and shrunk; window rows count from the first one.
         required = windows.required_pixels(first, first + n_disparities - 1, image_hw)
         n_levels = int(windows.level.max()) + 1
         top, bottom = int(required[:, 1].min()), int(required[:, 3].max())
@@ -197,7 +207,7 @@ class PatchMatcher:
         )
         windows = replace(windows, row=windows.row - (top >> windows.level)[:, None])
         cost = cost_curves(grey_left, grey_right, windows, first=first, n_disparities=n_disparities)
-        # All boxes are given the range of the largest; what is beyond a box's own is not a match.
+        # All boxes have the range of the largest one; disparities beyond a box's limit are no matches.
         cost[first + np.arange(n_disparities)[:, None] > limit_px / windows.scale + 1] = np.nan
         matches = match_windows(cost)
         is_confirmed = matches.weight > 0
@@ -206,9 +216,9 @@ class PatchMatcher:
         return self._measure(_Search(cost, first, windows, prior_px, is_known), matches, is_confirmed)
 
     def _range(self, scale: FloatArray, prior_px: FloatArray, limit_px: FloatArray) -> tuple[IntArray, int]:
-        """First disparity (N,) of each box, px of its level, and their number D; one more at both ends than searched.
+        """First disparity (N,) of each box, px of its level, and the number D, with one extra at both ends.
 
-        In the full range the first may be -1: a disparity of 1 px is about 0 in the shrunk image.
+        In the full range the first may be -1, because a disparity of 1 px is about 0 in the shrunk image.
         """
         settings = self._settings
         lowest = np.floor(settings.min_disparity_px / scale).astype(np.int64) - 1
@@ -219,7 +229,7 @@ class PatchMatcher:
         return lowest, max(n_disparities, 2 * settings.search_px + 3)
 
     def _measure(self, search: _Search, matches: WindowMatches, is_confirmed: BoolArray) -> PatchMatches:
-        """The surface of each box, the checks, and sigma; the last check that fails gives the outcome."""
+        """Surfaces, checks and sigmas of the boxes; the last check that fails determines the outcome."""
         settings, (cost, first, windows, prior_px, is_known) = self._settings, search
         disparity = np.maximum(first[:, None] + matches.index + matches.offset, 0.1)
         positions, prior = windows.normalized_positions(), prior_px / windows.scale
@@ -229,7 +239,7 @@ class PatchMatcher:
         seen_share = np.isfinite(cost).any(axis=0).mean(axis=1)
 
         outcome = np.full(len(first), int(Outcome.MATCHED), np.int64)
-        is_unique = confidence.second_best_margin >= settings.min_uniqueness * confidence.margin
+        is_unique = confidence.second_best_margin >= settings.uniqueness_ratio * confidence.margin
         outcome[~is_unique | (surface.support < settings.min_support)] = Outcome.AMBIGUOUS
         outcome[~confidence.is_inside] = Outcome.OUT_OF_RANGE
         outcome[~(confidence.margin >= settings.min_margin_bits) | np.isnan(surface.centre)] = Outcome.NO_TEXTURE

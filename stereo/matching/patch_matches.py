@@ -1,4 +1,4 @@
-"""BoxMatcher: finds the disparities of boxes; PatchMatches: what it found for each, or why it found nothing."""
+"""BoxMatcher: measures the disparities of boxes; PatchMatches: the result for each box, with reasons of failures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from track_range.stereo.geometry.frames import ImageView
 
 
 class Outcome(IntEnum):
-    """Why a box has no disparity."""
+    """Result of matching a box: MATCHED, or the reason why it has no disparity."""
 
     MATCHED = 0
     OUTSIDE = 1
@@ -27,38 +27,38 @@ REASONS: dict[Outcome, str] = {
     Outcome.MATCHED: "matched",
     Outcome.OUTSIDE: "outside the image, or not finite",
     Outcome.TOO_SMALL: "too small",
-    Outcome.NOT_SEEN: "hardly seen by the right eye",
+    Outcome.NOT_SEEN: "outside the right image",
     Outcome.NO_TEXTURE: "no texture, or saturated",
-    Outcome.AMBIGUOUS: "two disparities fit equally well",
-    Outcome.OUT_OF_RANGE: "at the end of the range that is searched",
-    Outcome.NO_FIT: "nothing in the right image looks like it",
+    Outcome.AMBIGUOUS: "ambiguous: several disparities match equally well",
+    Outcome.OUT_OF_RANGE: "disparity at the end of the search range",
+    Outcome.NO_FIT: "no match in the right image",
 }
-"""For the user."""
+"""Descriptions of the outcomes for the user."""
 
 
 @dataclass(frozen=True, slots=True)
 class PatchMatches:
-    """What was found for N boxes.
+    """Disparities of N boxes.
 
     Attributes:
-        disparity_px: (N,) at the middle of the box; NaN = not measured.
-        sigma_px: (N,) its standard deviation, without what the eyes' alignment adds.
-        outcome: (N,) an `Outcome` each.
+        disparity_px: (N,) disparity at the centre of the box; NaN = not measured.
+        sigma_px: (N,) its standard deviation, without the uncertainty of the alignment.
+        outcome: (N,) values of `Outcome`.
     """
 
     disparity_px: FloatArray
     sigma_px: FloatArray
     outcome: IntArray
 
-    def put(self, where: IntArray, found: PatchMatches) -> None:
-        """Write what was found for the boxes at these indices."""
-        self.disparity_px[where], self.sigma_px[where] = found.disparity_px, found.sigma_px
-        self.outcome[where] = found.outcome
+    def put(self, rows: IntArray, matches: PatchMatches) -> None:
+        """Replace the results of the boxes in rows (M,), in place."""
+        self.disparity_px[rows], self.sigma_px[rows] = matches.disparity_px, matches.sigma_px
+        self.outcome[rows] = matches.outcome
 
 
 class BoxMatcher(Protocol):
-    """Finds the disparities of single boxes, as `stereo.matching.patch_matcher.PatchMatcher` does."""
+    """Measures the disparities of boxes, like `stereo.matching.patch_matcher.PatchMatcher`."""
 
     def match(self, left: Image, right: ImageView, xyxy_px: FloatArray, prior_px: FloatArray) -> PatchMatches:
-        """Disparities of boxes (N, 4), and why some have none; prior_px (N,) NaN = search the full range."""
+        """Disparities of boxes (N, 4), with priors (N,); NaN = search the full range."""
         ...

@@ -1,7 +1,7 @@
-"""The inner half of a box: its middle in width and height, where a detector's box shows the object and little else.
+"""The inner half of a box: its central half in width and height, which contains the object and little background.
 
 +-----------------+
-|    +-------+    |     The same patch serves the patch matcher and the dense map's median,
+|    +-------+    |     The patch matcher and the median of the dense disparities use the same patch,
 |    | inner |    |     so that the two methods are compared on the same pixels.
 |    +-------+    |
 +-----------------+
@@ -17,11 +17,11 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 _SHARE_CUT = 0.25
-"""Share of the box's width (height) cut off at each side."""
+"""Share of the box's width (height) that is cut off on each side."""
 
 
 class Patch(NamedTuple):
-    """A rectangle of whole pixels; all four edges belong to it."""
+    """A rectangle of pixels; all four edges are inclusive."""
 
     left: int
     top: int
@@ -42,12 +42,12 @@ class Patch(NamedTuple):
 def inner_halves(
     xyxy_px: FloatArray, image_hw: tuple[int, int], *, margin_px: int, min_side_px: int
 ) -> Iterator[Patch | None]:
-    """The inner half of each box (N, 4), cut off `margin_px` from the image's border.
+    """The inner half of each box (N, 4), clipped at `margin_px` from the image border.
 
-    None where less than `min_side_px` columns or rows are left, or the box is not finite or turned inside out.
+    None where fewer than `min_side_px` columns or rows are left, or the box is not finite or inverted.
     """
     height, width = image_hw
-    with np.errstate(invalid="ignore", over="ignore"):  # infinite boxes end as NaN, which is no patch
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite boxes become NaN, which gives no patch
         cut = (xyxy_px[:, 2:] - xyxy_px[:, :2]) * _SHARE_CUT
         first = np.maximum(np.ceil(xyxy_px[:, :2] + cut), margin_px)
         last = np.minimum(np.floor(xyxy_px[:, 2:] - cut), np.array([width, height]) - 1.0 - margin_px)

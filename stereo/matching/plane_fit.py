@@ -20,19 +20,19 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 _SAME_SURFACE_SHARE = 0.2
-"""Disparities that differ by at most this share belong to one object: at 10 m a car's length is 30 %."""
+"""Largest relative difference of the disparities of one object: at 10 m a car's length is 30 %."""
 
 _SAME_SURFACE_PX = 1.5
-"""The same for small disparities, px of the box's level."""
+"""Largest difference of small disparities of one object, px of the box's level."""
 
 _CENTRE_SIGMA = 0.4
 """Standard deviation of the Gaussian weight about the centre, in inner halves: the corners of cars are rounded."""
 
 _LOWER_MIDDLE = 0.25
-"""v of the place where the object is most likely, in inner halves: objects stand on the box's lower edge."""
+"""v of the most likely position of the object, in inner halves: objects touch the box's lower edge."""
 
 _PRIOR_GAIN = 2.0
-"""Additional support of a surface at the track's prior disparity, which then counts 1 + 2 times."""
+"""Additional support of a surface at the track's prior disparity, relative to that of other surfaces."""
 
 _MIN_INLIERS = 4
 """Fewest windows that a plane is fitted to, one more than its parameters."""
@@ -41,7 +41,7 @@ _N_ITERATIONS = 4
 """Iterations of the reweighted least squares."""
 
 _FLOOR_SHARE, _FLOOR_PX = 0.01, 0.05
-"""f: residual below which windows count alike, as a share of the mean disparity, and at least in px of the level."""
+"""f: residual below which windows have equal weights, as a share of the mean disparity, and at least this many px."""
 
 _BOUND_FLOORS = 2.0
 """Residual, in units of f, at which a window counts half of what it would without the bound."""

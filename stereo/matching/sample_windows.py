@@ -1,8 +1,8 @@
-"""BoxWindows: a grid of small windows over the inner half of each box; GreyLevels: the pixels they are read from.
+"""BoxWindows: a grid of small windows over the inner half of each box; GreyLevels: the image pyramid they sample.
 
-+---------------------+     However large a box is, it is sampled by equally many windows of equal size, so that all
-|    # # # # # #      |     boxes of a frame are one array. Large boxes are sampled in a smaller image: level l is the
-|    # # # # # #      |     image shrunk by 2^l, in which disparities are 2^l times smaller.
++---------------------+     Every box is sampled by the same number of windows of the same size, so that all boxes of a
+|    # # # # # #      |     frame form one array. Large boxes are sampled in a smaller image: level l is the image
+|    # # # # # #      |     shrunk by 2^l, in which disparities are 2^l times smaller.
 |    # # # # # #      |
 +---------------------+     Windows of small boxes overlap.
 """
@@ -20,7 +20,7 @@ from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.stereo.geometry.frames import ImageView
 
 MARGIN_PX = 2
-"""Pixels around a window that are read with it, the half width of the 5 x 5 census."""
+"""Pixels read around a window: half the width of the 5 x 5 census."""
 
 WINDOW_HW = (7, 9)
 """(height, width) of a window, px of its level."""
@@ -42,13 +42,13 @@ class SamplingGrid(NamedTuple):
 
 
 FINE_GRID = SamplingGrid(6, (64, 128))
-"""For the measurement about a prior."""
+"""Grid for the measurement around a prior."""
 
 COARSE_GRID = SamplingGrid(3, (10, 20))
-"""For the search of the full range, which at this size is a few dozen disparities."""
+"""Grid for the search of the full range, which has a few dozen disparities at this size."""
 
 _INNER_SHARE = 0.5
-"""Share of a box's width and height that is sampled, about its centre: there it shows the object and little else."""
+"""Share of a box's width and height that is sampled, around its centre, with little background."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class BoxWindows:
 
     @classmethod
     def of_boxes(cls, xyxy_px: FloatArray, image_hw: tuple[int, int], *, grid: SamplingGrid = FINE_GRID) -> BoxWindows:
-        """Windows of finite boxes (N, 4) that lie in the image, which has room for a window with its margin."""
+        """Windows of finite boxes (N, 4) inside the image, which must have room for a window with its margin."""
         size_px = xyxy_px[:, 2:] - xyxy_px[:, :2]
         excess = (size_px * _INNER_SHARE / np.array(grid.max_inner_hw[::-1])).max(axis=1)
         level_hw = np.array(image_hw) // (2 ** np.arange(MAX_LEVEL + 1))[:, None]
@@ -92,7 +92,7 @@ class BoxWindows:
 
     @property
     def n_pixels(self) -> FloatArray:
-        """(N,) pixels of the level that the windows cover between them, at most."""
+        """(N,) largest number of pixels of the level that the windows cover together."""
         height, width = WINDOW_HW
         rows = np.ptp(self.row, axis=1) + height
         columns = np.ptp(self.column, axis=1) + width
@@ -103,9 +103,9 @@ class BoxWindows:
         return _normalized(self.column), _normalized(self.row)
 
     def required_pixels(self, smallest: IntArray, largest: IntArray, image_hw: tuple[int, int]) -> IntArray:
-        """(N, 4) pixels that each box needs for the disparities `smallest` .. `largest` (N,), px of its level.
+        """(N, 4) rectangles of pixels needed for the disparities `smallest` .. `largest` (N,), px of the box's level.
 
-        Left, top, right, bottom, ends exclusive; multiples of the coarsest level's pixels.
+        Left, top, right, bottom, with exclusive ends; multiples of the coarsest level's pixels.
         """
         unit = 1 << MAX_LEVEL
         scale = self.scale.astype(np.int64)
@@ -124,7 +124,7 @@ class BoxWindows:
 
 
 def _spread(first: FloatArray, last: FloatArray, side: int, image_side: IntArray, n: int) -> IntArray:
-    """(N, n) starts of windows `side` long, evenly over the inner half of first .. last, inside the image."""
+    """(N, n) starts of windows of length `side`, evenly spaced over the inner half of first .. last, in the image."""
     centre, reach = (first + last) / 2, _INNER_SHARE * (last - first) / 2
     start = np.minimum(centre - reach, centre - side / 2)
     end = np.maximum(centre + reach - side, centre - side / 2)
@@ -133,19 +133,19 @@ def _spread(first: FloatArray, last: FloatArray, side: int, image_side: IntArray
 
 
 def _normalized(start: IntArray) -> FloatArray:
-    """(N, G) starts of windows as -0.5 .. 0.5 of the range of each row."""
+    """(N, G) starts of windows, mapped to -0.5 .. 0.5 over the range of each row."""
     low, high = start.min(axis=1, keepdims=True), start.max(axis=1, keepdims=True)
     return np.asarray((start - (low + high) / 2) / np.maximum(high - low, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class GreyLevels:
-    """An image pyramid: the grey image, and shrunk by 2 and 4, one after the other in one flat array.
+    """An image pyramid: the grey image, and the image shrunk by 2 and 4, in one flat array.
 
     Attributes:
-        pixels: (P,) all levels, row by row.
-        begin: (L,) where each starts.
-        width: (L,) its columns.
+        pixels: (P,) pixels of all levels, row by row.
+        begin: (L,) index of the first pixel of each level.
+        width: (L,) number of columns of each level.
     """
 
     pixels: npt.NDArray[np.uint8]
@@ -170,7 +170,7 @@ class GreyLevels:
         )
 
     def windows(self, windows: BoxWindows, column: IntArray, *, width: int) -> npt.NDArray[np.uint8]:
-        """(H + 4, width + 4, N * G) pixels of windows at columns (N, G) of their rows, with the census's margin.
+        """(H + 4, width + 4, N * G) pixels of windows that start at columns (N, G), with the margin of the census.
 
         Columns outside the image repeat its border.
         """
@@ -184,9 +184,9 @@ class GreyLevels:
 
 
 def band_of(view: ImageView, boxes: IntArray) -> Image:
-    """The rows from the highest top to the lowest bottom of boxes (N, 4): left, top, right, bottom, ends exclusive.
+    """The image rows from the highest top to the lowest bottom of boxes (N, 4), with exclusive ends.
 
-    An array is cut, not copied; a lazily rectified view is computed within the boxes only, and black elsewhere.
+    An array is sliced without copying; a lazily computed view is computed only within the boxes, and black elsewhere.
     """
     top, bottom = int(boxes[:, 1].min()), int(boxes[:, 3].max())
     if isinstance(view, np.ndarray):

@@ -1,7 +1,7 @@
-"""Sgbm: the disparity of every pixel by semi-global matching (Hirschmueller 2008, as in OpenCV), and a box's out of it.
+"""Sgbm: the disparity of every pixel by OpenCV's semi-global matching (Hirschmueller 2008), and of boxes from it.
 
-OpenCV gives no disparity to the leftmost `n_disparities` columns, since not all candidates lie inside the right image
-there. Here both images are widened to the left first, and only those pixels stay unknown whose match lies outside.
+OpenCV gives no disparities in the leftmost `n_disparities` columns, because not all candidates are inside the right
+image. Here both images are padded on the left first, and only pixels with a match outside the right image stay NaN.
 """
 
 from __future__ import annotations
@@ -24,13 +24,21 @@ DisparityMap = npt.NDArray[np.float32]
 Mode = Literal["3way", "sgbm", "hh", "hh4"]
 
 _STEPS_PER_PX = 16
-"""OpenCV's disparities are whole numbers of 1/16 px."""
+"""Disparity steps per pixel: OpenCV's disparities are multiples of 1/16 px."""
 
-_STEP_SIGMA_PX = 0.15
-"""Error of a flat, textured patch's median: pixel locking, mostly (0.14 px on synthetic pairs)."""
+_MEDIAN_SIGMA_PX = 0.15
+"""Standard deviation of the median of a flat, textured patch: mostly pixel locking (0.14 px on synthetic pairs)."""
 
 _MAX_COST = 32767
-"""OpenCV sums costs in 16 bits."""
+"""Largest cost: OpenCV sums costs in 16 bits."""
+
+_ALIASES = {
+    "uniqueness_pct": "uniqueness_ratio",
+    "max_left_right_px": "disp12_max_diff",
+    "speckle_px2": "speckle_window_size",
+    "speckle_range_px": "speckle_range",
+}
+"""Other names of settings in configuration files, and the fields of `SgbmSettings`, which have OpenCV's names."""
 
 _OPENCV_MODE: dict[Mode, int] = {
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -42,22 +50,22 @@ _OPENCV_MODE: dict[Mode, int] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SgbmSettings:
-    """What is searched, and how smooth the answer must be.
+    """Parameters of OpenCV's StereoSGBM, and of reading boxes from its result.
 
     Attributes:
         min_disparity: smallest disparity, px.
-        n_disparities: how many from there on; a multiple of 16. 128 reach 3 m with KITTI's rig.
-        block_size: side of the window that is compared, px, odd; 3 .. 7 are usual.
-        mode: directions that are smoothed along: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8 (most memory).
-        small_step_penalty: P1 per pixel of the window, for neighbours one disparity apart.
+        n_disparities: number of disparities, a multiple of 16; 128 reach 3 m with KITTI's rig (numDisparities).
+        block_size: side of the compared window, px, odd; usually 3 .. 7.
+        mode: number of aggregation directions: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8 (most memory).
+        small_step_penalty: P1 per pixel of the window, for neighbours that differ by one disparity.
         large_step_penalty: P2 per pixel of the window, for larger steps.
-        uniqueness_pct: by how much the best cost must beat the next one.
-        max_left_right_px: largest disagreement between matching left to right and right to left; -1 = not checked.
-        speckle_px2: patches smaller than this are dropped.
-        speckle_range_px: disparity step that separates two patches.
-        pre_filter_cap: where the x-derivative that is compared is cut off.
-        min_valid_share: share of a box's inner half that must be known for a median.
-        shape_share: share of the scatter inside the inner half that goes into sigma; as the patch matcher's.
+        uniqueness_ratio: least margin between the best and the second best cost, per cent.
+        disp12_max_diff: largest difference between left-to-right and right-to-left matching, px; -1 = not checked.
+        speckle_window_size: regions with fewer pixels are removed.
+        speckle_range: largest disparity difference within a region, px.
+        pre_filter_cap: limit at which the compared x-derivative is truncated.
+        min_valid_share: least share of known pixels in the inner half of a box.
+        shape_share: share of the scatter inside the inner half that contributes to sigma.
     """
 
     min_disparity: int = 0
@@ -66,75 +74,75 @@ class SgbmSettings:
     mode: Mode = "3way"
     small_step_penalty: int = 8
     large_step_penalty: int = 32
-    uniqueness_pct: int = 10
-    max_left_right_px: int = 1
-    speckle_px2: int = 100
-    speckle_range_px: int = 2
+    uniqueness_ratio: int = 10
+    disp12_max_diff: int = 1
+    speckle_window_size: int = 100
+    speckle_range: int = 2
     pre_filter_cap: int = 63
     min_valid_share: float = 0.2
     shape_share: float = 0.3
 
     def __post_init__(self) -> None:
-        for name, is_right, wanted in _checks(self):
-            if not is_right:
-                raise ValueError(f"sgbm's {name} is {getattr(self, name)!r}: {wanted} wanted")
+        for name, is_valid, expected in _checks(self):
+            if not is_valid:
+                raise ValueError(f"sgbm: expected {name} to be {expected}, got {getattr(self, name)!r}")
 
     @classmethod
     def for_rig(
         cls, rig: StereoRig, *, nearest_m: float = 3.0, chosen: Mapping[str, Any] | None = None
     ) -> SgbmSettings:
-        """Settings that reach as near as `nearest_m` with a rectified rig, but for what the user has `chosen`.
+        """Settings for distances from `nearest_m` with a rectified rig, updated with the user's `chosen` values.
 
         Raises:
-            ValueError: an unknown name in `chosen`, or a value that cannot be.
+            ValueError: `chosen` has an unknown name or a wrong value.
         """
         disparity_px = min(rig.left.fx_px * rig.baseline_m / nearest_m, rig.left.width_px / 2)
         return cls.of({"n_disparities": max(16 * math.ceil(disparity_px / 16), 16), **(chosen or {})})
 
     @classmethod
     def of(cls, chosen: Mapping[str, Any]) -> SgbmSettings:
-        """The defaults, but for what is `chosen` by name.
+        """The defaults, updated with `chosen` values by name.
 
         Raises:
-            ValueError: an unknown name, or a value that cannot be.
+            ValueError: `chosen` has an unknown name or a wrong value.
         """
         known = [field.name for field in fields(cls)]
         for name in chosen:
-            if name not in known:
-                raise ValueError(f"sgbm has no '{name}'; it has: {', '.join(known)}")
-        return cls(**chosen)
+            if name not in known and name not in _ALIASES:
+                raise ValueError(f"sgbm: unknown setting '{name}'; expected one of {', '.join(known)}")
+        return cls(**{_ALIASES.get(name, name): value for name, value in chosen.items()})
 
 
-def _checks(found: SgbmSettings) -> list[tuple[str, bool, str]]:
-    """Name, whether its value can be, and what is wanted, of each setting."""
+def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
+    """Name of each setting, whether its value is valid, and the expected values."""
 
     def whole(name: str, low: float, high: float = math.inf) -> bool:
-        value = getattr(found, name)
+        value = getattr(settings, name)
         return type(value) is int and low <= value <= high
 
     def share(name: str, low: float, high: float) -> bool:
-        value = getattr(found, name)
+        value = getattr(settings, name)
         return type(value) in (int, float) and low <= value <= high
 
-    n = found.n_disparities
-    small = found.small_step_penalty if type(found.small_step_penalty) is int else 0
-    window_px = found.block_size**2 if type(found.block_size) is int else 1
+    n = settings.n_disparities
+    small = settings.small_step_penalty if type(settings.small_step_penalty) is int else 0
+    window_px = settings.block_size**2 if type(settings.block_size) is int else 1
     large = (small + 1, _MAX_COST // max(window_px, 1))
     return [
         ("min_disparity", whole("min_disparity", -512, 1024), "a whole number -512 .. 1024"),
         ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
-        ("block_size", whole("block_size", 1, 21) and found.block_size % 2 == 1, "an odd number up to 21"),
-        ("mode", found.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
+        ("block_size", whole("block_size", 1, 21) and settings.block_size % 2 == 1, "an odd number up to 21"),
+        ("mode", settings.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
         ("small_step_penalty", whole("small_step_penalty", 1), "a whole number from 1"),
         (
             "large_step_penalty",
             whole("large_step_penalty", *large),
-            f"more than the small one, and at most {_MAX_COST} / block_size^2,",
+            f"more than small_step_penalty, and at most {_MAX_COST} / block_size^2",
         ),
-        ("uniqueness_pct", whole("uniqueness_pct", 0, 99), "a whole number 0 .. 99"),
-        ("max_left_right_px", whole("max_left_right_px", -1, 1024), "a whole number -1 .. 1024"),
-        ("speckle_px2", whole("speckle_px2", 0, 10**9), "a whole number 0 .. 1e9"),
-        ("speckle_range_px", whole("speckle_range_px", 0, 1024), "a whole number 0 .. 1024"),
+        ("uniqueness_ratio", whole("uniqueness_ratio", 0, 99), "a whole number 0 .. 99"),
+        ("disp12_max_diff", whole("disp12_max_diff", -1, 1024), "a whole number -1 .. 1024"),
+        ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "a whole number 0 .. 1e9"),
+        ("speckle_range", whole("speckle_range", 0, 1024), "a whole number 0 .. 1024"),
         ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "a whole number 1 .. 127"),
         ("min_valid_share", share("min_valid_share", 0.0, 1.0), "a share 0 .. 1"),
         ("shape_share", share("shape_share", 0.0, math.inf), "a number from 0"),
@@ -142,22 +150,22 @@ def _checks(found: SgbmSettings) -> list[tuple[str, bool, str]]:
 
 
 class Sgbm:
-    """Dense disparity; an instance serves one thread."""
+    """Computes dense disparities; an instance may be used by one thread at a time."""
 
     def __init__(self, settings: SgbmSettings | None = None) -> None:
-        keep = self._settings = settings or SgbmSettings()
+        settings = self._settings = settings or SgbmSettings()
         self._matcher = cv2.StereoSGBM.create(
-            minDisparity=keep.min_disparity,
-            numDisparities=keep.n_disparities,
-            blockSize=keep.block_size,
-            P1=keep.small_step_penalty * keep.block_size**2,
-            P2=keep.large_step_penalty * keep.block_size**2,
-            disp12MaxDiff=keep.max_left_right_px,
-            preFilterCap=keep.pre_filter_cap,
-            uniquenessRatio=keep.uniqueness_pct,
-            speckleWindowSize=keep.speckle_px2,
-            speckleRange=keep.speckle_range_px,
-            mode=_OPENCV_MODE[keep.mode],
+            minDisparity=settings.min_disparity,
+            numDisparities=settings.n_disparities,
+            blockSize=settings.block_size,
+            P1=settings.small_step_penalty * settings.block_size**2,
+            P2=settings.large_step_penalty * settings.block_size**2,
+            disp12MaxDiff=settings.disp12_max_diff,
+            preFilterCap=settings.pre_filter_cap,
+            uniquenessRatio=settings.uniqueness_ratio,
+            speckleWindowSize=settings.speckle_window_size,
+            speckleRange=settings.speckle_range,
+            mode=_OPENCV_MODE[settings.mode],
         )
 
     def dense_disparity(self, left: Image, right: Image) -> DisparityMap:
@@ -171,59 +179,59 @@ class Sgbm:
             ValueError: the images differ in size.
         """
         if left.shape[:2] != right.shape[:2]:
-            raise ValueError(f"left and right: equal shapes wanted, {left.shape} and {right.shape} got")
-        n_added = max(self._settings.min_disparity + self._settings.n_disparities, 0)
-        steps = self._matcher.compute(_widened(left, n_added), _widened(right, n_added))[:, n_added:]
+            raise ValueError(f"left and right: expected equal sizes, got {left.shape[:2]} and {right.shape[:2]}")
+        n_padded = max(self._settings.min_disparity + self._settings.n_disparities, 0)
+        steps = self._matcher.compute(_padded(left, n_padded), _padded(right, n_padded))[:, n_padded:]
         disparity = steps.astype(np.float32) / _STEPS_PER_PX
         column = np.arange(left.shape[1], dtype=np.float32)
-        # OpenCV marks what it rejects with less than the minimum; it answers the minimum itself where all is flat.
-        unknown = (disparity <= self._settings.min_disparity) | (disparity > column)
-        return np.where(unknown, np.float32(np.nan), disparity)
+        # OpenCV marks rejected pixels with less than the minimum, and gives the minimum itself without texture.
+        is_unknown = (disparity <= self._settings.min_disparity) | (disparity > column)
+        return np.where(is_unknown, np.float32(np.nan), disparity)
 
 
 def inner_half_median(
     disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Median disparity and its standard deviation, (N,) pixels each, of the inner half of each box (N, 4).
+    """Median disparity of the inner half of each box (N, 4), and its standard deviation, (N,) pixels each.
 
-    NaN where too little of it is known, and for boxes outside the image, smaller than 2 px or not finite.
+    NaN where too few pixels are known, and for boxes outside the image, smaller than 2 px or not finite.
     """
-    keep = settings or SgbmSettings()
+    settings = settings or SgbmSettings()
     median_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
     for i, patch in enumerate(_patches(disparity, xyxy_px)):
         if patch is not None:
-            median_px[i], sigma_px[i] = _median_and_sigma(_inside(disparity, patch), keep)
+            median_px[i], sigma_px[i] = _median_and_sigma(_inside(disparity, patch), settings)
     return median_px, sigma_px
 
 
 def centre_disparity(
     disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Disparity of the pixel in the middle of each box (N, 4), as Guo's binocular paper takes it, and sigma, (N,) each.
+    """Disparity of the pixel at the centre of each box (N, 4), as in Guo's binocular paper, and sigma, (N,) each.
 
-    NaN where that pixel is unknown or outside. Sigma is the inner half's, whose scatter tells how much depends on the
-    pixel that is hit; a lone known pixel has no other sigma than a flat patch's.
+    NaN where that pixel is unknown or outside the image. Sigma is that of the inner half, which includes the scatter of
+    its pixels, or that of a flat patch if too few of them are known.
     """
-    keep = settings or SgbmSettings()
+    settings = settings or SgbmSettings()
     centre_px, sigma_px = np.full(len(xyxy_px), np.nan), np.full(len(xyxy_px), np.nan)
-    with np.errstate(invalid="ignore", over="ignore"):  # boxes that are not finite end outside
-        middles_px = np.nan_to_num((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2, nan=-1.0)
-    middles = np.rint(np.clip(middles_px, -1.0, max(disparity.shape))).astype(np.int64).tolist()
+    with np.errstate(invalid="ignore", over="ignore"):  # the centres of infinite boxes are outside the image
+        centres_px = np.nan_to_num((xyxy_px[:, :2] + xyxy_px[:, 2:]) / 2, nan=-1.0)
+    centres = np.rint(np.clip(centres_px, -1.0, max(disparity.shape))).astype(np.int64).tolist()
     for i, patch in enumerate(_patches(disparity, xyxy_px)):
-        x, y = middles[i]
+        x, y = centres[i]
         is_inside = 0 <= y < disparity.shape[0] and 0 <= x < disparity.shape[1]
         if patch is not None and is_inside and np.isfinite(disparity[y, x]):
-            sigma = _median_and_sigma(_inside(disparity, patch), keep)[1]
-            centre_px[i], sigma_px[i] = disparity[y, x], _STEP_SIGMA_PX if math.isnan(sigma) else sigma
+            sigma = _median_and_sigma(_inside(disparity, patch), settings)[1]
+            centre_px[i], sigma_px[i] = disparity[y, x], _MEDIAN_SIGMA_PX if math.isnan(sigma) else sigma
     return centre_px, sigma_px
 
 
 def disparity_picture(disparity: DisparityMap | FloatArray, *, largest_px: float | None = None) -> Image:
-    """(H, W, 3) uint8 BGR: near is red, far is blue, unknown black.
+    """(H, W, 3) uint8 BGR colour map: near is red, far is blue, unknown is black.
 
     Args:
-        disparity: (H, W), NaN = unknown.
-        largest_px: shown as the nearest; None = the 99th percentile of what is known.
+        disparity: (H, W) disparities, px; NaN = unknown.
+        largest_px: disparity of the nearest colour; None = the 99th percentile.
     """
     known = np.isfinite(disparity)
     if largest_px is None:
@@ -241,14 +249,14 @@ def _inside(disparity: DisparityMap | FloatArray, patch: Patch) -> DisparityMap 
     return disparity[patch.top : patch.bottom + 1, patch.left : patch.right + 1]
 
 
-def _median_and_sigma(inside: DisparityMap | FloatArray, keep: SgbmSettings) -> tuple[float, float]:
+def _median_and_sigma(inside: DisparityMap | FloatArray, settings: SgbmSettings) -> tuple[float, float]:
     known = inside[np.isfinite(inside)].astype(np.float64)
-    if len(known) < max(keep.min_valid_share * inside.size, 1):
+    if len(known) < max(settings.min_valid_share * inside.size, 1):
         return math.nan, math.nan
-    return float(np.median(known)), math.hypot(_STEP_SIGMA_PX, keep.shape_share * mad_sigma(known))
+    return float(np.median(known)), math.hypot(_MEDIAN_SIGMA_PX, settings.shape_share * mad_sigma(known))
 
 
-def _widened(image: Image, n_added: int) -> Image:
-    """The image in grey with `n_added` columns more on the left."""
+def _padded(image: Image, n_columns: int) -> Image:
+    """The grey image with `n_columns` additional columns on the left."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    return np.asarray(cv2.copyMakeBorder(grey, 0, 0, n_added, 0, cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(cv2.copyMakeBorder(grey, 0, 0, n_columns, 0, cv2.BORDER_REPLICATE), np.uint8)

@@ -1,18 +1,18 @@
 """Subpixel disparities: least squares on the grey values of each window (Lucas & Kanade 1981).
 
-Census knows only the order of grey values: it is sure about a pixel, and within it the steps of its bits bias the
-minimum. Starting from census, with g the left window's derivative along the row,
+Census uses only the order of grey values: it determines the disparity to a pixel, but the steps of its bits bias the
+subpixel minimum. Starting from census, with g the left window's derivative along the row,
 
     left(x) = a right(x - d) + s g(x) + b        d <- d - s        twice
 
 The gain a and the bias b belong to each window, so that the cameras' exposures may differ, as with census. The
 derivative is the left window's in both iterations, and the cubic that interpolates right(x - d) shifts all frequencies
 of a smoothed image by nearly the same amount: no fraction of a pixel is preferred. The variance of d is that of the
-least squares, with the residuals as the noise. A window is as wide as in the census, and two rows higher, since the
-margin is there.
+least squares, with the residuals as the noise. A window is as wide as in the census, and two rows higher, because the
+margin is available.
 
-A vertical offset between the two images moves slanted edges sideways: on KITTI's cars up to half a pixel per pixel. So
-one vertical offset per box is fitted to the residuals, and its share in each window's d removed.
+A vertical offset between the images shifts slanted edges sideways: on KITTI's cars by up to half a pixel per pixel. So
+one vertical offset per box is fitted to the residuals, and its effect on each window's d removed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _REACH = 2
 """Pixels read to the right and left of a whole disparity: the cubic needs four of these five for |fraction| <= 1 px."""
 
 _MAX_CHANGE_PX = 0.75
-"""A window that moves farther than this from its census disparity is not confirmed, px of the level."""
+"""Largest distance of a confirmed window from its census disparity, px of the level."""
 
 _MIN_GAIN = 0.3
 """Smallest gain a of a confirmed window, and of its inverse: below, the right pixels hardly resemble the left ones."""
@@ -48,19 +48,19 @@ _MIN_NOISE_GREY2 = 0.14
 """Smallest variance of a smoothed grey value: rounding or compression, 1 grey level before smoothing."""
 
 _NOISE_CORRELATION = 3.5
-"""Factor on the variance, since smoothing correlates the noise of neighbours, which least squares take as independent;
-measured on exact shifts."""
+"""Factor on the variance, because smoothing correlates the noise of neighbours, which least squares assumes to be
+independent; measured on exact shifts."""
 
 _VERTICAL_SIGMA_PX = 0.3
 """Prior standard deviation of the vertical offset, px of the level; larger ones are corrected by the alignment."""
 
 _FLOOR_PX, _FLOOR_SHARE = 0.06, 0.006
-"""Standard deviation that the best window keeps, px of the level, and as a share of its disparity: objects are not
+"""Lower limit of a window's standard deviation, px of the level, and as a share of its disparity: objects are not
 planes."""
 
 
 def refine_windows(
-    left: GreyLevels, right: GreyLevels, windows: BoxWindows, found: WindowMatches, *, first: IntArray
+    left: GreyLevels, right: GreyLevels, windows: BoxWindows, matches: WindowMatches, *, first: IntArray
 ) -> tuple[WindowMatches, BoolArray]:
     """Window matches with offsets -1 .. 1 by least squares, and 1 / variance (px^-2 of the level) as weights.
 
@@ -68,29 +68,29 @@ def refine_windows(
         left: grey levels of the left image.
         right: grey levels of the right image.
         windows: windows of N boxes, G each.
-        found: matches by census; a window without a minimum keeps weight 0.
+        matches: matches by census; a window without a minimum keeps weight 0.
         first: (N,) disparity of the costs' index 0, px of the level.
 
     Returns:
         The matches, and (N, G) whether the grey values confirm them; the others keep their census disparities.
     """
     smooth_left = _smooth(left.windows(windows, windows.column, width=WINDOW_HW[1]))
-    strip_column = windows.column - (first[:, None] + found.index) - _REACH + 1
+    strip_column = windows.column - (first[:, None] + matches.index) - _REACH + 1
     smooth_right = _smooth(right.windows(windows, strip_column, width=WINDOW_HW[1] + 2 * _REACH - 2))
-    d = d_census = found.offset.ravel().astype(np.float32)
+    d = d_census = matches.offset.ravel().astype(np.float32)
     equations = _Equations.of(smooth_left)
     for interpolation_weights in (_linear_weights, _cubic_weights):
         right_at_d = _interpolated(smooth_right, interpolation_weights(-d))
         fit = equations.fit(right_at_d)
         d = np.clip(d - np.clip(fit.s, -_MAX_STEP_PX, _MAX_STEP_PX), -1.0, 1.0)
     is_fitted = (np.abs(d - d_census) < _MAX_CHANGE_PX) & (fit.a > _MIN_GAIN) & (fit.a * _MIN_GAIN < 1.0)
-    shape = found.offset.shape
-    is_confirmed = (is_fitted & (fit.variance < _MAX_SIGMA_PX**2)).reshape(shape) & (found.weight > 0)
+    shape = matches.offset.shape
+    is_confirmed = (is_fitted & (fit.variance < _MAX_SIGMA_PX**2)).reshape(shape) & (matches.weight > 0)
     d = np.clip(d + _vertical_offset_share(smooth_left, right_at_d, equations, fit, is_confirmed), -1.0, 1.0)
     variance = np.where(is_confirmed, fit.variance.reshape(shape).astype(np.float64), _UNCONFIRMED_SIGMA_PX**2)
-    variance += _FLOOR_PX**2 + (_FLOOR_SHARE * (first[:, None] + found.index)) ** 2
-    offset = np.where(is_confirmed, d.reshape(shape), found.offset)
-    return WindowMatches(found.index, offset, np.where(found.weight > 0, 1.0 / variance, 0.0)), is_confirmed
+    variance += _FLOOR_PX**2 + (_FLOOR_SHARE * (first[:, None] + matches.index)) ** 2
+    offset = np.where(is_confirmed, d.reshape(shape), matches.offset)
+    return WindowMatches(matches.index, offset, np.where(matches.weight > 0, 1.0 / variance, 0.0)), is_confirmed
 
 
 def _smooth(grey: npt.NDArray[np.uint8]) -> FloatArray32:

@@ -5,10 +5,10 @@ The cost of a path that reaches window w at disparity d, from the left, right, a
     L(w, d) = C(w, d) + min(L(v, d), L(v, d - 1) + P1, L(v, d + 1) + P1, min_i L(v, i) + P2) - min_i L(v, i)
     S(w, d) = sum of L(w, d) over the four paths
 
-A window without a minimum of its own, on glass or bare paint, takes its neighbours' through S. The disparity is the
-minimum of the window's own cost C next to the minimum of S, between pixels by a V-shaped (equiangular) fit, since a sum
-of absolute differences falls off linearly on both sides (Shimizu & Okutomi 2005). S is not interpolated: the steps P1
-bias it to whole pixels.
+A window without a clear minimum, on glass or paint, takes that of its neighbours through S. The disparity is the
+minimum of the window's cost C next to the minimum of S, with a V-shaped (equiangular) fit between pixels, because a sum
+of absolute differences is linear on both sides of the minimum (Shimizu & Okutomi 2005). S is not interpolated: the
+steps P1 bias it to whole pixels.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _P1_BITS = np.float32(1.5)
 """P1: cost of a step of one disparity between neighbouring windows, bits per pixel."""
 
 _P2_BITS = np.float32(6.0)
-"""P2: cost of any larger step, bits per pixel; about the depth of a good window's minimum below a chance match."""
+"""P2: cost of any larger step, bits per pixel; about the margin between a good minimum and a chance match."""
 
 _UNSEEN_BITS = np.float32(8.0)
 """Cost of a window that is outside the right image, bits per pixel: neither a match nor a contradiction."""
@@ -36,13 +36,14 @@ _UNSEEN_BITS = np.float32(8.0)
 
 @dataclass(frozen=True, slots=True)
 class WindowMatches:
-    """The disparities of G windows of each of N boxes.
+    """Disparities of G windows of each of N boxes.
 
     Attributes:
-        index: (N, G) along the first axis of the costs, never its first or last.
-        offset: (N, G) the minimum between indices: -0.5 .. 0.5 from census costs, -1 .. 1 from grey values.
-        weight: (N, G) how much the window counts; 0 = no minimum, or not seen. From census costs, the slope of the
-            minimum's sides, bits per pixel and disparity; from grey values (`subpixel`), 1 / variance, px^-2.
+        index: (N, G) index along the first axis of the costs, never its first or last.
+        offset: (N, G) position of the minimum relative to the index: -0.5 .. 0.5 from census costs, -1 .. 1 from grey
+            values.
+        weight: (N, G) weight of the window; 0 = no minimum, or outside the right image. From census costs, the slope of
+            the minimum's sides, bits per pixel and disparity; from grey values (`subpixel`), 1 / variance, px^-2.
     """
 
     index: IntArray
@@ -51,14 +52,14 @@ class WindowMatches:
 
 
 def match_windows(cost: FloatArray32) -> WindowMatches:
-    """The disparity of each window, from costs (D, N, G), bits per pixel, with D >= 3; NaN = not seen."""
+    """The disparity of each window from costs (D, N, G), bits per pixel, with D >= 3; NaN = outside the right image."""
     c = np.where(np.isfinite(cost), cost, _UNSEEN_BITS)
     last = len(cost) - 2
     d = np.clip(_path_costs(c).argmin(axis=0), 1, last)
     d = np.clip(d - 1 + np.stack([_at(c, d - 1), _at(c, d), _at(c, d + 1)]).argmin(axis=0), 1, last)
     c_minus, c_0, c_plus = _at(cost, d - 1), _at(cost, d), _at(cost, d + 1)
     slope = np.maximum(c_minus, c_plus) - c_0
-    is_minimum = (c_0 <= np.minimum(c_minus, c_plus)) & (slope > 0)  # False where one of the three was not seen
+    is_minimum = (c_0 <= np.minimum(c_minus, c_plus)) & (slope > 0)  # False where one of the three is NaN
     offset = (c_minus - c_plus) / np.where(is_minimum, 2 * slope, 1.0)
     return WindowMatches(d, np.where(is_minimum, offset, 0.0), np.where(is_minimum, slope, 0.0).astype(np.float64))
 

@@ -29,8 +29,8 @@ def test_depth_and_sigma_by_hand():
 
 
 def test_disparities_are_put_right_before_they_become_metres():
-    """The box's middle is column 150, 9.5 px from the axis: the bow is (9.5 / 160)^2 of that at the edge."""
-    alignment = Alignment(offset_px=0.5, bow_px=-1.6, residual_px=0.4)
+    """The box's middle is column 150, 9.5 px from the axis: the curvature is (9.5 / 160)^2 of that at the edge."""
+    alignment = Alignment(offset_px=0.5, curvature_px=-1.6, residual_px=0.4)
     ranges = Triangulation(RIG, alignment).ranges(tracks_of(1), np.array([9.5]), np.array([0.3]))
     disparity_px = 9.5 + 0.5 - 1.6 * (9.5 / 160) ** 2
     assert ranges.distance_m == pytest.approx([500 / disparity_px])

@@ -1,4 +1,4 @@
-"""A tiny set in KITTI 2015's layout: noise shifted by whole pixels, so that every disparity is exact."""
+"""A tiny set in KITTI 2015's layout: noise shifted by whole pixels, so that disparities are exact."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def noise(seed: int, *, height_px: int = HEIGHT_PX, width_px: int = WIDTH_PX) ->
     return cv2.normalize(cv2.GaussianBlur(grey, (0, 0), 1.2), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
 
 
-def write_pair(folder: Path, name: str, *, seed: int = 0, reads_low_px: int = 0, cars: Sequence[Car] = CARS) -> None:
-    """One pair; cars lie `reads_low_px` nearer in the truth than the images show."""
+def write_pair(folder: Path, name: str, *, seed: int = 0, offset_px: int = 0, cars: Sequence[Car] = CARS) -> None:
+    """One pair; the true disparities of cars are `offset_px` larger than those of the images."""
     wall = noise(seed, width_px=WIDTH_PX + BACKGROUND_PX)
     left, right = wall[:, :WIDTH_PX].copy(), wall[:, BACKGROUND_PX:].copy()
     truth, instance = np.zeros((HEIGHT_PX, WIDTH_PX)), np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8)
@@ -35,7 +35,7 @@ def write_pair(folder: Path, name: str, *, seed: int = 0, reads_low_px: int = 0,
         body = noise(seed + 100 * number, height_px=y2 - y1 + 1, width_px=x2 - x1 + 1)
         left[y1 : y2 + 1, x1 : x2 + 1] = body
         right[y1 : y2 + 1, x1 - disparity : x2 + 1 - disparity] = body
-        truth[y1 : y2 + 1, x1 : x2 + 1] = disparity + reads_low_px
+        truth[y1 : y2 + 1, x1 : x2 + 1] = disparity + offset_px
         instance[y1 : y2 + 1, x1 : x2 + 1] = number
     for part, image in (
         ("image_2", left),
@@ -47,9 +47,9 @@ def write_pair(folder: Path, name: str, *, seed: int = 0, reads_low_px: int = 0,
         cv2.imwrite(str(folder / part / f"{name}.png"), image)
 
 
-def write_set(folder: Path, names: Sequence[str] = ("000000_10", "000001_10"), *, reads_low_px: int = 0) -> Path:
+def write_set(folder: Path, names: Sequence[str] = ("000000_10", "000001_10"), *, offset_px: int = 0) -> Path:
     """A set of pairs with its calibration."""
     for number, name in enumerate(names):
-        write_pair(folder, name, seed=number, reads_low_px=reads_low_px)
+        write_pair(folder, name, seed=number, offset_px=offset_px)
     (folder / "calib.txt").write_text(CALIBRATION)
     return folder

@@ -1,4 +1,4 @@
-"""Pairs of random textures whose disparity is known exactly: shifted, tilted, or one before the other."""
+"""Pairs of random textures with exact disparities: shifted, tilted, or one in front of the other."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy.typing as npt
 from track_range.foundation.arrays import FloatArray, Image
 
 HEIGHT, WIDTH = 140, 400
-_FINER = 8
+_OVERSAMPLING = 8
 
 
 def texture(seed: int, *, height: int = HEIGHT, width: int = WIDTH, blur_px: float = 1.2) -> FloatArray:
@@ -30,7 +30,7 @@ def to_u8(image: FloatArray) -> Image:
 
 
 def with_noise(left: FloatArray, right: FloatArray, noise: float, seed: int) -> tuple[Image, Image]:
-    """Grey values, each eye with sensor noise of its own."""
+    """Grey values, each image with independent sensor noise."""
     sensor = np.random.default_rng(seed + 1000).normal(scale=noise, size=(2, *left.shape))
     return to_u8(left + sensor[0]), to_u8(right + sensor[1])
 
@@ -49,19 +49,19 @@ def pair(
 
 
 def tilted_pair(disparity_px: float, slope: float, *, at_px: float, seed: int = 0) -> tuple[Image, Image]:
-    """A wall seen obliquely: the disparity grows by `slope` per column and is `disparity_px` at column `at_px`."""
+    """An oblique wall: the disparity grows by `slope` per column and is `disparity_px` at column `at_px`."""
     left = texture(seed)
-    finer = np.fft.irfft(np.fft.rfft(left, axis=1), WIDTH * _FINER, axis=1) * _FINER
+    oversampled = np.fft.irfft(np.fft.rfft(left, axis=1), WIDTH * _OVERSAMPLING, axis=1) * _OVERSAMPLING
     columns = np.arange(WIDTH, dtype=np.float64)
     source = np.interp(columns, columns - disparity_px - slope * (columns - at_px), columns)
-    right = np.stack([np.interp(source * _FINER, np.arange(WIDTH * _FINER), row) for row in finer])
+    right = np.stack([np.interp(source * _OVERSAMPLING, np.arange(WIDTH * _OVERSAMPLING), row) for row in oversampled])
     return to_u8(left), to_u8(right)
 
 
 def pair_of_two(
     front: npt.NDArray[np.bool_], *, front_px: int, behind_px: int, seed: int = 0, noise: float = 2.0
 ) -> tuple[Image, Image]:
-    """What fills the mask `front` of the left image stands before the rest, also where the right eye looks."""
+    """A pair with a near surface in the mask `front` of the left image, in front of a far one."""
     near, far = texture(seed), texture(seed + 500)
     mask = np.zeros_like(front)
     mask[:, :-front_px] = front[:, front_px:]

@@ -1,4 +1,4 @@
-"""What an alignment does to disparities, when it is applied, and what it says."""
+"""Correction of disparities by an alignment, its significance, and its sentences."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_column_from_axis() -> None:
 
 
 def test_offset_curvature_and_sigma_by_hand() -> None:
-    alignment = Alignment(offset_px=0.5, bow_px=1.0, residual_px=0.3)
+    alignment = Alignment(offset_px=0.5, curvature_px=1.0, residual_px=0.3)
     disparity, sigma = alignment.corrected(
         np.array([10.0, 10.0, np.nan]), np.array([0.4, 0.0, np.nan]), x_px=np.array([600.0, 300.0, 0.0]), camera=CAMERA
     )
@@ -32,7 +32,7 @@ def test_default_alignment() -> None:
     disparity, sigma = Alignment().corrected(np.array([7.0]), np.zeros(1), x_px=np.zeros(1), camera=CAMERA)
     assert (disparity[0], sigma[0]) == (7.0, UNCORRECTED_SIGMA_PX)
     assert not Alignment().is_measured
-    assert Alignment().sentence() == "Alignment: not measured; disparities are taken as they are, +- 0.50 px."
+    assert "not measured" in Alignment().sentence()
 
 
 def measured(offset_px: float, sigma_px: float, **more: float) -> Alignment:
@@ -41,15 +41,13 @@ def measured(offset_px: float, sigma_px: float, **more: float) -> Alignment:
 
 def test_sentences() -> None:
     low = measured(0.414, 0.093, residual_px=0.2)
-    assert low.sentence() == (
-        "Alignment: disparities read 0.41 +- 0.09 px low (from this drive, 16 frames); corrected."
-    )
-    assert "0.30 +- 0.05 px high, and 1.20 px higher at the side edges" in measured(-0.3, 0.05, bow_px=-1.2).sentence()
+    assert "0.41 ± 0.09 px too small" in low.sentence()
+    assert "this drive, 16 frames" in low.sentence()
+    high = measured(-0.3, 0.05, curvature_px=-1.2).sentence()
+    assert "0.30 ± 0.05 px too large" in high
+    assert "1.20 px too large at the image edges" in high
     unclear = measured(0.05, 0.03, residual_px=0.1).if_clear()
-    assert unclear.sentence() == (
-        "Alignment: no clear error of the disparities, +- 0.03 px (from this drive, 16 frames); they are taken as they "
-        "are."
-    )
+    assert "not corrected" in unclear.sentence()
 
 
 @pytest.mark.parametrize(
@@ -58,8 +56,8 @@ def test_sentences() -> None:
         (measured(0.21, 0.1), True),
         (measured(-0.21, 0.1), True),
         (measured(0.19, 0.1), False),
-        (measured(0.0, 0.1, bow_px=1.0, bow_sigma_px=0.4), True),
-        (measured(0.0, 0.1, bow_px=1.0, bow_sigma_px=0.6), False),
+        (measured(0.0, 0.1, curvature_px=1.0, curvature_sigma_px=0.4), True),
+        (measured(0.0, 0.1, curvature_px=1.0, curvature_sigma_px=0.6), False),
     ],
 )
 def test_significance_of_offset_and_curvature(alignment: Alignment, is_clear: bool) -> None:
@@ -70,12 +68,14 @@ def test_significance_of_offset_and_curvature(alignment: Alignment, is_clear: bo
 @settings(deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(0.01, 0.3), st.floats(0.0, 0.4))
 def test_withheld_correction_is_part_of_the_residual(offset_px: float, sigma_px: float, residual_px: float) -> None:
-    found = measured(offset_px, sigma_px, residual_px=residual_px).if_clear()
-    if not found.is_correcting:
-        assert found.residual_px == pytest.approx(min(float(np.hypot(offset_px, residual_px)), UNCORRECTED_SIGMA_PX))
-        assert found.offset_sigma_px == sigma_px
+    alignment = measured(offset_px, sigma_px, residual_px=residual_px).if_clear()
+    if not alignment.is_correcting:
+        assert alignment.residual_px == pytest.approx(
+            min(float(np.hypot(offset_px, residual_px)), UNCORRECTED_SIGMA_PX)
+        )
+        assert alignment.offset_sigma_px == sigma_px
 
 
 @pytest.mark.parametrize(("row_offset_px", "moved_px"), [(0.0, 0.0), (0.3, 0.0), (-0.31, -0.31), (2.5, 2.5)])
 def test_small_row_offsets_are_not_corrected(row_offset_px: float, moved_px: float) -> None:
-    assert Alignment(row_offset_px=row_offset_px).rows_to_move_px == moved_px
+    assert Alignment(row_offset_px=row_offset_px).row_correction_px == moved_px

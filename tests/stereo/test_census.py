@@ -1,4 +1,4 @@
-"""Census words and cost curves against the definition, pixel by pixel."""
+"""Census words and cost curves compared with their definition, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def slow_differing_bits(left: Image, right: Image, xy: tuple[int, int], disparit
     count = 0
     for dy in range(-2, 3):
         for dx in range(-2, 3):
-            ours = left[y + dy, x + dx] > left[y, x]
-            theirs = right[y + dy, x + dx - disparity_px] > right[y, x - disparity_px]
-            count += int(ours != theirs)
+            left_bit = left[y + dy, x + dx] > left[y, x]
+            right_bit = right[y + dy, x + dx - disparity_px] > right[y, x - disparity_px]
+            count += int(left_bit != right_bit)
     return count
 
 
@@ -41,7 +41,7 @@ def shrunk(image: Image, level: int) -> Image:
 
 
 def windows_at(level: int, *corners: tuple[int, int]) -> BoxWindows:
-    """One box whose windows begin at these columns and rows."""
+    """One box with windows that start at these columns and rows."""
     column, row = np.array(corners).T
     return BoxWindows(np.array([level]), column[None, :], row[None, :])
 
@@ -90,7 +90,7 @@ def test_costs_equal_brute_force_also_in_corners(level: int, first_px: int, n_di
 
 def test_boxes_of_different_levels_are_independent() -> None:
     left, right = pair(8.0, noise=3.0)
-    eyes = GreyLevels.of(left, 3), GreyLevels.of(right, 3)
+    levels = GreyLevels.of(left, 3), GreyLevels.of(right, 3)
     one, two = windows_at(0, (150, 40), (160, 40)), windows_at(2, (60, 10), (50, 12))
     both = BoxWindows(
         *(
@@ -98,8 +98,10 @@ def test_boxes_of_different_levels_are_independent() -> None:
             for parts in zip((one.level, one.column, one.row), (two.level, two.column, two.row), strict=True)
         )
     )
-    together = cost_curves(*eyes, both, first=np.array([5, 0]), n_disparities=9)
-    alone = [cost_curves(*eyes, w, first=np.array([first]), n_disparities=9)[:, 0] for w, first in ((one, 5), (two, 0))]
+    together = cost_curves(*levels, both, first=np.array([5, 0]), n_disparities=9)
+    alone = [
+        cost_curves(*levels, w, first=np.array([first]), n_disparities=9)[:, 0] for w, first in ((one, 5), (two, 0))
+    ]
     assert np.array_equal(together, np.stack(alone, axis=1), equal_nan=True)
     assert together.argmin(axis=0).tolist() == [[3, 3], [2, 2]]  # 8 = 5 + 3 px; 8 / 4 = 2 px of level 2
 
@@ -111,7 +113,7 @@ def test_pyramid_levels_are_means() -> None:
     assert levels.begin.tolist() == [0, 23 * 37, 23 * 37 + 11 * 18]
     for level, begin in enumerate(levels.begin):
         expected = shrunk(image, level).ravel().astype(np.int64)
-        found = levels.pixels[begin : begin + expected.size].astype(np.int64)
-        assert np.abs(found - expected).max() <= level  # exact halves are rounded either way
+        pixels = levels.pixels[begin : begin + expected.size].astype(np.int64)
+        assert np.abs(pixels - expected).max() <= level  # exact halves are rounded either way
     colour = GreyLevels.of(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), 3)
     assert np.array_equal(colour.pixels, levels.pixels)

@@ -1,4 +1,4 @@
-"""The figures of matchers by hand, as properties, and on the real pairs."""
+"""Figures of matchers by hand, as properties, and on real pairs."""
 
 from __future__ import annotations
 
@@ -50,60 +50,60 @@ def objects(true_px: list[float], *, group: list[int] | None = None, pair: list[
 
 def test_figures_by_hand() -> None:
     # distances 40, 20, 10, 8 m; errors -4.76 %, 0, +33.3 % (a failure), no value (another)
-    found = figures(column([10.5, 20.0, 30.0, NAN], [0.6, 0.1, 6.0, 1.0]), np.array([10.0, 20.0, 40.0, 50.0]))
-    assert (found["n"], found["n_measured"]) == (4, 3)
-    assert (found["coverage"], found["failures_pct"]) == (0.75, 50.0)
-    assert found["median_relative_error_pct"] == pytest.approx(100 / 21, abs=1e-4)
-    assert found["mean_relative_error_pct"] == pytest.approx((100 / 21 + 0 + 100 / 3) / 3, abs=1e-4)
-    # between the second and third of three, 90 % of the way
-    assert found["p95_relative_error_pct"] == pytest.approx(100 / 21 + 0.9 * (100 / 3 - 100 / 21), abs=1e-4)
-    assert found["bias_pct"] == 0.0
-    assert found["median_abs_error_px"] == 0.5
-    assert (found["within_1_sigma"], found["within_2_sigma"]) == (pytest.approx(2 / 3, abs=1e-4), 1.0)
+    result = figures(column([10.5, 20.0, 30.0, NAN], [0.6, 0.1, 6.0, 1.0]), np.array([10.0, 20.0, 40.0, 50.0]))
+    assert (result["n"], result["n_measured"]) == (4, 3)
+    assert (result["coverage"], result["failures_pct"]) == (0.75, 50.0)
+    assert result["median_relative_error_pct"] == pytest.approx(100 / 21, abs=1e-4)
+    assert result["mean_relative_error_pct"] == pytest.approx((100 / 21 + 0 + 100 / 3) / 3, abs=1e-4)
+    # 90 % of the way from the second to the third of three
+    assert result["p95_relative_error_pct"] == pytest.approx(100 / 21 + 0.9 * (100 / 3 - 100 / 21), abs=1e-4)
+    assert result["bias_pct"] == 0.0
+    assert result["median_abs_error_px"] == 0.5
+    assert (result["within_1_sigma"], result["within_2_sigma"]) == (pytest.approx(2 / 3, abs=1e-4), 1.0)
 
 
 def test_figures_without_values_or_objects() -> None:
-    found = figures(column([NAN, NAN]), np.array([10.0, 20.0]))
-    assert (found["coverage"], found["failures_pct"], found["n_measured"]) == (0.0, 100.0, 0)
-    assert found["median_relative_error_pct"] is found["within_1_sigma"] is None
+    result = figures(column([NAN, NAN]), np.array([10.0, 20.0]))
+    assert (result["coverage"], result["failures_pct"], result["n_measured"]) == (0.0, 100.0, 0)
+    assert result["median_relative_error_pct"] is result["within_1_sigma"] is None
     empty = figures(column([]), np.zeros(0))
     assert (empty["n"], empty["coverage"], empty["failures_pct"]) == (0, None, None)
 
 
 def test_a_failure_is_beyond_15_per_cent() -> None:
     true_px = np.array([10.0, 10.0, 10.0, 10.0])
-    found = figures(column([10 / 1.149, 10 / 1.151, 10 / 0.851, 10 / 0.849]), true_px)
-    assert found["failures_pct"] == 50.0
+    result = figures(column([10 / 1.149, 10 / 1.151, 10 / 0.851, 10 / 0.849]), true_px)
+    assert result["failures_pct"] == 50.0
 
 
 def test_bands_of_true_distance() -> None:
     # 400 px m: 5, 14.99, 15, 30, 59.9 m, and 4 and 80 m in no band
     true_px = [80.0, 400 / 14.99, 400 / 15, 400 / 30, 400 / 59.9, 100.0, 5.0]
-    found = matcher_figures({"a": column(true_px)}, objects(true_px))["a"]
-    assert [(band["from_m"], band["to_m"], band["n"]) for band in found["bands"]] == [
+    result = matcher_figures({"a": column(true_px)}, objects(true_px))["a"]
+    assert [(band["from_m"], band["to_m"], band["n"]) for band in result["bands"]] == [
         (5.0, 15.0, 2),
         (15.0, 30.0, 1),
         (30.0, 60.0, 2),
     ]
-    assert found["n"] == 7
+    assert result["n"] == 7
 
 
 def test_common_figures() -> None:
-    world = objects([10.0, 20.0, 40.0])
-    found = common_figures({"a": column([10.0, NAN, 40.0]), "b": column([11.0, 20.0, 50.0])}, world)
-    assert [row["n"] for row in found.values()] == [2, 2]
-    assert [row["coverage"] for row in found.values()] == [1.0, 1.0]
-    assert found["b"]["failures_pct"] == 50.0
-    nobody = common_figures({"a": column([10.0, NAN, NAN]), "b": column([NAN, 20.0, 50.0])}, world)
-    assert nobody["a"]["n"] == 0
+    all_objects = objects([10.0, 20.0, 40.0])
+    result = common_figures({"a": column([10.0, NAN, 40.0]), "b": column([11.0, 20.0, 50.0])}, all_objects)
+    assert [row["n"] for row in result.values()] == [2, 2]
+    assert [row["coverage"] for row in result.values()] == [1.0, 1.0]
+    assert result["b"]["failures_pct"] == 50.0
+    none_common = common_figures({"a": column([10.0, NAN, NAN]), "b": column([NAN, 20.0, 50.0])}, all_objects)
+    assert none_common["a"]["n"] == 0
 
 
 def test_intervals_resample_groups() -> None:
     # Two tracks, each of one error: whatever is drawn, the median error is 0, 5 or between.
     true_px = [10.0] * 8
     measured = column([10.0] * 4 + [10 / 1.05] * 4)
-    world = objects(true_px, group=[0] * 4 + [1] * 4)
-    ends = matcher_figures({"a": measured}, world)["a"]["intervals"]["median_relative_error_pct"]
+    all_objects = objects(true_px, group=[0] * 4 + [1] * 4)
+    ends = matcher_figures({"a": measured}, all_objects)["a"]["intervals"]["median_relative_error_pct"]
     assert ends == pytest.approx([0.0, 5.0])  # each track is drawn twice in a quarter of the draws
     alone = matcher_figures({"a": measured}, objects(true_px, group=[0] * 8))["a"]
     assert alone["intervals"] == {}
@@ -114,22 +114,22 @@ def test_intervals_resample_groups() -> None:
 
 
 def test_intervals_are_seeded() -> None:
-    world, measured = objects([10.0] * 8), {"a": column([10 / (1 + 0.01 * k) for k in range(8)])}
-    assert matcher_figures(measured, world, seed=1) == matcher_figures(measured, world, seed=1)
-    assert matcher_figures(measured, world, seed=1) != matcher_figures(measured, world, seed=2)
+    all_objects, measured = objects([10.0] * 8), {"a": column([10 / (1 + 0.01 * k) for k in range(8)])}
+    assert matcher_figures(measured, all_objects, seed=1) == matcher_figures(measured, all_objects, seed=1)
+    assert matcher_figures(measured, all_objects, seed=1) != matcher_figures(measured, all_objects, seed=2)
 
 
 def test_pairs_are_corrected_by_their_alignment() -> None:
-    world = replace(objects([10.0, 10.0, 10.0], pair=[0, 1, 1]), x_px=np.array([600.0, 1200.0, 600.0]))
+    all_objects = replace(objects([10.0, 10.0, 10.0], pair=[0, 1, 1]), x_px=np.array([600.0, 1200.0, 600.0]))
     alignments = {
         0: Alignment(offset_px=0.5, residual_px=3.0),
-        1: Alignment(offset_px=-1.0, bow_px=2.0, residual_px=0.0),
+        1: Alignment(offset_px=-1.0, curvature_px=2.0, residual_px=0.0),
     }
-    found = corrected(column([9.0, 9.0, 0.5], [4.0, 0.25, 0.25]), world, alignments)
-    assert found.disparity_px[:2].tolist() == [9.5, 10.0]  # the second at the image's edge: -1 + 2
-    assert np.isnan(found.disparity_px[2])  # -0.5 is no disparity
-    assert found.sigma_px[:2].tolist() == [5.0, 0.25]
-    assert np.isnan(found.sigma_px[2])
+    result = corrected(column([9.0, 9.0, 0.5], [4.0, 0.25, 0.25]), all_objects, alignments)
+    assert result.disparity_px[:2].tolist() == [9.5, 10.0]  # the second is at the image edge: -1 + 2
+    assert np.isnan(result.disparity_px[2])  # negative
+    assert result.sigma_px[:2].tolist() == [5.0, 0.25]
+    assert np.isnan(result.sigma_px[2])
 
 
 def test_folds_take_pairs_in_order() -> None:
@@ -142,20 +142,20 @@ def mean_offset(measured_px: np.ndarray, true_px: np.ndarray, **where: object) -
 
 
 def test_alignments_exclude_their_own_fold() -> None:
-    world = objects([20.0, 21.0, 22.0, 23.0, 24.0])  # true - measured: 0, 1, 2, 3, 4
-    found = left_out_alignments(column([20.0] * 5), world, mean_offset)
-    assert [found[pair].offset_px for pair in range(5)] == pytest.approx([3.0, 3.0, 5 / 3, 5 / 3, 1.5])
-    assert found[0] is found[1]
-    assert found[4].source == "[0 1 2 3]"
+    all_objects = objects([20.0, 21.0, 22.0, 23.0, 24.0])  # true - measured: 0, 1, 2, 3, 4
+    result = left_out_alignments(column([20.0] * 5), all_objects, mean_offset)
+    assert [result[pair].offset_px for pair in range(5)] == pytest.approx([3.0, 3.0, 5 / 3, 5 / 3, 1.5])
+    assert result[0] is result[1]
+    assert result[4].source == "[0 1 2 3]"
 
 
 @settings(deadline=None, max_examples=40)
 @given(st.lists(st.tuples(st.floats(5.0, 60.0), st.floats(-0.4, 0.4)), min_size=1, max_size=12), st.randoms())
 def test_order_is_irrelevant_and_truth_has_no_error(rows: list[tuple[float, float]], random: object) -> None:
-    true_px, off_px = np.array(rows).T
+    true_px, error_px = np.array(rows).T
     order = np.arange(len(rows))
     random.shuffle(order)  # type: ignore[attr-defined]
-    measured = column((true_px + off_px).tolist())
+    measured = column((true_px + error_px).tolist())
     shuffled = Column(measured.disparity_px[order], measured.sigma_px[order])
     assert figures(measured, true_px) == figures(shuffled, true_px[order])
     perfect = figures(column(true_px.tolist()), true_px)
@@ -164,20 +164,22 @@ def test_order_is_irrelevant_and_truth_has_no_error(rows: list[tuple[float, floa
 
 
 def test_the_real_pairs(shared_data: Path) -> None:
-    """The patch matcher and the dense median on the labelled cars, as they are and with two pairs left out."""
+    """The patch matcher and the dense median on the labelled cars, uncorrected and cross-validated."""
     measured = measure_pairs(read_pairs(shared_data / "kitti2015"), ("patch", "sgbm"))
-    world = measured.objects
-    raw = matcher_figures(measured.columns, world)
+    all_objects = measured.objects
+    raw = matcher_figures(measured.columns, all_objects)
     assert [row["n"] for row in raw.values()] == [36, 36]
     assert raw["patch"]["coverage"] >= 0.9, raw["patch"]
     assert raw["sgbm"]["coverage"] >= 0.97, raw["sgbm"]
-    for row in raw.values():  # KITTI's pairs read a third to half a pixel low
+    for row in raw.values():  # KITTI's disparities are a third to half a pixel too small
         assert 0.25 < row["median_abs_error_px"] < 0.65, row
         assert 1.5 < row["bias_pct"] < 4.5, row
     assert raw["patch"]["median_relative_error_pct"] < raw["sgbm"]["median_relative_error_pct"]
-    for name, each in measured.columns.items():
-        put_right = corrected(each, world, left_out_alignments(each, world, fit_reference))
-        row = matcher_figures({name: put_right}, world)[name]
+    for name, measured_column in measured.columns.items():
+        corrected_column = corrected(
+            measured_column, all_objects, left_out_alignments(measured_column, all_objects, fit_reference)
+        )
+        row = matcher_figures({name: corrected_column}, all_objects)[name]
         assert 0.7 < row["median_relative_error_pct"] < 1.8, row
         assert 3.0 < row["p95_relative_error_pct"] < 7.0, row
         assert abs(row["bias_pct"]) < 1.0, row

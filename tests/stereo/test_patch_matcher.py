@@ -1,4 +1,4 @@
-"""The patch matcher on pairs whose disparity is known, and on all that it must refuse."""
+"""The patch matcher on pairs with known disparities, and on input that it must refuse."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ ROWS, COLUMNS = np.mgrid[:140, :400]
 
 
 def of_box(
-    eyes: tuple[Image, Image],
+    images: tuple[Image, Image],
     box: tuple[float, ...] = BOX,
     prior_px: float = NONE,
     matcher: PatchMatcher | None = None,
 ) -> tuple[float, float, Outcome]:
     """Disparity, sigma and outcome of one box."""
-    found = (matcher or PatchMatcher()).match(*eyes, np.array([box]), np.array([prior_px]))
-    return float(found.disparity_px[0]), float(found.sigma_px[0]), Outcome(int(found.outcome[0]))
+    measured = (matcher or PatchMatcher()).match(*images, np.array([box]), np.array([prior_px]))
+    return float(measured.disparity_px[0]), float(measured.sigma_px[0]), Outcome(int(measured.outcome[0]))
 
 
 def errors_px(
     disparities_px: FloatArray, *, box: tuple[float, ...] = BOX, noise: float = 0.0, with_prior: bool = True
 ) -> tuple[FloatArray, FloatArray]:
     """Errors and sigmas over textures, one per disparity."""
-    found = [
+    measured = [
         of_box(pair(float(d), seed=seed, noise=noise), box, float(d) + 3.0 if with_prior else NONE)
         for seed, d in enumerate(disparities_px)
     ]
-    return np.array([f[0] for f in found]) - disparities_px, np.array([f[1] for f in found])
+    return np.array([f[0] for f in measured]) - disparities_px, np.array([f[1] for f in measured])
 
 
 # Known shifts
@@ -65,16 +65,16 @@ def test_no_pixel_locking(box: tuple[float, ...], noise: float) -> None:
 
 def test_large_boxes_in_the_pyramid() -> None:
     for edges, level in (((20.0, 20.0, 390.0, 130.0), 1), ((60.0, 40.0, 620.0, 330.0), 2)):
-        eyes = pair(25.3, seed=level, noise=2.0, height=360, width=640, blur_px=1.2 * 2**level)
+        images = pair(25.3, seed=level, noise=2.0, height=360, width=640, blur_px=1.2 * 2**level)
         for prior_px in (27.0, NONE):
-            assert of_box(eyes, edges, prior_px)[0] == pytest.approx(25.3, abs=0.04 * 2**level)
+            assert of_box(images, edges, prior_px)[0] == pytest.approx(25.3, abs=0.04 * 2**level)
 
 
 def test_distance_by_hand() -> None:
     # f = 1000 px, B = 0.5 m, d = 10 px -> 50 m
-    found = PatchMatcher().match(*pair(10.0), np.array([BOX]), np.array([NONE])).disparity_px
+    measured = PatchMatcher().match(*pair(10.0), np.array([BOX]), np.array([NONE])).disparity_px
     rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 200.0, 70.0, 400, 140), 0.5)
-    assert rig.distance_m(found)[0] == pytest.approx(50.0, abs=0.2)
+    assert rig.distance_m(measured)[0] == pytest.approx(50.0, abs=0.2)
 
 
 def test_exposure_gain_and_colour_do_not_matter() -> None:
@@ -89,9 +89,9 @@ def test_exposure_gain_and_colour_do_not_matter() -> None:
 @pytest.mark.parametrize("slope", [-0.05, 0.02, 0.1])
 def test_slanted_surface_at_its_centre(slope: float) -> None:
     for seed in range(4):
-        eyes = tilted_pair(20.3, slope, at_px=240.0, seed=seed)
-        assert of_box(eyes, prior_px=20.0)[0] == pytest.approx(20.3, abs=0.04)
-        assert of_box(eyes)[0] == pytest.approx(20.3, abs=0.04)
+        images = tilted_pair(20.3, slope, at_px=240.0, seed=seed)
+        assert of_box(images, prior_px=20.0)[0] == pytest.approx(20.3, abs=0.04)
+        assert of_box(images)[0] == pytest.approx(20.3, abs=0.04)
 
 
 def test_small_disparities_without_a_prior() -> None:
@@ -104,17 +104,17 @@ def test_small_disparities_without_a_prior() -> None:
 
 def test_a_prior_off_by_5_px_changes_nothing() -> None:
     for seed in range(5):
-        eyes = pair(30.3, seed=seed, noise=3.0)
-        found = [of_box(eyes, prior_px=30.3 + off)[0] for off in (0.0, -5.0, 5.0)]
-        assert np.ptp(found) < 0.01
-        assert found[0] == pytest.approx(30.3, abs=0.05)
+        images = pair(30.3, seed=seed, noise=3.0)
+        measured = [of_box(images, prior_px=30.3 + off)[0] for off in (0.0, -5.0, 5.0)]
+        assert np.ptp(measured) < 0.01
+        assert measured[0] == pytest.approx(30.3, abs=0.05)
 
 
 def test_a_prior_far_off_falls_back_to_the_full_range() -> None:
     for seed in range(5):
-        eyes = pair(30.0, seed=seed, noise=3.0)
+        images = pair(30.0, seed=seed, noise=3.0)
         for prior_px in (10.0, 12.0, 50.0, 100.0, 190.0, 0.0, -5.0, 1e9, np.inf, -np.inf):
-            assert of_box(eyes, prior_px=prior_px)[0] == pytest.approx(30.0, abs=0.05)
+            assert of_box(images, prior_px=prior_px)[0] == pytest.approx(30.0, abs=0.05)
 
 
 def test_the_range_ends_at_the_largest_disparity() -> None:
@@ -122,24 +122,24 @@ def test_the_range_ends_at_the_largest_disparity() -> None:
     for prior_px in (NONE, 47.0):
         assert of_box(pair(49.6), prior_px=prior_px, matcher=matcher)[0] == pytest.approx(49.6, abs=0.05)
         for beyond_px in (53.0, 60.0, 90.0):
-            found = of_box(pair(beyond_px), prior_px=prior_px, matcher=matcher)
-            assert np.isnan(found[0])
-            assert found[2] in (Outcome.OUT_OF_RANGE, Outcome.NO_TEXTURE, Outcome.NO_FIT)
+            measured = of_box(pair(beyond_px), prior_px=prior_px, matcher=matcher)
+            assert np.isnan(measured[0])
+            assert measured[2] in (Outcome.OUT_OF_RANGE, Outcome.NO_TEXTURE, Outcome.NO_FIT)
 
 
 def test_largest_disparity_depends_on_box_size() -> None:
     matcher = PatchMatcher(PatchMatcherSettings(max_disparity_per_side=0.5))
     boxes = np.array([BOX, SMALL])  # 40 and 15 px at most
-    found = matcher.match(*pair(30.0), boxes, np.full(2, NONE))
-    assert found.disparity_px[0] == pytest.approx(30.0, abs=0.05)
-    assert np.isnan(found.disparity_px[1])
+    measured = matcher.match(*pair(30.0), boxes, np.full(2, NONE))
+    assert measured.disparity_px[0] == pytest.approx(30.0, abs=0.05)
+    assert np.isnan(measured.disparity_px[1])
 
 
 def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
     rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720), 0.5)
     made = PatchMatcherSettings.for_rig(rig, nearest_m=2.0, smallest_m=0.25)
     assert (made.max_disparity_px, made.max_disparity_per_side) == (250, 2.0)
-    assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640  # half the image
+    assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640  # half the image width
 
 
 # Several surfaces
@@ -150,7 +150,7 @@ def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
     [
         ((np.abs(COLUMNS - 240) <= 12) & (ROWS >= 40), 25, 10, 25),  # a person before a wall
         ((ROWS >= 58) & (COLUMNS >= 200) & (COLUMNS <= 280), 25, 10, 25),  # a car under the sky
-        (COLUMNS <= 228, 40, 20, 20),  # a car behind what stands at its left
+        (COLUMNS <= 228, 40, 20, 20),  # a car behind an object on its left
         (np.abs(COLUMNS - 225) <= 5, 40, 20, 20),  # behind a pole
     ],
 )
@@ -158,19 +158,19 @@ def test_of_two_surfaces_the_object_is_measured(
     front: npt.NDArray[np.bool_], front_px: int, behind_px: int, object_px: int
 ) -> None:
     for seed in range(4):
-        eyes = pair_of_two(front, front_px=front_px, behind_px=behind_px, seed=seed)
+        images = pair_of_two(front, front_px=front_px, behind_px=behind_px, seed=seed)
         for prior_px in (NONE, object_px + 2.0):
-            assert of_box(eyes, prior_px=prior_px)[0] == pytest.approx(object_px, abs=0.15)
+            assert of_box(images, prior_px=prior_px)[0] == pytest.approx(object_px, abs=0.15)
 
 
 def test_the_prior_decides_between_halves() -> None:
     for seed in range(4):
-        eyes = pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed)
+        images = pair_of_two(COLUMNS < 240, front_px=40, behind_px=20, seed=seed)
         for prior_px in (20.0, 40.0):
-            assert of_box(eyes, prior_px=prior_px)[0] == pytest.approx(prior_px, abs=0.6)
+            assert of_box(images, prior_px=prior_px)[0] == pytest.approx(prior_px, abs=0.6)
 
 
-# Many boxes; only what is needed is looked at
+# Many boxes; only required pixels are read
 
 MANY = np.array(
     [BOX, SMALL, (30.0, 10.0, 380.0, 130.0), (100.0, 20.0, 116.0, 34.0), (150.0, 90.0, 230.0, 139.5), (0, 0, 40, 40.0)]
@@ -178,8 +178,8 @@ MANY = np.array(
 MANY_PRIORS = np.array([NONE, 20.0, 22.0, NONE, 90.0, 19.0])
 
 
-def as_rows(found: PatchMatches) -> FloatArray:
-    return np.stack([found.disparity_px, found.sigma_px, found.outcome.astype(np.float64)], axis=1)
+def as_rows(measured: PatchMatches) -> FloatArray:
+    return np.stack([measured.disparity_px, measured.sigma_px, measured.outcome.astype(np.float64)], axis=1)
 
 
 def test_boxes_are_independent() -> None:
@@ -191,47 +191,47 @@ def test_boxes_are_independent() -> None:
     assert np.isfinite(together[:5, 0]).all()
 
 
-class LookedAt:
-    """An image that remembers which of its pixels were looked at."""
+class RecordingImage:
+    """An image that records which of its pixels are read."""
 
     def __init__(self, image: Image) -> None:
         self._image = image
-        self.seen = np.zeros(image.shape[:2], np.bool_)
+        self.was_read = np.zeros(image.shape[:2], np.bool_)
 
     @property
     def shape(self) -> tuple[int, ...]:
         return self._image.shape
 
     def __getitem__(self, window: tuple[slice, slice], /) -> Image:
-        self.seen[window] = True
+        self.was_read[window] = True
         return self._image[window]
 
 
 @pytest.mark.parametrize("priors_px", [MANY_PRIORS, np.full(6, NONE), np.full(6, 21.0)])
 def test_lazily_computed_images_give_equal_results(priors_px: FloatArray) -> None:
     left, right = pair(20.7, noise=3.0)
-    for eyes in ((left, right), (np.dstack([left] * 3), np.dstack([right] * 3))):
-        view = LookedAt(eyes[1])
+    for images in ((left, right), (np.dstack([left] * 3), np.dstack([right] * 3))):
+        view = RecordingImage(images[1])
         assert np.array_equal(
-            as_rows(PatchMatcher().match(eyes[0], view, MANY, priors_px)),
-            as_rows(PatchMatcher().match(*eyes, MANY, priors_px)),
+            as_rows(PatchMatcher().match(images[0], view, MANY, priors_px)),
+            as_rows(PatchMatcher().match(*images, MANY, priors_px)),
             equal_nan=True,
         )
 
 
 def test_pixels_read_near_a_prior() -> None:
     left, right = pair(20.7)
-    view = LookedAt(right)
+    view = RecordingImage(right)
     assert np.isfinite(PatchMatcher().match(left, view, np.array([SMALL]), np.array([21.0])).disparity_px[0])
-    rows, columns = np.nonzero(view.seen)
+    rows, columns = np.nonzero(view.was_read)
     # inner half 217.5 .. 232.5 and 56 .. 68 px; 21 +- 9 px to the left; margins of 2 px; steps of 4 px
     assert 184 <= columns.min() <= 217 - 21 - 9
     assert 233 <= columns.max() <= 240
     assert 50 <= rows.min() <= 56
     assert 68 <= rows.max() <= 74
-    untouched = LookedAt(right)
+    untouched = RecordingImage(right)
     PatchMatcher().match(left, untouched, np.array([[-90.0, 0.0, -50.0, 40.0]]), np.array([20.0]))
-    assert not untouched.seen.any()
+    assert not untouched.was_read.any()
 
 
 # Refused, with the reason
@@ -267,18 +267,23 @@ def test_unrelated_images_are_refused(make: str, with_prior: bool, most_pct: int
             left, right = np.random.default_rng(seed).integers(0, 256, (2, 140, 400), dtype=np.uint8)
         else:
             left, right = to_u8(texture(seed)), to_u8(texture(seed + 500))
-        found = PatchMatcher().match(left, right, boxes, np.full(10, 20.0 if with_prior else NONE))
-        assert set(found.outcome.tolist()) <= {Outcome.MATCHED, Outcome.NO_TEXTURE, Outcome.NO_FIT, Outcome.AMBIGUOUS}
-        n_found += int(np.isfinite(found.disparity_px).sum())
+        measured = PatchMatcher().match(left, right, boxes, np.full(10, 20.0 if with_prior else NONE))
+        assert set(measured.outcome.tolist()) <= {
+            Outcome.MATCHED,
+            Outcome.NO_TEXTURE,
+            Outcome.NO_FIT,
+            Outcome.AMBIGUOUS,
+        }
+        n_found += int(np.isfinite(measured.disparity_px).sum())
     assert n_found <= most_pct  # of 100
 
 
 def test_repeated_texture_needs_a_prior() -> None:
     for period_px in (20, 32, 50):
         fence = np.tile(texture(3, width=period_px), (1, 400 // period_px + 1))[:, :400]
-        eyes = to_u8(fence), to_u8(np.roll(fence, -20, axis=1))
-        assert of_box(eyes)[2] is Outcome.AMBIGUOUS
-        assert of_box(eyes, prior_px=21.0)[0] == pytest.approx(20.0, abs=0.05)
+        images = to_u8(fence), to_u8(np.roll(fence, -20, axis=1))
+        assert of_box(images)[2] is Outcome.AMBIGUOUS
+        assert of_box(images, prior_px=21.0)[0] == pytest.approx(20.0, abs=0.05)
     fence = np.tile(texture(3, width=8), (1, 50))
     assert of_box((to_u8(fence), to_u8(np.roll(fence, -20, axis=1))), prior_px=21.0)[2] is not Outcome.MATCHED
 
@@ -302,8 +307,8 @@ def test_parts_outside_the_right_image() -> None:
 
 def test_box_outside_the_right_image() -> None:
     matcher = PatchMatcher(PatchMatcherSettings(min_disparity_px=40))
-    found = of_box(pair(60.0), (0.0, 40.0, 50.0, 80.0), matcher=matcher)
-    assert found[2] is Outcome.NOT_SEEN
+    measured = of_box(pair(60.0), (0.0, 40.0, 50.0, 80.0), matcher=matcher)
+    assert measured[2] is Outcome.NOT_SEEN
 
 
 def test_outcomes_of_unusable_boxes() -> None:
@@ -323,15 +328,15 @@ def test_outcomes_of_unusable_boxes() -> None:
         ((1e300, 1e300, 1e301, 1e301), Outcome.OUTSIDE),
         ((-0.5, -0.5, 399.5, 139.5), Outcome.MATCHED),  # the whole image
         ((-1e6, -1e6, 1e6, 1e6), Outcome.MATCHED),
-        ((380.0, 100.0, 500.0, 500.0), Outcome.MATCHED),  # what of it is inside
+        ((380.0, 100.0, 500.0, 500.0), Outcome.MATCHED),  # partly inside
     ]
     boxes = np.array([box for box, _ in cases])
-    found = PatchMatcher().match(*pair(12.0), boxes, np.full(len(boxes), NONE))
-    assert [Outcome(code) for code in found.outcome.tolist()] == [outcome for _, outcome in cases]
-    matched = found.outcome == Outcome.MATCHED
-    assert np.allclose(found.disparity_px[matched], 12.0, atol=0.15)
-    assert np.array_equal(np.isfinite(found.disparity_px), matched)
-    assert np.array_equal(np.isfinite(found.sigma_px), matched)
+    measured = PatchMatcher().match(*pair(12.0), boxes, np.full(len(boxes), NONE))
+    assert [Outcome(code) for code in measured.outcome.tolist()] == [outcome for _, outcome in cases]
+    matched = measured.outcome == Outcome.MATCHED
+    assert np.allclose(measured.disparity_px[matched], 12.0, atol=0.15)
+    assert np.array_equal(np.isfinite(measured.disparity_px), matched)
+    assert np.array_equal(np.isfinite(measured.sigma_px), matched)
 
 
 @pytest.mark.parametrize("image_hw", [(10, 400), (140, 12), (1, 1), (7, 9)])
@@ -343,9 +348,9 @@ def test_an_image_smaller_than_a_window_is_too_small(image_hw: tuple[int, int]) 
 
 @pytest.mark.parametrize(("height", "width"), [(11, 400), (13, 200), (24, 300), (43, 600)])
 def test_low_images_are_measured(height: int, width: int) -> None:
-    eyes = pair(3.0, height=height, width=width)
+    images = pair(3.0, height=height, width=width)
     for prior_px in (NONE, 4.0):
-        whole = of_box(eyes, (-0.5, -0.5, width - 0.5, height - 0.5), prior_px)
+        whole = of_box(images, (-0.5, -0.5, width - 0.5, height - 0.5), prior_px)
         assert whole[0] == pytest.approx(3.0, abs=0.15)
 
 
@@ -356,8 +361,8 @@ def test_empty_image() -> None:
 
 def test_no_boxes() -> None:
     matches = PatchMatcher().match(*pair(12.0), np.zeros((0, 4)), np.zeros(0))
-    found, sigma = matches.disparity_px, matches.sigma_px
-    assert found.shape == sigma.shape == (0,)
+    measured, sigma = matches.disparity_px, matches.sigma_px
+    assert measured.shape == sigma.shape == (0,)
 
 
 def test_images_of_different_size_are_an_error() -> None:
@@ -382,11 +387,11 @@ HOSTILE = pair(12.0)
 )
 def test_any_box_and_prior_is_accepted(boxes: FloatArray, priors: FloatArray) -> None:
     matches = PatchMatcher().match(*HOSTILE, boxes, priors)
-    found, sigma = matches.disparity_px, matches.sigma_px
-    known = np.isfinite(found)
+    measured, sigma = matches.disparity_px, matches.sigma_px
+    known = np.isfinite(measured)
     assert np.array_equal(known, np.isfinite(sigma))
     assert (sigma[known] > 0).all()
-    assert np.allclose(found[known], 12.0, atol=1.5)
+    assert np.allclose(measured[known], 12.0, atol=1.5)
 
 
 # Sigma
@@ -413,10 +418,10 @@ def test_sigma_grows_with_noise_and_with_tilt() -> None:
     assert of_noise[3] > 2 * of_noise[0]
     of_tilt = [of_box(tilted_pair(20.3, slope, at_px=240.0), prior_px=20.0)[1] for slope in (0.0, 0.02, 0.05, 0.1)]
     assert (np.diff(of_tilt) > 0).all()
-    assert of_tilt[3] == pytest.approx(0.12 * 0.1 * 40, rel=0.5)  # a share of what it changes by over the inner half
+    assert of_tilt[3] == pytest.approx(0.12 * 0.1 * 40, rel=0.5)  # a share of the change over the inner half
 
 
 def test_sigma_is_in_full_pixels() -> None:
-    eyes = pair(25.3, noise=8.0, height=360, width=640)
-    _, whole, _ = of_box(eyes, (60.0, 40.0, 620.0, 330.0), 25.0)
-    assert whole > 4 * 0.03  # looked at in the image shrunk by 4
+    images = pair(25.3, noise=8.0, height=360, width=640)
+    _, whole, _ = of_box(images, (60.0, 40.0, 620.0, 330.0), 25.0)
+    assert whole > 4 * 0.03  # measured in the image shrunk by 4

@@ -1,4 +1,4 @@
-"""Where boxes are looked at, and what of the right image that needs."""
+"""Sampling windows of boxes, and the required pixels of the right image."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_windows_of_a_box_by_hand() -> None:
     right, down = windows.normalized_positions()
     assert right.min() == down.min() == -0.5
     assert right.max() == down.max() == 0.5
-    assert windows.n_pixels.tolist() == [36 * 7 * 9]  # fewer than the 60 x 40 that they lie in
+    assert windows.n_pixels.tolist() == [36 * 7 * 9]  # fewer than the 60 x 40 of the inner half
 
 
 def test_windows_of_a_small_box_coincide() -> None:
@@ -87,11 +87,11 @@ def test_windows_with_margins_are_inside_the_image(
 
 def test_required_pixels_by_hand() -> None:
     windows = BoxWindows(np.array([0, 1]), np.array([[100, 150]] * 2), np.array([[20, 31]] * 2))
-    reach = windows.required_pixels(np.array([3, -1]), np.array([40, 20]), IMAGE_HW)
+    required = windows.required_pixels(np.array([3, -1]), np.array([40, 20]), IMAGE_HW)
     # level 0: columns 100 - 40 - 2 .. 150 + 9 + 2, rows 18 .. 40, in steps of 4 px
-    assert reach[0].tolist() == [56, 16, 164, 40]
+    assert required[0].tolist() == [56, 16, 164, 40]
     # level 1: columns 78 .. 150 + 1 + 11 = 162, rows 18 .. 40, twice as many pixels
-    assert reach[1].tolist() == [156, 36, 324, 80]
+    assert required[1].tolist() == [156, 36, 324, 80]
 
 
 def test_required_pixels_end_at_the_image() -> None:
@@ -99,8 +99,8 @@ def test_required_pixels_end_at_the_image() -> None:
     assert windows.required_pixels(np.array([0]), np.array([200]), IMAGE_HW).tolist() == [[0, 0, 1242, 375]]
 
 
-class SamplingGrided:
-    """An image that remembers which windows of it were looked at."""
+class RecordingImage:
+    """An image that records which windows of it are read."""
 
     def __init__(self, image: npt.NDArray[np.uint8]) -> None:
         self._image = image
@@ -120,7 +120,7 @@ class SamplingGrided:
 def test_band_of_boxes(depth: tuple[int, ...]) -> None:
     image = np.maximum(np.broadcast_to(to_u8(texture(0)).reshape(140, 400, *[1] * len(depth)), (140, 400, *depth)), 1)
     boxes = np.array([[10, 20, 30, 40], [200, 36, 260, 60]])
-    view = SamplingGrided(image)
+    view = RecordingImage(image)
     band = band_of(view, boxes)
     assert view.windows == [(10, 20, 30, 40), (200, 36, 260, 60)]
     expected = np.zeros((40, 400, *depth), np.uint8)

@@ -1,4 +1,4 @@
-"""Dense disparity on known shifts, and the median of boxes by hand."""
+"""Dense disparities of known shifts, and medians of boxes by hand."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_colour_is_matched_in_grey() -> None:
 
 def test_images_of_different_size_are_an_error() -> None:
     left, right = pair(24)
-    with pytest.raises(ValueError, match="equal shapes"):
+    with pytest.raises(ValueError, match="equal sizes"):
         Sgbm().dense_disparity(left, right[:, :-2])
 
 
@@ -75,7 +75,7 @@ def test_the_median_of_the_inner_half_by_hand() -> None:
     disparity = np.full((40, 40), np.nan, np.float32)
     disparity[10:30, 10:30] = 50.0  # the box's inner half
     disparity[10:30, 10:18] = 48.0
-    disparity[:10] = disparity[30:] = 5.0  # its outer part does not count
+    disparity[:10] = disparity[30:] = 5.0  # the outer part does not count
     settings = SgbmSettings(shape_share=0.5)
     median, sigma = inner_half_median(disparity, np.array([[-0.5, -0.5, 39.5, 39.5]]), settings=settings)
     assert median[0] == 50.0
@@ -118,7 +118,7 @@ def test_the_centre_is_one_pixel() -> None:
     disparity = np.full((40, 40), np.nan, np.float32)
     disparity[10:30, 10:30] = 50.0
     disparity[20, 20] = 47.0  # middle of the first box, 19.5, rounds to the even 20
-    disparity[5, 33] = 9.0  # known alone in its box
+    disparity[5, 33] = 9.0  # the only known pixel in its box
     nan = np.nan
     boxes = np.array(
         [
@@ -161,38 +161,40 @@ def test_user_settings() -> None:
     assert SgbmSettings.for_rig(rig, chosen={"n_disparities": 64}).n_disparities == 64
 
 
+def test_other_names_of_settings() -> None:
+    names = {"uniqueness_pct": 5, "max_left_right_px": 2, "speckle_px2": 50, "speckle_range_px": 3}
+    fields = {"uniqueness_ratio": 5, "disp12_max_diff": 2, "speckle_window_size": 50, "speckle_range": 3}
+    assert SgbmSettings.of(names) == SgbmSettings(**fields)
+
+
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "key_word"),
     [
-        ("modes", "hh", "sgbm has no 'modes'; it has: min_disparity, n_disparities"),
-        ("mode", "best", "mode is 'best': one of 3way, sgbm, hh, hh4 wanted"),
-        ("n_disparities", 100, "n_disparities is 100: a multiple of 16"),
-        ("n_disparities", 128.0, "n_disparities is 128.0: a multiple of 16"),
-        ("n_disparities", 0, "n_disparities is 0: a multiple of 16"),
-        ("min_disparity", -1000, "min_disparity is -1000: a whole number"),
-        ("block_size", 4, "block_size is 4: an odd number"),
-        ("small_step_penalty", 0, "small_step_penalty is 0: a whole number from 1"),
-        ("large_step_penalty", 8, "large_step_penalty is 8: more than the small one"),
-        (
-            "large_step_penalty",
-            1400,
-            "large_step_penalty is 1400: more than the small one, and at most 32767 / block_size",
-        ),
-        ("small_step_penalty", "8", "small_step_penalty is '8': a whole number from 1"),
-        ("block_size", "5", "block_size is '5': an odd number"),
-        ("mode", ["hh"], "mode is ['hh']: one of 3way"),
-        ("speckle_px2", 10**12, "speckle_px2 is 1000000000000"),
-        ("uniqueness_pct", 100, "uniqueness_pct is 100: a whole number 0 .. 99"),
-        ("max_left_right_px", -2, "max_left_right_px is -2"),
-        ("speckle_px2", "many", "speckle_px2 is 'many'"),
-        ("speckle_range_px", -1, "speckle_range_px is -1"),
-        ("pre_filter_cap", 0, "pre_filter_cap is 0"),
-        ("min_valid_share", 1.5, "min_valid_share is 1.5: a share 0 .. 1"),
-        ("min_valid_share", float("nan"), "min_valid_share is nan"),
-        ("shape_share", -0.1, "shape_share is -0.1: a number from 0"),
+        ("modes", "hh", "'modes'"),
+        ("mode", "best", "'best'"),
+        ("n_disparities", 100, "multiple of 16"),
+        ("n_disparities", 128.0, "multiple of 16"),
+        ("n_disparities", 0, "multiple of 16"),
+        ("min_disparity", -1000, "min_disparity"),
+        ("block_size", 4, "odd number"),
+        ("small_step_penalty", 0, "small_step_penalty"),
+        ("large_step_penalty", 8, "small_step_penalty"),
+        ("large_step_penalty", 1400, "32767"),
+        ("small_step_penalty", "8", "'8'"),
+        ("block_size", "5", "'5'"),
+        ("mode", ["hh"], "one of 3way"),
+        ("speckle_window_size", 10**12, "speckle_window_size"),
+        ("uniqueness_ratio", 100, "uniqueness_ratio"),
+        ("disp12_max_diff", -2, "disp12_max_diff"),
+        ("speckle_px2", "many", "speckle_window_size"),
+        ("speckle_range", -1, "speckle_range"),
+        ("pre_filter_cap", 0, "pre_filter_cap"),
+        ("min_valid_share", 1.5, "min_valid_share"),
+        ("min_valid_share", float("nan"), "min_valid_share"),
+        ("shape_share", -0.1, "shape_share"),
     ],
 )
-def test_wrong_settings(name: str, value: object, said: str) -> None:
+def test_wrong_settings(name: str, value: object, key_word: str) -> None:
     with pytest.raises(ValueError, match="sgbm") as error:
         SgbmSettings.of({name: value})
-    assert said in str(error.value)
+    assert key_word in str(error.value)

@@ -1,4 +1,4 @@
-"""Semi-global matching on the grid against a literal one, and planes through what belongs to the object."""
+"""Semi-global matching on the grid compared with brute force, and planes through the windows of the object."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NO_PRIOR = np.array([np.nan])
 
 
 def slow_path_costs(cost: FloatArray, step: tuple[int, int]) -> FloatArray:
-    """L(w, d) of a path that goes by `step` (rows, columns) through costs (rows, columns, D)."""
+    """L(w, d) of a path with the step `step` (rows, columns) through costs (rows, columns, D)."""
     rows, columns, n_disparities = cost.shape
     paths = np.zeros_like(cost)
     for row in range(rows)[:: step[0] or 1]:
@@ -26,9 +26,9 @@ def slow_path_costs(cost: FloatArray, step: tuple[int, int]) -> FloatArray:
                 if not (0 <= row_before < rows and 0 <= column_before < columns):
                     continue
                 before = paths[row_before, column_before]
-                ways = [before[d], before.min() + LARGE_STEP]
-                ways += [before[k] + SMALL_STEP for k in (d - 1, d + 1) if 0 <= k < n_disparities]
-                paths[row, column, d] += min(ways) - before.min()
+                candidates = [before[d], before.min() + LARGE_STEP]
+                candidates += [before[k] + SMALL_STEP for k in (d - 1, d + 1) if 0 <= k < n_disparities]
+                paths[row, column, d] += min(candidates) - before.min()
     return paths
 
 
@@ -60,54 +60,54 @@ def test_window_sgm_equals_brute_force(seed: int, side: int) -> None:
     rng = np.random.default_rng(seed)
     cost = rng.uniform(0, 12, (9, 4, side * side))
     cost[rng.uniform(size=cost.shape) < 0.1] = np.nan
-    cost[:, 3, :2] = np.nan  # windows that are not seen at all
-    found = match_windows(cost.astype(np.float32))
+    cost[:, 3, :2] = np.nan  # windows outside the right image
+    matches = match_windows(cost.astype(np.float32))
     for box in range(4):
         index, offset, weight = slow_matches(cost[:, box])
-        assert found.index[box].tolist() == index
-        assert np.allclose(found.offset[box], offset, atol=1e-5)
-        assert np.allclose(found.weight[box], weight, atol=1e-5)
-    assert not found.weight[3, :2].any()
+        assert matches.index[box].tolist() == index
+        assert np.allclose(matches.offset[box], offset, atol=1e-5)
+        assert np.allclose(matches.weight[box], weight, atol=1e-5)
+    assert not matches.weight[3, :2].any()
 
 
 def test_window_without_minimum_follows_neighbours() -> None:
     cost = np.full((15, 1, 9), 10.0, np.float32)
     cost[6, 0, :] = 2.0
-    cost[:, 0, 4] = 9.0  # bare paint, in the middle
+    cost[:, 0, 4] = 9.0  # without texture, in the middle
     cost[12, 0, 4] = 8.9
-    found = match_windows(cost)
-    assert found.index[0, [0, 3, 5, 8]].tolist() == [6] * 4
-    assert found.index[0, 4] in (5, 6, 7)  # its own least cost is at 12
-    assert found.weight[0].tolist() == [8.0] * 4 + [0.0] + [8.0] * 4
+    matches = match_windows(cost)
+    assert matches.index[0, [0, 3, 5, 8]].tolist() == [6] * 4
+    assert matches.index[0, 4] in (5, 6, 7)  # its least cost is at 12
+    assert matches.weight[0].tolist() == [8.0] * 4 + [0.0] + [8.0] * 4
 
 
 def test_the_v_shaped_fit_is_exact_for_a_v() -> None:
     true = np.array([5.0, 5.2, 5.49, 4.6, 4.51, 5.3, 5.1, 4.9, 4.8])
     cost = 3.0 + 4.0 * np.abs(np.arange(12)[:, None, None] - true)
-    found = match_windows(cost.astype(np.float32))
-    assert np.allclose(found.index[0] + found.offset[0], true, atol=1e-5)
-    assert np.allclose(found.weight[0], 4.0, atol=1e-5)
+    matches = match_windows(cost.astype(np.float32))
+    assert np.allclose(matches.index[0] + matches.offset[0], true, atol=1e-5)
+    assert np.allclose(matches.weight[0], 4.0, atol=1e-5)
 
 
 def test_a_common_minimum_at_the_end_has_no_weight() -> None:
     cost = np.broadcast_to(np.linspace(2, 10, 9)[:, None, None], (9, 1, 9)).astype(np.float32)
-    found = match_windows(cost)
-    assert found.index.tolist() == [[1] * 9]
-    assert not found.weight.any()
+    matches = match_windows(cost)
+    assert matches.index.tolist() == [[1] * 9]
+    assert not matches.weight.any()
 
 
-def grid_places(side: int = 6) -> tuple[FloatArray, FloatArray]:
+def grid_positions(side: int = 6) -> tuple[FloatArray, FloatArray]:
     """One box's windows, -0.5 .. 0.5 to the right and down, row by row."""
     line = np.linspace(-0.5, 0.5, side)
     down, right = np.meshgrid(line, line, indexing="ij")
     return right.reshape(1, -1), down.reshape(1, -1)
 
 
-RIGHT, DOWN = grid_places()
+RIGHT, DOWN = grid_positions()
 
 
 def surface_of(disparity: FloatArray, *, weight: FloatArray | None = None, prior: FloatArray = NO_PRIOR) -> Surface:
-    """Of one box of 6 x 6 windows."""
+    """Surface of one box of 6 x 6 windows."""
     return object_surface(
         disparity, np.full((1, 36), 4.0) if weight is None else weight, positions=(RIGHT, DOWN), prior=prior
     )
@@ -115,8 +115,8 @@ def surface_of(disparity: FloatArray, *, weight: FloatArray | None = None, prior
 
 def test_a_tilted_plane_by_hand_with_outliers() -> None:
     disparity = 30.0 + 3.0 * RIGHT - 1.0 * DOWN
-    disparity[0, [0, 7, 20, 33]] += [14.0, -12.0, 25.0, -28.0]  # others' surfaces
-    disparity[0, [3, 16]] += [2.5, -2.0]  # its own, badly matched
+    disparity[0, [0, 7, 20, 33]] += [14.0, -12.0, 25.0, -28.0]  # other surfaces
+    disparity[0, [3, 16]] += [2.5, -2.0]  # bad matches of the same surface
     surface = surface_of(disparity)
     assert surface.centre[0] == pytest.approx(30.0, abs=0.05)
     assert surface.tilt[0] == pytest.approx([3.0, -1.0], abs=0.1)
@@ -183,8 +183,8 @@ def test_less_than_four_windows_are_no_surface() -> None:
 def test_planes_of_boxes_are_independent() -> None:
     rng = np.random.default_rng(2)
     disparity, weight = rng.uniform(18, 24, (5, 36)), rng.uniform(0, 5, (5, 36))
-    places = np.repeat(RIGHT, 5, axis=0), np.repeat(DOWN, 5, axis=0)
-    together = object_surface(disparity, weight, positions=places, prior=np.full(5, 21.0))
+    positions = np.repeat(RIGHT, 5, axis=0), np.repeat(DOWN, 5, axis=0)
+    together = object_surface(disparity, weight, positions=positions, prior=np.full(5, 21.0))
     for i in range(5):
         alone = surface_of(disparity[i : i + 1], weight=weight[i : i + 1], prior=np.array([21.0]))
         assert together.centre[i] == pytest.approx(alone.centre[0])

@@ -1,4 +1,4 @@
-"""Swapped eyes are found, and nothing is said where there is nothing to see."""
+"""Order and row offset of pairs; unknown without texture."""
 
 from __future__ import annotations
 

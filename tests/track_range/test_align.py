@@ -203,5 +203,5 @@ def test_kitti_pairs_as_reference(shared_data, tmp_path, cli):
     assert "36 known distances" in printed
     alignment = load_alignment(out)
     assert 0.2 < alignment.offset_px < 0.6
-    assert alignment.bow_px == 0.0
+    assert alignment.curvature_px == 0.0
     assert abs(alignment.row_offset_px) < 0.5

@@ -27,7 +27,7 @@ def test_alignment_off():
 
 
 def test_alignment_file(tmp_path):
-    written = Alignment(offset_px=0.4, bow_px=1.2, offset_sigma_px=0.3, residual_px=0.2, source="my labels")
+    written = Alignment(offset_px=0.4, curvature_px=1.2, offset_sigma_px=0.3, residual_px=0.2, source="my labels")
     save_alignment(written, tmp_path / "align.yaml")
     alignment = find_alignment(str(tmp_path / "align.yaml"), RIG, unread_frames())
     assert (alignment.is_applied, alignment.applied) == (True, written)
@@ -59,7 +59,7 @@ def test_insignificant_alignment_is_uncertainty():
 @pytest.mark.parametrize(("row_px", "moved_px"), [(0.29, 0.0), (-0.31, -0.31), (2.0, 2.0)])
 def test_rows_are_moved_from_0_3_px(row_px, moved_px):
     alignment = PairAlignment(measured=Alignment(row_offset_px=row_px), is_applied=False)
-    assert alignment.measured.rows_to_move_px == moved_px
+    assert alignment.measured.row_correction_px == moved_px
     assert any("Vertical offset" in note for note in alignment.notes) == (moved_px != 0)
 
 

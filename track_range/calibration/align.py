@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +52,8 @@ class RigAlignment:
     def figures(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return {
-            "alignment": asdict(self.applied),
-            "measured": asdict(self.measured),
+            "alignment": self.applied.to_dict(),
+            "measured": self.measured.to_dict(),
             "is_clear": self.measured.is_clear,
             "sentence": self.applied.sentence(),
             "notes": list(self.notes),
@@ -98,7 +98,7 @@ def _inputs(settings: AlignmentSettings) -> list[Path]:
 
 
 def _row_notes(measured: Alignment) -> tuple[str, ...]:
-    if not measured.rows_to_move_px:
+    if not measured.row_correction_px:
         return ()
     return (
         f"Vertical offset of {measured.row_offset_px:+.2f} px between left and right: a run corrects it, but the "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +83,7 @@ def _n_pairs(settings: StereoEvaluationSettings) -> int | None:
 
 
 def _pairs(settings: StereoEvaluationSettings, known: Alignment | None) -> Iterator[StereoPair]:
-    row_offset_px = 0.0 if known is None else known.rows_to_move_px
+    row_offset_px = 0.0 if known is None else known.row_correction_px
     read = read_pairs if is_kitti_2015(settings.pairs) else read_drive
     return read(settings.pairs, rig=settings.rig, row_offset_px=row_offset_px)
 
@@ -106,7 +105,7 @@ def _aligned(
     if settings.align != LEAVE_TWO_OUT:
         alignment = known or Alignment()
         everywhere = dict.fromkeys(range(n_pairs), alignment)
-        return {name: corrected(column, objects, everywhere) for name, column in columns.items()}, asdict(alignment)
+        return {name: corrected(column, objects, everywhere) for name, column in columns.items()}, alignment.to_dict()
     by_pair = {
         name: left_out_alignments(column, objects, fit_reference, seed=settings.seed)
         for name, column in columns.items()

@@ -42,7 +42,7 @@ class PairAlignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences for the user."""
-        rows_px = self.measured.rows_to_move_px
+        rows_px = self.measured.row_correction_px
         rows = (
             f"Vertical offset of {rows_px:+.1f} px between left and right: corrected, but the rig does not fit these "
             "videos well; calibrate again.",
@@ -54,7 +54,7 @@ class PairAlignment:
         measured = self.measured
         return {
             "offset_px": round(measured.offset_px, 4),
-            "bow_px": round(measured.bow_px, 4),
+            "bow_px": round(measured.curvature_px, 4),
             "row_offset_px": round(measured.row_offset_px, 4),
             "residual_px": round(self.applied.residual_px, 4),
             "source": measured.source,

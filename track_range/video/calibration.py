@@ -77,7 +77,7 @@ class Calibration:
 
     def with_alignment(self, alignment: PairAlignment) -> Calibration:
         """A copy with the alignment of the pair; its row offset, if any, becomes part of the rectification."""
-        rectifier, rows_px = self.rectifier, alignment.measured.rows_to_move_px
+        rectifier, rows_px = self.rectifier, alignment.measured.row_correction_px
         if rows_px and self.raw_rig is not None:
             rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px)
         return replace(self, rectifier=rectifier, alignment=alignment)

@@ -150,7 +150,7 @@ def _aligned(
         if align != "auto" and checks:
             next(first_frames, None)
     for check in checks:
-        check.corrected_px = alignment.measured.rows_to_move_px
+        check.corrected_px = alignment.measured.row_correction_px
     return calibration.with_alignment(alignment)
 
 
