@@ -225,9 +225,9 @@ def overlay() -> None:
 def disparity() -> None:
     """The overlay with dense stereo's disparities below it."""
     drive, out = _demo() / "drive", _demo() / "with_disparity"
-    options = ["--overlay-disparity", "--align", "off", "--start", "3", "--duration", "0.5", "--out", str(out)]
+    options = ["--overlay-disparity", "--align", "off", "--start", "2", "--duration", "1.2", "--out", str(out)]
     _track_range("--stereo", str(drive / "left.mp4"), str(drive / "right.mp4"), *options)
-    image = _frame(out / "overlay.mp4", 2)
+    image = _frame(out / "overlay.mp4", 10)
     _save_jpeg(cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA), IMAGES / "disparity.jpg")
 
 
