@@ -1,1 +1,1 @@
-"""A road of moving objects seen by two eyes, with exact truth."""
+"""Simulation of road drives recorded by a stereo pair, with exact ground truth."""

@@ -1,7 +1,7 @@
-"""Simulated images with exact labels, as a data set to train a detector with: images, labels, data.yaml.
+"""Data set of simulated images with exact labels, for training a detector: images, labels, data.yaml.
 
-Objects of which less than half is visible go to `ignored` (see `labels_pseudo` in
-detection/training/data/data_yaml.py): it is neither right nor wrong to detect them.
+Objects that are less than half visible are written to `ignored` (see `labels_pseudo` in
+detection/training/data/data_yaml.py): whether a detector finds them has no effect on its loss.
 """
 
 from __future__ import annotations
@@ -22,17 +22,19 @@ from track_range.simulation.world.scene import make_scene
 from track_range.simulation.world.truth import label_scene
 
 WIDTH_PX = 640
+"""Width of the images."""
+
 SECONDS = 6.0
-"""Length of a scene; its images are spread evenly over it."""
+"""Length of a scene, s; its images have equal intervals."""
 
 MIN_SIDE_PX = 3.0
-"""Smaller objects are ignored."""
+"""Smallest side of a box in the image, px; smaller objects are ignored."""
 
 _HIDDEN = 2
-"""KITTI's `occluded` from which less than half is to be seen."""
+"""Value of KITTI's `occluded` of objects that are less than half visible."""
 
-_DOUBTFUL = 0.3
-"""A score of a pseudo-label that makes it ignored."""
+_IGNORED_SCORE = 0.3
+"""Score of a pseudo-label that training ignores."""
 
 
 def write_image_set(
@@ -41,21 +43,21 @@ def write_image_set(
     """Write `n_frames` images of each scene into `folder`; the same seeds give the same images.
 
     Args:
-        folder: gets images/, labels/, ignored/ and data.yaml, whose train images are all of them.
-        seeds: a scene each.
-        n_frames: per scene.
-        progress: called after each image with the images done and the images in all.
+        folder: folder for images/, labels/, ignored/ and data.yaml, which lists all images for training.
+        seeds: random seed of each scene.
+        n_frames: number of images per scene.
+        progress: called after each image with the numbers of finished and of all images.
 
     Returns:
-        The data.yaml.
+        The path of data.yaml.
 
     Raises:
-        OutputError: the folder cannot be written, or there are images or a data.yaml in it.
+        OutputError: the folder cannot be written, or contains images or a data.yaml.
     """
     for name in ("images", "labels", "ignored"):
         make_folder(folder / name)
     if (folder / "data.yaml").exists() or any((folder / "images").iterdir()):
-        raise OutputError(f"{folder}: a data set is there already: choose another folder.")
+        raise OutputError(f"{folder}: the folder already contains a data set; choose another folder.")
     rig = kitti_like_rig()
     times_s = (np.arange(n_frames) * SECONDS / n_frames).tolist()
     for i, seed in enumerate(seeds):
@@ -78,7 +80,7 @@ def write_image_set(
 
 
 def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
-    """One image, its labels, and what is ignored in it."""
+    """Write one image, its labels and its ignored objects."""
     height, width = image.shape[:2]
     scale = WIDTH_PX / width
     small = cv2.resize(image, (WIDTH_PX, round(height * scale)), interpolation=cv2.INTER_AREA)
@@ -92,7 +94,7 @@ def _write(folder: Path, name: str, image: Image, truth: KittiLabels) -> None:
     lines: dict[bool, list[str]] = {False: [], True: []}
     for kind, row, is_ignored in zip(known, shares, ignored, strict=True):
         if kind is not None and row[2:].min() > 0:
-            words = [str(ROAD_CLASSES.index(kind)), *(f"{share:.6f}" for share in row)]
-            lines[bool(is_ignored)].append(" ".join([*words, str(_DOUBTFUL)] if is_ignored else words) + "\n")
+            cells = [str(ROAD_CLASSES.index(kind)), *(f"{share:.6f}" for share in row)]
+            lines[bool(is_ignored)].append(" ".join([*cells, str(_IGNORED_SCORE)] if is_ignored else cells) + "\n")
     write_text(folder / "labels" / f"{name}.txt", "".join(lines[False]))
     write_text(folder / "ignored" / f"{name}.txt", "".join(lines[True]))

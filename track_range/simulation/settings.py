@@ -162,11 +162,11 @@ class SimulationSettings(Options):
 
     @property
     def has_drive_options(self) -> bool:
-        """Whether an option is given that only a drive has."""
+        """Whether an option is given that applies only to drives."""
         given = (self.scenario, self.seconds, self.fps, self.rig, self.noise_grey)
         return any(value is not None for value in given) or self.lossless or self.disparity or bool(self.faults)
 
     @property
     def faults(self) -> dict[str, float | str]:
-        """The faults that are given, by field of `Faults`."""
+        """The given faults, by field of `Faults`."""
         return {name: value for name in FAULT_FIELDS if (value := getattr(self, name)) is not None}

@@ -1,4 +1,4 @@
-"""A drive of a stereo rig with exact truth, or labelled images to train a detector with."""
+"""Simulation of a stereo drive with exact ground truth, or of labelled images for training a detector."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ KITTI_SIZE_PX = (1242, 375)
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """What `simulate` wrote.
+    """Result of `simulate`.
 
     Attributes:
-        drive: None for a set of images.
-        data_yaml: of a set of images; None for a drive.
-        n_images: of a set of images.
-        notes: for the user.
+        drive: files of the drive; None for a set of images.
+        data_yaml: data.yaml of a set of images; None for a drive.
+        n_images: number of images of a set; 0 for a drive.
+        notes: sentences for the user.
     """
 
     drive: Drive | None = None
@@ -44,7 +44,7 @@ class Simulated:
 
 
 def simulate(settings: SimulationSettings, progress: StepProgress = no_progress) -> Simulated:
-    """Write a drive with exact truth, or labelled images, into `settings.out`.
+    """Write a drive with exact ground truth, or labelled images, to `settings.out`.
 
     Raises:
         UsageError: settings that contradict each other or are out of range.
@@ -54,7 +54,7 @@ def simulate(settings: SimulationSettings, progress: StepProgress = no_progress)
     if settings.images is None:
         return _drive(settings, progress)
     if settings.has_drive_options:
-        raise UsageError("--images are of towns, without faults: leave the options of a drive away.")
+        raise UsageError("--images: options of a drive do not apply to training images; remove them.")
     return _images(settings, settings.images, progress)
 
 
@@ -70,11 +70,11 @@ def _images(settings: SimulationSettings, n_images: int, progress: StepProgress)
 def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
     scenario = settings.scenario or DEFAULT_SCENARIO
     if scenario not in SCENARIOS:
-        raise UsageError(f"--scenario {scenario}: no such scenario; there are {', '.join(SCENARIOS)}.")
+        raise UsageError(f"--scenario {scenario}: expected one of {', '.join(SCENARIOS)}.")
     seconds = DEFAULT_SECONDS if settings.seconds is None else settings.seconds
     fps = settings.fps or DEFAULT_FPS
     if not 1 / fps <= seconds <= LONGEST_S:
-        raise UsageError(f"--seconds {seconds:g}: expected one frame, {1 / fps:g} s, to {LONGEST_S:g} s.")
+        raise UsageError(f"--seconds {seconds:g}: expected {1 / fps:g} s (one frame) to {LONGEST_S:g} s.")
     options = DriveOptions(
         scenario=scenario,
         noise_grey=NOISE_GREY if settings.noise_grey is None else settings.noise_grey,
@@ -96,32 +96,33 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
     return Simulated(drive=drive, notes=notes)
 
 
-def _faults(named: Mapping[str, Any]) -> Faults:
-    wrong = named.get("wrong_rig")
-    if wrong is not None and wrong not in get_args(WrongRig):
-        raise UsageError(f"--wrong-rig {wrong}: expected one of {', '.join(get_args(WrongRig))}.")
-    return Faults(**named)
+def _faults(values: Mapping[str, Any]) -> Faults:
+    wrong_rig = values.get("wrong_rig")
+    if wrong_rig is not None and wrong_rig not in get_args(WrongRig):
+        raise UsageError(f"--wrong-rig {wrong_rig}: expected one of {', '.join(get_args(WrongRig))}.")
+    return Faults(**values)
 
 
 def _rig(path: Path) -> tuple[StereoRig, tuple[str, ...]]:
-    """The rig that a drive is drawn for, its images of an even size, and notes."""
+    """The rectified rig of a file, with an even image size, and notes for the user."""
     notes = []
-    found, _ = load_calibration(path)
-    if not isinstance(found, StereoRig):
-        raise RigError(f"{path}: holds one camera only; a drive needs two cameras.")
-    if found.left.width_px == 0:
-        notes.append(f"Note: {path} gives no image size; KITTI's {KITTI_SIZE_PX[0]} x {KITTI_SIZE_PX[1]} is taken.")
-        found = _resized(found, KITTI_SIZE_PX)
-    if not _is_as_good_as_rectified(found):
+    calibration, _ = load_calibration(path)
+    if not isinstance(calibration, StereoRig):
+        raise RigError(f"{path}: expected two cameras, got one.")
+    if calibration.left.width_px == 0:
+        width_px, height_px = KITTI_SIZE_PX
+        notes.append(f"Note: {path} contains no image size; KITTI's {width_px} x {height_px} px is used.")
+        calibration = _resized(calibration, KITTI_SIZE_PX)
+    if not _is_nearly_rectified(calibration):
         raise RigError(
-            f"{path}: its cameras are not rectified, and the simulation draws rectified pairs only: give the rig of "
-            "rectified images (KITTI's calib.txt, or equal cameras without distortion, side by side)."
+            f"{path}: expected a rectified pair (KITTI's calib.txt, or equal, parallel cameras without distortion); "
+            "give the rig of the rectified images."
         )
-    rig = StereoRig.rectified(found.left.without_distortion(), found.baseline_m)
+    rig = StereoRig.rectified(calibration.left.without_distortion(), calibration.baseline_m)
     even = with_even_size(rig)
     if even.left != rig.left:
-        size, drawn = (f"{camera.width_px} x {camera.height_px}" for camera in (rig.left, even.left))
-        notes.append(f"Note: {drawn} is drawn, as videos need even sizes and {path.name} has {size}.")
+        old, new = (f"{camera.width_px} x {camera.height_px}" for camera in (rig.left, even.left))
+        notes.append(f"Note: images of {new} px are rendered; videos need even sizes, and {path.name} has {old} px.")
     return even, tuple(notes)
 
 
@@ -131,8 +132,8 @@ def _resized(rig: StereoRig, size_px: tuple[int, int]) -> StereoRig:
     return StereoRig(left, right, rig.right_from_left)
 
 
-def _is_as_good_as_rectified(rig: StereoRig) -> bool:
-    """Whether a rectified pair differs from it by less than a tenth of a pixel, and a centimetre across (KITTI's)."""
+def _is_nearly_rectified(rig: StereoRig) -> bool:
+    """Whether a rig differs from a rectified one by less than 0.1 px and 1 cm, as KITTI's rigs do."""
     if rig.left.is_distorted or rig.right.is_distorted or rig.baseline_m <= 0:
         return False
     same_cameras = np.allclose(rig.left.matrix, rig.right.matrix, atol=0.1)

@@ -1,4 +1,4 @@
-"""The files of a drive, read back by the readers of the rest of the program."""
+"""Tests of the files of a drive, read by the readers of the rest of the program."""
 
 import csv
 
@@ -9,11 +9,11 @@ import pytest
 from track_range.detection.boxes import iou
 from track_range.detection.formats.kitti import read_kitti
 from track_range.ranging.ego_speed import open_ego_speed
-from track_range.simulation.drive import N_DRAWING, DriveOptions, kitti_text, write_drive
+from track_range.simulation.drive import N_THREADS, DriveOptions, kitti_text, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import make_scene
-from track_range.simulation.world.truth import joined, label_scene, seen_at
+from track_range.simulation.world.truth import joined, label_scene, visible_objects
 from track_range.stereo.evaluation.kitti_2015 import read_pair
 from track_range.stereo.rig_formats.reading import load_rig
 from track_range.video.reader import VideoReader
@@ -35,52 +35,52 @@ def test_progress_counts_every_frame(drive):
     assert drive[1] == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
-def test_the_videos_show_the_scene(drive):
+def test_videos_show_the_scene(drive):
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
     for path, side in ((drive[0].left, "left"), (drive[0].right, "right")):
         frames = list(VideoReader(path))
         np.testing.assert_allclose([frame.time_s for frame in frames], [0.0, 0.1, 0.2, 0.3], atol=1e-4)
         image = frames[3].image.astype(float)
-        wanted = renderer.render(0.3, side=side)
-        # Compared in grey: the codec halves the colours' resolution.
-        assert np.abs(image.mean(axis=2) - wanted.mean(axis=2)).mean() < 3.0
+        expected = renderer.render(0.3, side=side)
+        # Compared in grey, since the codec halves the resolution of colour.
+        assert np.abs(image.mean(axis=2) - expected.mean(axis=2)).mean() < 3.0
 
 
-def test_the_rig_reads_back(drive):
+def test_rig_round_trip(drive):
     rig, _ = load_rig(drive[0].rig, size_px=(310, 94))
     assert rig.left == SMALL.left
     assert rig.baseline_m == pytest.approx(0.54)
     assert rig.is_rectified
 
 
-def test_the_truth_reads_back(drive):
+def test_truth_round_trip(drive):
     labels = read_kitti(drive[0].truth)
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
     frames = [
-        seen_at(
+        visible_objects(
             renderer.scene, time_s, frame=frame, camera=SMALL.left, inverse_depth=renderer.render_with_depth(time_s)[1]
         )
         for frame, time_s in enumerate([0.0, 0.1, 0.2, 0.3])
     ]
-    wanted = joined([seen.labels for seen in frames])
-    assert labels.kitti_type.tolist() == wanted.kitti_type.tolist()
-    np.testing.assert_array_equal(labels.track_id, wanted.track_id)
-    np.testing.assert_allclose(labels.xyxy_px, wanted.xyxy_px, atol=1e-6)
-    np.testing.assert_allclose(labels.location_m, wanted.location_m, atol=1e-6)
+    expected = joined([visible.labels for visible in frames])
+    assert labels.kitti_type.tolist() == expected.kitti_type.tolist()
+    np.testing.assert_array_equal(labels.track_id, expected.track_id)
+    np.testing.assert_allclose(labels.xyxy_px, expected.xyxy_px, atol=1e-6)
+    np.testing.assert_allclose(labels.location_m, expected.location_m, atol=1e-6)
     assert set(labels.frame.tolist()) == {0, 1, 2, 3}
 
 
-def test_the_detections_read_back(drive):
-    found = read_kitti(drive[0].detections)
-    assert len(found) > 10
-    assert np.isfinite(found.score).all()
-    assert not found.has_3d_box.any()
+def test_detections_round_trip(drive):
+    detections = read_kitti(drive[0].detections)
+    assert len(detections) > 10
+    assert np.isfinite(detections.score).all()
+    assert not detections.has_3d_box.any()
     words = drive[0].detections.read_text().split("\n")[0].split()
     assert words[3:6] == ["-1", "-1", "-10"]
     assert words[10:17] == ["-1", "-1", "-1", "-1000", "-1000", "-1000", "-10"]
 
 
-def test_the_same_seed_writes_the_same_bytes(drive, tmp_path):
+def test_same_seed_gives_the_same_bytes(drive, tmp_path):
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
     for name in ("truth", "table", "ego_speed", "detections", "rig", "left", "right"):
         assert getattr(again, name).read_bytes() == getattr(drive[0], name).read_bytes(), name
@@ -88,32 +88,32 @@ def test_the_same_seed_writes_the_same_bytes(drive, tmp_path):
     assert kitti_text(other) not in drive[0].truth.read_text()
 
 
-def test_how_many_threads_draw_changes_nothing(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr("track_range.simulation.drive.N_DRAWING", 1 if N_DRAWING > 1 else 3)
+def test_files_do_not_depend_on_the_number_of_threads(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("track_range.simulation.drive.N_THREADS", 1 if N_THREADS > 1 else 3)
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
-    for one in ("left", "right", "truth", "table"):
-        assert getattr(again, one).read_bytes() == getattr(drive[0], one).read_bytes()
+    for name in ("left", "right", "truth", "table"):
+        assert getattr(again, name).read_bytes() == getattr(drive[0], name).read_bytes()
 
 
-def test_alpha_is_the_heading_less_the_bearing():
+def test_alpha_is_heading_minus_bearing():
     labels = label_scene(make_scene(0), [0.0], camera=kitti_like_rig().left)
     labels = labels.select(labels.has_3d_box)
     alpha = [float(line.split()[5]) for line in kitti_text(labels).splitlines()]
     x, _, z = labels.location_m.T
-    # Seen from the object, the viewing ray and its heading: the same angle on the unit circle.
+    # Compared on the unit circle, since angles wrap.
     np.testing.assert_allclose(
         np.exp(1j * np.array(alpha)), np.exp(1j * (labels.rotation_y_rad - np.arctan2(x, z))), atol=1e-5
     )
     assert np.abs(alpha).max() <= np.pi + 1e-6
 
 
-def test_the_ego_speed_reads_back(drive):
+def test_ego_speed_round_trip(drive):
     speed = open_ego_speed(str(drive[0].ego_speed))
     np.testing.assert_allclose(speed.time_s, [0.0, 0.1, 0.2, 0.3])
     np.testing.assert_allclose(speed.speed_mps, 10.0)
 
 
-def test_lossless_folders_hold_the_very_pixels_drawn(tmp_path):
+def test_lossless_folders_contain_the_exact_pixels(tmp_path):
     (tmp_path / "left").mkdir()
     (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")
     written = write_drive(tmp_path, seed=3, seconds=0.2, rig=SMALL, options=DriveOptions(is_lossless=True))
@@ -124,21 +124,21 @@ def test_lossless_folders_hold_the_very_pixels_drawn(tmp_path):
         np.testing.assert_array_equal(image, renderer.render(0.1, side=side))
 
 
-def test_disparity_maps_tell_the_depth_of_the_road_and_leave_sky_and_edges_out(tmp_path):
+def test_disparity_map_of_the_road(tmp_path):
     write_drive(tmp_path, seed=3, seconds=0.1, rig=SMALL, options=DriveOptions(scenario="empty", has_disparity=True))
     truth = cv2.imread(str(tmp_path / "disp_occ_0" / "000000_10.png"), cv2.IMREAD_UNCHANGED)
     assert truth.dtype == np.uint16
     assert truth.shape == (94, 310)
     scene = make_scenario("empty", seed=3, seconds=0.1)
     depth_m = Renderer(scene, SMALL).depth_m(0.0)
-    wanted = SMALL.left.fx_px * 0.54 / depth_m
-    known = truth > 0
-    assert 0.3 < known.mean() < 0.9
-    assert np.abs(truth[known] / 256 - wanted[known]).max() < 1 / 256
+    expected = SMALL.left.fx_px * 0.54 / depth_m
+    is_known = truth > 0
+    assert 0.3 < is_known.mean() < 0.9
+    assert np.abs(truth[is_known] / 256 - expected[is_known]).max() < 1 / 256
     assert (truth[np.isnan(depth_m)] == 0).all()
 
 
-def test_pairs_with_disparities_are_a_set_as_kitti_2015_is(tmp_path):
+def test_kitti_2015_layout(tmp_path):
     rig = kitti_like_rig(width_px=620, height_px=188)
     write_drive(tmp_path, seed=1, seconds=0.1, rig=rig, options=DriveOptions(has_disparity=True))
     pair = read_pair(tmp_path, "000000_10", rig=tmp_path / "rig.yaml")
@@ -146,15 +146,15 @@ def test_pairs_with_disparities_are_a_set_as_kitti_2015_is(tmp_path):
         rows = [row for row in csv.DictReader(file) if float(row["visible_share"]) > 0.95]
     boxes = np.array([[float(row[name]) for name in ("x1", "y1", "x2", "y2")] for row in rows])
     overlap = iou(boxes, pair.xyxy_px)
-    alike = overlap.max(axis=1) > 0.8
-    assert alike.sum() >= 4
-    found_m = pair.rig.distance_m(pair.true_px[overlap.argmax(axis=1)])[alike]
-    wanted_m = np.array([float(row["distance_m"]) for row in rows])[alike]
-    # The median over the middle of what a box shows is not the ray through its centre: cars are seen from the side too.
-    assert np.median(np.abs(found_m / wanted_m - 1)) < 0.02
+    is_match = overlap.max(axis=1) > 0.8
+    assert is_match.sum() >= 4
+    distance_m = pair.rig.distance_m(pair.true_px[overlap.argmax(axis=1)])[is_match]
+    expected_m = np.array([float(row["distance_m"]) for row in rows])[is_match]
+    # The median over the centre of an object differs from the ray through it if the side of a car is visible.
+    assert np.median(np.abs(distance_m / expected_m - 1)) < 0.02
 
 
-def test_an_odd_size_gets_one_more_column_and_row(tmp_path):
+def test_odd_sizes_grow_by_one(tmp_path):
     written = write_drive(tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=311, height_px=95))
     frame = next(iter(VideoReader(written.left)))
     assert frame.image.shape == (96, 312, 3)
@@ -162,6 +162,6 @@ def test_an_odd_size_gets_one_more_column_and_row(tmp_path):
     assert rig.left.fx_px == pytest.approx(721.5 * 311 / 1240)
 
 
-def test_a_drive_without_a_frame_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"at least one frame wanted, 0\.01 s at 10 frames/s got"):
+def test_drive_without_a_frame_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match="seconds: expected"):
         write_drive(tmp_path, seconds=0.01)

@@ -1,4 +1,4 @@
-"""Faults of cameras, each measured on the images."""
+"""Tests of camera faults, each measured on the images."""
 
 from functools import cache
 
@@ -29,40 +29,40 @@ def right(scene, rig=SMALL, **faults):
 
 
 @pytest.mark.parametrize(
-    ("faults", "wanted"), [({"row_offset_px": 1.5}, (0.0, 1.5)), ({"disparity_offset_px": 2.25}, (-2.25, 0.0))]
+    ("faults", "expected"), [({"row_offset_px": 1.5}, (0.0, 1.5)), ({"disparity_offset_px": 2.25}, (-2.25, 0.0))]
 )
-def test_offsets_move_the_right_image_by_what_they_say(scene, faults, wanted):
-    plain, moved = (right(scene, RIG, **some).mean(axis=2) for some in ({}, faults))
-    tried = np.arange(-0.3, 0.31, 0.02)
+def test_offsets_shift_the_right_image(scene, faults, expected):
+    plain, moved = (right(scene, RIG, **values).mean(axis=2) for values in ({}, faults))
+    offsets = np.arange(-0.3, 0.31, 0.02)
     for axis in (0, 1):
         costs = []
-        for off in tried:
-            shift = np.array([[1.0, 0, wanted[0]], [0, 1.0, wanted[1]]])
-            shift[axis, 2] += off
-            seen = cv2.warpAffine(plain, shift, plain.shape[::-1], flags=cv2.INTER_CUBIC)
-            costs.append(np.square(seen - moved)[10:-10, 10:-10].mean())
-        assert tried[int(np.argmin(costs))] == pytest.approx(0, abs=0.05)
+        for offset in offsets:
+            shift = np.array([[1.0, 0, expected[0]], [0, 1.0, expected[1]]])
+            shift[axis, 2] += offset
+            warped = cv2.warpAffine(plain, shift, plain.shape[::-1], flags=cv2.INTER_CUBIC)
+            costs.append(np.square(warped - moved)[10:-10, 10:-10].mean())
+        assert offsets[int(np.argmin(costs))] == pytest.approx(0, abs=0.05)
 
 
-def test_faults_leave_the_left_eye_alone(scene):
+def test_faults_do_not_change_the_left_image(scene):
     faults = Faults(gain=1.3, row_offset_px=2, disparity_offset_px=1, late_s=0.1)
-    plain, faulty = (Renderer(scene, SMALL, faults=some).render(0.2) for some in (Faults(), faults))
+    plain, faulty = (Renderer(scene, SMALL, faults=value).render(0.2) for value in (Faults(), faults))
     np.testing.assert_array_equal(plain, faulty)
 
 
-def test_gain_makes_the_right_eye_brighter(scene):
+def test_gain_of_the_right_image(scene):
     plain, bright = right(scene), right(scene, gain=1.25)
     inside = (plain > 20) & (plain < 200)
     np.testing.assert_allclose(bright[inside], 1.25 * plain[inside], atol=1)
 
 
-def test_blur_takes_detail_away(scene):
+def test_blur_reduces_detail(scene):
     sharp, blurred = (cv2.Laplacian(right(scene, blur_px=px), cv2.CV_64F).std() for px in (0.0, 1.5))
     assert blurred < 0.4 * sharp
 
 
 @pytest.mark.slow
-def test_rain_falls_in_streaks_at_their_own_disparity(scene):
+def test_rain_streaks_have_disparities(scene):
     dry, wet = (
         [
             Renderer(scene, RIG, noise_grey=0, faults=Faults(rain=rain)).render(0.2, side=side)
@@ -78,13 +78,13 @@ def test_rain_falls_in_streaks_at_their_own_disparity(scene):
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 12.0, 40.0])
-def test_noise_has_the_spread_asked_for(sigma):
+def test_standard_deviation_of_noise(sigma):
     steps = noise_steps(sigma).astype(float)
     assert steps.std() == pytest.approx(np.hypot(sigma, 0.29), rel=0.03)
     assert abs(steps.mean()) < 0.01
 
 
-def test_a_late_right_eye_in_a_drive_keeps_its_times_and_shows_the_future(tmp_path):
+def test_late_right_camera_keeps_its_timestamps(tmp_path):
     faults = Faults(late_s=0.5)
     drive = write_drive(tmp_path, seconds=0.2, rig=SMALL, options=DriveOptions(scenario="highway", faults=faults))
     frames = list(VideoReader(drive.right))
@@ -95,34 +95,34 @@ def test_a_late_right_eye_in_a_drive_keeps_its_times_and_shows_the_future(tmp_pa
     assert later < 0.5 * now
 
 
-def test_dropped_frames_leave_gaps_in_time_and_truth_counts_what_is_left(tmp_path):
+def test_dropped_frames_leave_gaps_in_time(tmp_path):
     options = DriveOptions(scenario="town", faults=Faults(drop_share=0.4), noise_grey=0)
     drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)
-    left, right_eye = ([frame.time_s for frame in VideoReader(path)] for path in (drive.left, drive.right))
-    assert 6 <= len(left) <= 18
-    assert left != right_eye
-    assert left[0] == right_eye[0] == 0.0
+    left_s, right_s = ([frame.time_s for frame in VideoReader(path)] for path in (drive.left, drive.right))
+    assert 6 <= len(left_s) <= 18
+    assert left_s != right_s
+    assert left_s[0] == right_s[0] == 0.0
     rows = [line.split(",") for line in drive.table.read_text().splitlines()[1:]]
     times = {int(row[0]): float(row[1]) for row in rows}
-    assert [times[frame] for frame in sorted(times)] == pytest.approx(left, abs=1e-3)
+    assert [times[frame] for frame in sorted(times)] == pytest.approx(left_s, abs=1e-3)
     speeds = [float(line.split(",")[0]) for line in drive.ego_speed.read_text().splitlines()[1:]]
-    assert speeds == pytest.approx(left, abs=1e-3)
+    assert speeds == pytest.approx(left_s, abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
-def test_the_share_of_frames_lost_is_as_asked(share):
+def test_share_of_dropped_frames(share):
     kept = Faults(drop_share=share).kept_frames(4000, 3, is_right=True)
     assert kept[0] == 0
     assert 1 - len(kept) / 4000 == pytest.approx(share, abs=0.03)
     assert kept != Faults(drop_share=share).kept_frames(4000, 3, is_right=False) or share == 0
 
 
-def test_a_wrong_rig_is_wrong_by_what_it_says():
+def test_errors_of_a_wrong_rig():
     rig = StereoRig.rectified(SMALL.left, 0.5)
-    baseline, focal, principal, right_one = (
-        Faults(wrong_rig=name).told_rig(rig) for name in ("baseline", "focal", "principal", None)
+    baseline, focal, principal, correct = (
+        Faults(wrong_rig=name).rig_in_file(rig) for name in ("baseline", "focal", "principal", None)
     )
     assert baseline.baseline_m == pytest.approx(0.525)
     assert focal.left.fx_px == pytest.approx(1.04 * rig.left.fx_px)
     assert principal.left.cx_px == pytest.approx(rig.left.cx_px + 15)
-    assert right_one.left == rig.left
+    assert correct.left == rig.left

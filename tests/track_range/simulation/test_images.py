@@ -6,10 +6,10 @@ from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.simulation.images import write_image_set
 
 
-def test_an_image_set_is_a_data_set_whose_boxes_hold_what_they_name(tmp_path):
-    told = []
-    path = write_image_set(tmp_path, [1000, 1001], n_frames=2, progress=lambda done, total: told.append((done, total)))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+def test_image_set_is_a_data_set(tmp_path):
+    steps = []
+    path = write_image_set(tmp_path, [1000, 1001], n_frames=2, progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
     data = read_data_yaml(path)
     assert len(data.train) == 4
     names = {int(i) for item in data.train for i in item.truth.class_id}
@@ -23,7 +23,7 @@ def test_an_image_set_is_a_data_set_whose_boxes_hold_what_they_name(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_same_seeds_give_the_same_files(tmp_path):
+def test_same_seeds_give_the_same_files(tmp_path):
     for name in ("a", "b"):
         write_image_set(tmp_path / name, [7], n_frames=1)
     files = [sorted(path.relative_to(tmp_path / n) for path in (tmp_path / n).rglob("*.*")) for n in ("a", "b")]

@@ -1,4 +1,4 @@
-"""Every drive by its name: it can be drawn, repeats, and nobody runs into anybody."""
+"""Tests of all scenarios: rendering, reproducibility, no collisions."""
 
 from itertools import combinations
 
@@ -11,14 +11,14 @@ from track_range.simulation.world import scenarios
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES
 from track_range.simulation.world.scenarios import SCENARIOS, make_scenario
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS
-from track_range.simulation.world.truth import seen_at
+from track_range.simulation.world.truth import visible_objects
 
 SMALL = kitti_like_rig(width_px=310, height_px=94)
 EGO_HW_M = (4.2, 1.8)
-"""Length and width of the camera's car; the camera is 1.5 m behind its nose."""
+"""Length and width of the ego car; the camera is 1.5 m behind its front."""
 
 
-def test_every_scenario_has_a_name_that_the_command_line_lists(cli):
+def test_help_lists_all_scenarios(cli):
     assert tuple(scenarios._MAKERS) == SCENARIO_NAMES
     status, printed, _ = cli("simulate", "--help")
     assert status == 0
@@ -26,54 +26,55 @@ def test_every_scenario_has_a_name_that_the_command_line_lists(cli):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_scenario_is_drawn_and_labelled(name):
+def test_scenario_is_rendered_and_labelled(name):
     scene = make_scenario(name, seed=2, seconds=3.0)
     renderer = Renderer(scene, SMALL)
-    seen = []
+    visible_types = []
     assert renderer.render(0.0, side="right").shape == (94, 310, 3)
     for time_s in (0.0, 2.8):
         image, inverse_depth = renderer.render_with_depth(time_s)
         assert image.shape == (94, 310, 3)
         assert image.std() > 8
-        seen += seen_at(
+        visible_types += visible_objects(
             scene, time_s, frame=0, camera=SMALL.left, inverse_depth=inverse_depth
         ).labels.kitti_type.tolist()
-    assert seen
+    assert visible_types
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_seed_makes_one_scene(name):
+def test_same_seed_gives_the_same_scene(name):
     assert make_scenario(name, seed=4) == make_scenario(name, seed=4)
     assert make_scenario(name, seed=4) != make_scenario(name, seed=5)
 
 
-def footprint(place, size, yaw):
-    return (float(place[0]), float(place[2])), (float(size[2]), float(size[1])), float(-np.degrees(yaw))
+def footprint(location, size, yaw):
+    """Rotated rectangle (centre, size, angle in degrees) of a 3-D box seen from above."""
+    return (float(location[0]), float(location[2])), (float(size[2]), float(size[1])), float(-np.degrees(yaw))
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize("seed", range(3))
-def test_nobody_runs_into_anybody_nor_the_camera_into_them(name, seed):
+def test_no_collisions(name, seed):
     scene = make_scenario(name, seed=seed, seconds=10.0)
-    standing = np.array([user.raised_m == 0 for user in scene.road_users], bool)
-    size = scene.size_hwl_m()[standing]
+    on_road = np.array([user.raised_m == 0 for user in scene.road_users], bool)
+    size = scene.size_hwl_m()[on_road]
     ego = ((0.0, 1.5 - EGO_HW_M[0] / 2), EGO_HW_M, 90.0)
     for time_s in np.arange(0, 10.01, 0.25):
-        place, yaw = scene.location_m(time_s)[standing], scene.rotation_y_rad(time_s)[standing]
-        prints = [footprint(*one) for one in zip(place, size, yaw, strict=True)]
-        for k, one in enumerate(prints):
-            if np.hypot(*place[k][[0, 2]]) < 12:
-                kind, _ = cv2.rotatedRectangleIntersection(ego, one)
+        location, yaw = scene.location_m(time_s)[on_road], scene.rotation_y_rad(time_s)[on_road]
+        footprints = [footprint(*row) for row in zip(location, size, yaw, strict=True)]
+        for k, rectangle in enumerate(footprints):
+            if np.hypot(*location[k][[0, 2]]) < 12:
+                kind, _ = cv2.rotatedRectangleIntersection(ego, rectangle)
                 assert kind == cv2.INTERSECT_NONE, (time_s, k)
-        gaps = np.hypot(*(place[:, None] - place[None])[:, :, [0, 2]].transpose(2, 0, 1))
+        gaps = np.hypot(*(location[:, None] - location[None])[:, :, [0, 2]].transpose(2, 0, 1))
         near = gaps < (size[:, None, 2] + size[None, :, 2]) / 2 + 1
-        for k, other in combinations(range(len(place)), 2):
+        for k, other in combinations(range(len(location)), 2):
             if near[k, other]:
-                kind, _ = cv2.rotatedRectangleIntersection(prints[k], prints[other])
+                kind, _ = cv2.rotatedRectangleIntersection(footprints[k], footprints[other])
                 assert kind == cv2.INTERSECT_NONE, (time_s, k, other)
 
 
-def test_scenarios_are_what_their_names_say():
+def test_contents_of_scenarios():
     cut_in, queue, empty, highway = (make_scenario(name, seed=1) for name in ("cut-in", "queue", "empty", "highway"))
     cutter = cut_in.road_users[0]
     assert [round(cutter.on_road_m(t)[0], 1) for t in (0.0, 6.0)] == [3.6, 0.0]
@@ -93,21 +94,19 @@ def test_scenarios_are_what_their_names_say():
     assert kinds >= {"Car", "Bus", "Motorcycle", "Cyclist", "Pedestrian", "TrafficSign", "TrafficLight"}
 
 
-def test_the_night_is_dark_and_lamps_shine_in_it():
+def test_night_is_dark_with_bright_lamps():
     day, night = (Renderer(make_scenario(name, seed=1), SMALL, noise_grey=0).render(1.0) for name in ("city", "night"))
     assert night.mean() < 0.4 * day.mean()
     assert night.max() > 220
 
 
-def test_a_name_that_is_none_gets_the_names():
-    with pytest.raises(
-        ValueError, match=r"suburb: no such scenario; there are town, highway, city, cut-in, .* night\."
-    ):
+def test_unknown_scenario():
+    with pytest.raises(ValueError, match="suburb: expected one of town"):
         make_scenario("suburb")
 
 
 @pytest.mark.parametrize("kind", SURROUNDINGS.values(), ids=list(SURROUNDINGS))
-def test_what_repeats_along_a_road_fits_its_period(kind):
+def test_lengths_divide_the_period(kind):
     assert PERIOD_M % kind.dash_m[1] == 0
     assert all(PERIOD_M % row.every_m == 0 for row in kind.rows)
     assert kind.lane_of(0.0) == 0

@@ -1,4 +1,4 @@
-"""Labels against numbers worked by hand."""
+"""Tests of labels against numbers worked by hand."""
 
 import numpy as np
 import pytest
@@ -21,24 +21,24 @@ def labels_of(*users):
     return label_scene(Scene(seed=0, road_users=users), [0.0], camera=CAMERA)
 
 
-def test_the_box_of_a_car_straight_ahead():
+def test_box_of_a_car_straight_ahead():
     labels = labels_of(car(7, x=0.0, z=12.0))
-    # Its back, 2 m wide and 1.5 m high, stands at 12 - 4/2 = 10 m, the road 1.65 m below the camera; the front, at
-    # 14 m, is higher up in the image at the bottom and inside at the top.
+    # Its back, 2 m wide and 1.5 m high, is at 12 - 4/2 = 10 m, and the road 1.65 m below the camera. Its front, at
+    # 14 m, gives the upper edge of the box.
     f, cx, cy = CAMERA.fx_px, CAMERA.cx_px, CAMERA.cy_px
-    wanted = [cx - f * 1.0 / 10, cy + f * 0.15 / 14, cx + f * 1.0 / 10, cy + f * 1.65 / 10]
-    np.testing.assert_allclose(labels.xyxy_px, [wanted])
+    expected = [cx - f * 1.0 / 10, cy + f * 0.15 / 14, cx + f * 1.0 / 10, cy + f * 1.65 / 10]
+    np.testing.assert_allclose(labels.xyxy_px, [expected])
     np.testing.assert_allclose(labels.location_m, [[0.0, 1.65, 12.0]])
     assert (labels.track_id[0], labels.kitti_type[0], labels.occluded[0], labels.truncated[0]) == (7, "Car", 0, 0)
 
 
-def test_a_turned_box_is_long_across():
+def test_box_of_a_car_across_the_road():
     labels = labels_of(car(0, x=0.0, z=21.0, heading=0.0))
     width_px = labels.xyxy_px[0, 2] - labels.xyxy_px[0, 0]
     assert width_px == pytest.approx(CAMERA.fx_px * 4.0 / 20)
 
 
-def test_the_corners_stand_on_the_road_and_span_the_size():
+def test_corners_are_on_the_road_and_span_the_size():
     corners = box_corners_m(
         np.array([[1.0, 1.65, 9.0]]), size_hwl_m=np.array([[1.5, 2.0, 4.0]]), rotation_y_rad=np.array([np.pi / 2])
     )[0]
@@ -46,26 +46,26 @@ def test_the_corners_stand_on_the_road_and_span_the_size():
     np.testing.assert_allclose(corners[:4, 1], 1.65)
 
 
-def test_a_box_that_reaches_behind_the_camera_is_cut_off_there():
+def test_box_that_extends_behind_the_camera():
     size, yaw = np.array([[1.5, 2.0, 10.0]]), np.array([AWAY_RAD])
     corners = box_corners_m(np.array([[3.0, 1.65, 3.0]]), size_hwl_m=size, rotation_y_rad=yaw)
     left, _, right, _ = projected_boxes_px(corners, CAMERA)[0]
-    # Its left edge is seen at its far end, z = 8, x = 2; the right one at the near plane, z = 0.1, x = 4.
+    # Its left edge is at its far end, z = 8, x = 2; the right one at the near plane, z = 0.1, x = 4.
     assert left == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 2 / 8)
     assert right == pytest.approx(CAMERA.cx_px + CAMERA.fx_px * 4 / 0.1)
     assert np.isnan(projected_boxes_px(corners - (0, 0, 20), CAMERA)).all()
 
 
-def test_truncated_says_how_much_is_outside():
+def test_truncated():
     # At 10 m the image ends 629 px = 8.7 m to the right of the camera's axis.
     whole, cut, mostly_cut = (labels_of(car(0, x=x, z=12.0, size=(1.5, 2.0, 4.0))) for x in (7.0, 8.2, 11.0))
     assert [labels.truncated[0] for labels in (whole, cut, mostly_cut)] == [0, 1, 2]
     assert cut.xyxy_px[0, 2] == CAMERA.width_px - 1
 
 
-@pytest.mark.parametrize("place", [(0.0, -5.0), (0.0, 101.0), (40.0, 12.0)])
-def test_what_is_behind_or_far_or_outside_is_left_out(place):
-    assert len(labels_of(car(0, x=place[0], z=place[1]))) == 0
+@pytest.mark.parametrize(("x", "z"), [(0.0, -5.0), (0.0, 101.0), (40.0, 12.0)])
+def test_objects_behind_far_or_outside_are_omitted(x, z):
+    assert len(labels_of(car(0, x=x, z=z))) == 0
 
 
 def test_low_boxes_are_dont_care_regions():
@@ -73,13 +73,13 @@ def test_low_boxes_are_dont_care_regions():
     assert (labels.kitti_type[0], labels.track_id[0], labels.location_m[0, 2]) == ("DontCare", -1, -1000)
 
 
-def test_a_wall_of_a_truck_hides_a_car():
+def test_truck_hides_a_car():
     truck = car(0, x=0.0, z=12.0, size=(4.0, 3.0, 4.0), kitti_type="Truck")
     assert labels_of(truck, car(1, x=0.0, z=40.0)).track_id.tolist() == [0]
 
 
-def test_half_hidden_is_counted():
-    # The near car's right edge, x = 0 at 10 m, runs through the middle of the far one.
+def test_visible_share_of_a_half_hidden_car():
+    # The near car's right edge, x = 0 at 10 m, is in the centre of the far one.
     near, far = car(0, x=-1.5, z=12.0, size=(2.5, 3.0, 4.0)), car(1, x=0.0, z=30.1, size=(1.5, 2.0, 0.2))
     location = np.array([[-1.5, 1.65, 12.0], [0.0, 1.65, 30.1]])
     size, yaw = np.array([near.size_hwl_m, far.size_hwl_m]), np.array([AWAY_RAD, AWAY_RAD])
@@ -89,11 +89,11 @@ def test_half_hidden_is_counted():
     assert labels_of(near, far).occluded.tolist() == [0, 1]
 
 
-def test_nobody_on_the_road_gives_no_labels():
+def test_no_road_users():
     assert len(labels_of()) == 0
 
 
-def test_the_middle_of_every_box_meets_its_3d_box():
+def test_ray_through_a_box_centre_meets_the_3d_box():
     labels = label_scene(make_scene(1), [0.0, 2.5, 5.0], camera=CAMERA)
     labels = labels.select(labels.has_3d_box & (labels.truncated == 0))
     assert len(labels) > 20

@@ -1,1 +1,1 @@
-"""What the cameras of a drive record: faults, the playback detector, image and label files."""
+"""Recording of a simulated drive: camera faults, simulated detections, image and label files."""

@@ -1,4 +1,4 @@
-"""Labels as rows of KITTI's tracking format."""
+"""Formatting of labels as rows of KITTI's tracking format."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from track_range.foundation.arrays import FloatArray
 
 
 def kitti_text(labels: KittiLabels) -> str:
-    """Rows of KITTI's tracking format, with a score where there is one; alpha is the heading less the bearing."""
+    """Rows of KITTI's tracking format, with a score if there is one; alpha = rotation_y - bearing."""
     bearing_rad = np.arctan2(labels.location_m[:, 0], labels.location_m[:, 2])
     alpha_rad = np.where(labels.has_3d_box, _wrapped(labels.rotation_y_rad - bearing_rad), -10.0)
     lines = []
@@ -28,5 +28,5 @@ def kitti_text(labels: KittiLabels) -> str:
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    """Angles brought into -pi .. pi."""
+    """Angles wrapped to [-pi, pi)."""
     return np.asarray((angle_rad + np.pi) % (2 * np.pi) - np.pi)

@@ -1,8 +1,8 @@
-"""The simulation's playback detector: what a plausible detector would have made of the truth.
+"""Simulated detections: labelled boxes with the errors of a plausible detector.
 
-A labelled box is found with a chance that falls with its height and with occlusion; misses also come in runs of two
-or three frames of one object. Edges are off by a Gaussian error, scores fall with size and occlusion, and now and then
-there is a box where nothing is. It is no network: it shows the rest of the program, and says nothing of detection.
+The probability that a box is detected depends on its height and occlusion; objects are also missed in runs of two or
+three frames. Box edges have Gaussian errors, scores depend on height and occlusion, and there are false detections. No
+network is involved: the detections exercise the rest of the program, and are no measure of detection accuracy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
-PLAYED_TYPES = {
+DETECTED_TYPES = {
     "Car": "Car",
     "Van": "Car",
     "Truck": "Truck",
@@ -23,29 +23,30 @@ PLAYED_TYPES = {
     "Cyclist": "Cyclist",
     "Motorcycle": "Motorcycle",
 }
-"""What the detector calls each KITTI type; other types are not found."""
+"""Detected type of each KITTI type; other types are not detected."""
 
 HIDDEN = 2
-"""KITTI's `occluded` from which nothing is found."""
+"""Value of KITTI's `occluded` from which objects are not detected."""
 
 FALSE_SIZES_PX = {"Car": (60.0, 40.0), "Pedestrian": (22.0, 60.0)}
-"""Mean width and height of boxes where nothing is."""
+"""Mean width and height of false detections by type."""
 
 SCORE_FROM, SCORE_TO = 0.3, 0.95
+"""Range of scores."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flaws:
-    """How good the detector is.
+    """Error model of the simulated detector.
 
     Attributes:
-        edge_share: standard deviation of a box edge, as a share of the box's height ...
-        edge_min_px, edge_max_px: ... within these limits.
-        miss: chance that a large, fully visible object is missed in a frame.
-        miss_small: added to it for a box 10 px high, falling to 0 at 40 px.
-        miss_partly_hidden: added to it for KITTI's occluded = 1.
-        run: chance per object and frame that a run of 2 or 3 missed frames begins.
-        false_per_frame: mean number of boxes where nothing is.
+        edge_share: standard deviation of box edges relative to the box height.
+        edge_min_px, edge_max_px: limits of this standard deviation.
+        miss: probability that a large, fully visible object is missed in a frame.
+        miss_small: additional probability for a box 10 px high, falling linearly to 0 at 40 px.
+        miss_partly_hidden: additional probability for KITTI's occluded = 1.
+        run: probability per object and frame that a run of 2 or 3 missed frames starts.
+        false_per_frame: mean number of false detections per frame.
     """
 
     edge_share: float = 0.015
@@ -61,54 +62,55 @@ class Flaws:
 def play_back(
     truth: KittiLabels, *, seed: int, image_size_px: tuple[int, int], flaws: Flaws | None = None
 ) -> KittiLabels:
-    """What the detector finds in the frames of `truth`, ordered by frame; ids are -1 and there are no 3-D boxes.
+    """Simulated detections for the labels `truth`, sorted by frame; ids are -1 and there are no 3-D boxes.
 
     Args:
         truth: labels, each object at most once per frame.
-        seed: the same seed gives the same detections.
+        seed: random seed; the same seed gives the same detections.
         image_size_px: width and height; boxes are clipped to pixel centres.
-        flaws: None = the defaults.
+        flaws: the error model; None = the defaults.
     """
     flaws = flaws or Flaws()
     rng = np.random.default_rng([seed, 5])
     n_frames = int(truth.frame.max()) + 1 if len(truth) else 0
-    rows = np.flatnonzero(_found(truth, rng, flaws))
+    rows = np.flatnonzero(_is_detected(truth, rng, flaws))
     height_px = truth.xyxy_px[rows, 3] - truth.xyxy_px[rows, 1]
     sigma_px = np.clip(flaws.edge_share * height_px, flaws.edge_min_px, flaws.edge_max_px)
     boxes = truth.xyxy_px[rows] + rng.normal(size=(len(rows), 4)) * sigma_px[:, None]
-    faint = 0.25 * _smallness(height_px) + 0.15 * (truth.occluded[rows] > 0)
-    score = 0.88 - faint + rng.normal(0, 0.06, len(rows))
-    types = np.array([PLAYED_TYPES[name] for name in truth.kitti_type[rows].tolist()], np.str_)
-    found = _as_detections(truth.frame[rows], types, boxes, score=score, image_size_px=image_size_px)
+    score_loss = 0.25 * _smallness(height_px) + 0.15 * (truth.occluded[rows] > 0)
+    score = 0.88 - score_loss + rng.normal(0, 0.06, len(rows))
+    types = np.array([DETECTED_TYPES[name] for name in truth.kitti_type[rows].tolist()], np.str_)
+    true = _as_detections(truth.frame[rows], types, boxes, score=score, image_size_px=image_size_px)
     false = _false_boxes(rng, flaws, n_frames=n_frames, image_size_px=image_size_px)
     both = KittiLabels(
-        *(np.concatenate([getattr(part, name) for part in (found, false)]) for name in KittiLabels.__dataclass_fields__)
+        *(np.concatenate([getattr(part, name) for part in (true, false)]) for name in KittiLabels.__dataclass_fields__)
     )
     return both.select(np.argsort(both.frame, kind="stable"))
 
 
-def _found(truth: KittiLabels, rng: np.random.Generator, flaws: Flaws) -> BoolArray:
-    """(N,) which labels the detector sees."""
+def _is_detected(truth: KittiLabels, rng: np.random.Generator, flaws: Flaws) -> BoolArray:
+    """(N,) mask of the detected labels."""
     height_px = truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1]
     miss = flaws.miss + flaws.miss_small * _smallness(height_px) + flaws.miss_partly_hidden * (truth.occluded == 1)
-    missed = rng.uniform(size=len(truth)) < miss
-    begins = rng.uniform(size=len(truth)) < flaws.run
+    is_missed = rng.uniform(size=len(truth)) < miss
+    starts_run = rng.uniform(size=len(truth)) < flaws.run
     run_length = rng.integers(2, 4, len(truth))
-    place = truth.track_id * (int(truth.frame.max(initial=0)) + 4) + truth.frame  # one number per object and frame
-    for later in range(3):
-        missed |= np.isin(place - later, place[begins & (run_length > later)])
-    is_known = np.isin(truth.kitti_type, list(PLAYED_TYPES))
-    return np.asarray(is_known & (truth.occluded < HIDDEN) & ~missed)
+    key = truth.track_id * (int(truth.frame.max(initial=0)) + 4) + truth.frame  # unique per object and frame
+    for offset in range(3):
+        is_missed |= np.isin(key - offset, key[starts_run & (run_length > offset)])
+    is_known = np.isin(truth.kitti_type, list(DETECTED_TYPES))
+    return np.asarray(is_known & (truth.occluded < HIDDEN) & ~is_missed)
 
 
 def _smallness(height_px: FloatArray) -> FloatArray:
-    """1 for a box of 10 px and less, 0 from 40 px."""
+    """(N,) 1 for boxes up to 10 px high, falling linearly to 0 at 40 px."""
     return np.clip((40.0 - height_px) / 30.0, 0.0, 1.0)
 
 
 def _false_boxes(
     rng: np.random.Generator, flaws: Flaws, *, n_frames: int, image_size_px: tuple[int, int]
 ) -> KittiLabels:
+    """False detections with uniformly distributed positions."""
     n_in_frame = rng.poisson(flaws.false_per_frame, n_frames)
     frame = np.repeat(np.arange(n_frames, dtype=np.int64), n_in_frame)
     types = rng.choice(list(FALSE_SIZES_PX), len(frame)).astype(np.str_)
@@ -125,7 +127,7 @@ def _false_boxes(
 def _as_detections(
     frame: IntArray, types: np.ndarray, xyxy_px: FloatArray, *, score: FloatArray, image_size_px: tuple[int, int]
 ) -> KittiLabels:
-    """KITTI's detection rows: boxes clipped to the image and at least a pixel wide and high; the rest unknown."""
+    """KITTI detections: boxes clipped to the image, at least 1 px wide and high; all other columns unknown."""
     n = len(frame)
     edge = np.array(image_size_px, np.float64) - 1
     upper_left = np.clip(xyxy_px[:, :2], 0, edge - 1)

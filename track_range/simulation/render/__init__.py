@@ -1,1 +1,1 @@
-"""Images of the world: faces, textures, depth buffer."""
+"""Rendering of the simulated world: textured faces, depth buffer, night lighting."""

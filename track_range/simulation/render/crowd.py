@@ -1,4 +1,4 @@
-"""All road users' faces, laid out for a frame: who is in reach, nearest first, in the camera's frame."""
+"""Crowd: the faces of all road users, transformed to the camera's frame and drawn nearest first."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from track_range.simulation.world.faces import Face
 
 
 class Crowd:
-    """Faces of many bodies, each in its body's own axes.
+    """Faces of many bodies, stored in the frame of each body.
 
     Args:
-        bodies: the faces of each.
-        store: takes their textures.
+        bodies: the faces of each body.
+        store: stores their textures.
     """
 
     def __init__(self, bodies: Sequence[Sequence[Face]], store: TextureStore) -> None:
@@ -27,23 +27,23 @@ class Crowd:
         self._first = np.cumsum(self._n_faces) - self._n_faces
 
     def draw(
-        self, canvas: Canvas, order: IntArray, places: tuple[FloatArray, FloatArray], shown: Iterable[bool]
+        self, canvas: Canvas, order: IntArray, poses: tuple[FloatArray, FloatArray], is_visible: Iterable[bool]
     ) -> None:
-        """Draw bodies in an order.
+        """Draw bodies in a given order.
 
         Args:
-            canvas: drawn on.
-            order: (M,) which bodies.
-            places: (N, 3) of all bodies in the camera's frame, and (N, 3, 3) turns from their own axes to the camera's.
-            shown: for each of `order`, asked just before it is drawn: whether it is.
+            canvas: the canvas.
+            order: (M,) indices of the bodies.
+            poses: (N, 3) locations of all bodies in the camera's frame, and (N, 3, 3) rotations to that frame.
+            is_visible: whether each body of `order` is drawn; each value is read just before its body is drawn.
         """
         n_faces = self._n_faces[order]
         owner, first = np.repeat(order, n_faces), np.cumsum(n_faces) - n_faces
         rows = np.arange(len(owner)) + np.repeat(self._first[order] - first, n_faces)
-        table = self._faces.select(rows).turned(places[1][owner]).moved(places[0][owner])
-        placed = canvas.place(table)
-        starts = np.searchsorted(placed.face, first).tolist()
-        ends = np.searchsorted(placed.face, first + n_faces).tolist()
-        for start, end, is_shown in zip(starts, ends, shown, strict=False):
-            if start < end and is_shown:
-                canvas.paint(placed, table, slice(start, end))
+        table = self._faces.select(rows).rotated(poses[1][owner]).moved(poses[0][owner])
+        pieces = canvas.project(table)
+        starts = np.searchsorted(pieces.face, first).tolist()
+        ends = np.searchsorted(pieces.face, first + n_faces).tolist()
+        for start, end, is_drawn in zip(starts, ends, is_visible, strict=False):
+            if start < end and is_drawn:
+                canvas.paint(pieces, table, slice(start, end))

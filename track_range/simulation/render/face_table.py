@@ -1,4 +1,4 @@
-"""Many faces as parallel arrays: what a frame shows is turned, culled and cut by a few operations over all of them."""
+"""FaceTable: many faces as parallel arrays, so that a few array operations transform, cull and split all of them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from track_range.simulation.world.faces import Face
 
 @dataclass(frozen=True, slots=True)
 class FaceTable:
-    """Faces, as `faces.Face` has them.
+    """Faces as arrays; see `faces.Face`.
 
     Attributes:
-        corner, along, down: (F, 3) metres.
-        texture: (F,) numbers in a `TextureStore`.
+        corner, along, down: (F, 3) corner and edges, metres.
+        texture: (F,) numbers of the textures in a `TextureStore`.
         texels: (F, 2) rows and columns of the textures.
-        two_sided, is_shadow: (F,).
+        two_sided: (F,) whether the back is visible too.
+        is_shadow: (F,) whether the face is a shadow.
     """
 
     corner: FloatArray
@@ -36,7 +37,7 @@ class FaceTable:
 
     @classmethod
     def of(cls, faces: Sequence[Face], store: TextureStore) -> FaceTable:
-        """The faces, their textures taken into the store; of a shadow's texture only alpha."""
+        """A table of faces; their textures are added to the store, for shadows only the alpha channel."""
         pictures = [face.texture[:, :, 3] if face.is_shadow else face.texture for face in faces]
         return cls(
             np.array([face.corner for face in faces], np.float64).reshape(-1, 3),
@@ -49,21 +50,21 @@ class FaceTable:
         )
 
     def select(self, rows: IntArray | BoolArray) -> FaceTable:
-        """Some of the faces."""
+        """The faces of the given rows."""
         return FaceTable(*(getattr(self, name)[rows] for name in FaceTable.__slots__))
 
-    def turned(self, turns: FloatArray) -> FaceTable:
-        """The same after a (3, 3) turn, or one (F, 3, 3) each."""
+    def rotated(self, rotations: FloatArray) -> FaceTable:
+        """The faces rotated by one (3, 3) or one rotation per face (F, 3, 3)."""
         corner, along, down = (
-            np.matmul(turns, part[:, :, None])[:, :, 0] for part in (self.corner, self.along, self.down)
+            np.matmul(rotations, part[:, :, None])[:, :, 0] for part in (self.corner, self.along, self.down)
         )
         return replace(self, corner=corner, along=along, down=down)
 
     def moved(self, by_m: FloatArray) -> FaceTable:
-        """The same elsewhere: moved by (3,) or (F, 3)."""
+        """The faces translated by (3,) or (F, 3)."""
         return replace(self, corner=self.corner + by_m)
 
 
 def joined_tables(tables: Sequence[FaceTable]) -> FaceTable:
-    """All faces of several tables, in that order."""
+    """The faces of several tables, concatenated."""
     return FaceTable(*(np.concatenate([getattr(table, name) for table in tables]) for name in FaceTable.__slots__))

@@ -1,4 +1,4 @@
-"""One eye's image of a scene, at any time; the canvas draws it with 2 x 2 samples per pixel (`canvas.py`).
+"""Renderer: the left or right image of a scene at any time, drawn with 2 x 2 samples per pixel (`canvas.py`).
 
 faces of street and road users -> canvas -> lens -> headlights, at night -> faults -> sensor noise
 """
@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.camera.faults import NO_FAULTS, Faults, rained
+from track_range.simulation.camera.faults import NO_FAULTS, Faults, with_rain
 from track_range.simulation.render.canvas import Canvas
 from track_range.simulation.render.crowd import Crowd
-from track_range.simulation.render.night import lamps_of, lit
+from track_range.simulation.render.night import lamps_of, night_image
 from track_range.simulation.render.street import FAR_M, Street
 from track_range.simulation.render.surface import Surface
 from track_range.simulation.render.texture_store import TextureStore
@@ -32,21 +32,22 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 
 Side = Literal["left", "right"]
+"""A camera of the pair."""
 
 SAMPLES = 2
-"""Per pixel and axis."""
+"""Samples per pixel and axis."""
 
 LONGEST_HALF_M = 8.0
-"""No body reaches farther than this towards the camera from its centre."""
+"""Largest distance between the centre of a body and its nearest point, m."""
 
 LENS_BLUR_SAMPLES = 0.8
-"""Standard deviation of the lens's blur, about 0.4 px; a lens without any would show detail finer than its pixels."""
+"""Standard deviation of the lens blur in samples, about 0.4 px; without blur the image would be aliased."""
 
 NOISE_GREY = 2.0
-"""Standard deviation of the sensor's noise, grey levels."""
+"""Default standard deviation of the sensor noise, grey levels."""
 
 SKY_SIZE = (1.7, 1.5)
-"""Width and height of the sky's picture, in images: for a camera that turns."""
+"""Width and height of the sky relative to the image, for a camera that rotates."""
 
 
 def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: float = 0.54) -> StereoRig:
@@ -57,27 +58,27 @@ def kitti_like_rig(*, width_px: int = 1240, height_px: int = 376, baseline_m: fl
 
 
 _FROM_HALF = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
-"""Pixels of a picture of half the size -> pixels."""
+"""Homography from pixels of an image of half the size to pixels of the full size."""
 
 
 class Renderer:
-    """Draws a scene for either eye at any time; textures are made once, and the scene is never changed.
+    """Renders a scene for either camera at any time; textures are created once.
 
     Args:
-        scene: what there is to see.
-        rig: a rectified pair; the left eye is the scene's camera.
+        scene: the scene.
+        rig: a rectified pair; the left camera is the scene's camera.
         noise_grey: standard deviation of the sensor noise in grey levels, 0 = none.
-        faults: of the cameras.
+        faults: faults of the cameras.
 
     Attributes:
-        bodies: each road user's faces in its own axes.
+        bodies: faces of each road user in its frame.
     """
 
     def __init__(
         self, scene: Scene, rig: StereoRig, *, noise_grey: float = NOISE_GREY, faults: Faults = NO_FAULTS
     ) -> None:
         if not rig.is_rectified:
-            raise ValueError("the simulation draws rectified pairs: equal, parallel, undistorted cameras wanted")
+            raise ValueError("rig: expected a rectified pair of equal, parallel, undistorted cameras")
         self.scene = scene
         self.rig = rig
         self.noise_grey = noise_grey
@@ -94,25 +95,25 @@ class Renderer:
             for is_shadow in (True, False)
         )
         self._cameras = {"left": _finer(rig.left), "right": _finer(faults.right_camera(rig.left))}
-        self._turns = not scene.road.is_straight or scene.wobble.pitch_rad > 0 or scene.wobble.roll_rad > 0
+        self._rotates = not scene.road.is_straight or scene.wobble.pitch_rad > 0 or scene.wobble.roll_rad > 0
         self._sky = self._sky_picture(rng)
 
     def render(self, time_s: float, *, side: Side = "left") -> Image:
-        """(H, W, 3) uint8 BGR; the same scene, time and eye give the same pixels."""
+        """(H, W, 3) uint8 BGR image of one camera; the same scene, time and side give the same pixels."""
         return self._exposed(self._drawn(time_s, side), time_s, side)
 
     def render_with_depth(self, time_s: float) -> tuple[Image, FloatArray]:
-        """The left eye's image, and (2 H, 2 W) the exact 1/z of its samples, 0 = sky, from one drawing."""
+        """The left image, and the exact (2 H, 2 W) 1/z of its samples in 1/m, 0 = sky."""
         canvas = self._drawn(time_s, "left")
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth)
 
     def depth_m(self, time_s: float, *, side: Side = "left") -> FloatArray:
-        """(H, W) exact z of what each pixel shows, the mean in 1/z over its samples; NaN = sky."""
+        """(H, W) exact depth of each pixel, from the mean of 1/z over its samples; NaN = sky."""
         inverse = self._in_pixels(self._drawn(time_s, side))
         return np.asarray(1.0 / np.where(inverse > 0, inverse, np.nan), np.float64)
 
     def surface(self, row: int) -> Surface:
-        """What a ray can meet of a road user, in its own axes."""
+        """The surface of the road user in row `row`, in its frame."""
         if row not in self._surfaces:
             self._surfaces[row] = Surface.of(self.bodies[row])
         return self._surfaces[row]
@@ -126,7 +127,7 @@ class Renderer:
         return np.asarray(cv2.resize(canvas.inverse_depth, self._size_px, interpolation=cv2.INTER_AREA))
 
     def _exposed(self, canvas: Canvas, time_s: float, side: Side) -> Image:
-        """What lens, sensor and their faults make of a drawing."""
+        """The image of a drawing after lens, lighting, faults and sensor noise."""
         lens = cv2.GaussianBlur(canvas.bgra, (3, 3), LENS_BLUR_SAMPLES)
         small = cv2.resize(lens, self._size_px, interpolation=cv2.INTER_AREA)
         image = np.asarray(cv2.cvtColor(small, cv2.COLOR_BGRA2BGR), np.uint8)
@@ -134,81 +135,85 @@ class Renderer:
             camera = self.rig.left if side == "left" else self.faults.right_camera(self.rig.left)
             lamps = lamps_of(self.scene, time_s, lamp_heads_m=self._street.lamp_heads_m(self.scene.ego_z_m(time_s)))
             shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
-            image = lit(image, self._in_pixels(canvas), camera, lamps.moved(shift_m))
+            image = night_image(image, self._in_pixels(canvas), camera, lamps.moved(shift_m))
+        is_right = side == "right"
         if self.faults.rain > 0:
-            image = rained(image, self.rig, [self.scene.seed, 7, round(time_s * 1e6) % 2**32], (self.faults.rain, side))
-        return self._with_noise(self.faults.seen(image, is_right=side == "right"), time_s, side)
+            drops_seed = [self.scene.seed, 7, round(time_s * 1e6) % 2**32]
+            image = with_rain(image, self.rig, drops_seed, rain=self.faults.rain, is_right=is_right)
+        return self._with_noise(self.faults.apply(image, is_right=is_right), time_s, side)
 
     def _drawn(self, time_s: float, side: Side) -> Canvas:
+        """The canvas with the street, the road users and the sky."""
         pose = self.scene.pose(time_s)
         canvas = Canvas(self._cameras[side], self._store)
         shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
-        turn = pose.camera_from_world
+        rotation = pose.camera_from_world
         street = self._street.faces(self.scene.ego_z_m(time_s))
-        canvas.draw(street.turned(turn).moved(shift_m - turn @ pose.place_m))
+        canvas.draw(street.rotated(rotation).moved(shift_m - rotation @ pose.position_m))
         self._draw_road_users(canvas, time_s, shift_m)
-        if n_rows := canvas.sky_until():
+        if n_rows := canvas.n_sky_rows():
             canvas.fill_sky(self._background(pose, canvas.camera, n_rows))
         return canvas
 
     def _draw_road_users(self, canvas: Canvas, time_s: float, shift_m: FloatArray) -> None:
-        places_m, turns = self.scene.location_m(time_s) + shift_m, self.scene.turns(time_s)
-        in_reach = np.flatnonzero((places_m[:, 2] > -LONGEST_HALF_M) & (places_m[:, 2] < FAR_M))
-        nearest_first = in_reach[np.argsort(places_m[in_reach, 2], kind="stable")]
-        boxes_m = corners_m(places_m, self.scene.size_hwl_m(), turns)[nearest_first]
-        could_show = canvas.could_show(boxes_m)
-        stands_on_pole = [self.scene.road_users[row].raised_m > 0 for row in nearest_first.tolist()]
-        shown = (could or poled for could, poled in zip(could_show, stands_on_pole, strict=True))
-        self._shadows.draw(canvas, nearest_first, (places_m, turns), repeat(True))  # these lie on the road alone
-        self._solids.draw(canvas, nearest_first, (places_m, turns), shown)
+        poses = self.scene.location_m(time_s) + shift_m, self.scene.rotations(time_s)
+        location_m, rotations = poses
+        in_reach = np.flatnonzero((location_m[:, 2] > -LONGEST_HALF_M) & (location_m[:, 2] < FAR_M))
+        nearest_first = in_reach[np.argsort(location_m[in_reach, 2], kind="stable")]
+        boxes_m = corners_m(location_m, self.scene.size_hwl_m(), rotations)[nearest_first]
+        may_be_visible = canvas.may_be_visible(boxes_m)
+        has_pole = [self.scene.road_users[row].raised_m > 0 for row in nearest_first.tolist()]  # not part of the box
+        is_visible = (box or pole for box, pole in zip(may_be_visible, has_pole, strict=True))
+        self._shadows.draw(canvas, nearest_first, poses, repeat(True))  # first, since shadows fall only on the road
+        self._solids.draw(canvas, nearest_first, poses, is_visible)
 
     def _sky_picture(self, rng: np.random.Generator) -> Image:
-        """Half as many samples as the canvas has, either way, or more where the camera turns."""
-        wide, high = SKY_SIZE if self._turns else (1.0, 1.0)
+        """The sky at half the resolution of the canvas; larger than the image if the camera rotates."""
+        wide, high = SKY_SIZE if self._rotates else (1.0, 1.0)
         camera = self._cameras["left"]
         size_px = (round(wide * camera.width_px), round(high * camera.height_px))
         horizon_px = camera.cy_px + (size_px[1] - camera.height_px) / 2
         return sky_picture(rng, size_px=size_px, horizon_px=horizon_px, is_night=self.scene.is_night)
 
     def _background(self, pose: CameraPose, camera: PinholeCamera, n_rows: int) -> Image:
-        """The upper rows of the sky as this camera sees it: only its turn, and the place of its centre, count."""
+        """The upper rows of the sky as this camera sees it, which depends on its rotation and principal point only."""
         left = self._cameras["left"]
-        at_px, of_sky_px = camera.matrix, left.matrix
+        camera_matrix, sky_matrix = camera.matrix, left.matrix
         sky_size_px = 2 * np.array(self._sky.shape[1::-1])
-        of_sky_px[:2, 2] += (sky_size_px - (camera.width_px, camera.height_px)) / 2
-        to_sky = of_sky_px @ pose.camera_from_world.T @ np.linalg.inv(at_px)
+        sky_matrix[:2, 2] += (sky_size_px - (camera.width_px, camera.height_px)) / 2
+        to_sky = sky_matrix @ pose.camera_from_world.T @ np.linalg.inv(camera_matrix)
         to_half_sky = np.linalg.inv(_FROM_HALF) @ to_sky @ _FROM_HALF
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size_px = (camera.width_px // 2, (n_rows + 1) // 2)
-        turned = cv2.warpPerspective(self._sky, to_half_sky, size_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        whole = cv2.resize(turned, (2 * size_px[0], 2 * size_px[1]), interpolation=cv2.INTER_LINEAR)
+        warped = cv2.warpPerspective(self._sky, to_half_sky, size_px, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        whole = cv2.resize(warped, (2 * size_px[0], 2 * size_px[1]), interpolation=cv2.INTER_LINEAR)
         return np.asarray(whole[:n_rows], np.uint8)
 
     def _with_noise(self, image: Image, time_s: float, side: Side) -> Image:
         if self.noise_grey <= 0:
             return image
         stream = [self.scene.seed, 4, round(time_s * 1e6) % 2**32, int(side == "right")]
-        drawn = np.frombuffer(np.random.default_rng(stream).bytes(image.size), np.uint8).reshape(image.shape)
+        random_bytes = np.frombuffer(np.random.default_rng(stream).bytes(image.size), np.uint8).reshape(image.shape)
         steps = noise_steps(self.noise_grey).astype(np.int16)
         lighter, darker = (np.clip(sign * steps, 0, 128).astype(np.uint8) for sign in (1, -1))
-        brightened = cv2.add(image, cv2.LUT(drawn, lighter))  # saturates, as sensors do
-        return np.asarray(cv2.subtract(brightened, cv2.LUT(drawn, darker)), np.uint8)
+        brightened = cv2.add(image, cv2.LUT(random_bytes, lighter))  # saturates, as sensors do
+        return np.asarray(cv2.subtract(brightened, cv2.LUT(random_bytes, darker)), np.uint8)
 
 
 @cache
 def noise_steps(sigma_grey: float) -> npt.NDArray[np.int8]:
-    """(256,) whole grey levels, each as likely: a byte's worth of the normal distribution."""
+    """(256,) quantiles of the normal distribution in whole grey levels: the noise for each random byte."""
     steps = [sigma_grey * NormalDist().inv_cdf((k + 0.5) / 256) for k in range(256)]
     return np.asarray(np.clip(np.rint(steps), -128, 127), np.int8)
 
 
 def render(scene: Scene, time_s: float, *, rig: StereoRig, side: Side = "left") -> Image:
-    """(H, W, 3) uint8 BGR image of one eye; for more than one, a `Renderer` makes the textures only once."""
+    """(H, W, 3) uint8 BGR image of one camera; for several images use a `Renderer`, which creates textures once."""
     return Renderer(scene, rig).render(time_s, side=side)
 
 
 def _finer(camera: PinholeCamera) -> PinholeCamera:
-    """The camera whose pixels are the samples: sample k of pixel u lies at u + (k + 1/2) / SAMPLES - 1/2."""
+    """A camera with the samples as pixels: sample k of pixel u is at u + (k + 1/2) / SAMPLES - 1/2."""
     return PinholeCamera(
         camera.fx_px * SAMPLES,
         camera.fy_px * SAMPLES,

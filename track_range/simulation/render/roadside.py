@@ -1,4 +1,4 @@
-"""Trees, lamps and posts along a street: flat cut-outs that face the traffic, again and again at fixed places."""
+"""Roadside: trees, lamps and posts along a street, as flat cut-outs that face the traffic at regular intervals."""
 
 from __future__ import annotations
 
@@ -15,22 +15,26 @@ from track_range.simulation.world.scenery import tree_picture
 from track_range.simulation.world.surroundings import Row, Surroundings
 from track_range.simulation.world.textures import plain, value_noise
 
-SEEN_M = 130.0
-"""Farther ones are not drawn."""
+VISIBLE_M = 130.0
+"""Distance up to which objects are drawn."""
 
 N_TREES = 3
+"""Number of different tree textures."""
+
 TREE_M = np.array([4.5, 6.5])
-"""Width and height, on average."""
+"""Mean width and height of a tree."""
 
 LAMP_M = (2.2, 7.5)
-"""Width and height; the head hangs over the road."""
+"""Width and height of a lamp; its head is above the road."""
 
 POST_M = (0.12, 1.0)
+"""Width and height of a post."""
+
 _STEEL = (96.0, 98.0, 96.0)
 
 
 class Roadside:
-    """The rows of one street."""
+    """The rows of trees, lamps and posts of one street."""
 
     def __init__(self, rng: np.random.Generator, store: TextureStore, kind: Surroundings, road: RoadShape) -> None:
         self._rows, self._road = kind.rows, road
@@ -39,28 +43,28 @@ class Roadside:
         lamp, post = _lamp_picture(rng), _post_picture(rng)
         pictures = {"tree": trees, "lamp": [lamp[:, ::-1], lamp], "post": [post]}
         self._shade = store.add(_leaf_shadow())
-        self._numbers = {name: np.array([store.add(one) for one in some]) for name, some in pictures.items()}
-        self._texels = {name: some[0].shape[:2] for name, some in pictures.items() if some}
+        self._numbers = {name: np.array([store.add(image) for image in group]) for name, group in pictures.items()}
+        self._texels = {name: group[0].shape[:2] for name, group in pictures.items() if group}
 
     def faces(self, ego_z_m: float) -> list[FaceTable]:
-        """What stands before the camera, in the world's axes: first the trees' shadows, then all else."""
+        """The faces in front of the camera, in world axes: shadows of trees first, then all objects."""
         shadows = [self._shadows(row, ego_z_m) for row in self._rows if row.kind == "tree"]
         return [*shadows, *(self._row(row, ego_z_m) for row in self._rows)]
 
     def _shadows(self, row: Row, ego_z_m: float) -> FaceTable:
-        """As broad as the crowns, on the ground to their left, away from the sun."""
+        """The shadows of a row of trees, as wide as the crowns, on the ground to their left, away from the sun."""
         numbers = _numbers(row, ego_z_m)
         reach = TREE_M[0] * _growth(row, numbers)
         z_m = row.first_m + numbers.astype(np.float64) * row.every_m
         far, near = (self._on_ground_m(row.x_m - 0.3 * reach, z_m + half) for half in (reach / 2, -reach / 2))
         along, above = np.zeros_like(far), np.array([0.0, -0.02, 0.0])
         along[:, 0] = 1.3 * reach
-        no, texels = np.zeros(len(numbers), np.bool_), np.tile(_leaf_shadow().shape, (len(numbers), 1))
-        number = np.full(len(numbers), self._shade)
-        return FaceTable(far - along / 2 + above, along, near - far, number, texels, no, ~no)
+        one_sided, texels = np.zeros(len(numbers), np.bool_), np.tile(_leaf_shadow().shape, (len(numbers), 1))
+        texture = np.full(len(numbers), self._shade)
+        return FaceTable(far - along / 2 + above, along, near - far, texture, texels, one_sided, ~one_sided)
 
     def lamp_heads_m(self, ego_z_m: float) -> FloatArray:
-        """(N, 3) where the lamps shine from, in the world's axes."""
+        """(N, 3) positions of the lamp heads in world axes."""
         heads = [
             self._feet_m(row, _numbers(row, ego_z_m)) + np.array([-np.sign(row.x_m) * 1.6, -LAMP_M[1] + 0.25, 0])
             for row in self._rows
@@ -69,6 +73,7 @@ class Roadside:
         return np.concatenate([np.zeros((0, 3)), *heads])
 
     def _feet_m(self, row: Row, numbers: IntArray) -> FloatArray:
+        """(N, 3) positions on the ground of the given objects of a row."""
         return self._on_ground_m(np.array(row.x_m), row.first_m + numbers.astype(np.float64) * row.every_m)
 
     def _on_ground_m(self, across_m: FloatArray, z_m: FloatArray) -> FloatArray:
@@ -90,20 +95,20 @@ class Roadside:
 
 
 def _numbers(row: Row, ego_z_m: float) -> IntArray:
-    """Which things of a row are ahead."""
+    """The numbers of the objects of a row that are ahead and near enough to draw."""
     first = int(np.ceil((ego_z_m + 1.0 - row.first_m) / row.every_m))
-    last = int(np.floor((ego_z_m + SEEN_M - row.first_m) / row.every_m))
+    last = int(np.floor((ego_z_m + VISIBLE_M - row.first_m) / row.every_m))
     return np.arange(first, last + 1)
 
 
 def _growth(row: Row, numbers: IntArray) -> FloatArray:
-    """Sizes of a row's trees, 1 = `TREE_M`; no two neighbours are alike."""
+    """(N,) sizes of a row's trees relative to `TREE_M`; neighbours differ."""
     return np.asarray(0.85 + 0.4 * ((numbers * 7 + round(row.x_m)) % 11 / 10))
 
 
 @cache
 def _leaf_shadow() -> Image:
-    """(h, w) darkness under a crown: soft, with spots of sun in it."""
+    """(h, w) uint8 darkness under a crown, soft and with spots of sunlight."""
     rng, shape = np.random.default_rng(10), (96, 128)
     y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j]
     spots = value_noise(rng, shape, cells=(4, 8, 16))
@@ -112,19 +117,19 @@ def _leaf_shadow() -> Image:
 
 
 def _lamp_picture(rng: np.random.Generator) -> Image:
-    """A mast at the right edge, an arm to the left and a head at its end; the rest is cut out."""
+    """Texture of a street lamp: a mast at the right edge, an arm to the left with a head; the rest is transparent."""
     picture = plain(rng, (LAMP_M[0], LAMP_M[1]), _STEEL, contrast=5.0)
     height, width = picture.shape[:2]
-    kept = np.zeros((height, width), np.uint8)
-    kept[round(0.03 * height) :, round(0.93 * width) : round(0.985 * width)] = 255
-    kept[round(0.02 * height) : round(0.034 * height), round(0.1 * width) : round(0.985 * width)] = 255
-    kept[round(0.02 * height) : round(0.045 * height), round(0.06 * width) : round(0.34 * width)] = 255
-    picture[:, :, 3] = kept
+    alpha = np.zeros((height, width), np.uint8)
+    alpha[round(0.03 * height) :, round(0.93 * width) : round(0.985 * width)] = 255
+    alpha[round(0.02 * height) : round(0.034 * height), round(0.1 * width) : round(0.985 * width)] = 255
+    alpha[round(0.02 * height) : round(0.045 * height), round(0.06 * width) : round(0.34 * width)] = 255
+    picture[:, :, 3] = alpha
     return np.asarray(cv2.resize(picture, (width // 2, height // 2), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _post_picture(rng: np.random.Generator) -> Image:
-    """A white post with a black band and a reflector."""
+    """Texture of a white delineator post with a black band and a reflector."""
     picture = plain(rng, POST_M, (214.0, 216.0, 216.0), contrast=4.0)
     height = picture.shape[0]
     picture[round(0.18 * height) : round(0.42 * height), :, :3] = 30

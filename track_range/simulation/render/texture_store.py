@@ -1,8 +1,8 @@
-"""Textures brought down to the samples they will cover; each is kept, since the other eye and later frames ask too.
+"""TextureStore: textures averaged to the resolution at which they are drawn, with a cache.
 
-Sizes go up in steps of 2^(1/4), so that few are made: a texture has 1 to 1.19 texels per sample, never less than one
-unless it has no more. A fractional area average reads every texel and takes three times as long as a warp; so textures
-are halved first, which is quick, and averaged from the last halving that is still large enough.
+Sizes are quantized in steps of 2^(1/4), so that there are few: an averaged texture has 1 to 1.19 texels per sample, or
+all of its texels if it has fewer. Area averaging by a fractional factor reads every texel and takes three times as long
+as a warp; therefore textures are halved first, which is fast, and then averaged from the smallest sufficient size.
 """
 
 from __future__ import annotations
@@ -13,57 +13,59 @@ import numpy as np
 from track_range.foundation.arrays import Image, IntArray
 
 STEPS_PER_DOUBLING = 4
-STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))
-"""Sizes that averages have, texels."""
+"""Number of sizes per factor of 2."""
 
-MOST_BYTES = 128 * 2**20
-"""When what is kept exceeds this, all of it is forgotten and made anew as it is wanted."""
+STEPS = np.unique(np.ceil(2 ** (np.arange(14 * STEPS_PER_DOUBLING) / STEPS_PER_DOUBLING)).astype(np.int64))
+"""Sizes of averaged textures, texels."""
+
+MAX_BYTES = 128 * 2**20
+"""Default size of the cache; a full cache is emptied."""
 
 Window = tuple[int, int, int, int]
-"""Rows from, to, columns from, to, of a texture."""
+"""Part of a texture: first row, end row, first column, end column."""
 
 
-def stepped_up(size: IntArray, texels: IntArray) -> IntArray:
-    """Numbers of texels on the next step, but no more than there are."""
+def quantized_up(size: IntArray, texels: IntArray) -> IntArray:
+    """Sizes rounded up to the next of `STEPS`, but at most `texels`."""
     return np.minimum(STEPS[np.minimum(np.searchsorted(STEPS, size), len(STEPS) - 1)], texels)
 
 
 class TextureStore:
-    """Textures by number, and what has been made of them.
+    """Textures by number, with a cache of averaged versions.
 
-    A texture is (h, w, 4) BGRA, or (h, w) the darkness of a shadow. Threads may share a store: what two of them make
-    at once is the same.
+    A texture is (h, w, 4) BGRA, or (h, w) the darkness of a shadow. Threads may share a store: if two of them compute
+    the same version at once, the results are equal.
 
     Args:
-        most_bytes: that are kept of what was made.
+        max_bytes: size of the cache.
     """
 
-    def __init__(self, most_bytes: int = MOST_BYTES) -> None:
-        self._most_bytes = most_bytes
+    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
+        self._max_bytes = max_bytes
         self._pictures: list[Image] = []
         self._averages: dict[tuple[int, Window, tuple[int, int]], Image] = {}
         self._halved: dict[tuple[int, Window, tuple[int, int]], Image] = {}
         self._n_bytes = 0
 
     def add(self, picture: Image) -> int:
-        """Take in a texture; its number."""
+        """Add a texture; returns its number."""
         self._pictures.append(np.ascontiguousarray(picture))
         return len(self._pictures) - 1
 
     def averaged(self, number: int, window: Window, size: tuple[int, int]) -> Image:
-        """A window of a texture brought down to `size` (rows, columns), with a transparent margin of one texel.
+        """A window of a texture averaged to `size` (rows, columns), with a transparent margin of one texel.
 
         The margin repeats the colours of the edge, so that only alpha fades out.
         """
         key = (number, window, size)
-        found = self._averages.get(key)
-        if found is None:
-            found = _framed(self._resized(number, window, size))
-            self._averages[key] = found
-            self._n_bytes += found.nbytes
-            if self._n_bytes > self._most_bytes:
+        average = self._averages.get(key)
+        if average is None:
+            average = _with_margin(self._resized(number, window, size))
+            self._averages[key] = average
+            self._n_bytes += average.nbytes
+            if self._n_bytes > self._max_bytes:
                 self._averages, self._halved, self._n_bytes = {}, {}, 0
-        return found
+        return average
 
     def _resized(self, number: int, window: Window, size: tuple[int, int]) -> Image:
         shape = (window[1] - window[0], window[3] - window[2])
@@ -71,22 +73,22 @@ class TextureStore:
         return _down_to(self._halving(number, window, halvings), size)
 
     def _halving(self, number: int, window: Window, halvings: tuple[int, int]) -> Image:
-        """The window with its rows and columns halved so often."""
+        """The window with rows and columns halved `halvings` times."""
         if halvings == (0, 0):
             return self._pictures[number][window[0] : window[1], window[2] : window[3]]
         key = (number, window, halvings)
-        found = self._halved.get(key)
-        if found is None:
-            before = self._halving(number, window, (max(halvings[0] - 1, 0), max(halvings[1] - 1, 0)))
+        halved = self._halved.get(key)
+        if halved is None:
+            larger = self._halving(number, window, (max(halvings[0] - 1, 0), max(halvings[1] - 1, 0)))
             shape = ((window[1] - window[0]) >> halvings[0], (window[3] - window[2]) >> halvings[1])
-            found = _down_to(before, shape)
-            self._halved[key] = found
-            self._n_bytes += found.nbytes
-        return found
+            halved = _down_to(larger, shape)
+            self._halved[key] = halved
+            self._n_bytes += halved.nbytes
+        return halved
 
 
 def _n_halvings(n_from: int, n_to: int) -> int:
-    """How often so many texels may be halved and still be as many as wanted."""
+    """How often `n_from` texels can be halved without falling below `n_to`."""
     return (n_from // n_to).bit_length() - 1
 
 
@@ -96,10 +98,11 @@ def _down_to(picture: Image, shape: tuple[int, int]) -> Image:
     return np.asarray(cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _framed(picture: Image) -> Image:
+def _with_margin(picture: Image) -> Image:
+    """The texture with a transparent margin of one texel."""
     if picture.ndim == 2:
         return np.asarray(cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0), np.uint8)
-    framed = cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    framed[[0, -1], :, 3] = 0
-    framed[:, [0, -1], 3] = 0
-    return np.asarray(framed, np.uint8)
+    padded = cv2.copyMakeBorder(picture, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    padded[[0, -1], :, 3] = 0
+    padded[:, [0, -1], 3] = 0
+    return np.asarray(padded, np.uint8)

@@ -1,1 +1,1 @@
-"""What there is: roads, road users, what they are made of, and the exact truth about them."""
+"""The simulated world: roads, road users with their textured bodies, and exact ground truth."""

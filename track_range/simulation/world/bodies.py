@@ -1,4 +1,4 @@
-"""A road user's body: which builder makes which type."""
+"""The bodies of road users, by type."""
 
 from __future__ import annotations
 
@@ -27,6 +27,6 @@ BUILDERS: dict[str, Callable[[np.random.Generator, tuple[float, float, float]], 
 
 
 def body_of(user: RoadUser, seed: int) -> list[Face]:
-    """The faces of a road user in its own axes; its looks follow from the seed and its track id."""
+    """The faces of a road user in its frame; its appearance depends on the seed and its track id."""
     rng = np.random.default_rng([seed, 2, user.track_id])
     return BUILDERS[user.kitti_type](rng, user.size_hwl_m)

@@ -1,9 +1,9 @@
-r"""What a car is made of: a hull with chamfered corners on four wheels, and a glazed cabin that leans inwards.
+r"""Car bodies: a hull with chamfered corners on four wheels, and a glazed cabin with inclined sides.
 
-      ______            The hull's back, front and sides lie on the 3-D box itself, so that a ray through the middle
- ____/__|___\____       of a box on the image meets the paint just where it meets the 3-D box. Three builds: saloon,
-|_ _     |    _ _|      hatchback, estate; where roof and bonnet begin and end is told in shares of the length, from
-  (o)-------(o)   x ->  the back, and in shares of the height.
+      ______            Back, front and sides of the hull coincide with the 3-D box, so that the ray through the centre
+ ____/__|___\____       of a box in the image meets the paint where it meets the 3-D box. There are three shapes:
+|_ _     |    _ _|      saloon, hatchback and estate. Positions along the car are shares of its length from the back,
+  (o)-------(o)   x ->  heights are shares of its height.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.simulation.world.faces import Colour, Face, Vector, coloured_face, shaded
-from track_range.simulation.world.painting import SEAM, fill, keep, number_plate, pane, polygon, shade_rows, wheel
+from track_range.simulation.world.painting import SEAM, clip, fill, number_plate, pane, polygon, shade_rows, wheel
 from track_range.simulation.world.shadows import shadow
 
 PAINTS: tuple[Colour, ...] = (
@@ -28,30 +28,42 @@ PAINTS: tuple[Colour, ...] = (
     (150, 96, 52),
     (62, 78, 54),
 )
-"""What cars are painted: white, silvers and greys, black, blues, red, beige, green."""
+"""Paint colours: white, silver, greys, black, blues, red, beige, green."""
 
 LAMP_RED: Colour = (32, 26, 190)
 LAMP_WHITE: Colour = (232, 238, 238)
 TRIM: Colour = (34, 34, 36)
 
 SILL = 0.15
-"""The hull's lower edge, as a share of the height."""
+"""Height of the hull's lower edge relative to the car's height."""
 
 PAINT_CONTRAST = 5.0
+"""Contrast of the dirt on the paint, grey levels."""
+
 LEAN_M = 0.29
-"""How far the cabin's sides lean in up to the roof: with less, detectors of real cars take these for trucks."""
+"""Horizontal distance between the lower edge of the side windows and the roof; with less, detectors trained on real
+images classify these cars as trucks."""
 
 SHOULDER_M = 0.03
-"""How far the cabin stands in from the sides."""
+"""Horizontal distance between the hull's side and the lower edge of the cabin."""
 
 WHEEL_M = 0.32
+"""Radius of a wheel."""
+
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
-"""Of the corners seen from above: along, across."""
+"""Size of the chamfers of the corners, seen from above: along, across."""
 
 
 @dataclass(frozen=True, slots=True)
 class Build:
-    """Places along (shares of the length, from the back) and heights (shares of the height)."""
+    """Shape of a car, in shares of its length from the back and of its height.
+
+    Attributes:
+        deck: height of the hull at the cabin.
+        roof: positions of the roof's ends.
+        cabin: positions of the cabin's ends at its base.
+        nose: height of the hull at the front.
+    """
 
     deck: float
     roof: tuple[float, float]
@@ -67,7 +79,7 @@ BUILDS = (
 
 
 def car(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A car of one of the builds and paints."""
+    """The faces of a car with a random shape and colour."""
     build = BUILDS[int(rng.integers(len(BUILDS)))]
     paint = PAINTS[int(rng.integers(len(PAINTS)))]
     body = [shadow(size_hwl_m), *_hull(rng, size_hwl_m, build, paint), *_cabin(rng, size_hwl_m, build, paint)]
@@ -97,7 +109,7 @@ def _hull(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], buil
 def _end_face(
     rng: np.random.Generator, edge: tuple[Vector, Vector], top: float, bgr: Colour, *, is_front: bool
 ) -> Face:
-    """The flat part of back or front, from its upper edge to the road; below the sill only tyres are left."""
+    """The flat part of the back or front, from its upper edge to the road; transparent below the sill, except tyres."""
     face = coloured_face(rng, (*edge, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
     picture = face.texture
     shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
@@ -120,7 +132,7 @@ def _end_face(
         fill(picture, (0.0, 0.70, 1.0, 0.80), TRIM)
     fill(picture, (0, 0.80, 1, 1), (20, 20, 22))
     sill = 1 - 1.3 * SILL
-    keep(
+    clip(
         picture,
         [
             [(0, 0), (1, 0), (1, sill), (0.17, sill), (0.17, 1), (0.03, 1), (0.03, sill), (0, sill)],
@@ -134,23 +146,23 @@ def _end_face(
 def _corner_face(
     rng: np.random.Generator, edge: tuple[Vector, Vector], top: float, bgr: Colour, *, is_front: bool
 ) -> Face:
-    """A chamfer, round which lamps and bumper run."""
+    """A chamfered corner, with lamp and bumper."""
     face = coloured_face(rng, (*edge, (0, top, 0)), bgr, contrast=PAINT_CONTRAST)
     picture = face.texture
     shade_rows(picture, ((0, 1.12), (0.3, 1.0), (0.62, 0.86), (1, 0.6)))
     rows, colour = ((0.12, 0.30), LAMP_WHITE) if is_front else ((0.10, 0.36), LAMP_RED)
     fill(picture, (0.0, rows[0], 0.9, rows[1]), colour)
     fill(picture, (0, 0.72, 1, 1), TRIM)
-    keep(picture, [[(0, 0), (1, 0), (1, 1 - SILL), (0, 1 - SILL)]], [])
+    clip(picture, [[(0, 0), (1, 0), (1, 1 - SILL), (0, 1 - SILL)]], [])
     return face
 
 
 def _side_face(
-    rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, look: tuple[Colour, int]
+    rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, colour_side: tuple[Colour, int]
 ) -> Face:
-    """Doors, seams, arches and wheels; the bonnet's slope and what is below the sill are cut away."""
+    """A side with doors, seams and wheels, transparent above the bonnet and below the sill; side: 1 left, -1 right."""
     height, width, length = size_hwl_m
-    bgr, side = look
+    bgr, side = colour_side
     back, front = -length / 2 + BACK_CHAMFER_M[0], length / 2 - FRONT_CHAMFER_M[0]
     top, z = build.deck * height, side * width / 2
     corner: Vector = (front, -top, z) if side > 0 else (back, -top, z)
@@ -159,9 +171,9 @@ def _side_face(
     picture = face.texture
 
     def at(share: float) -> float:
-        """Share of the length from the back -> share of the picture from its left."""
-        own = (share * length - length / 2 - back) / (front - back)
-        return 1 - own if side > 0 else own
+        """Share of the texture's width, from the left, for a share of the car's length, from the back."""
+        from_back = (share * length - length / 2 - back) / (front - back)
+        return 1 - from_back if side > 0 else from_back
 
     shade_rows(picture, ((0, 1.18), (0.2, 1.05), (0.34, 1.12), (0.38, 0.9), (0.75, 0.78), (1, 0.5)))
     for seam in (0.24, 0.47, 0.70):
@@ -176,12 +188,12 @@ def _side_face(
         wheel(picture, centre, radius)
     nose = 1 - build.nose / build.deck
     outline = [(at(0.0), 0.0), (at(build.cabin[1]), 0.0), (at(1.0), nose), (at(1.0), 1 - SILL), (at(0.0), 1 - SILL)]
-    keep(picture, [outline], [(*centre, radius) for centre in centres])
+    clip(picture, [outline], [(*centre, radius) for centre in centres])
     return face
 
 
 def _lids(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
-    """The bonnet, sloping down to the nose, and a boot's lid where there is one; and the dark floor."""
+    """The bonnet, sloping down to the nose, and the boot lid."""
     height, width, length = size_hwl_m
     z, base_x = width / 2, build.cabin[1] * length - length / 2
     high, low = build.deck * height, build.nose * height
@@ -192,7 +204,7 @@ def _lids(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], buil
         contrast=PAINT_CONTRAST,
     )
     shade = (FRONT_CHAMFER_M[1] / width, 1 - FRONT_CHAMFER_M[0] / (length / 2 - base_x))
-    keep(bonnet.texture, [[(0, 0), (shade[1], 0), (1, shade[0]), (1, 1 - shade[0]), (shade[1], 1), (0, 1)]], [])
+    clip(bonnet.texture, [[(0, 0), (shade[1], 0), (1, shade[0]), (1, 1 - shade[0]), (shade[1], 1), (0, 1)]], [])
     lid_m = build.cabin[0] * length
     boot = coloured_face(
         rng, ((-length / 2, -high, z), (lid_m, 0, 0), (0, 0, -width)), shaded(paint, 1.12), contrast=PAINT_CONTRAST
@@ -201,7 +213,7 @@ def _lids(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], buil
 
 
 def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour) -> list[Face]:
-    """Windscreens, roof and side windows on the shoulders."""
+    """Windscreen, rear window, roof and side windows."""
     height, width, length = size_hwl_m
     low = build.deck * height
     x0, x1 = (share * length - length / 2 for share in build.cabin)
@@ -232,7 +244,7 @@ def _cabin(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], bui
 def _shoulders(
     rng: np.random.Generator, size_hwl_m: tuple[float, float, float], build: Build, paint: Colour
 ) -> list[Face]:
-    """The narrow ledges between cabin and sides, without which one looks through the car there."""
+    """The narrow horizontal faces between cabin and sides, without which there would be gaps."""
     height, width, length = size_hwl_m
     x0, x1 = (share * length - length / 2 for share in build.cabin)
     x0 = max(x0, BACK_CHAMFER_M[0] - length / 2)
@@ -243,16 +255,16 @@ def _shoulders(
 
 
 def _screen(face: Face, inset: float, *, is_back: bool) -> None:
-    """A pane in its frame; seen from behind, head rests stand out against it."""
+    """Paint a window in its frame; the rear window shows head rests."""
     edge, margin = inset + 0.07, 0.05
     pane(face.texture, [(edge, 0.12), (1 - edge, 0.12), (1 - margin, 0.93), (margin, 0.93)])
     for left in (0.24, 0.62) if is_back else ():
         fill(face.texture, (left, 0.45, left + 0.14, 0.80), (30, 28, 28))
-    keep(face.texture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]], [])
+    clip(face.texture, [[(inset, 0), (1 - inset, 0), (1, 1), (0, 1)]], [])
 
 
 def _side_windows(face: Face, left: float, right: float) -> None:
-    """Two or three panes between pillars; `left` and `right` are how far the roof's ends stand in."""
+    """Paint two windows between pillars; `left` and `right` are the insets of the roof's ends."""
     foot, head, top, low = 0.035, 0.03, 0.14, 0.94
     middle = (left + 1 - right) / 2 + 0.02
     pane(face.texture, [(left + head, top), (middle - 0.012, top), (middle - 0.012, low), (foot + 0.3 * left, low)])
@@ -260,4 +272,4 @@ def _side_windows(face: Face, left: float, right: float) -> None:
         face.texture,
         [(middle + 0.012, top), (1 - right - head, top), (1 - foot - 0.3 * right, low), (middle + 0.012, low)],
     )
-    keep(face.texture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]], [])
+    clip(face.texture, [[(left, 0), (1 - right, 0), (1, 1), (0, 1)]], [])

@@ -1,4 +1,4 @@
-"""Who takes part: single road users, rows of traffic that never meet, parked cars, and what stands beside the road."""
+"""Road users for scenarios: single ones, lanes of traffic without collisions, parked cars, pedestrians, signs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from track_range.simulation.world.motion import LaneChange, SpeedChanges
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser
 
 PARKED_SPACING_M = 7.5
+"""Distance between parking spaces."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """A road user to be: as `RoadUser`, before it has a size and an identity."""
+    """A `RoadUser` without size and id; see there for the attributes."""
 
     kind: str
     x_m: float
@@ -29,15 +30,15 @@ class Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flow:
-    """One lane's traffic, all at one speed, so that nobody runs into anybody.
+    """The traffic of one lane, at one speed, so that there are no collisions.
 
     Attributes:
-        x_m: the lane's middle.
-        speed_mps: of all of them.
-        spacing_m: mean distance from one to the next; each is up to a fifth of it off.
-        heading_rad: AWAY or TOWARDS.
-        kinds: (kind, share) of vehicles.
-        from_m, until_m: places at time 0.
+        x_m: centre of the lane.
+        speed_mps: speed of all vehicles.
+        spacing_m: mean distance between vehicles; each position varies by up to a fifth of it.
+        heading_rad: `AWAY_RAD` or `TOWARDS_RAD`.
+        kinds: (type, share) of vehicles.
+        from_m, until_m: range of positions along the road at time 0.
     """
 
     x_m: float
@@ -49,7 +50,7 @@ class Flow:
     until_m: float
 
     def parts(self, rng: np.random.Generator) -> list[Part]:
-        """Its vehicles."""
+        """The vehicles of the lane."""
         names, shares = zip(*self.kinds, strict=True)
         places = np.arange(self.from_m, self.until_m, self.spacing_m)
         places = places + 0.2 * self.spacing_m * rng.uniform(-1, 1, len(places))
@@ -61,46 +62,47 @@ class Flow:
 
 
 def parked(rng: np.random.Generator, *, until_m: float, share: float = 0.6, free_m: Sequence[float] = ()) -> list[Part]:
-    """Cars and vans along both kerbs, a little askew; nobody parks at `free_m`."""
+    """Cars and vans parked along both kerbs at slightly varying angles, except near the positions `free_m`."""
     parts = []
     for x_m, heading_rad in ((6.5, AWAY_RAD), (-6.5, TOWARDS_RAD)):
         for z_m in np.arange(12.0, until_m, PARKED_SPACING_M).tolist():
-            is_free = any(abs(z_m - at_m) < 1.2 * PARKED_SPACING_M for at_m in free_m)
-            taken, kind_draw, askew = rng.uniform(), rng.uniform(), float(rng.normal(0, 0.02))
-            if taken < share and not is_free:
+            is_free = any(abs(z_m - gap_m) < 1.2 * PARKED_SPACING_M for gap_m in free_m)
+            occupancy, kind_draw, angle_rad = rng.uniform(), rng.uniform(), float(rng.normal(0, 0.02))
+            if occupancy < share and not is_free:
                 kind = "Van" if kind_draw < 0.15 else "Car"
-                parts.append(Part(kind=kind, x_m=x_m, z_m=z_m, heading_rad=heading_rad + askew))
+                parts.append(Part(kind=kind, x_m=x_m, z_m=z_m, heading_rad=heading_rad + angle_rad))
     return parts
 
 
 def walkers(rng: np.random.Generator, *, until_m: float, x_m: float, spacing_m: float = 24.0) -> list[Part]:
-    """People on both pavements, `x_m` from the middle, walking either way or waiting."""
+    """Pedestrians on both pavements, `x_m` from the ego lane's centre, walking in either direction or waiting."""
     parts = []
     for side in (1, -1):
         for z_m in np.arange(14.0, until_m, spacing_m) + rng.uniform(0, spacing_m):
-            waits, towards = rng.uniform() < 0.2, rng.uniform() < 0.5
-            heading_rad = (TOWARDS_RAD if towards else AWAY_RAD) + (float(rng.normal(0, 0.8)) if waits else 0.0)
-            speed_mps = 0.0 if waits else float(rng.uniform(1.0, 1.6))
-            x = side * (x_m + (0.5 if towards else -0.5))  # those who meet pass each other
+            is_waiting, is_oncoming = rng.uniform() < 0.2, rng.uniform() < 0.5
+            heading_rad = TOWARDS_RAD if is_oncoming else AWAY_RAD
+            heading_rad += float(rng.normal(0, 0.8)) if is_waiting else 0.0
+            speed_mps = 0.0 if is_waiting else float(rng.uniform(1.0, 1.6))
+            x = side * (x_m + (0.5 if is_oncoming else -0.5))  # the two directions do not collide
             parts.append(Part(kind="Pedestrian", x_m=x, z_m=float(z_m), heading_rad=heading_rad, speed_mps=speed_mps))
     return parts
 
 
 def signs(*, until_m: float, x_m: float, spacing_m: float = 55.0, first_m: float = 24.0) -> list[Part]:
-    """Traffic signs on the right, their fronts to the traffic."""
+    """Traffic signs on the right-hand side, facing the traffic."""
     places = np.arange(first_m, until_m, spacing_m).tolist()
     return [Part(kind="TrafficSign", x_m=x_m, z_m=z_m, heading_rad=TOWARDS_RAD, raised_m=2.1) for z_m in places]
 
 
 def lights(z_m: float, *, x_m: float = 7.95) -> list[Part]:
-    """Traffic lights on both sides of the road, their fronts to the traffic."""
+    """Traffic lights on both sides of the road, facing the traffic."""
     return [
         Part(kind="TrafficLight", x_m=side * x_m, z_m=z_m, heading_rad=TOWARDS_RAD, raised_m=2.5) for side in (1, -1)
     ]
 
 
 def cast(rng: np.random.Generator, parts: Iterable[Part], *, first_id: int = 0) -> tuple[RoadUser, ...]:
-    """Road users with identities in the order given, their sizes spread about their kind's mean."""
+    """Road users with consecutive ids and sizes that vary around the mean of their type."""
     users = []
     for track_id, part in enumerate(parts, first_id):
         height, width, length = np.array(SIZE_HWL_M[part.kind]) * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))

@@ -1,8 +1,8 @@
-"""Faces, and the solids made of them: textured parallelograms in an object's own axes, all inside its 3-D box.
+"""Faces, textured parallelograms in an object's frame, and solids made of them; all are inside the object's 3-D box.
 
-Own axes as in KITTI: x forward along the length, y down, z to the left along the width; (0, 0, 0) is the bottom
-centre of the 3-D box. A face is corner + s along + t down, s and t in 0..1; seen from outside, `along` points right
-and `down` down, so that along x down points away from who sees it.
+The object's frame is KITTI's: x forward along the length, y down, z to the left along the width, with the origin at the
+bottom centre of the 3-D box. A face is corner + s along + t down, with s and t in [0, 1]; seen from outside, `along`
+points right and `down` points down, so that along x down points away from the viewer.
 """
 
 from __future__ import annotations
@@ -17,18 +17,20 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.textures import cut_outside, plain
 
 Colour = tuple[float, ...]
-"""Blue, green, red, 0..255."""
+"""Blue, green, red, 0 to 255."""
 
 Vector = tuple[float, float, float]
+"""x, y, z in the object's frame, metres."""
 
 Extent = tuple[float, float, float, float, float, float]
-"""x from, to; height above the road from, to; z from, to; in metres."""
+"""Minimum and maximum of x, of the height above the road, and of z, metres."""
 
 ALL_SIDES = ("back", "front", "left", "right", "top")
 SUN = {"back": 0.95, "front": 0.9, "left": 0.78, "right": 1.05, "top": 1.2}
-"""Brightness of the sides of a box, in own axes."""
+"""Brightness of the sides of a box in sunlight."""
 
 N_PRISM_SIDES = 8
+"""Number of sides of the prisms that approximate round bodies."""
 
 LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
 """Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; much as `SUN`."""
@@ -39,12 +41,12 @@ class Face:
     """A textured parallelogram.
 
     Attributes:
-        corner: (3,) its upper left corner as seen from outside, metres.
-        along: (3,) its upper edge.
-        down: (3,) its left edge.
+        corner: (3,) upper left corner, seen from outside, metres.
+        along: (3,) upper edge.
+        down: (3,) left edge.
         texture: (h, w, 4) uint8 BGRA.
-        two_sided: seen from behind too.
-        is_shadow: it darkens, by its alpha, what it lies on, and hides nothing.
+        two_sided: whether the back is visible too.
+        is_shadow: whether it only darkens, by its alpha, the surface under it.
     """
 
     corner: FloatArray
@@ -54,20 +56,20 @@ class Face:
     two_sided: bool = False
     is_shadow: bool = False
 
-    def turned(self, turn: FloatArray) -> Face:
-        """The same in axes that a (3, 3) turn leads to."""
-        corner, along, down = turn @ self.corner, turn @ self.along, turn @ self.down
+    def rotated(self, rotation: FloatArray) -> Face:
+        """The face rotated by (3, 3)."""
+        corner, along, down = rotation @ self.corner, rotation @ self.along, rotation @ self.down
         return Face(corner, along, down, self.texture, self.two_sided, self.is_shadow)
 
     def moved(self, by_m: FloatArray) -> Face:
-        """The same somewhere else."""
+        """The face translated by (3,)."""
         return Face(self.corner + by_m, self.along, self.down, self.texture, self.two_sided, self.is_shadow)
 
 
 def coloured_face(
     rng: np.random.Generator, place: tuple[Vector, Vector, Vector], bgr: Colour, *, contrast: float = 11.0
 ) -> Face:
-    """A face of one colour at `place` = (corner, along, down), with dirt of that contrast in grey levels."""
+    """A face of one colour with dirt; `place` is (corner, along, down), `contrast` is in grey levels."""
     corner, along, down = (np.array(vector, np.float64) for vector in place)
     size_m = (float(np.linalg.norm(along)), float(np.linalg.norm(down)))
     return Face(corner, along, down, plain(rng, size_m, bgr, contrast=contrast))
@@ -76,7 +78,7 @@ def coloured_face(
 def block(
     rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: float = 11.0, sides: tuple[str, ...] = ALL_SIDES
 ) -> dict[str, Face]:
-    """The named sides of a box of one colour."""
+    """The given sides of a box of one colour, by name."""
     x0, x1, low, high, z0, z1 = extent
     places: dict[str, tuple[Vector, Vector, Vector]] = {
         "back": ((x0, -high, z1), (0, 0, z0 - z1), (0, high - low, 0)),
@@ -89,9 +91,9 @@ def block(
 
 
 def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: float = 14.0) -> list[Face]:
-    """An upright eight-sided prism whose flat sides touch the extent's four walls: the sides, back first, then the top.
+    """An upright eight-sided prism with sides that touch the walls of the extent: the sides, back first, then the top.
 
-    Side k looks at the angle pi + k pi / 4 from the own x axis towards the own z axis.
+    The normal of side k has the angle pi + k pi / 4 from the x axis towards the z axis.
     """
     x0, x1, low, high, z0, z1 = extent
     half = np.pi / N_PRISM_SIDES
@@ -100,7 +102,8 @@ def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: fl
     faces = []
     for angle in np.pi + 2 * half * np.arange(N_PRISM_SIDES):
         start, end = (
-            centre + radii * (np.cos(turned), np.sin(turned)) for turned in (float(angle) - half, float(angle) + half)
+            centre + radii * (np.cos(end_rad), np.sin(end_rad))
+            for end_rad in (float(angle) - half, float(angle) + half)
         )
         along = (float(end[0] - start[0]), 0.0, float(end[1] - start[1]))
         light = 0.95 - 0.15 * float(np.sin(angle))
@@ -211,5 +214,5 @@ def _trapezium(
 
 
 def shaded(bgr: Colour, light: float) -> Colour:
-    """A colour made lighter or darker."""
+    """A colour multiplied by the factor `light`."""
     return tuple(channel * light for channel in bgr)

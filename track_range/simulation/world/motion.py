@@ -1,9 +1,9 @@
-r"""How something moves along the road: speeds that change steadily between given times, and changes of lane.
+r"""Motion along the road: piecewise linear speeds and lane changes.
 
-speed    v |  __        straight lines between the (time, speed) pairs, level before the first and after the last;
-           | /  \__     the way is their integral, exactly: the sum of trapezoids
+speed    v |  __        linear between the (time, speed) pairs, constant before the first and after the last;
+           | /  \__     the distance is the exact integral, a sum of trapezoids
            +--------t
-lane     u |     ___    u(t) = by_m (3 q^2 - 2 q^3), q = (t - from) / (to - from) held in 0 .. 1
+lane     u |     ___    u(t) = by_m (3 q^2 - 2 q^3), q = (t - from) / (to - from) clipped to [0, 1]
            | ___/
 """
 
@@ -14,34 +14,34 @@ from dataclasses import dataclass
 import numpy as np
 
 SpeedChanges = tuple[tuple[float, float], ...]
-"""(time_s, speed_mps) pairs, times rising."""
+"""(time_s, speed_mps) pairs in order of time."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaneChange:
-    """A move across the road: `by_m` to the right (negative: left) between two times."""
+    """A lateral move by `by_m` to the right (negative: left) between two times."""
 
     from_s: float
     to_s: float
     by_m: float
 
     def moved_m(self, time_s: float) -> float:
-        """How much of it is done."""
+        """Lateral displacement at a time."""
         share = float(np.clip((time_s - self.from_s) / (self.to_s - self.from_s), 0, 1))
         return self.by_m * share**2 * (3 - 2 * share)
 
 
 def speed_at_mps(changes: SpeedChanges, time_s: float) -> float:
-    """The speed at a time."""
+    """Speed at a time."""
     return float(np.interp(time_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes]))
 
 
 def travelled_m(changes: SpeedChanges, time_s: float) -> float:
-    """How far one comes from time 0 to `time_s` (negative before 0)."""
+    """Distance travelled from time 0 to `time_s`; negative for times before 0."""
     if len(changes) == 1:
         return changes[0][1] * time_s
     low_s, high_s = sorted((0.0, time_s))
     times_s = np.array([low_s, *(at_s for at_s, _ in changes if low_s < at_s < high_s), high_s])
     speeds_mps = np.interp(times_s, [at_s for at_s, _ in changes], [speed_mps for _, speed_mps in changes])
-    way_m = float(((speeds_mps[1:] + speeds_mps[:-1]) / 2 * np.diff(times_s)).sum())
-    return way_m if time_s >= 0 else -way_m
+    distance_m = float(((speeds_mps[1:] + speeds_mps[:-1]) / 2 * np.diff(times_s)).sum())
+    return distance_m if time_s >= 0 else -distance_m

@@ -1,4 +1,4 @@
-"""Brushes for vehicles: shades, lamps, panes, wheels, outlines; all paint in place, in shares of the picture."""
+"""Painting of vehicle textures in place, with positions in shares of the texture's size."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ import numpy as np
 from track_range.foundation.arrays import Image
 
 Box = tuple[float, float, float, float]
-"""x1, y1, x2, y2 as shares of the picture."""
+"""x1, y1, x2, y2 as shares of the texture's width and height."""
 
 Colour = tuple[float, ...]
+"""Blue, green, red, 0 to 255."""
 
 TYRE: Colour = (28, 28, 30)
 ALLOY: Colour = (168, 170, 170)
 SEAM: Colour = (24, 24, 26)
 
 _REACH = 4
-"""Texels from which a pane takes its dirt."""
+"""Radius of the filter that extracts the dirt on window panes, texels."""
 
 
 def shade_rows(picture: Image, lights: tuple[tuple[float, float], ...]) -> None:
-    """Make rows lighter or darker: (share from the top, factor) pairs with straight lines between."""
+    """Multiply rows by factors, linearly interpolated between pairs of (share from the top, factor)."""
     rows = np.linspace(0, 1, picture.shape[0])
     factor = np.interp(rows, [at for at, _ in lights], [light for _, light in lights]).astype(np.float32)
     picture[:, :, :3] = np.clip(picture[:, :, :3] * factor[:, None, None], 0, 255).astype(np.uint8)
 
 
 def fill(picture: Image, box: Box, bgr: Colour) -> None:
-    """A rectangle of one colour with the picture's own fine dirt kept at a third."""
+    """Fill a rectangle with one colour; a third of the fine dirt remains."""
     x1, y1, x2, y2 = _texels(picture, box)
     part = picture[y1:y2, x1:x2, :3].astype(np.float32)
     if part.size:
@@ -37,20 +38,20 @@ def fill(picture: Image, box: Box, bgr: Colour) -> None:
 
 
 def polygon(picture: Image, corners: list[tuple[float, float]], bgr: Colour) -> None:
-    """A smooth-edged polygon."""
+    """Fill an anti-aliased polygon."""
     height, width = picture.shape[:2]
-    at = np.rint(np.array(corners) * (width * 16, height * 16)).astype(np.int32)
-    cv2.fillPoly(picture, [at], (*bgr, 255), cv2.LINE_AA, 4)
+    points = np.rint(np.array(corners) * (width * 16, height * 16)).astype(np.int32)
+    cv2.fillPoly(picture, [points], (*bgr, 255), cv2.LINE_AA, 4)
 
 
 def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.0, bottom: float = 34.0) -> None:
-    """Glass: the sky's reflection above fades into the dark inside."""
+    """Paint a window pane: the sky's reflection at the top fades into the dark interior."""
     height, width = picture.shape[:2]
-    at = np.rint(np.array(corners) * (width, height)).astype(np.int32)
-    first, last = np.maximum(at.min(axis=0) - _REACH, 0), at.max(axis=0) + 1 + _REACH
+    points = np.rint(np.array(corners) * (width, height)).astype(np.int32)
+    first, last = np.maximum(points.min(axis=0) - _REACH, 0), points.max(axis=0) + 1 + _REACH
     part = picture[first[1] : last[1], first[0] : last[0], :3]
     mask = np.zeros(part.shape[:2], np.uint8)
-    cv2.fillPoly(mask, [at - first], 255, cv2.LINE_AA)
+    cv2.fillPoly(mask, [points - first], 255, cv2.LINE_AA)
     low, high = float(min(y for _, y in corners)), float(max(y for _, y in corners))
     rows = np.linspace(0, 1, height)[first[1] : last[1]]
     grey = (top + (bottom - top) * np.clip((rows - low) / max(high - low, 1e-6), 0, 1) ** 0.6).astype(np.float32)
@@ -60,7 +61,7 @@ def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.
 
 
 def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: float = 1.22) -> None:
-    """A tyre with its rim in a dark arch; the radius as a share of the picture's height."""
+    """Paint a tyre with its rim in a dark arch; the radius is a share of the texture's height."""
     height, width = picture.shape[:2]
     at = (round(centre[0] * width), round(centre[1] * height))
     reach = radius * height
@@ -76,8 +77,8 @@ def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: f
     cv2.circle(picture, at, round(0.14 * reach), (*ALLOY, 255), -1, cv2.LINE_AA)
 
 
-def keep(picture: Image, outlines: list[list[tuple[float, float]]], discs: list[tuple[float, float, float]]) -> None:
-    """Keep polygons and discs (x, y, radius as a share of the height); the rest becomes a hole."""
+def clip(picture: Image, outlines: list[list[tuple[float, float]]], discs: list[tuple[float, float, float]]) -> None:
+    """Make the texture transparent outside polygons and discs (x, y, radius as a share of the height)."""
     height, width = picture.shape[:2]
     inside = np.zeros((height, width), np.uint8)
     for corners in outlines:
@@ -88,7 +89,7 @@ def keep(picture: Image, outlines: list[list[tuple[float, float]]], discs: list[
 
 
 def number_plate(picture: Image, box: Box) -> None:
-    """A white plate with dark characters."""
+    """Paint a white number plate with dark characters."""
     fill(picture, box, (222, 228, 228))
     x1, y1, x2, y2 = box
     for share in (0.1, 0.22, 0.4, 0.52, 0.68, 0.8):

@@ -1,9 +1,10 @@
-r"""How the road bends and climbs, and how a camera that drives on it is turned.
+r"""The shape of the road, and the pose of a camera that drives on it.
 
-World axes: x right, y down, z forward, those of a level camera on the road at time 0. The middle of the ego lane is at
+World axes: x right, y down, z forward, those of a level camera on the road at time 0. The centre of the ego lane is at
     x(z) = swing (sin(2 pi z / l + p) - sin p)        y(z) = -hill (sin(2 pi z / m + q) - sin q)
-and the cross-section at every z lies along x: the road is a straight one sheared sideways and upwards, so that every
-stretch of it is a parallelogram. A place on the road is (across, z): `across` metres to the right of the lane's middle.
+and the cross-section at every z is parallel to x: the road is a straight one, sheared laterally and vertically, so that
+every stretch is a parallelogram. Positions on the road are (across, z), `across` metres to the right of the ego lane's
+centre.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 WOBBLE_HZ = (0.7, 1.3, 2.1)
-"""A car's body on its springs."""
+"""Frequencies of a car's pitch and roll on its springs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadShape:
-    """A winding, rolling road.
+    """A winding, hilly road.
 
     Attributes:
-        swing_m, swing_length_m, swing_phase_rad: how far it swings sideways, and over which length.
-        hill_m, hill_length_m, hill_phase_rad: likewise upwards.
+        swing_m, swing_length_m, swing_phase_rad: amplitude, period and phase of its lateral sine.
+        hill_m, hill_length_m, hill_phase_rad: amplitude, period and phase of its vertical sine.
     """
 
     swing_m: float = 0.0
@@ -36,29 +37,29 @@ class RoadShape:
 
     @property
     def is_straight(self) -> bool:
-        """Whether it neither bends nor climbs."""
+        """Whether the road is straight and level."""
         return self.swing_m == 0.0 and self.hill_m == 0.0
 
     def x_m(self, z_m: FloatArray) -> FloatArray:
-        """Where the ego lane's middle is; 0 at z = 0."""
+        """X of the ego lane's centre; 0 at z = 0."""
         return _wave(z_m, self.swing_m, self.swing_length_m, self.swing_phase_rad)
 
     def y_m(self, z_m: FloatArray) -> FloatArray:
-        """How high the asphalt is, y down; 0 at z = 0."""
+        """Y of the road surface (y down); 0 at z = 0."""
         return -_wave(z_m, self.hill_m, self.hill_length_m, self.hill_phase_rad)
 
     def yaw_rad(self, z_m: FloatArray) -> FloatArray:
-        """The road's direction, positive = to the right of z."""
+        """Direction of the road, positive = to the right of z."""
         return np.arctan(_wave_slope(z_m, self.swing_m, self.swing_length_m, self.swing_phase_rad))
 
     def climb_rad(self, z_m: FloatArray) -> FloatArray:
-        """The road's slope, positive = uphill."""
+        """Slope of the road, positive = uphill."""
         return np.arctan(_wave_slope(z_m, self.hill_m, self.hill_length_m, self.hill_phase_rad))
 
     def stretch(self, z_m: float) -> float:
-        """Metres of road per metre of z."""
-        at = np.array(z_m)
-        return float(np.sqrt(1 + np.tan(self.yaw_rad(at)) ** 2 + np.tan(self.climb_rad(at)) ** 2))
+        """Length of road per metre of z."""
+        z = np.array(z_m)
+        return float(np.sqrt(1 + np.tan(self.yaw_rad(z)) ** 2 + np.tan(self.climb_rad(z)) ** 2))
 
 
 STRAIGHT = RoadShape()
@@ -66,11 +67,11 @@ STRAIGHT = RoadShape()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wobble:
-    """How the camera's car pitches and rolls on its springs: a few sines whose phases follow from a seed.
+    """Pitch and roll of the ego car on its springs: a sum of sines with random phases.
 
     Attributes:
-        pitch_rad, roll_rad: root mean squares.
-        seed: of the phases.
+        pitch_rad, roll_rad: root mean squares of pitch and roll.
+        seed: random seed of the phases.
     """
 
     pitch_rad: float = 0.0
@@ -78,7 +79,7 @@ class Wobble:
     seed: int = 0
 
     def pitch_roll_rad(self, time_s: float) -> tuple[float, float]:
-        """Pitch (positive = the camera looks up) and roll (positive = it leans to the right) at a time."""
+        """Pitch (positive = camera up) and roll (positive = to the right) at a time."""
         phases = np.random.default_rng([self.seed, 6]).uniform(0, 2 * np.pi, (2, len(WOBBLE_HZ)))
         waves = np.sin(2 * np.pi * np.array(WOBBLE_HZ) * time_s + phases).sum(axis=1) * np.sqrt(2 / len(WOBBLE_HZ))
         return float(self.pitch_rad * waves[0]), float(self.roll_rad * waves[1])
@@ -89,47 +90,47 @@ STEADY = Wobble()
 
 @dataclass(frozen=True, slots=True)
 class CameraPose:
-    """Where the left camera is, and how it is turned.
+    """Pose of the left camera.
 
     Attributes:
-        place_m: (3,) in the world.
-        camera_from_world: (3, 3) turn.
-        yaw_rad: of the road under it, which is what its headings are counted from.
+        position_m: (3,) in world axes.
+        camera_from_world: (3, 3) rotation.
+        yaw_rad: direction of the road at the camera.
     """
 
-    place_m: FloatArray
+    position_m: FloatArray
     camera_from_world: FloatArray
     yaw_rad: float
 
 
 def pose_on_road(road: RoadShape, z_m: float, *, height_m: float, pitch_roll_rad: tuple[float, float]) -> CameraPose:
-    """The pose of a camera `height_m` above the middle of the ego lane that looks along the road."""
-    at = np.array(z_m)
-    yaw_rad = float(road.yaw_rad(at))
-    standing = turned_on_slope(float(road.climb_rad(at)))
-    place = np.array([road.x_m(at), road.y_m(at), z_m], np.float64) - standing[:, 1] * height_m
+    """The pose of a camera `height_m` above the ego lane's centre, directed along the road."""
+    z = np.array(z_m)
+    yaw_rad = float(road.yaw_rad(z))
+    slope = slope_rotation(float(road.climb_rad(z)))
+    position_m = np.array([road.x_m(z), road.y_m(z), z_m], np.float64) - slope[:, 1] * height_m
     pitch, roll = pitch_roll_rad
-    lean = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1.0]])
-    world_from_camera = standing @ turned_about_y(yaw_rad) @ turned_on_slope(pitch) @ lean
-    return CameraPose(place, world_from_camera.T, yaw_rad)
+    roll_rotation = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1.0]])
+    world_from_camera = slope @ yaw_rotation(yaw_rad) @ slope_rotation(pitch) @ roll_rotation
+    return CameraPose(position_m, world_from_camera.T, yaw_rad)
 
 
-def turned_on_slope(climb_rad: FloatArray | float) -> FloatArray:
-    """(..., 3, 3) turns that lift what looks along z by angles (...)."""
+def slope_rotation(climb_rad: FloatArray | float) -> FloatArray:
+    """(..., 3, 3) rotations about x that raise the z axis by angles (...)."""
     cos, sin = np.cos(climb_rad), np.sin(climb_rad)
     zero, one = np.zeros_like(cos), np.ones_like(cos)
     return _rows((one, zero, zero), (zero, cos, -sin), (zero, sin, cos))
 
 
-def turned_about_y(yaw_rad: FloatArray | float) -> FloatArray:
-    """(..., 3, 3) turns from a body's own axes by KITTI's rotation_y (...)."""
+def yaw_rotation(yaw_rad: FloatArray | float) -> FloatArray:
+    """(..., 3, 3) rotations about y by KITTI's rotation_y (...), from an object's frame."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     zero, one = np.zeros_like(cos), np.ones_like(cos)
     return _rows((cos, zero, sin), (zero, one, zero), (-sin, zero, cos))
 
 
 def _rows(*rows: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
-    """Matrices from their rows."""
+    """(..., 3, 3) matrices from their rows."""
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 

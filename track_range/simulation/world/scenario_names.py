@@ -1,8 +1,8 @@
-"""The names of the simulation's scenarios, apart from `scenarios` so that the command line starts without numpy."""
+"""The names of the scenarios; not in `scenarios`, so that the command line can import them without numpy."""
 
 from typing import Literal, get_args
 
 ScenarioName = Literal["town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night"]
 
 SCENARIO_NAMES: tuple[ScenarioName, ...] = get_args(ScenarioName)
-"""In the order in which help texts list them."""
+"""The names of the scenarios, in the order of the help texts."""

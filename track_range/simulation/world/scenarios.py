@@ -1,9 +1,9 @@
-"""The drives that can be asked for by name; every one is another for another seed.
+"""The scenarios by name; each seed gives a different drive.
 
 town       a straight street without pitch or roll                  highway   three lanes, guard rails, 108 km/h
-city       a winding street, stop and go, buses, lights, signs      cut-in    a car moves in closely ahead, and brakes
+city       a winding street, stop and go, buses, lights, signs      cut-in    a car cuts in closely ahead, and brakes
 crossing   the demo's: people and a cyclist cross the road          queue     stop and go, bumper to bumper
-empty      a country road with nobody on it                         night     the city by headlights
+empty      a country road without road users                        night     the city at night, by headlights
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from track_range.simulation.world.scenario_names import SCENARIO_NAMES, Scenario
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
 
 WOBBLE_RAD = np.radians(0.12)
-"""Root mean square of pitch; roll has half of it."""
+"""Root mean square of the pitch; that of the roll is half of it."""
 
 QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
-"""From middle to middle where a queue stands, and by how much later each car does what the one before it did."""
+"""Distance between the centres of cars in a standing queue, and delay of each car relative to the one ahead."""
 
 _TRUCKS = (("Truck", 0.45), ("Van", 0.25), ("Car", 0.2), ("Bus", 0.1))
 _FAST = (("Car", 0.85), ("Motorcycle", 0.15))
 
 
 def make_scenario(name: str, *, seed: int = 0, seconds: float = 10.0) -> Scene:
-    """The scene of a name for a drive of that length; the same seed gives the same scene.
+    """The scene of a scenario for a drive of the given length; the same seed gives the same scene.
 
     Raises:
-        ValueError: there is no scenario of that name; the message has the names.
+        ValueError: an unknown scenario.
     """
     if name not in SCENARIOS:
-        raise ValueError(f"{name}: no such scenario; there are {', '.join(SCENARIOS)}.")
+        raise ValueError(f"scenario {name}: expected one of {', '.join(SCENARIOS)}")
     return SCENARIOS[name](seed, seconds)
 
 
@@ -176,7 +176,7 @@ _MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
 }
 
 SCENARIOS: dict[str, Callable[[int, float], Scene]] = {name: _MAKERS[name] for name in SCENARIO_NAMES}
-"""What makes the scene of each name, from seed and seconds; a name without a maker fails at import."""
+"""Function of each scenario that creates its scene from seed and length in seconds."""
 
 
 def _scene(
@@ -193,7 +193,7 @@ def _scene(
 
 
 def _road(rng: np.random.Generator, *, swing_m: float, hill_m: float, longer: float = 1.0) -> RoadShape:
-    """A road of about that swing and height, begun anywhere in its bends."""
+    """A road with random phases and 70 to 100 % of the given amplitudes; `longer` is a factor of its periods."""
     swing, hill, *phases = (float(number) for number in rng.uniform((0.7, 0.7, 0, 0), (1, 1, 2 * np.pi, 2 * np.pi)))
     return RoadShape(
         swing_m=swing_m * swing,
@@ -215,5 +215,5 @@ def _oncoming(
 
 
 def _earlier(changes: SpeedChanges, by_s: float) -> SpeedChanges:
-    """The same speeds, so much earlier: what one who drives ahead does."""
-    return tuple((at_s - by_s, speed_mps) for at_s, speed_mps in changes)
+    """The speed changes shifted to earlier times, as for a vehicle ahead."""
+    return tuple((time_s - by_s, speed_mps) for time_s, speed_mps in changes)

@@ -1,10 +1,10 @@
-"""A road and who is on it: every road user's place, size, heading and class at any time, exactly.
+"""Scene: a road and its road users, with exact position, size, heading and type at any time.
 
-World axes are the left camera's axes at time 0, put on the road: x right, y down, z forward, y = 0 on the asphalt.
-A road user at `start` with heading `rotation_y` (KITTI's: 0 looks along x, -pi/2 along z) moves straight on:
+World axes are the left camera's axes at time 0, shifted to the road: x right, y down, z forward, y = 0 on the asphalt.
+A road user at `start` with heading `rotation_y` (KITTI's: 0 along x, -pi/2 along z) moves in a straight line:
     x(t) = x0 + speed cos(rotation_y) t        z(t) = z0 - speed sin(rotation_y) t
-unless its speed changes or it changes lanes; and the camera, `camera_height_m` above the road, moves along z with the
-ego speed. Where the road winds (`road_shape.py`), x counts from the middle of the ego lane. The town's road from above:
+unless its speed or lane changes. The camera, `camera_height_m` above the road, moves along z with the ego speed. On a
+winding road (`road_shape.py`), x counts from the centre of the ego lane. The town's road from above:
 
     wall | pavement | parked | oncoming | ego lane | right lane | parked | pavement | wall
        -11        -7.6     -5.25      -1.75       1.75        5.25     7.6        11      x in m
@@ -25,8 +25,8 @@ from track_range.simulation.world.road_shape import (
     RoadShape,
     Wobble,
     pose_on_road,
-    turned_about_y,
-    turned_on_slope,
+    slope_rotation,
+    yaw_rotation,
 )
 
 AWAY_RAD = -np.pi / 2
@@ -50,10 +50,10 @@ SIZE_HWL_M = {
 lacks, as built: a city bus, a motorcycle with its rider, a sign's plate, a light's housing)."""
 
 STEP_S = 1e-3
-"""For rates of change."""
+"""Time step for numerical derivatives."""
 
 SIZE_SPREAD = 0.08
-"""How far height, width and length may be from the mean, as a share of it."""
+"""Largest relative deviation of height, width and length from the mean."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,15 +61,15 @@ class RoadUser:
     """One object of the scene.
 
     Attributes:
-        track_id: its identity, from 0 as in KITTI, unique in its scene; its looks follow from it too.
-        kitti_type: one of `SIZE_HWL_M`.
-        size_hwl_m: height, width, length of its 3-D box.
-        start_xz_m: centre of the box on the road at time 0: right of the ego lane's middle, and along z.
-        rotation_y_rad: heading, KITTI's rotation_y, counted from the road's direction.
-        speed_mps: along the heading.
-        speed_changes: (time, speed) pairs that take the place of `speed_mps`; none = it never changes.
-        lane_change: a move across the road.
-        raised_m: how high above the road the 3-D box begins.
+        track_id: id from 0 as in KITTI, unique in the scene; it also determines the appearance.
+        kitti_type: a key of `SIZE_HWL_M`.
+        size_hwl_m: height, width, length of the 3-D box.
+        start_xz_m: centre of the box on the road at time 0: distance to the right of the ego lane's centre, and z.
+        rotation_y_rad: heading as KITTI's rotation_y, relative to the road's direction.
+        speed_mps: speed along the heading.
+        speed_changes: (time, speed) pairs, used instead of `speed_mps`; empty = constant speed.
+        lane_change: a lateral move; None = none.
+        raised_m: height of the 3-D box above the road.
     """
 
     track_id: int
@@ -83,7 +83,7 @@ class RoadUser:
     raised_m: float = 0.0
 
     def on_road_m(self, time_s: float) -> tuple[float, float]:
-        """Where it is: right of the ego lane's middle, and along z."""
+        """Position at a time: distance to the right of the ego lane's centre, and z."""
         way_m = travelled_m(self.speed_changes or ((0.0, self.speed_mps),), time_s)
         moved_m = self.lane_change.moved_m(time_s) if self.lane_change else 0.0
         x_m, z_m = self.start_xz_m
@@ -91,7 +91,7 @@ class RoadUser:
         return x_m + way_m * cos + moved_m, z_m - way_m * sin
 
     def heading_rad(self, time_s: float) -> float:
-        """Its heading, turned into the lane that it changes to."""
+        """Heading at a time, including the rotation during a lane change."""
         if self.lane_change is None:
             return self.rotation_y_rad
         before, after = (self.on_road_m(time_s + step_s) for step_s in (-STEP_S, STEP_S))
@@ -101,18 +101,18 @@ class RoadUser:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Road users on a road, seen from a camera that moves along it.
+    """Road users on a road, and a camera that moves along it.
 
     Attributes:
-        seed: all textures and noise follow from it.
-        road_users: the objects; rows of every array below are in this order.
+        seed: random seed of textures and noise.
+        road_users: the objects; the rows of all arrays have this order.
         ego_speed_mps: speed of the camera along the road.
-        ego_speed_changes: (time, speed) pairs that take its place; none = it never changes.
-        camera_height_m: of the left camera above the road.
-        road: how it winds and climbs.
-        wobble: how the camera's car pitches and rolls.
-        surroundings: what lines the road, a key of `surroundings.SURROUNDINGS`.
-        is_night: headlights and lamps in place of the sun.
+        ego_speed_changes: (time, speed) pairs, used instead of `ego_speed_mps`; empty = constant speed.
+        camera_height_m: height of the left camera above the road.
+        road: shape of the road.
+        wobble: pitch and roll of the ego car.
+        surroundings: kind of road, a key of `surroundings.SURROUNDINGS`.
+        is_night: whether headlights and lamps light the scene instead of the sun.
     """
 
     seed: int
@@ -128,58 +128,58 @@ class Scene:
     def __post_init__(self) -> None:
         ids = [user.track_id for user in self.road_users]
         if len(set(ids)) != len(ids):
-            raise ValueError(f"track ids must be unique, {sorted(ids)} got")
+            raise ValueError(f"road_users: expected unique track ids, got {sorted(ids)}")
 
     def ego_z_m(self, time_s: float) -> float:
-        """How far along z the camera has come since time 0."""
+        """Z of the camera at a time."""
         return travelled_m(self.ego_speed_changes or ((0.0, self.ego_speed_mps),), time_s)
 
     def speed_mps(self, time_s: float) -> float:
-        """The speed of the camera along its road."""
+        """Speed of the camera along the road at a time."""
         along_z_mps = speed_at_mps(self.ego_speed_changes or ((0.0, self.ego_speed_mps),), time_s)
         return along_z_mps * self.road.stretch(self.ego_z_m(time_s))
 
     def pose(self, time_s: float) -> CameraPose:
-        """Where the left camera is, and how it is turned."""
+        """Pose of the left camera at a time."""
         wobble = self.wobble.pitch_roll_rad(time_s)
         return pose_on_road(self.road, self.ego_z_m(time_s), height_m=self.camera_height_m, pitch_roll_rad=wobble)
 
     def location_m(self, time_s: float) -> FloatArray:
-        """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at that time."""
+        """(N, 3) bottom centres of the 3-D boxes in the left camera's frame at a time."""
         pose = self.pose(time_s)
         across, z = self._on_road_m(time_s)
         raised_m = np.array([user.raised_m for user in self.road_users])
         world = np.stack([self.road.x_m(z) + across, self.road.y_m(z) - raised_m, z], axis=1)
-        return np.asarray((world - pose.place_m) @ pose.camera_from_world.T)
+        return np.asarray((world - pose.position_m) @ pose.camera_from_world.T)
 
     def size_hwl_m(self) -> FloatArray:
         """(N, 3) height, width, length."""
         return np.array([user.size_hwl_m for user in self.road_users], np.float64).reshape(-1, 3)
 
     def rotation_y_rad(self, time_s: float = 0.0) -> FloatArray:
-        """(N,) headings in the left camera's frame, as far as a turn about y tells them."""
+        """(N,) headings as rotations about y in the left camera's frame, without pitch and roll."""
         _, z = self._on_road_m(time_s)
         own = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
         ego_yaw_rad = self.road.yaw_rad(np.array(self.ego_z_m(time_s)))
         return np.asarray(own + self.road.yaw_rad(z) - ego_yaw_rad)
 
-    def turns(self, time_s: float) -> FloatArray:
-        """(N, 3, 3) turns from the road users' own axes to the left camera's: heading, slope, and the camera's own."""
+    def rotations(self, time_s: float) -> FloatArray:
+        """(N, 3, 3) rotations from the road users' frames to the left camera's, including slope and camera rotation."""
         _, z = self._on_road_m(time_s)
         headings = np.array([user.heading_rad(time_s) for user in self.road_users], np.float64)
-        upright = turned_about_y(headings + self.road.yaw_rad(z))
-        return np.asarray(self.pose(time_s).camera_from_world @ turned_on_slope(self.road.climb_rad(z)) @ upright)
+        level = yaw_rotation(headings + self.road.yaw_rad(z))
+        return np.asarray(self.pose(time_s).camera_from_world @ slope_rotation(self.road.climb_rad(z)) @ level)
 
     def _on_road_m(self, time_s: float) -> FloatArray:
-        """(2, N) across and along the road."""
+        """(2, N) positions across and along the road."""
         return np.array([user.on_road_m(time_s) for user in self.road_users], np.float64).reshape(-1, 2).T
 
 
 Placing = tuple[str, float, float, float, float]
-"""KITTI type, x, z at time 0, heading, speed."""
+"""KITTI type, x and z at time 0, heading, speed."""
 
 CROSSING_Z_M = 62.0
-"""Where somebody crosses the road; nobody parks there."""
+"""Position of a pedestrian who crosses the road, where there are no parked cars."""
 
 TRAFFIC: tuple[Placing, ...] = (
     ("Car", 0.1, 22.0, AWAY_RAD, 9.0),  # the ego car closes in on it
@@ -201,19 +201,23 @@ PEOPLE: tuple[Placing, ...] = (
 )
 
 ONCOMING_FROM_M, ONCOMING_SPACING_M, ONCOMING_SPEED_MPS = 74.0, 48.0, 11.0
+"""Position of the first oncoming vehicle at time 0, distance between them, and their speed."""
+
 PARKED_SPACING_M = 7.5
+"""Distance between parking spaces."""
+
 PARKED_SHARE = 0.6
-"""Of the places along the kerb, how many are taken."""
+"""Share of parking spaces that are occupied."""
 
 VIEW_M = 110.0
-"""Scenes are filled this far beyond the last place of the camera."""
+"""Distance beyond the last camera position up to which scenes contain objects."""
 
 
 def make_scene(seed: int = 0, *, seconds: float = 6.0) -> Scene:
-    """A town road with traffic both ways, parked cars and people; the seed moves and sizes everything a little.
+    """A town road with traffic in both directions, parked cars and people; the seed varies positions and sizes.
 
-    The same vehicles and people start every scene (`TRAFFIC`, `PEOPLE`), placed so that nobody runs into anybody for
-    ten seconds; oncoming and parked cars line the way for as long as the drive lasts.
+    Every scene starts with the same vehicles and people (`TRAFFIC`, `PEOPLE`), placed so that there are no collisions
+    for ten seconds; oncoming and parked cars continue for the whole drive.
     """
     rng = np.random.default_rng([seed, 1])
     until_m = 10.0 * seconds + VIEW_M
@@ -236,7 +240,7 @@ def make_scene(seed: int = 0, *, seconds: float = 6.0) -> Scene:
 
 
 def _oncoming(rng: np.random.Generator, until_m: float) -> list[Placing]:
-    """Cars, and now and then a truck, one after the other in the left lane at one speed."""
+    """Cars and some trucks at equal distances in the left lane, all at the same speed."""
     places_m = np.arange(ONCOMING_FROM_M, until_m, ONCOMING_SPACING_M)
     is_truck = rng.uniform(size=len(places_m)) < 0.3
     return [
@@ -246,7 +250,7 @@ def _oncoming(rng: np.random.Generator, until_m: float) -> list[Placing]:
 
 
 def _parked(rng: np.random.Generator, until_m: float) -> list[Placing]:
-    """Cars and vans along both kerbs, a little askew."""
+    """Cars and vans parked along both kerbs at slightly varying angles."""
     placings: list[Placing] = []
     for x_m, heading_rad in ((6.55, AWAY_RAD), (-6.55, TOWARDS_RAD)):
         places_m = np.arange(12.0, until_m, PARKED_SPACING_M)

@@ -1,4 +1,4 @@
-"""Pictures of what does not move: ground, houses, woods, guard rails, trees, sky; BGRA, alpha 0 where cut out."""
+"""Textures of static scenery: ground, houses, woods, guard rails, trees, sky; BGRA, alpha 0 where transparent."""
 
 from __future__ import annotations
 
@@ -13,17 +13,23 @@ from track_range.simulation.world.surroundings import PAVEMENT, PERIOD_M, Surrou
 from track_range.simulation.world.textures import GLASS_BGR, opaque, value_noise
 
 Picture = npt.NDArray[np.float32]
-"""(H, W, 3) colours while a picture is painted."""
+"""(H, W, 3) colours of a texture while it is painted."""
 
 WALL_TEXELS_PER_M = 48
+"""Resolution of houses and guard rails."""
+
 TREE_TEXELS_PER_M = 32
+"""Resolution of trees."""
 
 _LINE_HALF_M = 0.07
+"""Half of the width of lane markings."""
+
 _WHITE = 208.0
+"""Grey level of lane markings."""
 
 
 def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
-    """Asphalt, lines and verges from above: columns from x = -half_width_m, rows from near to far."""
+    """Asphalt, markings and verges, seen from above: columns from x = -half_width_m, rows from near to far."""
     density = kind.texels_per_m
     shape = (round(PERIOD_M * density), round(2 * kind.half_width_m * density))
     x_m = ((np.arange(shape[1]) + 0.5) / density - kind.half_width_m).astype(np.float32)
@@ -31,7 +37,7 @@ def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
     grain = value_noise(rng, shape, cells=(2, 4, 8, 16, 32)).astype(np.float32)[:, :, None]
     patches = value_noise(rng, shape, cells=(64, 128, 256)).astype(np.float32)[:, :, None]
     bgr = np.full((*shape, 3), 94.0, np.float32)
-    for _, from_m, to_m in kind.lanes:  # two darker tracks that wheels have left
+    for _, from_m, to_m in kind.lanes:  # two darker tracks of wheels
         off_m = np.abs(np.abs(x_m - (from_m + to_m) / 2) - 0.8)
         bgr -= (7.0 * np.exp(-((off_m / 0.3) ** 2)))[None, :, None]
     bgr += 11.0 * grain + 5.0 * patches
@@ -52,7 +58,7 @@ def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
 
 
 def houses_picture(rng: np.random.Generator, *, height_m: float) -> Image:
-    """A row of houses of different heights and colours; what is above a roof is cut out."""
+    """A row of houses of different heights and colours, transparent above the roofs."""
     shape = (round(height_m * WALL_TEXELS_PER_M), round(PERIOD_M * WALL_TEXELS_PER_M))
     fine = value_noise(rng, shape, cells=(2, 4, 8, 16, 32)).astype(np.float32)
     stains = value_noise(rng, shape, cells=(64, 128)).astype(np.float32)
@@ -72,7 +78,7 @@ def houses_picture(rng: np.random.Generator, *, height_m: float) -> Image:
 
 
 def _paint_house(bgr: Picture, rng: np.random.Generator) -> None:
-    """Roof edge, windows floor by floor, and a ground floor with a door or shop windows (painted in place)."""
+    """Paint the roof, the windows of each floor, and a ground floor with a door or shop windows."""
     density = WALL_TEXELS_PER_M
     height, width = bgr.shape[:2]
     roof = round(rng.uniform(0.5, 1.4) * density)
@@ -90,7 +96,7 @@ def _paint_house(bgr: Picture, rng: np.random.Generator) -> None:
 
 
 def _paint_window(bgr: Picture, rng: np.random.Generator, corner: tuple[int, int], width: int) -> None:
-    """A framed pane, darker below, from its lower left corner; some show a curtain (painted in place)."""
+    """Paint a framed window, darker at the bottom, at its lower left corner; some have a curtain."""
     left, sill = corner
     top = sill - round(1.5 * WALL_TEXELS_PER_M)
     frame = 4
@@ -104,7 +110,7 @@ def _paint_window(bgr: Picture, rng: np.random.Generator, corner: tuple[int, int
 
 
 def woods_picture(rng: np.random.Generator, *, height_m: float) -> Image:
-    """The edge of a wood: crowns before crowns, its upper outline cut out."""
+    """The edge of a wood, transparent above the crowns."""
     density = WALL_TEXELS_PER_M // 2
     shape = (round(height_m * density), round(PERIOD_M * density))
     leaves = value_noise(rng, shape, cells=(2, 4, 8, 16)).astype(np.float32)
@@ -120,7 +126,7 @@ def woods_picture(rng: np.random.Generator, *, height_m: float) -> Image:
 
 
 def rail_picture(rng: np.random.Generator) -> Image:
-    """A guard rail, 0.8 m high: a ribbed band on posts 2 m apart; the rest is cut out."""
+    """A guard rail 0.8 m high: a ribbed band on posts every 2 m, otherwise transparent."""
     density = WALL_TEXELS_PER_M
     shape = (round(0.8 * density), round(PERIOD_M * density))
     dirt = 7.0 * value_noise(rng, shape, cells=(2, 4, 8, 32)).astype(np.float32)[:, :, None]
@@ -133,16 +139,16 @@ def rail_picture(rng: np.random.Generator) -> Image:
 
 
 def tree_picture(rng: np.random.Generator) -> Image:
-    """A broadleaf tree, 4.5 m wide and 6.5 m high: clumps of leaves, a trunk, holes through which the sky is seen."""
+    """A broadleaf tree 4.5 m wide and 6.5 m high: clumps of leaves with gaps, and a trunk."""
     height, width = round(6.5 * TREE_TEXELS_PER_M), round(4.5 * TREE_TEXELS_PER_M)
     leaves = value_noise(rng, (height, width), cells=(2, 4, 8))
     clumps = value_noise(rng, (height, width), cells=(12, 24, 48))
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    away = np.hypot((x / width - 0.5) / 0.46, (y / height - 0.4) / 0.38)
+    radius = np.hypot((x / width - 0.5) / 0.46, (y / height - 0.4) / 0.38)
     light = 1.25 - 0.75 * (y / height) + 0.2 * (x / width - 0.5)
     hue = np.array([40.0, 98.0, 74.0]) + rng.normal(0, 9, 3)
     bgr = hue * light[:, :, None] + (15.0 * leaves + 12.0 * clumps)[:, :, None]
-    is_crown = away + 0.12 * clumps + 0.06 * leaves < 0.95
+    is_crown = radius + 0.12 * clumps + 0.06 * leaves < 0.95
     is_trunk = (np.abs(x / width - 0.5) < 0.03) & (y / height > 0.6)
     bgr = np.where((is_trunk & ~is_crown)[:, :, None], np.array([48.0, 62.0, 76.0]) + 9.0 * leaves[:, :, None], bgr)
     picture = opaque(bgr)
@@ -151,10 +157,10 @@ def tree_picture(rng: np.random.Generator) -> Image:
 
 
 def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_px: float, is_night: bool) -> Image:
-    """What is behind everything, without parallax: clouds, a far line of trees, haze below the horizon.
+    """The background without parallax: clouds, a distant line of trees, haze below the horizon.
 
     Returns:
-        (H / 2, W / 2, 4) for a picture of `size_px`: nothing in it is sharp.
+        (H / 2, W / 2, 4) image for the size `size_px` (width, height); the sky has no detail that needs more.
     """
     width, height = size_px[0] // 2, size_px[1] // 2
     horizon = horizon_px / 2
@@ -171,7 +177,7 @@ def sky_picture(rng: np.random.Generator, *, size_px: tuple[int, int], horizon_p
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int]) -> FloatArray:
-    """Clouds: value noise, whose grid would show, made smooth and wider than high."""
+    """Clouds: value noise, smoothed to hide its grid and stretched horizontally."""
     rows, columns = shape
     small = value_noise(rng, (max(4, rows // 8), max(4, columns // 24)), cells=(2, 4, 8, 16))
     return np.asarray(cv2.resize(cv2.GaussianBlur(small, (0, 0), 1.0), (columns, rows), interpolation=cv2.INTER_CUBIC))

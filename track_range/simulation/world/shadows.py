@@ -1,4 +1,4 @@
-"""What a body takes from the road's light: dark close under it, and a soft cast to the left, away from the sun."""
+"""Shadows of bodies on the road: dark directly below, and a soft cast shadow to the left, away from the sun."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ import numpy as np
 from track_range.simulation.world.faces import Face
 
 TEXELS_PER_M = 12
+"""Resolution of the shadow's texture."""
+
 MARGIN_M = 0.6
+"""Margin of the texture for the soft edge."""
+
 CAST = 0.45
-"""How far a shadow falls to the body's left, in heights."""
+"""Length of the cast shadow, to the left, relative to the body's height."""
 
 UNDER, BESIDE = 205, 105
-"""Darkness, 0..255."""
+"""Darkness of the shadow below the body and of the cast shadow, 0 to 255."""
 
 
 def shadow(size_hwl_m: tuple[float, float, float], *, under: float = UNDER) -> Face:
-    """The shadow of a body of that size, in its own axes, a centimetre above the road."""
+    """The shadow of a body of the given size, in its frame, 1 cm above the road."""
     height, width, length = size_hwl_m
     cast_m = CAST * height
     x, right, left = length / 2 + MARGIN_M, -width / 2 - MARGIN_M, width / 2 + MARGIN_M + cast_m

@@ -1,4 +1,4 @@
-"""Traffic signs and lights: a plate or a housing on a pole, which is no part of what is labelled."""
+"""Traffic signs and lights: a plate or housing on a pole; the labels do not include the pole."""
 
 from __future__ import annotations
 
@@ -7,35 +7,35 @@ import numpy as np
 
 from track_range.foundation.arrays import Image
 from track_range.simulation.world.faces import Face, block
-from track_range.simulation.world.painting import fill, keep, polygon
+from track_range.simulation.world.painting import clip, fill, polygon
 
 POLE_M = 4.0
-"""Longer than any is high: its foot is in the ground, where the road hides it."""
+"""Length of the pole; longer than the height of any sign, since the ground hides its lower end."""
 
 STEEL = (120.0, 122.0, 122.0)
 WHITE, RED, BLUE, YELLOW = (232, 234, 234), (38, 30, 190), (160, 84, 24), (40, 200, 235)
 
 
 def traffic_sign(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A plate: stop, limit, warning or direction."""
+    """The faces of a random traffic sign: stop, speed limit, warning or direction."""
     height, width, length = size_hwl_m
     half = width / 2
     plate = block(rng, (-length / 2, length / 2, 0, height, -half, half), STEEL, contrast=4.0, sides=("front", "back"))
     outline = SIGNS[int(rng.integers(len(SIGNS)))](plate["front"].texture)
     for face in plate.values():
-        keep(face.texture, [outline], [])
+        clip(face.texture, [outline], [])
     return [*plate.values(), *_pole(rng, -length / 2)]
 
 
 def traffic_light(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A dark housing with three lamps, one of which shines."""
+    """The faces of a traffic light: a dark housing with three lamps, one of them lit."""
     height, width, length = size_hwl_m
     half = width / 2
     housing = block(rng, (-length / 2, length / 2, 0, height, -half, half), (36, 38, 36), contrast=4.0)
     picture = housing["front"].texture
-    shining = int(rng.integers(3))
+    lit = int(rng.integers(3))
     for number, colour in enumerate(((40, 40, 250), (60, 190, 250), (130, 230, 80))):
-        share = 1.0 if number == shining else 0.22
+        share = 1.0 if number == lit else 0.22
         at = (round(0.5 * picture.shape[1]), round((0.18 + 0.32 * number) * picture.shape[0]))
         lamp = tuple(share * channel for channel in colour)
         cv2.circle(picture, at, round(0.34 * picture.shape[1]), (*lamp, 255), -1, cv2.LINE_AA)

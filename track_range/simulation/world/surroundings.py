@@ -1,7 +1,7 @@
-"""What kinds of road there are: lanes, lines and surfaces across, and what lines them.
+"""Kinds of roads: lanes, markings, surfaces and roadside objects.
 
-All x in metres right of the ego lane's middle. Every length along the road divides `PERIOD_M`, after which road and
-sides repeat.
+All x are in metres to the right of the ego lane's centre. All lengths along the road divide `PERIOD_M`, after which
+road and sides repeat.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 PERIOD_M = 48.0
+"""Length along the road after which its textures and objects repeat."""
 
 Colour = tuple[float, float, float]
-"""Blue, green, red."""
+"""Blue, green, red, 0 to 255."""
 
 PAVEMENT: Colour = (138, 140, 142)
 GRASS: Colour = (52, 104, 84)
@@ -22,12 +23,13 @@ GRAVEL: Colour = (108, 120, 128)
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Things that stand along the road again and again.
+    """A row of equal objects along the road.
 
     Attributes:
         kind: "tree", "lamp" or "post".
-        x_m: where across.
-        every_m, first_m: where along; `every_m` is their distance.
+        x_m: lateral position.
+        every_m: distance between objects.
+        first_m: position of the first object along the road.
     """
 
     kind: Literal["tree", "lamp", "post"]
@@ -41,14 +43,15 @@ class Surroundings:
     """One kind of road.
 
     Attributes:
-        half_width_m: how far the ground reaches to either side.
-        lanes: (number, from, to): 0 = the ego lane, 1 = the next to its right, -1 = to its left.
-        bands: (from, to, colour) of the ground that is not asphalt; mirrored to the left where `is_mirrored`.
-        solid_m, dashed_m: middles of lines; a dash of `dash_m` (length, period).
-        side: what stands at the ground's edges.
-        rails_m: guard rails.
-        rows: trees, lamps, posts.
-        texels_per_m: of the ground's picture.
+        half_width_m: half of the width of the ground.
+        lanes: (number, from, to): 0 = the ego lane, 1 = the next one to its right, -1 = the next one to its left.
+        bands: (from, to, colour) of the ground that is not asphalt.
+        solid_m, dashed_m: centres of solid and dashed lines.
+        dash_m: length and period of dashes.
+        side: scenery at the edges of the ground.
+        rails_m: positions of guard rails.
+        rows: rows of trees, lamps and posts.
+        texels_per_m: resolution of the ground's texture.
     """
 
     half_width_m: float
@@ -63,7 +66,7 @@ class Surroundings:
     texels_per_m: int = 48
 
     def lane_of(self, x_m: float) -> int | None:
-        """The lane in which that x lies; None = in none."""
+        """Number of the lane at a lateral position; None = outside all lanes."""
         return next((number for number, from_m, to_m in self.lanes if from_m <= x_m < to_m), None)
 
 
@@ -129,4 +132,4 @@ SURROUNDINGS = {
         texels_per_m=32,
     ),
 }
-"""By name."""
+"""The kinds of roads by name."""

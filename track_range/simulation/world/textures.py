@@ -1,7 +1,7 @@
-"""What surfaces look like: BGRA pictures, alpha 0 where a surface is cut out, with detail at every scale.
+"""Textures: BGRA images, alpha 0 where a surface is cut out, with detail at every scale.
 
-Detail at every scale, because a matcher must find some on a car at 6 m as well as at 80 m, where a pixel covers 11 cm:
-each octave of the value noise (Perlin, "An image synthesizer", SIGGRAPH 1985) keeps the same contrast.
+A stereo matcher needs detail on a car at 6 m as well as at 80 m, where a pixel covers 11 cm; therefore each octave of
+the value noise (Perlin, "An image synthesizer", SIGGRAPH 1985) has the same contrast.
 """
 
 from __future__ import annotations
@@ -16,19 +16,22 @@ import numpy.typing as npt
 from track_range.foundation.arrays import FloatArray, Image
 
 TEXELS_PER_M = 96
-"""Of vehicles and people: the density of a camera with f = 721 px at 7.5 m."""
+"""Resolution of vehicles and people: that of a camera with f = 721 px at 7.5 m."""
 
 DIRT_SHAPE = (1024, 1536)
-"""Texels; a bus has fewer."""
+"""Rows and columns of the shared dirt texture; larger than any face."""
 
 GLASS_BGR = (58, 50, 44)
+"""Colour of window panes."""
+
 RUBBER_BGR = (30, 30, 32)
+"""Colour of tyres."""
 
 
 def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tuple[int, ...]) -> FloatArray:
-    """(H, W) noise of mean 0 and standard deviation about 1; `cells` are its grains in texels.
+    """(H, W) value noise with mean 0 and standard deviation of about 1; `cells` are the grain sizes in texels.
 
-    It repeats at its borders where the grains divide the shape.
+    It is periodic if the grain sizes divide the shape.
     """
     height, width = shape
     total: npt.NDArray[np.float32] = np.zeros(shape, np.float32)
@@ -43,14 +46,14 @@ def value_noise(rng: np.random.Generator, shape: tuple[int, int], *, cells: tupl
 
 
 def opaque(bgr: npt.NDArray[np.floating[Any]]) -> Image:
-    """(H, W, 3) colours, rounded and clipped, as BGRA."""
+    """(H, W, 4) uint8 BGRA image of (H, W, 3) colours, rounded, clipped and opaque."""
     positive = np.maximum(np.asarray(bgr, np.float32), 0)
     return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(positive), cv2.COLOR_BGR2BGRA), np.uint8)
 
 
 @cache
 def _dirt() -> npt.NDArray[np.float32]:
-    """A large sheet of noise, always the same one, from which surfaces get theirs."""
+    """`DIRT_SHAPE` array of noise, from which the dirt of surfaces is cut."""
     noise = value_noise(np.random.default_rng(9), DIRT_SHAPE, cells=(2, 4, 8, 16, 32, 64)).astype(np.float32)
     noise.flags.writeable = False
     return noise
@@ -59,20 +62,20 @@ def _dirt() -> npt.NDArray[np.float32]:
 def plain(
     rng: np.random.Generator, size_m: tuple[float, float], bgr: tuple[float, ...], *, contrast: float = 11.0
 ) -> Image:
-    """One colour with dirt and reflections on it, some part of the sheet; `size_m` is width and height."""
+    """Texture of one colour with dirt from a random part of `_dirt`; `size_m` is width and height."""
     width, height = (max(4, round(side * TEXELS_PER_M)) for side in size_m)
     if height > DIRT_SHAPE[0] or width > DIRT_SHAPE[1]:
         noise = value_noise(rng, (height, width), cells=(2, 4, 8, 16, 32, 64)).astype(np.float32)
     else:
-        top, left = (int(rng.integers(room + 1)) for room in np.subtract(DIRT_SHAPE, (height, width)))
+        top, left = (int(rng.integers(margin + 1)) for margin in np.subtract(DIRT_SHAPE, (height, width)))
         noise = _dirt()[top : top + height, left : left + width]
     scaled = contrast * noise
-    channels = [cv2.convertScaleAbs(np.maximum(scaled, -one), beta=float(one)) for one in bgr]
+    channels = [cv2.convertScaleAbs(np.maximum(scaled, -level), beta=float(level)) for level in bgr]
     return np.asarray(cv2.merge([*channels, np.full_like(channels[0], 255)]), np.uint8)
 
 
 def paint_box(picture: Image, box: tuple[float, float, float, float], bgr: tuple[float, ...]) -> None:
-    """Tint a rectangle, given as shares x1, y1, x2, y2 of the picture; the dirt stays on it."""
+    """Tint a rectangle, given as shares x1, y1, x2, y2 of the texture's size; its dirt remains."""
     height, width = picture.shape[:2]
     x1, y1, x2, y2 = np.rint(np.array(box) * (width, height, width, height)).astype(int).tolist()
     part = picture[y1:y2, x1:x2, :3].astype(np.float64)
@@ -82,7 +85,7 @@ def paint_box(picture: Image, box: tuple[float, float, float, float], bgr: tuple
 
 
 def paint_wheel(picture: Image, centre: tuple[float, float], radius: float) -> None:
-    """A tyre and its rim; the centre in shares of the picture, the radius as a share of its height."""
+    """Paint a tyre and its rim; the centre is in shares of the texture's size, the radius in shares of its height."""
     height, width = picture.shape[:2]
     at = (round(centre[0] * width), round(centre[1] * height))
     cv2.circle(picture, at, round(radius * height), (*RUBBER_BGR, 255), -1, cv2.LINE_AA)
@@ -93,7 +96,7 @@ def paint_wheel(picture: Image, centre: tuple[float, float], radius: float) -> N
 
 
 def cut_outside(picture: Image, corners: list[tuple[float, float]]) -> None:
-    """Keep a convex polygon, its corners in shares of the picture; the rest becomes a hole."""
+    """Make the texture transparent outside a convex polygon with corners in shares of its size."""
     height, width = picture.shape[:2]
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, np.rint(np.array(corners) * (width, height)).astype(np.int32), 255)

@@ -1,8 +1,8 @@
-r"""What vans, trucks and buses are made of: boxes of full width, glazed and on wheels.
+r"""Bodies of vans, trucks and buses: boxes of full width with windows and wheels.
 
-The back, front and sides lie on the 3-D box itself, so that a ray through the middle of a box on the image meets the
-paint just where it meets the 3-D box (to the right of the bonnet of a van or a truck seen from above that is not so,
-but no camera looks from there). Below the sill there are wheels, and the road is seen between them.
+Back, front and sides coincide with the 3-D box, so that the ray through the centre of a box in the image meets the
+paint where it meets the 3-D box (except above the bonnet of vans and trucks, which a road camera does not see from
+above). Below the sill there are wheels, with the road visible between them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.simulation.world.faces import Colour, Extent, Face, block
-from track_range.simulation.world.painting import SEAM, fill, keep, number_plate, pane, shade_rows, wheel
+from track_range.simulation.world.painting import SEAM, clip, fill, number_plate, pane, shade_rows, wheel
 from track_range.simulation.world.shadows import shadow
 
 VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
@@ -21,14 +21,14 @@ LAMP_WHITE: Colour = (232, 238, 238)
 STEEL: Colour = (52, 52, 55)
 
 SILL_M = 0.34
-"""Height of the boxes' lower edge."""
+"""Height of the lower edge of the body."""
 
 SHADE = ((0.0, 1.08), (0.3, 1.0), (0.75, 0.9), (1.0, 0.62))
 ENDS, SIDES = ("back", "front"), ("left", "right")
 
 
 def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A high box and a bonnet a little over half as high."""
+    """The faces of a van: a high box, and a bonnet of about half its height."""
     height, width, length = size_hwl_m
     paint = _chosen(rng, VAN_PAINTS)
     x, z, bonnet_x = length / 2, width / 2, 0.27 * length
@@ -56,7 +56,7 @@ def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
 
 
 def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A cargo box on a frame with three wheels a side, and a cab."""
+    """The faces of a truck: a cargo box on a frame, and a cab; three wheels per side."""
     height, width, length = size_hwl_m
     paint, cargo_paint = _chosen(rng, VAN_PAINTS), _chosen(rng, CARGO_PAINTS)
     x, z, bed, cab_x = length / 2, width / 2, 0.30 * height, 0.5 * length - 2.1
@@ -88,7 +88,7 @@ def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> l
 
 
 def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A city bus: one long box with a band of windows, doors on the right, and a sign above the windscreen."""
+    """The faces of a city bus: one box with a row of windows, doors on the right, and a destination display."""
     height, width, length = size_hwl_m
     paint = _chosen(rng, BUS_PAINTS)
     x, z = length / 2, width / 2
@@ -121,7 +121,7 @@ def _chosen(rng: np.random.Generator, paints: tuple[Colour, ...]) -> Colour:
 def _painted(
     rng: np.random.Generator, extent: Extent, bgr: Colour, *, sides: tuple[str, ...] = (*ENDS, *SIDES, "top")
 ) -> dict[str, Face]:
-    """The named sides of a box, lighter above than below."""
+    """The given sides of a box by name, lighter at the top."""
     faces = block(rng, extent, bgr, contrast=5.0, sides=sides)
     for side in (*ENDS, *SIDES):
         if side in faces:
@@ -130,30 +130,30 @@ def _painted(
 
 
 def _panes(face: Face, *boxes: tuple[float, float, float, float]) -> None:
-    """Windows (painted in place)."""
+    """Paint windows."""
     for x1, y1, x2, y2 in boxes:
         pane(face.texture, [(x1, y1), (x2, y1), (x2, y2), (x1, y2)])
 
 
 def _lamps(face: Face, rows: tuple[float, float], bgr: Colour, width: float) -> None:
-    """Two lamps on a back or front, `rows` from the top and `width` as shares of it (painted in place)."""
+    """Paint two lamps on a back or front; `rows` and `width` are shares of the texture's size."""
     for left in (0.02, 0.98 - width):
         fill(face.texture, (left, rows[0], left + width, rows[1]), bgr)
 
 
 def _on_wheels(face: Face, radius_m: float, at: tuple[float, ...], *, sill_m: float = SILL_M) -> None:
-    """Wheels on the lower edge of a side, `at` shares of its length; between them the road is seen (in place)."""
+    """Paint wheels at shares `at` of a side's length; the texture is transparent between them."""
     down_m = float(face.down[1])
     radius, sill = radius_m / down_m, 1 - sill_m / down_m
     for share in at:
         wheel(face.texture, (share, 1 - radius), radius)
-    keep(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)]], [(share, 1 - radius, radius) for share in at])
+    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)]], [(share, 1 - radius, radius) for share in at])
 
 
 def _on_tyres(face: Face, *, sill_m: float = SILL_M) -> None:
-    """A bumper, and two tyres below a back or front (in place)."""
+    """Paint a bumper and two tyres below a back or front."""
     sill = 1 - sill_m / float(face.down[1])
     fill(face.texture, (0, sill - 0.06, 1, sill), (38, 38, 40))
     fill(face.texture, (0, sill, 1, 1), (20, 20, 22))
     tyres = [[(left, sill), (left + 0.16, sill), (left + 0.16, 1), (left, 1)] for left in (0.04, 0.80)]
-    keep(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)], *tyres], [])
+    clip(face.texture, [[(0, 0), (1, 0), (1, sill), (0, sill)], *tyres], [])
