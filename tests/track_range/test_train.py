@@ -93,8 +93,8 @@ def test_anchors_and_their_iou(drawn, cli):
     status, printed, _ = cli("anchors", "--data", data, "--size", 160, "--clusters", 2)
     lines = printed.splitlines()
     assert status == 0
-    assert "mean best IoU with YOLOv5n's own 9 anchors" in lines[0]
-    assert "mean best IoU with these 2" in lines[-2]
+    assert "mean best IoU" in lines[0]
+    assert "mean best IoU" in lines[-2]
     (w1, h1), (w2, h2) = (map(float, pair.split(",")) for pair in lines[-1].split())
     assert (w1 < h1, w2 > h2) == (True, True)  # people are tall, cars are wide
     printed = cli("anchors", "--data", data, "--size", 160, "--clusters", 6)[1]
