@@ -1,4 +1,4 @@
-"""What people, cyclists and motorcyclists are made of: rounded trunks and heads, tapered limbs, and wheels."""
+"""Bodies of pedestrians, cyclists and motorcyclists: rounded trunks and heads, tapered limbs, wheels."""
 
 from __future__ import annotations
 
@@ -41,9 +41,13 @@ HELMETS: tuple[Colour, ...] = ((215, 215, 215), (40, 40, 44), (40, 40, 170), (14
 BIKES: tuple[Colour, ...] = ((38, 38, 160), (44, 42, 42), (150, 90, 40), (150, 150, 150), (60, 110, 50))
 SHOE: Colour = (36, 34, 36)
 CLOTH_CONTRAST = 7.0
+"""Contrast of the texture of clothes, grey levels."""
 
 WHEEL_RADIUS_M = 0.34
+"""Radius of a bicycle wheel."""
+
 N_TYRE_PIECES = 10
+"""Number of flat faces of a tyre."""
 
 
 PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845
@@ -63,11 +67,11 @@ HEAD = ((0.16, 0.055, 0.042), (0.34, 0.086, 0.066), (0.62, 0.098, 0.077), (0.86,
 """Height, as a share of that of neck and head, half depth and half width in metres."""
 
 BARE_SIDES: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3, 4, 5, 6, 7), (4, 5, 6), (4, 5, 6), ())
-"""Sides of the head, ring by ring, that hair does not cover; 5 is the front."""
+"""Sides of the head without hair, ring by ring; 5 is the front."""
 
 
 def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A walker in mid-step: the hands fill the width of the 3-D box, the feet its length."""
+    """The faces of a walking pedestrian; the hands span the width of the 3-D box, the feet its length."""
     height, width, length = size_hwl_m
     top, trousers, skin = _one(rng, TOPS), _one(rng, TROUSERS), _one(rng, SKIN)
     x, z = length / 2, width / 2
@@ -99,7 +103,7 @@ def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float])
 
 
 def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A rider on two wheels; the wheels reach to both ends of the 3-D box, a bag closes it behind."""
+    """The faces of a cyclist; the wheels span the length of the 3-D box, and a bag is at its back."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, WHEEL_RADIUS_M
     top, trousers, skin = _one(rng, TOPS), _one(rng, TROUSERS), _one(rng, SKIN)
@@ -153,7 +157,7 @@ def _tube(
 
 
 def _towards(joint: Vector, before: Vector) -> Vector:
-    """A point a little before a joint, so that no gap opens where a limb bends."""
+    """A point slightly before a joint, so that there is no gap where a limb bends."""
     x, height, z = (0.9 * at + 0.1 * back for at, back in zip(joint, before, strict=True))
     return x, height, z
 
@@ -173,7 +177,7 @@ def _head(
 
 
 def _bicycle_wheel(rng: np.random.Generator, centre_x: float, radius: float) -> list[Face]:
-    """A tyre of flat pieces, and a disc of which only rim and spokes are left."""
+    """A tyre of flat faces, and a disc that is transparent except for rim and spokes."""
     disc, *tyre = _wheel(rng, centre_x, radius)
     side = disc.texture.shape[0]
     middle, rim = (side // 2, side // 2), round(0.45 * side)
@@ -191,7 +195,7 @@ def _one(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
 
 
 def _wheel(rng: np.random.Generator, centre_x: float, radius: float, *, half_width: float = 0.022) -> list[Face]:
-    """A disc along the way it rolls, and a tyre of flat pieces round it."""
+    """A disc in the plane of the wheel, and a tyre of flat faces around it."""
     disc = coloured_face(rng, ((centre_x - radius, -2 * radius, 0), (2 * radius, 0, 0), (0, 2 * radius, 0)), RUBBER_BGR)
     paint_wheel(disc.texture, (0.5, 0.5), 0.5)
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -208,7 +212,7 @@ def _wheel(rng: np.random.Generator, centre_x: float, radius: float, *, half_wid
 
 
 def motorcyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """A rider with a helmet, bent forward over tank and fairing, on two thick wheels."""
+    """The faces of a motorcycle with a rider in a helmet, leaning forward."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, 0.32
     jacket, helmet = _one(rng, TOPS), _one(rng, HELMETS)
