@@ -144,7 +144,7 @@ class Gallery:
 
 
 def _common_length(a: Descriptors, b: Descriptors) -> int:
-    """D of two (N, K, D) arrays, of which either may be 0."""
+    """D of two (N, K, D) arrays; one of them may have D = 0."""
     lengths = {a.shape[2], b.shape[2]} - {0}
     if len(lengths) > 1:
         raise ValueError(f"expected embeddings of one length, got {a.shape[2]} and {b.shape[2]} numbers")

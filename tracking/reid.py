@@ -94,7 +94,7 @@ class ReidModel:
 def _write_crop(image: Image, box: FloatArray, target: FloatArray32) -> None:
     """Write the part of the box (4,) inside the image into `target` (3, height, width), normalised."""
     height, width = image.shape[:2]
-    # The pixels whose centres lie in the box; pixel i runs from i - 0.5 to i + 0.5.
+    # The pixels with their centres in the box; pixel i runs from i - 0.5 to i + 0.5.
     x1, y1, x2, y2 = np.rint(np.clip(box + 0.5, 0, [width, height, width, height])).astype(np.int64)
     crop = image[y1:y2, x1:x2]
     is_shrunk = crop.shape[0] >= target.shape[1]

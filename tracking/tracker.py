@@ -41,7 +41,7 @@ class RefinableTracker(Tracker, Protocol):
 
 
 class AppearanceModel(Protocol):
-    """Computes appearance embeddings of boxes: vectors of length 1 whose cosine distance is small for one object.
+    """Computes appearance embeddings of boxes: vectors of length 1 with small cosine distances for one object.
 
     Attributes:
         max_cosine_distance: largest cosine distance between two embeddings of one object.

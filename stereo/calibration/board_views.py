@@ -87,7 +87,7 @@ class BoardFinder:
         return BoardView(name, size_px, corner_id, xy_px, self._corners_m[corner_id], _edge_px(grey, xy_px))
 
     def may_contain_board(self, image: Image) -> bool:
-        """Whether a fast search finds a board: for videos, most of whose frames show none."""
+        """Whether a fast search finds a board: for videos, in which most frames show none."""
         grey = _grey(image)
         if self._charuco:
             return self._charuco[0].detectBoard(grey)[3] is not None

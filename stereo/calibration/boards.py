@@ -26,7 +26,7 @@ _N_CORNERS = (3, 60)
 _SIZE = re.compile(r"(\d+)[xX*](\d+)")
 
 _DEFAULT_DICTIONARY = "4X4_50"
-"""Dictionary of ArUco markers of a board whose specification names none."""
+"""Dictionary of ArUco markers if the specification of a board has none."""
 
 
 class CalibrationError(RigError):
@@ -106,7 +106,7 @@ def board_of(text: str, square_mm: float | None) -> Board:
 
     Args:
         text: specification, see the docstring of this module.
-        square_mm: side of a chessboard's squares, mm; None for ChArUco boards, whose specification contains it.
+        square_mm: side of a chessboard's squares, mm; None for ChArUco boards, since their specification contains it.
 
     Raises:
         ValueError: the specification is wrong, or the size of a square is missing or not plausible; the message is a

@@ -157,7 +157,7 @@ def fitted_to_size(
 
 
 def _scaled(camera: PinholeCamera, scale_x: float, scale_y: float) -> PinholeCamera:
-    """The camera of resized images; pixel edges map to pixel edges, hence the half pixels."""
+    """The camera of resized images; pixel edges map to pixel edges, which gives the half pixels."""
     return replace(
         camera,
         fx_px=camera.fx_px * scale_x,

@@ -66,9 +66,9 @@ class PatchMatcherSettings:
         uniqueness_ratio: least difference between the costs of the second best and the best minimum, as a share of the
             margin (OpenCV's uniquenessRatio is a share of the cost).
         floor_px: sigma of a flat, textured, noiseless box, px of its level.
-        noise_share: share of the propagated variances of the windows that goes into sigma.
-        scatter_share: share of the windows' scatter about the plane that goes into sigma.
-        tilt_share: share of the plane's tilt across the box that goes into sigma.
+        noise_share: share of the propagated variances of the windows that contributes to sigma.
+        scatter_share: share of the windows' scatter about the plane that contributes to sigma.
+        tilt_share: share of the plane's tilt across the box that contributes to sigma.
     """
 
     min_disparity_px: int = 1

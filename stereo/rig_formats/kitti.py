@@ -41,9 +41,7 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
-        raise RigError(
-            f"{source}: expected P{left} of the left camera beside P{right}, found none; give the complete file."
-        )
+        raise RigError(f"{source}: expected P{left} of the left camera, found only P{right}; give the complete file.")
     left_camera = _camera(matrix[left], size.get(left, (0, 0)))
     reference_m = np.linalg.solve(matrix[left][:, :3], matrix[left][:, 3])
     notes = () if (left, right) == pairs[0] else (f"{source}: using cameras {left} and {right}, the only ones.",)
@@ -59,8 +57,8 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
 def _missing(text: str, _path: object, is_grey: bool) -> str:
     """The matrix that a file with one camera lacks."""
     numbers = {int(number) for kind, number, _ in _LINE.findall(text) if kind == "P"}
-    left, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
-    return f"P{right} of the right camera beside P{left}"
+    _, right = _GREY if 0 in numbers and (is_grey or 2 not in numbers) else _COLOUR
+    return f"P{right} of the right camera"
 
 
 def _matrices(text: str, source: object) -> Mapping[int, FloatArray]:

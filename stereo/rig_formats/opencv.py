@@ -36,7 +36,7 @@ def _is_file_storage(text: str) -> bool:
 
 
 def _read(text: str, path: Path) -> Calibration:
-    """The cameras of one file, or of intrinsics and extrinsics in one folder, of which `path` is either.
+    """The cameras of one file, or of intrinsics and extrinsics in one folder; `path` is one of the two.
 
     Raises:
         RigError: the file is damaged, or a matrix is missing.

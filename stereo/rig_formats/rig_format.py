@@ -23,8 +23,8 @@ class RigFormat:
         name: the format's name on the command line.
         title: the format's files, for messages, such as "KITTI's calib.txt".
         recognises: whether a file with this text is in the format.
-        read: the cameras of a file from its text, its path (for messages and files beside it) and whether the images
-            are grey; raises RigError.
+        read: the cameras of a file from its text, its path (for messages and other files) and whether the images are
+            grey; raises RigError.
         missing: the keys that a file with one camera lacks for a stereo rig, for messages, from the same arguments.
         write: writes a file; None = the format is only read.
     """

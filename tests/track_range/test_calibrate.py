@@ -201,14 +201,14 @@ def test_cameras_swapped_and_upside_down(copied, tmp_path, cli):
             tmp_path / "rig.yaml",
         )  # fmt: skip
 
-    assert "swapped" in error_line(stereo("right*.png", "left*.png"))
+    assert "swap" in error_line(stereo("right*.png", "left*.png"))
     for path in copied.glob("right*.png"):
         cv2.imwrite(str(path), cv2.rotate(cv2.imread(str(path)), cv2.ROTATE_180))
     assert "upside down" in error_line(stereo("left*.png", "right*.png"))
 
 
 def test_sets_without_enough_views(boards, copied, tmp_path, cli):
-    for folder, words in (("blank", "9x6"), ("few", "3 views")):
+    for folder, words in (("blank", "9x6"), ("few", "found it in 3")):
         (tmp_path / folder).mkdir()
         for i in range(3):
             target = tmp_path / folder / f"{i}.png"

@@ -166,12 +166,12 @@ NEARER = np.array([[100.0, 60.0, 145.0, 120.0]])
             PredictionGates(min_occlusion=0.01),
             False,
         ),  # lower edge at 80 px, above 90: farther away
-        (NEARER + np.array([0, 40, 0, 0]), PredictionGates(min_occlusion=0.01), False),  # nearer, but beside it
+        (NEARER + np.array([0, 40, 0, 0]), PredictionGates(min_occlusion=0.01), False),  # nearer, but without overlap
         (np.repeat(NEARER, 3, axis=0), PredictionGates(min_occlusion=0.19), False),  # three that occlude the same part
         (np.array([[0.0, 0.0, 500.0, 300.0]]), PredictionGates(), True),  # fully occluded
         (None, PredictionGates(), False),
     ],
-    ids="enough,too little,farther,beside,thrice the same,whole,alone".split(","),
+    ids="enough,too little,farther,no overlap,three equal,fully,single".split(","),
 )
 def test_an_occluded_box_is_predicted_sooner(
     others: FloatArray | None, gates: PredictionGates, is_predicted: bool
