@@ -1,4 +1,4 @@
-"""Made drives: KITTI label folders of vehicles seen from behind, whose distances are known by hand."""
+"""Synthetic drives: folders of KITTI labels of vehicles seen from behind, at known distances."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ SIZES_HWL_M = {
 }
 
 
-def label_row(frame: int, track: int, kind: str, rear_m: float, **more: float) -> str:
-    """A row of KITTI tracking labels: an object whose back is `rear_m` away, seen from straight behind."""
-    height, width, length = (size * more.get("scale", 1.0) for size in SIZES_HWL_M[kind])
+def label_row(frame: int, track: int, kitti_type: str, rear_m: float, **more: float) -> str:
+    """A row of KITTI tracking labels of an object seen from straight behind, with its rear at `rear_m`."""
+    height, width, length = (size * more.get("scale", 1.0) for size in SIZES_HWL_M[kitti_type])
     x_m, ground_m = more.get("x_m", 0.0), more.get("ground_m", 1.65)
     box = [
         F_PX * (x_m - width / 2) / rear_m + CX_PX,
@@ -32,7 +32,7 @@ def label_row(frame: int, track: int, kind: str, rear_m: float, **more: float) -
         *(x_m, ground_m, rear_m + length / 2, -1.5707963),
     ]
     seen = f"{more.get('truncated', 0):g} {more.get('occluded', 0):g}"
-    return f"{frame} {track} {kind} {seen} " + " ".join(f"{number:.6f}" for number in numbers)
+    return f"{frame} {track} {kitti_type} {seen} " + " ".join(f"{number:.6f}" for number in numbers)
 
 
 def calib_text(shift_px: float = 0.0) -> str:
@@ -41,7 +41,7 @@ def calib_text(shift_px: float = 0.0) -> str:
 
 
 def write_drives(folder: Path, drives: dict[str, Sequence[str]], *, shift_px: float = 0.0) -> tuple[Path, Path]:
-    """Label and calib folders of drives by name."""
+    """Write drives by name; returns the folders of labels and calibration files."""
     labels, calib = folder / "label_02", folder / "calib"
     for place in (labels, calib):
         place.mkdir(parents=True, exist_ok=True)

@@ -31,16 +31,16 @@ def test_rows_by_hand(file):
     assert (boxes.distance_m.tolist(), notes) == ([30.0, 5.0], ())
 
 
-def test_without_a_header_the_columns_have_their_order(file):
+def test_default_column_order(file):
     boxes, notes = read_box_csv(file("pedestrian,10,20,30,60,12.5,800\n\ncar,100,20,190,60,12.5,800\n"))
     assert boxes.class_name.tolist() == ["person", "car"]
     assert boxes.fxycxy_px[:, 0].tolist() == [800.0, 800.0]
-    assert boxes.fxycxy_px[:, 2].tolist() == [100.0, 100.0]  # half way between 10 and 190
+    assert boxes.fxycxy_px[:, 2].tolist() == [100.0, 100.0]  # midway between 10 and 190
     assert len(notes) == 2
     assert "100 px" in notes[0]
 
 
-def test_a_focal_length_given_serves_where_there_is_no_column(file):
+def test_focal_length_as_an_argument(file):
     boxes, _ = read_box_csv(file("class,x1,y1,x2,y2,distance_m\ncar,1,2,3,4,5\n"), focal_px=700.0)
     assert boxes.wh_over_f[0] == pytest.approx([2 / 700, 2 / 700])
 
@@ -66,7 +66,7 @@ def test_invalid_files(file, text, message):
         read_box_csv(file(text))
 
 
-def test_no_file_and_no_text(tmp_path):
+def test_missing_and_binary_files(tmp_path):
     with pytest.raises(LabelFileError, match="cannot be read"):
         read_box_csv(tmp_path / "none.csv")
     (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00")
@@ -75,7 +75,7 @@ def test_no_file_and_no_text(tmp_path):
 
 
 def test_table_three_by_hand(file):
-    """Boxes twice as wide as high, of one size: 1 / d is linear in h and finds them all, a polynomial does not."""
+    """Objects of one size, twice as wide as high: 1 / d is linear in h, so the inverse curve is exact."""
     rng = np.random.default_rng(0)
     rows = []
     for k, distance_m in enumerate(rng.uniform(10, 60, 200)):
@@ -89,7 +89,7 @@ def test_table_three_by_hand(file):
     assert exact.n == 200
     assert exact.residual_m2 == pytest.approx(0.0, abs=1e-6)
     assert exact.at_m[0] == pytest.approx(20.0, rel=0.05)
-    assert np.isnan(exact.at_m[4])  # nothing is 90 m away
+    assert np.isnan(exact.at_m[4])  # there are no boxes at 90 m
     predicted = paper.predict(boxes.wh_over_f, boxes.bearing)
     assert paper.residual_m2 == pytest.approx(((predicted - boxes.distance_m) ** 2).sum())
     assert paper.fitted_error_pct == pytest.approx(100 * np.abs(predicted / boxes.distance_m - 1).mean())

@@ -10,7 +10,7 @@ from track_range.ranging.size_models.plain_curves import PLAIN_CURVES
 
 @pytest.fixture(scope="module")
 def many_drives(tmp_path_factory, row, drives):
-    """Four drives of cars and people of one size each, 6 to 60 m away."""
+    """Four drives of cars and people of one size per class, at 6 to 60 m."""
     rng = np.random.default_rng(0)
     made = {}
     for name in "abcd":
@@ -23,39 +23,39 @@ def many_drives(tmp_path_factory, row, drives):
 
 
 def error_of(column, boxes, name):
-    mine = boxes.class_name == name
-    return np.nanmean(np.abs(column.distance_m / boxes.distance_m - 1)[mine])
+    rows = boxes.class_name == name
+    return np.nanmean(np.abs(column.distance_m / boxes.distance_m - 1)[rows])
 
 
-def test_every_plain_curve_finds_cars_of_one_size(many_drives):
-    """d = const / h: the inverse and the log-linear curves hold it exactly, polynomials of the fifth order nearly."""
-    found = measured_by(tuple(PLAIN_CURVES), many_drives, many_drives)
-    assert list(found) == list(PLAIN_CURVES)
+def test_plain_curves_fit_cars_of_one_size(many_drives):
+    """d = const / h: exact for the inverse and log-linear curves, approximate for polynomials of the fifth order."""
+    result = measured_by(tuple(PLAIN_CURVES), many_drives, many_drives)
+    assert list(result) == list(PLAIN_CURVES)
     for name in ("inverse-height", "log-linear"):
-        assert error_of(found[name], many_drives, "person") < 0.01
-    assert 0.005 < error_of(found["height-5"], many_drives, "person") < 0.2
-    assert np.isnan(found["height-5"].sigma_m).all()
+        assert error_of(result[name], many_drives, "person") < 0.01
+    assert 0.005 < error_of(result["height-5"], many_drives, "person") < 0.2
+    assert np.isnan(result["height-5"].sigma_m).all()
 
 
-def test_a_class_that_the_other_drives_lack_is_not_measured(tmp_path, row, drives):
+def test_class_without_training_boxes_is_not_measured(tmp_path, row, drives):
     one = [row(frame, 0, "Car", 10.0 + frame) for frame in range(40)]
     other = [row(frame, 0, "Pedestrian", 10.0 + frame) for frame in range(40)]
     boxes = box_set(*drives(tmp_path, {"a": one, "b": other}))
-    found = measured_by(("log-linear",), boxes, boxes)
-    assert np.isnan(found["log-linear"].distance_m).all()
+    result = measured_by(("log-linear",), boxes, boxes)
+    assert np.isnan(result["log-linear"].distance_m).all()
 
 
-def test_mono_ground_and_their_fusion_measure_beside_each_other(many_drives):
-    found = measured_by(
+def test_mono_ground_and_their_fusion(many_drives):
+    result = measured_by(
         method_names()[-3:], many_drives, many_drives, MethodOptions(is_cross_validated=True, box_sigma_px=0.5)
     )
-    assert list(found) == ["mono", "ground", "mono+ground"]
-    for column in found.values():
+    assert list(result) == ["mono", "ground", "mono+ground"]
+    for column in result.values():
         known = np.isfinite(column.distance_m)
         assert known.mean() > 0.9
         assert (column.sigma_m[known] > 0).all()
-    assert error_of(found["mono"], many_drives, "person") < 0.02
-    assert error_of(found["ground"], many_drives, "car") < 0.1
+    assert error_of(result["mono"], many_drives, "person") < 0.02
+    assert error_of(result["ground"], many_drives, "car") < 0.1
     packaged = measured_by(("mono",), many_drives, many_drives)["mono"]
     assert 0.001 < error_of(packaged, many_drives, "car") < 0.2
     known = measured_by(("ground",), many_drives, many_drives, MethodOptions(box_sigma_px=0.5, camera_height_m=1.65))[
@@ -69,35 +69,35 @@ def approaching(tmp_path, row, drives, n=60, speed_mps=8.0):
     return box_set(*drives(tmp_path, {"a": rows, "b": rows[:3]}))
 
 
-def test_the_papers_filter_by_hand(tmp_path, row, drives):
-    """Q = R = P0 = 0.1: gains 2/3, then 5/8; with V unknown it lags behind what approaches."""
+def test_paper_filter_by_hand(tmp_path, row, drives):
+    """Q = R = P0 = 0.1: gains 2/3, then 5/8; with V unknown the filter lags behind an approaching car."""
     boxes = approaching(tmp_path, row, drives, n=3)
     z = np.array([10.0, 13.0, 9.0, 10.0, 13.0, 9.0])
-    found = filtered(boxes, MethodColumn(z, 0 * z + 1), "paper")
+    result = filtered(boxes, MethodColumn(z, 0 * z + 1), "paper")
     first, second, third = 10.0, 10.0 + 2 / 3 * 3.0, 12.0 + 5 / 8 * (9.0 - 12.0)
-    assert found.column.distance_m == pytest.approx([first, second, third] * 2)  # each drive has its own
-    assert found.closing_mps[1] == pytest.approx(-2.0 / FRAME_STEP_S)
+    assert result.column.distance_m == pytest.approx([first, second, third] * 2)  # each drive has its own filter
+    assert result.closing_mps[1] == pytest.approx(-2.0 / FRAME_STEP_S)
     assert filtered(boxes, MethodColumn(z, z), "none").column.distance_m is z
 
 
-def test_filters_carry_on_where_nothing_was_measured_and_start_anew_after_a_gap(tmp_path, row, drives):
+def test_filters_bridge_gaps_and_restart(tmp_path, row, drives):
     boxes = box_set(*drives(tmp_path, {"a": [row(k, 1, "Car", 20.0) for k in (0, 1, 2, 20)]}))
     z = np.array([20.0, np.nan, 21.0, 30.0])
     paper = filtered(boxes, MethodColumn(z, z / 10), "paper").column.distance_m
-    third = 20.0 + (21.0 - 20.0) * 0.3 / 0.4  # P = 0.1, grown by 0.1 in each of two frames, against R = 0.1
+    third = 20.0 + (21.0 - 20.0) * 0.3 / 0.4  # P = 0.1 + 2 Q, R = 0.1
     assert paper == pytest.approx([20.0, 20.0, third, 30.0])
 
 
-def test_the_default_filter_smooths_and_tells_the_closing_speed(tmp_path, row, drives):
+def test_default_filter_estimates_closing_speed(tmp_path, row, drives):
     boxes = approaching(tmp_path, row, drives)
     rng = np.random.default_rng(1)
     noisy = boxes.distance_m * (1 + rng.normal(0, 0.03, len(boxes)))
-    found = filtered(boxes, MethodColumn(noisy, 0.05 * noisy), "default")
+    result = filtered(boxes, MethodColumn(noisy, 0.05 * noisy), "default")
     late = slice(30, 60)
-    smooth = np.abs(found.column.distance_m / boxes.distance_m - 1)[late].mean()
+    smooth = np.abs(result.column.distance_m / boxes.distance_m - 1)[late].mean()
     assert 0.0 < smooth < 0.7 * np.abs(noisy / boxes.distance_m - 1)[late].mean()
-    assert np.nanmedian(found.closing_mps[late]) == pytest.approx(8.0, abs=1.5)
-    assert (found.column.sigma_m[late] > 0).all()
+    assert np.nanmedian(result.closing_mps[late]) == pytest.approx(8.0, abs=1.5)
+    assert (result.column.sigma_m[late] > 0).all()
     untold = filtered(boxes, MethodColumn(noisy, np.full(len(boxes), np.nan)), "default")
     assert np.isfinite(untold.column.distance_m).any()
     assert np.isnan(untold.column.sigma_m).all()

@@ -1,4 +1,4 @@
-"""Who comes at us and who passes beside: positions by hand, seen through an exact camera."""
+"""Collision courses and passing objects: positions by hand, projected by an exact camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP_S = 0.1
 
 
 def box(x_m: float, z_m: float, width_m: float) -> list[float]:
-    """Of something 1.5 m high whose front is there."""
+    """Box of an object of 1.5 m height with its front at (x, z)."""
     left, right = (620.0 + 700.0 * (x_m + side * width_m / 2) / z_m for side in (-1, 1))
     return [left, 187.0, right, 187.0 + 700.0 * 1.5 / z_m]
 
@@ -35,9 +35,9 @@ def drive(
     width_m: float = 1.8,
     noise_px: float = 0.0,
 ) -> PassingOffsets:
-    """What is known after n frames of one object with this x, z and their rates."""
+    """Offsets after n frames of one object with a start (x, z) and a velocity."""
     rng = np.random.default_rng(7)
-    found = None
+    offsets = None
     for number in range(n):
         x_m, z_m = (start + number * STEP_S * rate for start, rate in zip(start_m, speed_mps, strict=True))
         seen = (
@@ -45,78 +45,78 @@ def drive(
             if noise_px
             else [box(x_m, z_m, width_m)]
         )
-        found = course.update(
+        offsets = course.update(
             tracks([list(seen[0])]), np.array([z_m]), np.array([-z_m / speed_mps[1]]), number * STEP_S
         )
-    assert found is not None
-    return found
+    assert offsets is not None
+    return offsets
 
 
 @pytest.mark.parametrize(
     ("start_m", "speed_mps", "offset_m", "may_hit"),
     [
-        ((0.0, 40.0), (0.0, -20.0), 0.0, True),  # ahead in our lane
-        ((-3.5, 40.0), (0.0, -20.0), -3.5, False),  # oncoming, in the lane beside
+        ((0.0, 40.0), (0.0, -20.0), 0.0, True),  # ahead in the ego lane
+        ((-3.5, 40.0), (0.0, -20.0), -3.5, False),  # oncoming in the neighbouring lane
         ((3.0, 30.0), (-1.5, -15.0), 0.0, True),  # steps off the kerb: constant bearing
-        ((-5.0, 30.0), (8.0, -10.0), 19.0, False),  # runs across and is gone by then
-        ((3.5, 25.0), (-1.4, -10.0), 0.0, True),  # cuts in: in our lane when we are there
+        ((-5.0, 30.0), (8.0, -10.0), 19.0, False),  # crosses before the ego vehicle arrives
+        ((3.5, 25.0), (-1.4, -10.0), 0.0, True),  # cuts into the ego lane
     ],
 )
-def test_the_miss_is_where_the_object_will_be(
+def test_lateral_offset_of_moving_objects(
     start_m: tuple[float, float], speed_mps: tuple[float, float], offset_m: float, may_hit: bool
 ) -> None:
-    found = drive(CollisionCourse(CAMERA), start_m, speed_mps)
-    assert found.lateral_offset_m[0] == pytest.approx(offset_m, abs=0.25)
-    assert found.half_width_m[0] == pytest.approx(0.9)
-    assert found.may_hit.tolist() == [may_hit]
+    offsets = drive(CollisionCourse(CAMERA), start_m, speed_mps)
+    assert offsets.lateral_offset_m[0] == pytest.approx(offset_m, abs=0.25)
+    assert offsets.half_width_m[0] == pytest.approx(0.9)
+    assert offsets.may_hit.tolist() == [may_hit]
 
 
-def test_by_hand_from_the_first_frame() -> None:
-    """One look: the rate is 0 +- 5 m/s, and 2 s ahead may be 10 m to either side."""
-    found = CollisionCourse(CAMERA).update(tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0)
-    assert found.lateral_offset_m[0] == pytest.approx(3.5)
+def test_first_frame_by_hand() -> None:
+    """After one frame the rate is 0 +- 5 m/s: 2 s ahead that is 10 m."""
+    offsets = CollisionCourse(CAMERA).update(tracks([box(3.5, 20.0, 1.8)]), np.array([20.0]), np.array([2.0]), 0.0)
+    assert offsets.lateral_offset_m[0] == pytest.approx(3.5)
     edge_m = (1.0 + 0.02 * 700 * 1.8 / 20) * 20 / 700
-    assert found.sigma_m[0] == pytest.approx(np.sqrt(edge_m**2 + (2.0 * 5.0) ** 2 + (0.25 * 2.0**2 / 2) ** 2))
-    assert found.may_hit.tolist() == [True]
+    assert offsets.sigma_m[0] == pytest.approx(np.sqrt(edge_m**2 + (2.0 * 5.0) ** 2 + (0.25 * 2.0**2 / 2) ** 2))
+    assert offsets.may_hit.tolist() == [True]
 
 
-def test_noise_of_boxes_is_within_what_is_told() -> None:
-    found = drive(CollisionCourse(CAMERA), (-3.5, 45.0), (0.0, -20.0), n=14, noise_px=1.0)
-    assert abs(found.lateral_offset_m[0] + 3.5) < 2 * found.sigma_m[0]
-    assert 0.3 < found.sigma_m[0] < 2.0
+def test_offset_error_within_sigma() -> None:
+    offsets = drive(CollisionCourse(CAMERA), (-3.5, 45.0), (0.0, -20.0), n=14, noise_px=1.0)
+    assert abs(offsets.lateral_offset_m[0] + 3.5) < 2 * offsets.sigma_m[0]
+    assert 0.3 < offsets.sigma_m[0] < 2.0
 
 
-def test_what_does_not_close_or_has_no_distance_cannot_be_told() -> None:
+def test_unknown_without_ttc_or_distance() -> None:
     course = CollisionCourse(CAMERA)
     boxes = [box(-3.5, 20.0, 1.8), box(3.5, 20.0, 1.8)]
-    found = course.update(tracks(boxes), np.array([20.0, np.nan]), np.array([np.nan, np.nan]), 0.0)
-    assert np.isnan(found.lateral_offset_m).all()
-    assert found.may_hit.all()
+    offsets = course.update(tracks(boxes), np.array([20.0, np.nan]), np.array([np.nan, np.nan]), 0.0)
+    assert np.isnan(offsets.lateral_offset_m).all()
+    assert offsets.may_hit.all()
 
 
-def test_a_box_that_the_edge_cuts_does_not_come_to_a_halt() -> None:
-    """The visible middle of a passing car stays at the edge: only what was known before it was cut counts."""
+def test_box_cut_by_the_border_is_not_a_measurement() -> None:
+    """The visible centre of a passing car stays at the border: only measurements before it was cut are used."""
     course, n = CollisionCourse(CAMERA), 0
-    found = drive(course, (-4.0, 14.0), (0.0, -8.0), n=12)
+    offsets = drive(course, (-4.0, 14.0), (0.0, -8.0), n=12)
     for number in range(12, 16):
         z_m = 14.0 - 8.0 * STEP_S * number
         cut = np.maximum(box(-4.0, z_m, 1.8), 0.0)
         n += int(cut[0] == 0.0)
-        found = course.update(tracks([cut.tolist()]), np.array([z_m]), np.array([z_m / 8.0]), number * STEP_S)
-        assert found.lateral_offset_m[0] == pytest.approx(-4.0, abs=0.3)
-        assert not found.may_hit[0]
+        offsets = course.update(tracks([cut.tolist()]), np.array([z_m]), np.array([z_m / 8.0]), number * STEP_S)
+        assert offsets.lateral_offset_m[0] == pytest.approx(-4.0, abs=0.3)
+        assert not offsets.may_hit[0]
     assert n == 4
 
 
-def test_another_object_under_the_same_name_is_a_new_one() -> None:
+def test_jump_restarts_the_filter() -> None:
     course = CollisionCourse(CAMERA)
     drive(course, (-6.0, 40.0), (0.0, -10.0))
-    found = course.update(tracks([box(0.5, 30.0, 1.8)]), np.array([30.0]), np.array([3.0]), 1.0)
-    assert found.lateral_offset_m[0] == pytest.approx(0.5)
-    assert found.sigma_m[0] > 10.0
+    offsets = course.update(tracks([box(0.5, 30.0, 1.8)]), np.array([30.0]), np.array([3.0]), 1.0)
+    assert offsets.lateral_offset_m[0] == pytest.approx(0.5)
+    assert offsets.sigma_m[0] > 10.0
 
 
-def test_a_predicted_box_tells_nothing_and_a_long_absence_forgets() -> None:
+def test_predicted_boxes_and_long_gaps() -> None:
     course = CollisionCourse(CAMERA)
     sure = drive(course, (-3.5, 40.0), (0.0, -10.0))
     far: FloatArray = np.array([30.0])
@@ -129,5 +129,5 @@ def test_a_predicted_box_tells_nothing_and_a_long_absence_forgets() -> None:
 
 
 def test_no_tracks() -> None:
-    found = CollisionCourse(CAMERA).update(tracks([]), np.zeros(0), np.zeros(0), 0.0)
-    assert len(found.may_hit) == 0
+    offsets = CollisionCourse(CAMERA).update(tracks([]), np.zeros(0), np.zeros(0), 0.0)
+    assert len(offsets.may_hit) == 0

@@ -1,4 +1,4 @@
-"""Boxes of cuboids against the projection of their eight corners, and the ray that meets their surface."""
+"""Boxes of cuboids against the projection of their eight corners and the ray to their surface."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from track_range.ranging.size_models.cuboid import box_of_cuboid
 HEIGHT_M = 1.65
 
 
-def test_a_tail_straight_ahead_by_hand():
-    """1.5 m high, 1.8 m wide, its back 20 m away."""
+def test_rear_straight_ahead_by_hand():
+    """A cuboid 1.5 m high and 1.8 m wide with its rear at 20 m."""
     box = box_of_cuboid(
         np.log([1.5, 1.8, 4.0]),
         yaw_rad=np.zeros(1),
@@ -22,7 +22,7 @@ def test_a_tail_straight_ahead_by_hand():
     )
     assert np.exp(box.log_width) == pytest.approx([1.8 / 20])
     assert np.exp(box.log_nearness) == pytest.approx([1 / 20])
-    top = (HEIGHT_M - 1.5) / 24  # the roof's far end is lower in the world, higher in the image
+    top = (HEIGHT_M - 1.5) / 24  # of the front edge of the roof
     assert np.exp(box.log_height) == pytest.approx([HEIGHT_M / 20 - top])
 
 
@@ -33,42 +33,41 @@ def test_a_tail_straight_ahead_by_hand():
     st.tuples(st.floats(1.2, 3.5), st.floats(0.5, 2.5), st.floats(0.6, 6.0)),
 )
 @settings(deadline=None, max_examples=30)
-def test_the_box_is_that_of_eight_corners_and_the_ray_meets_it_there(turn, bearing, distance_m, hwl):
+def test_box_equals_projected_corners(yaw, bearing, distance_m, hwl):
     box = box_of_cuboid(
         np.log(hwl),
-        yaw_rad=np.array([turn]),
+        yaw_rad=np.array([yaw]),
         bearing=np.array([bearing]),
         distance_m=np.array([distance_m]),
         camera_height_m=HEIGHT_M,
     )
-    # where it stands: the place whose middle column and surface are those asked for, by bisection of the truth
-    place = found_place(turn, bearing, distance_m, hwl)
-    columns, rows = corners(place, turn, hwl)
+    position = true_position(yaw, bearing, distance_m, hwl)
+    columns, rows = corners(position, yaw, hwl)
     assert box.log_width == pytest.approx(np.log(columns.max() - columns.min()), abs=0.02)
     assert box.log_height == pytest.approx(np.log(rows.max() - rows.min()), abs=0.02)
     assert np.exp(box.log_nearness) * HEIGHT_M == pytest.approx(rows.max(), rel=0.02)
 
 
-def corners(place, turn, hwl):
-    """Columns and rows, over the focal length, of the eight corners of a cuboid at (x, z)."""
+def corners(position, yaw, hwl):
+    """Columns and rows, divided by the focal length, of the eight corners of a cuboid at (x, z)."""
     height, width, length = hwl
     i, j, k = np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [0.0, 1.0])
-    x = place[0] + np.sin(turn) * i * length + np.cos(turn) * j * width
-    z = place[1] + np.cos(turn) * i * length - np.sin(turn) * j * width
+    x = position[0] + np.sin(yaw) * i * length + np.cos(yaw) * j * width
+    z = position[1] + np.cos(yaw) * i * length - np.sin(yaw) * j * width
     return x / z, (HEIGHT_M - k * height) / z
 
 
-def found_place(turn, bearing, distance_m, hwl):
-    """By small steps, with KITTI's surface as the judge: yaw is measured from the x axis there."""
+def true_position(yaw, bearing, distance_m, hwl):
+    """(x, z) of a cuboid with the given bearing and surface distance, by damped iteration with `surface_distance_m`."""
     x, z = bearing * (distance_m + 1), distance_m + 1
     for _ in range(200):
-        columns, _ = corners((x, z), turn, hwl)
+        columns, _ = corners((x, z), yaw, hwl)
         x += 0.5 * (bearing - (columns.min() + columns.max()) / 2) * z
         (surface_m,) = surface_distance_m(
             np.array([[bearing, 0.0, 1.0]]),
             np.array([[x, hwl[0] / 2, z]]),
             size_hwl_m=np.array([hwl]),
-            rotation_y_rad=np.array([turn - np.pi / 2]),
+            rotation_y_rad=np.array([yaw - np.pi / 2]),
         )
         step = 0.5 * (distance_m - surface_m)
         x, z = x + bearing * step, z + step

@@ -1,4 +1,4 @@
-"""Distances by priors over sizes: true sigmas in worlds that are as the priors say, and what the ground adds."""
+"""Distances by size priors: calibration of sigma on samples of the priors, and the effect of the ground plane."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ PACKAGED = load_curves()
 NOISE = 1.5 / 720
 
 
-def world(name, n, *, seed, noise=NOISE, stands=True):
-    """Boxes of objects drawn from the packaged prior of a class, with edges blurred, and their distances."""
+def world(name, n, *, seed, noise=NOISE, on_ground=True):
+    """Boxes with edge noise of objects drawn from the packaged prior of a class, and their distances."""
     rng, prior = np.random.default_rng(seed), PACKAGED.priors[name]
     log_hwl = rng.multivariate_normal(np.log(prior.hwl_m), prior.covariance, n).T
     weights = np.array(prior.turn_weights) / sum(prior.turn_weights)
-    turn = np.radians(rng.choice(YAW_DEG, n, p=weights)) * rng.choice([-1, 1], n)
+    yaw = np.radians(rng.choice(YAW_DEG, n, p=weights)) * rng.choice([-1, 1], n)
     bearing, distance_m = rng.uniform(-0.4, 0.4, n), np.exp(rng.uniform(np.log(10), np.log(70), n))
-    box = box_of_cuboid(log_hwl, yaw_rad=turn, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
+    box = box_of_cuboid(log_hwl, yaw_rad=yaw, bearing=bearing, distance_m=distance_m, camera_height_m=1.65)
     size = np.exp(np.stack([box.log_width, box.log_height], axis=1) + np.array(prior.offset)[::-1])
     size = np.maximum(
         size * np.exp(rng.normal(0, np.array(prior.scatter)[::-1], (n, 2))) + rng.normal(0, np.sqrt(2) * noise, (n, 2)),
@@ -35,24 +35,24 @@ def world(name, n, *, seed, noise=NOISE, stands=True):
         bottom=0.01 + 1.65 * np.exp(box.log_nearness) + rng.normal(0, 0.1, n) / distance_m,
         size_class=np.full(n, SIZE_CLASSES.index(name)),
         uses_width=np.ones(n, np.bool_),
-        uses_bottom=np.full(n, stands),
+        uses_bottom=np.full(n, on_ground),
         edge_sigma=np.full((n, 2), noise),
     )
     return boxes, distance_m
 
 
 @pytest.mark.parametrize("name", ["car", "van", "person", "bicycle", "truck"])
-def test_sigma_is_true_where_the_world_is_as_the_prior_says(name):
-    boxes, distance_m = world(name, 1500, seed=4, stands=False)
-    found = PACKAGED.measure(boxes)
-    off = np.abs(found.distance_m - distance_m) / found.sigma_m
+def test_sigma_is_calibrated_for_the_prior(name):
+    boxes, distance_m = world(name, 1500, seed=4, on_ground=False)
+    result = PACKAGED.measure(boxes)
+    off = np.abs(result.distance_m - distance_m) / result.sigma_m
     assert 0.60 < (off < 1).mean() < 0.78
     assert (off < 2).mean() > 0.92
-    assert (found.sigma_systematic_m <= found.sigma_m).all()
+    assert (result.sigma_systematic_m <= result.sigma_m).all()
 
 
-def test_the_ground_and_the_others_help():
-    """Eight cars at a time on one road: nearer to the truth than each by itself, though nobody knows the horizon."""
+def test_common_ground_reduces_the_error():
+    """Eight cars on ones road with an unknown horizon, measured together and separately."""
     together, alone = [], []
     for seed in range(60):
         boxes, distance_m = world("car", 8, seed=seed)
@@ -60,42 +60,42 @@ def test_the_ground_and_the_others_help():
         together.append(np.abs(PACKAGED.measure(boxes).distance_m / distance_m - 1).mean())
         alone.append(np.abs(one_by_one / distance_m - 1).mean())
     assert np.mean(together) < 0.93 * np.mean(alone)
-    assert np.mean(together) > 0.02  # their sizes are still not known
+    assert np.mean(together) > 0.02  # the sizes are still unknown
 
 
-def test_aspect_tells_what_the_height_alone_does_not():
-    """A box that is low for its width belongs to a low car, which is nearer than a usual one of that height."""
-    one = np.ones(2)
-    sizes = np.stack([np.array([1.60, 1.80]) / 30, 1.5 / 30 * one], axis=1)
-    boxes = BoxExtents(sizes, 0 * one, 0 * one, np.full(2, 2), one > 0, one < 0, np.full((2, 2), 1e-4))
+def test_width_adds_information():
+    """Two boxes of the same height and different widths have different distances."""
+    ones = np.ones(2)
+    sizes = np.stack([np.array([1.60, 1.80]) / 30, 1.5 / 30 * ones], axis=1)
+    boxes = BoxExtents(sizes, 0 * ones, 0 * ones, np.full(2, 2), ones > 0, ones < 0, np.full((2, 2), 1e-4))
     narrow, wide = CuboidSizes({"car": PACKAGED.priors["car"]}).measure(boxes).distance_m
     assert wide < narrow - 0.5 or wide > narrow + 0.5
     assert 27 < min(narrow, wide) < max(narrow, wide) < 34
 
 
-def test_a_car_where_the_ground_says_van():
-    """The same box: by its place on a road that others tell of, it is further off than a car's size says."""
+def test_ground_distinguishes_car_and_van():
+    """A box of a van, detected as a car: its bottom edge on the road of the others gives a larger distance."""
     boxes, _ = world("car", 9, seed=1, noise=0.3 / 720)
     van_m = 30.0
     size, bottom = boxes.wh_over_f.copy(), boxes.bottom.copy()
     size[0], bottom[0] = np.array([2.5, 2.3]) / van_m, 0.01 + 1.65 / van_m
-    odd = BoxExtents(
+    van = BoxExtents(
         size, boxes.bearing, bottom, boxes.size_class, boxes.uses_width, boxes.uses_bottom, boxes.edge_sigma
     )
-    on_ground = PACKAGED.measure(odd).distance_m[0]
-    by_size = PACKAGED.measure(odd.select(np.array([0]))).distance_m[0]
+    on_ground = PACKAGED.measure(van).distance_m[0]
+    by_size = PACKAGED.measure(van.select(np.array([0]))).distance_m[0]
     assert by_size < 0.75 * van_m
     assert on_ground > 1.01 * by_size
 
 
 @given(st.integers(0, 200), st.permutations(range(6)))
 @settings(deadline=None, max_examples=25)
-def test_order_does_not_matter(seed, order):
+def test_order_of_boxes_does_not_matter(seed, order):
     boxes, _ = world("car", 6, seed=seed)
     order = np.array(order)
-    found, turned = PACKAGED.measure(boxes), PACKAGED.measure(boxes.select(order))
-    np.testing.assert_allclose(turned.distance_m, found.distance_m[order], rtol=1e-9)
-    np.testing.assert_allclose(turned.sigma_m, found.sigma_m[order], rtol=1e-9)
+    result, turned = PACKAGED.measure(boxes), PACKAGED.measure(boxes.select(order))
+    np.testing.assert_allclose(turned.distance_m, result.distance_m[order], rtol=1e-9)
+    np.testing.assert_allclose(turned.sigma_m, result.sigma_m[order], rtol=1e-9)
 
 
 @given(
@@ -107,19 +107,19 @@ def test_order_does_not_matter(seed, order):
     st.floats(0.0, 0.06),
 )
 @settings(deadline=None)
-def test_distance_is_positive_and_falls_as_a_box_grows(name, height, side, ratio, bearing, noise):
-    """For boxes of a shape that the class has, from its narrow side to its long one."""
+def test_distance_decreases_with_box_size(name, height, side, ratio, bearing, noise):
+    """For boxes with aspect ratios of the class, from its narrow to its long side."""
     high, wide, long = PACKAGED.priors[name].hwl_m
     aspect = np.exp((1 - side) * np.log(min(wide, long) / high) + side * np.log(max(wide, long) / high))
     sizes = np.array([[aspect * height, height], [aspect * height * ratio, height * ratio]])
-    one = np.ones(2)
+    ones = np.ones(2)
     edge_sigma = np.full((2, 2), noise * min(1.0, aspect) * height)
     boxes = BoxExtents(
-        sizes, bearing * one, 0 * one, np.full(2, SIZE_CLASSES.index(name)), one > 0, one < 0, edge_sigma
+        sizes, bearing * ones, 0 * ones, np.full(2, SIZE_CLASSES.index(name)), ones > 0, ones < 0, edge_sigma
     )
-    found = PACKAGED.measure(boxes)
-    assert np.isfinite(found.sigma_m).all()
-    assert 0 < found.distance_m[1] < found.distance_m[0]
+    result = PACKAGED.measure(boxes)
+    assert np.isfinite(result.sigma_m).all()
+    assert 0 < result.distance_m[1] < result.distance_m[0]
 
 
 @given(
@@ -131,63 +131,63 @@ def test_distance_is_positive_and_falls_as_a_box_grows(name, height, side, ratio
     st.floats(0.0, 3.0),
 )
 @settings(deadline=None)
-def test_whatever_the_box_there_is_a_positive_distance_with_a_sigma(name, height, aspect, bearing, bottom, noise):
-    one = np.ones(1)
+def test_any_box_has_a_positive_distance_and_sigma(name, height, aspect, bearing, bottom, noise):
+    ones = np.ones(1)
     boxes = BoxExtents(
         np.array([[aspect * height, height]]),
-        bearing * one,
-        bottom * one,
+        bearing * ones,
+        bottom * ones,
         np.full(1, SIZE_CLASSES.index(name)),
-        one > 0,
-        one > 0,
+        ones > 0,
+        ones > 0,
         np.full((1, 2), noise * height),
     )
-    found = PACKAGED.measure(boxes)
-    assert 0 < found.distance_m[0] < np.inf
-    assert 0 < found.sigma_systematic_m[0] <= found.sigma_m[0] < np.inf
+    result = PACKAGED.measure(boxes)
+    assert 0 < result.distance_m[0] < np.inf
+    assert 0 < result.sigma_systematic_m[0] <= result.sigma_m[0] < np.inf
 
 
-def test_a_class_without_a_prior_is_not_measured():
+def test_class_without_a_prior_is_not_measured():
     boxes, _ = world("car", 3, seed=0)
     assert np.isnan(CuboidSizes({"person": PACKAGED.priors["person"]}).measure(boxes).distance_m).all()
 
 
 class TestSharedGround:
-    """The horizon that others tell."""
+    """Ground plane estimated from the other objects."""
 
     nearness = 1 / np.array([8.0, 15.0, 25.0, 40.0, 60.0, 70.0])
 
-    def stand(self, bottom, tells=True):
+    def contacts(self, bottom, is_on_ground=True):
         n = len(bottom)
-        return GroundContacts(bottom, self.nearness[:n], np.full(n, 0.05), np.full(n, 0.001), np.full(n, tells))
+        return GroundContacts(bottom, self.nearness[:n], np.full(n, 0.05), np.full(n, 0.001), np.full(n, is_on_ground))
 
     def test_exact_objects_give_horizon_and_height(self):
-        seen = ground_from_others(self.stand(0.02 + 1.8 * self.nearness), GroundPrior(camera_height_m=1.8))
-        np.testing.assert_allclose(seen.horizon, 0.02, atol=0.002)
-        np.testing.assert_allclose(seen.height_m, 1.8, atol=0.05)
-        assert not seen.is_prior_only.any()
+        ground = ground_from_others(self.contacts(0.02 + 1.8 * self.nearness), GroundPrior(camera_height_m=1.8))
+        np.testing.assert_allclose(ground.horizon, 0.02, atol=0.002)
+        np.testing.assert_allclose(ground.height_m, 1.8, atol=0.05)
+        assert not ground.is_prior_only.any()
 
-    def test_ones_own_say_does_not_count(self):
+    def test_own_measurement_is_excluded(self):
         bottom = 0.02 + 1.5 * self.nearness
         moved = bottom.copy()
         moved[5] += 0.004
-        one, other = (
-            ground_from_others(self.stand(bottom), GroundPrior()),
-            ground_from_others(self.stand(moved), GroundPrior()),
+        first, other = (
+            ground_from_others(self.contacts(bottom), GroundPrior()),
+            ground_from_others(self.contacts(moved), GroundPrior()),
         )
-        assert other.horizon[5] == pytest.approx(one.horizon[5], abs=2e-4)
-        assert other.horizon[0] > one.horizon[0] + 5e-4
+        assert other.horizon[5] == pytest.approx(first.horizon[5], abs=2e-4)
+        assert other.horizon[0] > first.horizon[0] + 5e-4
 
-    def test_one_that_stands_elsewhere_counts_little(self):
+    def test_outliers_are_down_weighted(self):
         bottom = -0.01 + 1.5 * self.nearness
-        bottom[5] += 0.2  # a balcony, or no object at all
-        seen = ground_from_others(self.stand(bottom), GroundPrior())
-        np.testing.assert_allclose(seen.horizon[:5], -0.01, atol=0.006)
+        bottom[5] += 0.2  # on a balcony, or a false alarm
+        ground = ground_from_others(self.contacts(bottom), GroundPrior())
+        np.testing.assert_allclose(ground.horizon[:5], -0.01, atol=0.006)
 
-    def test_alone_or_when_nobody_tells_there_is_only_the_prior(self):
+    def test_only_the_prior_without_other_objects(self):
         prior = GroundPrior(horizon=0.03, camera_height_m=1.4)
-        for stand in (self.stand(np.array([0.2])), self.stand(1.4 * self.nearness, tells=False)):
-            seen = ground_from_others(stand, prior)
-            assert seen.is_prior_only.all()
-            np.testing.assert_allclose(seen.horizon, 0.03)
-            np.testing.assert_allclose(seen.height_m, 1.4)
+        for contacts in (self.contacts(np.array([0.2])), self.contacts(1.4 * self.nearness, is_on_ground=False)):
+            ground = ground_from_others(contacts, prior)
+            assert ground.is_prior_only.all()
+            np.testing.assert_allclose(ground.horizon, 0.03)
+            np.testing.assert_allclose(ground.height_m, 1.4)

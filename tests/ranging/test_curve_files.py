@@ -1,4 +1,4 @@
-"""Curve files of every kind: they survive writing, and what cannot be used is refused in a sentence."""
+"""Curve files of all kinds: round trips and invalid content."""
 
 import json
 
@@ -26,7 +26,7 @@ def table():
     return TableSizes("height", {"car": TableCurve(table=fitted, sigma_relative=0.05, n=200, source="made up")})
 
 
-def test_every_kind_survives_the_file(tmp_path):
+def test_round_trip_of_all_kinds(tmp_path):
     file = tmp_path / "c.json"
     save_curves(log_linear(), file)
     assert load_curves(file).whole == log_linear().whole
@@ -42,7 +42,7 @@ def test_every_kind_survives_the_file(tmp_path):
     assert load_curves(file).ground == packaged.ground
 
 
-def test_the_packaged_file_says_from_what_and_leaves_out_what_runs_are_tested_on():
+def test_packaged_file_excludes_the_test_drives():
     packaged = load_curves()
     assert isinstance(packaged, CuboidSizes)
     assert set(packaged.priors) == set(SIZE_CLASSES)
@@ -105,7 +105,7 @@ def test_invalid_tables(tmp_path, path, value, message):
         load_curves(file)
 
 
-def test_other_files_are_refused(tmp_path):
+def test_other_invalid_files(tmp_path):
     file = tmp_path / "c.json"
     save_curves(log_linear(per_log_height=0.5), file)
     with pytest.raises(CurveError, match="decrease"):
@@ -123,13 +123,13 @@ def test_other_files_are_refused(tmp_path):
         save_curves(log_linear(), tmp_path / "none" / "c.json")
 
 
-def test_a_table_is_of_one_size_and_its_noise_counts():
+def test_table_measures_and_its_noise():
 
     one = np.ones(1)
     boxes = BoxExtents(
         np.array([[1.7, 1.5]]) / 30, 0 * one, 0.05 * one, np.array([2]), one > 0, one > 0, np.full((1, 2), 0.001)
     )
-    found = table().measure(boxes)
-    assert found.distance_m == pytest.approx([30.0], rel=0.1)
-    assert found.sigma_m > found.sigma_systematic_m
-    assert found.sigma_systematic_m == pytest.approx(0.05 * found.distance_m)
+    result = table().measure(boxes)
+    assert result.distance_m == pytest.approx([30.0], rel=0.1)
+    assert result.sigma_m > result.sigma_systematic_m
+    assert result.sigma_systematic_m == pytest.approx(0.05 * result.distance_m)

@@ -11,7 +11,7 @@ from track_range.ranging.ranges import Ranges
 
 
 class OneFilter:
-    """The filter of one method alone."""
+    """Filter of a single method."""
 
     def __init__(self, noise_share=0.6, **settings):
         self.filters = DistanceFilters({"a": noise_share}, FilterSettings(**settings))
@@ -32,12 +32,12 @@ def measured(ids, distance_m, sigma_m=1.0):
 
 def test_equals_filterpy_with_uneven_steps():
     rng = np.random.default_rng(1)
-    ours = OneFilter(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
+    actual = OneFilter(noise_share=1.0, outlier_sigma=np.inf, learns_noise=False)
     oracle = ExtendedKalmanFilter(dim_x=2, dim_z=1)
     time_s = np.cumsum(rng.uniform(0.03, 0.3, 40))
     for i, t in enumerate(time_s):
         z = 90 - 8 * t + rng.normal()
-        result = ours.update(measured([7], [z]), t)
+        result = actual.update(measured([7], [z]), t)
         oracle.R = np.array([[1 / z**2]])
         if i == 0:
             oracle.x, oracle.P = np.array([[z], [0.0]]), np.diag([1.0, 144.0])
@@ -55,7 +55,7 @@ def test_equals_filterpy_with_uneven_steps():
 
 
 def simulated(rng, *, n, steps, dt=0.1):
-    """Distances (steps, n) of targets whose speeds wander as the filter believes, and their rates."""
+    """Distances and rates (steps, n) of targets with speeds that follow the motion model of the filter."""
     distance, rate = rng.uniform(80, 120, n), rng.normal(0, 8, n)
     for _ in range(steps):
         kick = rng.normal(0, 1.5 * np.sqrt(dt), n)
@@ -63,7 +63,7 @@ def simulated(rng, *, n, steps, dt=0.1):
         yield distance, rate
 
 
-def test_innovations_of_simulated_motion_are_as_large_as_the_filter_says():
+def test_errors_are_consistent_with_the_covariance():
     rng = np.random.default_rng(2)
     tracker = OneFilter(noise_share=1.0, learns_noise=False, max_rate_sigma_mps=9.0)
     of_distance, of_rate = [], []
@@ -77,7 +77,7 @@ def test_innovations_of_simulated_motion_are_as_large_as_the_filter_says():
 
 
 @pytest.mark.parametrize("true_sigma_m", [0.2, 0.5, 1.5])
-def test_the_noise_is_learnt_whatever_the_method_says_of_it(true_sigma_m):
+def test_noise_scale_is_learnt(true_sigma_m):
     rng = np.random.default_rng(3)
     tracker = OneFilter()
     for step, (distance, _) in enumerate(simulated(rng, n=40, steps=60)):
@@ -85,8 +85,8 @@ def test_the_noise_is_learnt_whatever_the_method_says_of_it(true_sigma_m):
     assert tracker.noise_share == pytest.approx(true_sigma_m, rel=0.25)
 
 
-def test_boxes_that_jump_hardly_move_the_mean():
-    """A height of 20 px that jumps by 3: small boxes are far and say so, which in metres would cost 7 % of distance."""
+def test_box_jitter_does_not_bias_the_distance():
+    """A height of 20 px with a jitter of 3 px: a filter in metres would be biased by 7 % of the distance."""
     rng = np.random.default_rng(4)
     tracker, ids, last = OneFilter(), np.arange(200), []
     for step in range(60):
@@ -97,31 +97,32 @@ def test_boxes_that_jump_hardly_move_the_mean():
     assert np.mean(last[30:]) == pytest.approx(50.0, rel=0.04)
 
 
-def test_with_ego_speed_braking_is_not_taken_for_the_targets():
-    """A parked car, 40 m ahead; the ego car brakes from 15 m/s at 8 m/s^2."""
+def test_ego_braking_is_not_target_motion():
+    """A parked car 40 m ahead, while the ego vehicle brakes from 15 m/s at 8 m/s^2."""
     errors = {}
-    for name in ("told", "not told"):
+    for name in ("known", "unknown"):
         tracker, distance_m = OneFilter(max_rate_sigma_mps=9.0), 40.0
         for step in range(18):
             speed_mps = 15.0 - 0.8 * max(step - 6, 0)
             result = tracker.update(
-                measured([1], [distance_m], 0.4), step * 0.1, ego_speed_mps=speed_mps if name == "told" else np.nan
+                measured([1], [distance_m], 0.4), step * 0.1, ego_speed_mps=speed_mps if name == "known" else np.nan
             )
             distance_m -= (speed_mps + max(15.0 - 0.8 * max(step - 5, 0), 0)) / 2 * 0.1
         errors[name] = abs(result.rate_mps[0] + speed_mps)
-    assert errors["told"] < 0.1 < 1.0 < errors["not told"]
+    assert errors["known"] < 0.1 < 1.0 < errors["unknown"]
 
 
-def test_a_new_track_may_stand_still_beside_a_moving_camera():
+def test_new_track_starts_as_a_static_target():
     tracker = OneFilter(min_steady_s=0.0, max_rate_sigma_mps=99.0)
     assert tracker.update(measured([1], [40.0]), 0.0, ego_speed_mps=12.0).rate_mps == [-12.0]
-    assert tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1).rate_mps == pytest.approx([-12.0, 0.0])  # unknown now
-    again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # and a jump while unknown is no braking
+    unknown_ego = tracker.update(measured([1, 2], [np.nan, 30.0]), 0.1)
+    assert unknown_ego.rate_mps == pytest.approx([-12.0, 0.0])
+    again = tracker.update(measured([1], [np.nan]), 0.2, ego_speed_mps=5.0)  # a change while unknown is not braking
     assert (again.rate_mps[0], again.ranges.distance_m[0]) == pytest.approx((-12.0, 37.6))
 
 
-def test_time_to_collision_is_as_uncertain_as_it_says_and_knows_no_size():
-    """Every track looks 20 % too small, for good: distance and speed are wrong alike, and the time is right."""
+def test_ttc_sigma_is_consistent_and_without_size_error():
+    """A constant size error of 20 %: distance and speed have the same relative error, the time has none."""
     rng = np.random.default_rng(5)
     tracker, ids, off = OneFilter(noise_share=0.1, max_rate_sigma_mps=9.0), np.arange(300), 1.2
     for step in range(20):
@@ -132,10 +133,10 @@ def test_time_to_collision_is_as_uncertain_as_it_says_and_knows_no_size():
     assert abs(np.mean(in_sigmas)) < 0.3
     assert 0.5 < np.std(in_sigmas) < 1.2
     assert np.median(result.rate_mps) == pytest.approx(-14.4, rel=0.03)
-    assert np.mean(np.abs(result.rate_mps + 12) < 2 * result.rate_sigma_mps) > 0.9  # whose sigma tells of the size
+    assert np.mean(np.abs(result.rate_mps + 12) < 2 * result.rate_sigma_mps) > 0.9  # sigma includes the size error
 
 
-def test_tracks_come_go_and_are_remembered_through_a_gap():
+def test_tracks_come_go_and_survive_short_gaps():
     tracker = OneFilter()
     for step in range(10):
         tracker.update(measured([1, 2], [30 - step, 50.0]), step * 0.1)
@@ -148,14 +149,14 @@ def test_tracks_come_go_and_are_remembered_through_a_gap():
     assert np.isnan(gone.ranges.sigma_m).all()
 
 
-def test_one_wild_measurement_moves_the_distance_little():
+def test_single_outlier_has_little_effect():
     tracker = OneFilter()
     for step in range(20):
         tracker.update(measured([1], [30.0]), step * 0.1)
     assert tracker.update(measured([1], [60.0]), 2.0).ranges.distance_m[0] == pytest.approx(30, abs=2)
 
 
-def test_a_track_that_is_plainly_elsewhere_is_followed_after_three_measurements():
+def test_three_outliers_restart_the_filter():
     tracker = OneFilter()
     for step in range(20):
         tracker.update(measured([1], [15.0]), step * 0.1)
@@ -164,7 +165,7 @@ def test_a_track_that_is_plainly_elsewhere_is_followed_after_three_measurements(
     assert moved[2:] == pytest.approx([60.0, 60.0])
 
 
-def test_two_wild_ones_and_a_good_one_do_not_restart_the_filter():
+def test_two_outliers_do_not_restart_the_filter():
     tracker = OneFilter()
     for step in range(30):
         tracker.update(measured([1], [50 - step]), step * 0.1)
@@ -173,21 +174,21 @@ def test_two_wild_ones_and_a_good_one_do_not_restart_the_filter():
     assert result.rate_mps[0] == pytest.approx(-10, abs=2.5)
 
 
-def test_step_at_a_change_of_condition_is_no_speed():
-    """Mono says 6.6 m, stereo 4.4 m: where one takes over from the other nothing has moved."""
+def test_step_at_a_change_of_condition_is_not_speed():
+    """6.6 m by mono, then 4.4 m by stereo, without motion."""
     rates = {}
-    for name, numbers in (("told", (0, 1)), ("not told", (0, 0))):
+    for name, numbers in (("given", (0, 1)), ("not given", (0, 0))):
         tracker = OneFilter()
         for step in range(16):
             number, distance_m = (numbers[0], 6.6) if step < 8 else (numbers[1], 4.4)
             result = tracker.update(measured([1], [distance_m], 0.6), step * 0.1, condition=np.array([number]))
             rates.setdefault(name, []).append(abs(result.rate_mps[0]))
-    assert np.nanmax(rates["told"]) < 0.5 < 2.0 < np.nanmax(rates["not told"])
-    assert np.isnan(rates["told"][8:11]).all()  # and for a third of a second nothing is said
-    assert np.isfinite(rates["told"][12:]).all()
+    assert np.nanmax(rates["given"]) < 0.5 < 2.0 < np.nanmax(rates["not given"])
+    assert np.isnan(rates["given"][8:11]).all()  # no rate for a third of a second
+    assert np.isfinite(rates["given"][12:]).all()
 
 
-def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
+def test_systematic_sigma_does_not_average_out():
     rng, ids = np.random.default_rng(10), np.arange(50)
     tracker = OneFilter(noise_share=0.6)
     for step in range(50):
@@ -195,45 +196,45 @@ def test_the_part_of_sigma_that_a_track_keeps_does_not_average_out():
     assert 0.8 * 2.0 < np.mean(result.ranges.sigma_m) < 0.9 * 2.0
 
 
-def test_what_a_method_tells_of_the_kept_part_is_taken_box_by_box():
-    """Sigma 2, of which sqrt(3) is kept: as if half of it were noise; the track beside it has noise alone."""
+def test_systematic_sigma_per_box():
+    """Sigma 2 with a systematic part of sqrt(3) has a noise share of one half; the other track has noise only."""
     rng, ids = np.random.default_rng(11), np.array([1, 2])
-    told = OneFilter(noise_share=0.9, learns_noise=False)
+    per_box = OneFilter(noise_share=0.9, learns_noise=False)
     half, whole = (OneFilter(noise_share=share, learns_noise=False) for share in (0.5, 1.0))
     for step in range(20):
         now = measured(ids, 30.0 + rng.normal(0, 1.0, 2), 2.0)
-        found = told.update(replace(now, sigma_systematic_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
-        expected = [each.update(now, step * 0.1).ranges for each in (half, whole)]
+        result = per_box.update(replace(now, sigma_systematic_m=np.array([np.sqrt(3.0), 0.0])), step * 0.1).ranges
+        expected = [filters.update(now, step * 0.1).ranges for filters in (half, whole)]
         for k in (0, 1):
-            assert found.distance_m[k] == pytest.approx(expected[k].distance_m[k])
-            assert found.sigma_m[k] == pytest.approx(expected[k].sigma_m[k])
-    assert found.sigma_m[0] > 1.05 * found.sigma_m[1]
+            assert result.distance_m[k] == pytest.approx(expected[k].distance_m[k])
+            assert result.sigma_m[k] == pytest.approx(expected[k].sigma_m[k])
+    assert result.sigma_m[0] > 1.05 * result.sigma_m[1]
 
 
-def test_a_measurement_that_claims_to_be_free_of_noise_is_still_filtered():
+def test_zero_independent_sigma_is_still_filtered():
     tracker = OneFilter()
-    for step in range(3):  # twice at the same time
+    for step in range(3):  # the first two at the same time
         now = replace(measured([1], [30.0], 2.0), sigma_systematic_m=np.array([2.0]))
-        found = tracker.update(now, max(step - 1, 0) * 0.1).ranges
-    assert found.distance_m == pytest.approx([30.0])
-    assert found.sigma_m == pytest.approx([2.0], rel=0.02)
+        result = tracker.update(now, max(step - 1, 0) * 0.1).ranges
+    assert result.distance_m == pytest.approx([30.0])
+    assert result.sigma_m == pytest.approx([2.0], rel=0.02)
 
 
-def test_a_sigma_that_shows_no_noise_is_all_kept():
+def test_sigma_without_observed_noise_is_systematic():
     tracker = OneFilter(noise_share=0.6)
     for step in range(200):
         result = tracker.update(measured([1], [30.0], 2.0), step * 0.1)
     assert result.ranges.sigma_m[0] == pytest.approx(2.0, rel=0.05)
 
 
-def test_two_filters_share_nothing():
+def test_filters_have_separate_state():
     first, second = OneFilter(), OneFilter()
     first.update(measured([1], [30.0]), 0.0)
     assert np.isnan(second.update(measured([1], [np.nan]), 0.1).ranges.distance_m).all()
 
 
-def test_filters_of_several_methods_are_those_of_each_alone():
-    """Whatever one method measures, or says of its noise and its condition, is nothing to the others."""
+def test_methods_are_filtered_independently():
+    """Measurements, noise and condition of one method do not affect the other methods."""
     rng, shares = np.random.default_rng(12), {"a": 0.6, "b": 0.3, "c": 0.35}
     together, alone = (
         DistanceFilters(shares),
@@ -241,33 +242,35 @@ def test_filters_of_several_methods_are_those_of_each_alone():
     )
     ids, last = np.arange(6), {}
     for step in range(40):
-        here = rng.permutation(ids)[: 5 if step % 3 else 4]
+        present = rng.permutation(ids)[: 5 if step % 3 else 4]
         by_method = {
-            name: measured(here, np.where(rng.random(len(here)) < 0.2, np.nan, (30 + here) * rng.normal(1.0, 0.05)))
+            name: measured(
+                present, np.where(rng.random(len(present)) < 0.2, np.nan, (30 + present) * rng.normal(1.0, 0.05))
+            )
             for name in shares
         }
         by_method["b"] = replace(by_method["b"], sigma_systematic_m=0.8 * by_method["b"].sigma_m)
-        condition = rng.integers(0, 2, len(here))
-        found = together.update(
+        condition = rng.integers(0, 2, len(present))
+        result = together.update(
             {**by_method, "other": by_method["a"]}, step * 0.1, conditions={"c": condition}, ego_speed_mps=3.0
         )
-        assert list(found) == ["a", "b", "c"]
+        assert list(result) == ["a", "b", "c"]
         for name, tracker in alone.items():
             last[name] = tracker.update(
                 by_method[name], step * 0.1, condition=condition if name == "c" else None, ego_speed_mps=3.0
             )
-            for ours, theirs in (
-                (found[name].ranges.distance_m, last[name].ranges.distance_m),
-                (found[name].ranges.sigma_m, last[name].ranges.sigma_m),
-                (found[name].rate_mps, last[name].rate_mps),
-                (found[name].ttc_sigma_s, last[name].ttc_sigma_s),
+            for actual, separate in (
+                (result[name].ranges.distance_m, last[name].ranges.distance_m),
+                (result[name].ranges.sigma_m, last[name].ranges.sigma_m),
+                (result[name].rate_mps, last[name].rate_mps),
+                (result[name].ttc_sigma_s, last[name].ttc_sigma_s),
             ):
-                assert ours == pytest.approx(theirs, nan_ok=True)
+                assert actual == pytest.approx(separate, nan_ok=True)
     assert together.noise_shares == pytest.approx({name: tracker.noise_share for name, tracker in alone.items()})
     assert len(set(together.noise_shares.values())) == 3
 
 
-def test_a_method_that_is_not_given_has_measured_nothing():
+def test_missing_method_has_measured_nothing():
     tracker = DistanceFilters({"a": 0.6, "b": 0.6})
     assert tracker.update({}, 0.0) == {}
     for step in range(10):
@@ -279,7 +282,7 @@ def test_a_method_that_is_not_given_has_measured_nothing():
 
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.just(np.nan), st.floats(0.1, 500)), min_size=1, max_size=12), st.floats(-40, 40))
-def test_whatever_is_measured_distances_are_positive_and_sigmas_too(distances_m, ego_mps):
+def test_any_input_gives_positive_distances_and_sigmas(distances_m, ego_mps):
     tracker = OneFilter()
     for step, distance_m in enumerate(distances_m):
         result = tracker.update(measured([1], [distance_m]), step * 0.1, ego_speed_mps=ego_mps)

@@ -52,14 +52,14 @@ def test_note_on_a_late_first_sample(tmp_path):
 
 
 @pytest.mark.parametrize("inside", ["oxts", "oxts/data"])
-def test_oxts_with_timestamps_beside_or_above(tmp_path, inside):
+def test_oxts_timestamps_in_or_next_to_the_folder(tmp_path, inside):
     folder = oxts_folder(tmp_path / "oxts" if inside.endswith("data") else tmp_path, inside=inside.rpartition("/")[2])
     ego = open_ego_speed(str(folder.parent if inside.endswith("data") else folder))
     assert ego.speed_mps.tolist() == [10.0, 11.0, 12.0]
     assert ego.time_s == pytest.approx([0.0, 0.104, 0.208])
 
 
-def test_oxts_of_a_part_of_the_drive_keeps_its_times(tmp_path):
+def test_oxts_of_part_of_a_drive(tmp_path):
     folder = oxts_folder(tmp_path)
     (folder / f"{0:010d}.txt").unlink()
     assert open_ego_speed(str(folder)).time_s == pytest.approx([0.104, 0.208])
@@ -128,7 +128,7 @@ def test_invalid_oxts(tmp_path):
             open_ego_speed(str(folder))
 
 
-def test_kittis_own_oxts(shared_data):
+def test_kitti_oxts(shared_data):
     folder = shared_data / "kitti_stereo" / "0003" / "oxts"
     if not folder.is_dir():
         pytest.skip(f"real data not here: no folder {folder}")
@@ -139,8 +139,8 @@ def test_kittis_own_oxts(shared_data):
     assert (np.diff(ego.speed_mps) < 0).all()
 
 
-def test_poses_as_samples_of_a_curve_driven(shared_data):
-    """A drive's poses give its speed: forward steps over time, here by hand, since no command reads poses."""
+def test_speed_from_poses(shared_data):
+    """Speed from the forward steps between the poses of a drive."""
     path = shared_data / "kitti_odometry" / "gray51" / "poses.txt"
     if not path.is_file():
         pytest.skip(f"real data not here: no file {path}")

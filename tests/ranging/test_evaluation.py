@@ -22,7 +22,7 @@ def truth_of(frame, boxes, distance_m):
     )
 
 
-def test_matching_is_one_to_one_by_frame_and_overlap():
+def test_matching_is_one_to_one_by_frame_and_iou():
     truth = truth_of([0, 0, 1], [[0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10]], [10.0, 20.0, 30.0])
     boxes = np.array([[1, 0, 11, 10], [0, 0, 10, 10], [20, 0, 30, 10], [0, 0, 10, 10], [6, 0, 16, 10]], float)
     assert match_truth(np.array([0, 0, 0, 2, 1]), boxes, truth).tolist() == [-1, 0, 1, -1, -1]
@@ -36,44 +36,49 @@ def scores(methods, true_m, **changes):
 
 
 def test_figures_by_hand():
-    mine, common = scores(
+    separate, common = scores(
         {"a": ([11.0, 18.0, NAN, 44.0], [1.0, 1.5, NAN, 1.0]), "b": ([10.0, NAN, 30.0, 40.0], [1.0, NAN, 1.0, 1.0])},
         [10.0, 20.0, 30.0, 40.0],
     )
-    a = mine["a"]
+    a = separate["a"]
     assert (a["n"], a["coverage"]) == (3, 0.75)
     assert a["mean_relative_error_pct"] == pytest.approx(10.0)  # +10, -10, +10 %
     assert a["bias_pct"] == pytest.approx(10.0)
     assert (a["within_1_sigma"], a["within_2_sigma"]) == pytest.approx((1 / 3, 2 / 3), abs=1e-4)
     assert [(b["from_m"], b["n"]) for b in a["bands"]] == [(5, 0), (10, 1), (20, 1), (30, 1), (50, 0)]
-    assert mine["b"]["mean_relative_error_pct"] == 0.0
+    assert separate["b"]["mean_relative_error_pct"] == 0.0
     assert common["a"]["n"] == common["b"]["n"] == 2  # the first and the last
 
 
-def test_vans_are_scored_under_their_own_name_only():
-    mine, _ = scores(
+def test_vans_are_scored_only_by_class():
+    separate, _ = scores(
         {"a": ([11.0, 30.0], [1.0, 1.0])},
         [10.0, 20.0],
         is_road_class=np.array([True, False]),
         kitti_type=np.array(["Car", "Van"]),
     )
-    assert mine["a"]["n"] == 1
-    assert mine["a"]["by_class"]["Van"]["mean_relative_error_pct"] == pytest.approx(50.0)
+    assert separate["a"]["n"] == 1
+    assert separate["a"]["by_class"]["Van"]["mean_relative_error_pct"] == pytest.approx(50.0)
 
 
-def test_truth_out_of_span_or_missing_does_not_count():
-    mine, common = scores({"a": ([5.0, 5.0, 5.0], [1.0, 1.0, 1.0])}, [4.9, 101.0, NAN])
-    assert mine["a"]["n"] == 0
-    assert mine["a"]["mean_relative_error_pct"] is None
+def test_truth_out_of_range_or_missing_is_ignored():
+    separate, common = scores({"a": ([5.0, 5.0, 5.0], [1.0, 1.0, 1.0])}, [4.9, 101.0, NAN])
+    assert separate["a"]["n"] == 0
+    assert separate["a"]["mean_relative_error_pct"] is None
     assert common == {}
 
 
-def test_without_truth_only_coverage_is_told():
-    told = coverage_only({"a": MethodColumn(np.array([1.0, NAN]), np.array([1.0, NAN]))})["a"]
-    assert (told["coverage"], told["n"], told["mean_relative_error_pct"], told["bands"]) == (0.5, 1, None, [])
+def test_only_coverage_without_truth():
+    figures = coverage_only({"a": MethodColumn(np.array([1.0, NAN]), np.array([1.0, NAN]))})["a"]
+    assert (figures["coverage"], figures["n"], figures["mean_relative_error_pct"], figures["bands"]) == (
+        0.5,
+        1,
+        None,
+        [],
+    )
 
 
-def test_what_a_method_claims_is_the_median_of_its_relative_sigmas():
+def test_median_relative_sigma():
     column = MethodColumn(np.array([10.0, 20.0, NAN, 40.0]), np.array([1.0, 1.0, NAN, 8.0]))
     assert coverage_only({"a": column})["a"]["median_sigma_pct"] == pytest.approx(10.0)
     untold = MethodColumn(column.distance_m, np.full(4, NAN))
@@ -90,11 +95,11 @@ def test_truth_from_labels(tmp_path):
     file = tmp_path / "label.txt"
     file.write_text("\n".join(rows))
     camera = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)
-    truth = read_truth(file, camera, np.array([0.0, 0.0, 1.0]))  # the left camera stands a metre behind the reference
+    truth = read_truth(file, camera, np.array([0.0, 0.0, 1.0]))  # the left camera is 1 m behind the reference camera
     assert truth.protocol == KITTI_PROTOCOL
     assert np.isnan(truth.closing_mps).all()
     assert truth.class_id.tolist() == [2, -1, 2, -1]
-    assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)  # rear at 18 m, a metre further from the left camera
+    assert truth.distance_m[0] == pytest.approx(19.0, abs=1e-4)  # rear at 18 m, 1 m farther from the left camera
     assert np.isnan(truth.distance_m[1:]).all()
     file.write_text("\n".join([rows[0], rows[0]]))
     with pytest.raises(LabelFileError, match="id 1 twice"):
@@ -108,22 +113,27 @@ def test_truth_from_labels(tmp_path):
 
 
 def test_closing_speeds_by_hand():
-    told = score_closing(
+    figures = score_closing(
         np.array([1.0, -3.0, 5.0, NAN]), np.array([1.0, 0.6, NAN, NAN]), np.array([0.5, -2.0, 3.0, 7.0])
     )
-    assert told is not None
-    assert (told["coverage"], told["n"]) == (0.75, 3)  # errors +0.5, -1, +2
-    assert (told["median_error_mps"], told["bias_mps"]) == (1.0, 0.5)
-    assert told["mean_error_mps"] == pytest.approx(3.5 / 3, abs=1e-4)
-    assert (told["within_1_sigma"], told["within_2_sigma"]) == (0.5, 1.0)  # the third claims nothing
+    assert figures is not None
+    assert (figures["coverage"], figures["n"]) == (0.75, 3)  # errors +0.5, -1, +2
+    assert (figures["median_error_mps"], figures["bias_mps"]) == (1.0, 0.5)
+    assert figures["mean_error_mps"] == pytest.approx(3.5 / 3, abs=1e-4)
+    assert (figures["within_1_sigma"], figures["within_2_sigma"]) == (0.5, 1.0)  # the third has no sigma
 
 
-def test_closing_speeds_that_nobody_knows_or_nobody_measured():
+def test_closing_speeds_unknown_or_unmeasured():
     nothing = np.full(2, NAN)
     assert score_closing(np.ones(2), np.ones(2), nothing) is None
-    told = score_closing(nothing, nothing, np.ones(2))
-    assert told is not None
-    assert (told["coverage"], told["n"], told["median_error_mps"], told["within_1_sigma"]) == (0.0, 0, None, None)
+    figures = score_closing(nothing, nothing, np.ones(2))
+    assert figures is not None
+    assert (figures["coverage"], figures["n"], figures["median_error_mps"], figures["within_1_sigma"]) == (
+        0.0,
+        0,
+        None,
+        None,
+    )
 
 
 CAMERA = PinholeCamera(1000.0, 1000.0, 320.0, 240.0, 640, 480)
@@ -134,11 +144,11 @@ def csv_truth(path, *rows, header="frame,id,class,x1,y1,x2,y2,distance_m,visible
     return read_truth(path, CAMERA, np.array([0.0, 0.0, 1.0]))
 
 
-def test_truth_from_a_csv(tmp_path):
+def test_truth_from_csv(tmp_path):
     truth = csv_truth(
         tmp_path / "radar.csv",
         "0,1,car,295,240,345,265,18.25,0.5,2.5",
-        "0,2,van,295,240,345,265,30,0.49,",  # hidden by more than half
+        "0,2,van,295,240,345,265,30,0.49,",  # more than half occluded
         "1,1,dontcare,295,240,345,265,,,",
         "1,1,person,295,240,345,265,,1,0",
     )
@@ -146,7 +156,7 @@ def test_truth_from_a_csv(tmp_path):
     assert truth.track_id.tolist() == [1, 2, -1, 1]
     assert truth.class_id.tolist() == [2, 2, -1, 0]
     assert truth.kitti_type.tolist() == ["car", "van", "dontcare", "person"]
-    np.testing.assert_equal(truth.distance_m, [18.25, NAN, NAN, NAN])  # as they are: they are the left camera's already
+    np.testing.assert_equal(truth.distance_m, [18.25, NAN, NAN, NAN])  # not shifted: already in the left camera's frame
     np.testing.assert_equal(truth.closing_mps, [2.5, NAN, NAN, 0.0])
     assert truth.protocol == CSV_PROTOCOL
     assert truth.select(np.array([3, 0])).closing_mps.tolist() == [0.0, 2.5]
@@ -163,20 +173,20 @@ def test_truth_from_a_csv(tmp_path):
         ("9,9,99,480", True),
     ],
 )
-def test_boxes_that_the_border_cuts_are_not_scored(tmp_path, box, is_cut):
+def test_boxes_cut_by_the_border_are_not_scored(tmp_path, box, is_cut):
     truth = csv_truth(tmp_path / "t.csv", f"0,1,car,{box},20,1,")
     assert bool(np.isnan(truth.distance_m[0])) == is_cut
 
 
-def test_a_csv_without_any_distance_is_no_truth(tmp_path):
+def test_csv_without_distances_is_refused(tmp_path):
     with pytest.raises(LabelFileError, match="distance_m"):
         csv_truth(tmp_path / "t.csv", "0,1,car,9,9,99,99,,1,3")
 
 
-def test_real_labels_meet_their_boxes(shared_data):
+def test_rays_of_real_labels_hit_their_boxes(shared_data):
     camera = PinholeCamera(721.5377, 721.5377, 609.5593, 172.854, 1242, 375)
     truth = read_truth(shared_data / "kitti_stereo/0003/label.txt", camera, np.array([0.0599, 0.0002, 0.0027]))
     centre_m = read_kitti(shared_data / "kitti_stereo/0003/label.txt").location_m[:, 2]
     gap = (centre_m - truth.distance_m)[np.isfinite(truth.distance_m)]
     assert len(gap) > 25
-    assert 0.5 < np.median(gap) < 2.5  # a car's centre lies about two metres behind the surface that is seen
+    assert 0.5 < np.median(gap) < 2.5  # the centre of a car is about 2 m behind its visible surface

@@ -1,4 +1,4 @@
-"""Fusion of methods that nobody has heard of: only the error sources that they declare are known of them."""
+"""Fusion of arbitrary methods, of which only the declared error sources are known."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def method(name, *sources, **options):
 
 
 def like(name, other, **options):
-    """A method that declares the error sources of another one."""
+    """A method with the error sources of another one."""
     sources = next(known.error_sources for known in methods() if known.name == other)
     return method(name, *((source.name, source.systematic, source.independent) for source in sources), **options)
 
@@ -49,28 +49,28 @@ def relative_sigma(fused):
     return (fused.ranges.sigma_m / fused.ranges.distance_m)[0]
 
 
-def alone(listed, **by_method):
-    """One frame of distances and relative sigmas, without a past."""
+def single_frame(listed, **by_method):
+    """Fusion of one frame of distances and relative sigmas, without history."""
     return Fusion(listed).fuse({name: ranges(*value) for name, value in by_method.items()}, ONE, 0.0)
 
 
 @pytest.mark.parametrize(("copy_m", "copy_sigma"), [(30.0, 0.1), (30.5, 0.1), (30.0, 0.13), (29.5, 0.11), (30.0, 0.3)])
 def test_redundant_copy_does_not_narrow_sigma(copy_m, copy_sigma):
-    both = alone((MONO, COPY), mono=(30.0, 0.1), copy=(copy_m, copy_sigma))
+    both = single_frame((MONO, COPY), mono=(30.0, 0.1), copy=(copy_m, copy_sigma))
     assert 0.095 <= relative_sigma(both) <= 0.105
     assert both.ranges.distance_m[0] == pytest.approx(30.0, rel=0.02)
 
 
-def test_redundant_copy_does_not_outvote_nor_narrow_beside_a_third_method():
-    of_two = alone((MONO, STEREO), mono=(32.0, 0.1), stereo=(30.0, 0.05))
-    of_three = alone((MONO, COPY, STEREO), mono=(32.0, 0.1), copy=(32.0, 0.1), stereo=(30.0, 0.05))
+def test_redundant_copy_does_not_outvote_a_third_method():
+    of_two = single_frame((MONO, STEREO), mono=(32.0, 0.1), stereo=(30.0, 0.05))
+    of_three = single_frame((MONO, COPY, STEREO), mono=(32.0, 0.1), copy=(32.0, 0.1), stereo=(30.0, 0.05))
     assert 0.95 <= relative_sigma(of_three) / relative_sigma(of_two) <= 1.0
     assert of_three.ranges.distance_m == pytest.approx(of_two.ranges.distance_m, rel=0.005)
-    contradicted = alone((MONO, COPY, STEREO), mono=(40.0, 0.05), copy=(40.0, 0.05), stereo=(20.0, 0.05))
+    contradicted = single_frame((MONO, COPY, STEREO), mono=(40.0, 0.05), copy=(40.0, 0.05), stereo=(20.0, 0.05))
     assert 20.5 < contradicted.ranges.distance_m[0] < 39.5
 
 
-def test_redundant_copy_does_not_narrow_what_is_learnt_over_time():
+def test_redundant_copy_does_not_narrow_learnt_biases():
     sigmas = {}
     for listed in ((MONO, REFERENCE), (MONO, COPY, REFERENCE)):
         rng, fusion = np.random.default_rng(3), Fusion(listed)
@@ -85,10 +85,10 @@ def test_redundant_copy_does_not_narrow_what_is_learnt_over_time():
     assert 0.95 < sigmas[3] / sigmas[2] <= 1.001
 
 
-def test_independent_method_narrows_sigma_as_theory_says():
-    both = alone((MONO, RADAR), mono=(30.0, 0.1), radar=(30.0, 0.08))
+def test_independent_method_narrows_sigma_as_predicted():
+    both = single_frame((MONO, RADAR), mono=(30.0, 0.1), radar=(30.0, 0.08))
     assert relative_sigma(both) == pytest.approx((0.1**-2 + 0.08**-2) ** -0.5)
-    five = alone(
+    five = single_frame(
         (MONO, LANE, REFERENCE, RADAR, LIDAR),
         mono=(30.0, 0.1),
         lane=(30.0, 0.1),
@@ -96,14 +96,14 @@ def test_independent_method_narrows_sigma_as_theory_says():
         radar=(30.0, 0.08),
         lidar=(30.0, 0.06),
     )
-    shared = 0.4 * 0.36 * 0.1**2  # mono and lane: of their noise
+    shared = 0.4 * 0.36 * 0.1**2  # covariance of the noise of mono and lane
     of_both = np.array([[0.1**2, shared], [shared, 0.1**2]])
     information = np.linalg.inv(of_both).sum() + 0.05**-2 + 0.08**-2 + 0.06**-2
     assert relative_sigma(five) == pytest.approx(information**-0.5)
 
 
-def drawn(rng, model, sigma, n_tracks, n_frames):
-    """(n_frames, M, n_tracks) errors of log distances as the declared sources say, for (M,) relative sigmas."""
+def sampled_errors(rng, model, sigma, n_tracks, n_frames):
+    """(n_frames, M, n_tracks) errors of log distances, sampled from the declared sources for (M,) relative sigmas."""
     m = len(sigma)
     systematic = (
         rng.multivariate_normal(np.zeros(m), model.systematic_correlation, n_tracks).T * model.systematic[:, :1]
@@ -113,16 +113,16 @@ def drawn(rng, model, sigma, n_tracks, n_frames):
 
 
 @pytest.mark.parametrize("n_frames", [1, 12])
-def test_sigma_is_consistent_with_errors_drawn_from_the_declared_sources(n_frames):
+def test_sigma_is_consistent_with_declared_sources(n_frames):
     rng, n, sigma = np.random.default_rng(5), 3000, np.array([0.1, 0.12, 0.07, 0.03, 0.08, 0.05])
     fusion, ids = Fusion(SIX), np.arange(n)
-    for step, errors in enumerate(drawn(rng, ErrorModel.of(SIX), sigma, n, n_frames)):
+    for step, errors in enumerate(sampled_errors(rng, ErrorModel.of(SIX), sigma, n, n_frames)):
         distance_m = 30.0 * np.exp(errors)
         by_method = {one.name: Ranges(ids, distance_m[i], distance_m[i] * sigma[i]) for i, one in enumerate(SIX)}
-        found = fusion.fuse(by_method, ids, step * 0.1).ranges
-    normalised = np.log(found.distance_m / 30.0) / (found.sigma_m / found.distance_m)
-    # Sigma is never narrowed where chi^2 happens to be small, only widened where it is large: with 5 degrees of freedom
-    # the mean of 1 / max(1, chi^2 / 5) is 0.84.
+        result = fusion.fuse(by_method, ids, step * 0.1).ranges
+    normalised = np.log(result.distance_m / 30.0) / (result.sigma_m / result.distance_m)
+    # Sigma is widened for large chi^2, but never narrowed for small chi^2: with 5 degrees of freedom the mean of
+    # 1 / max(1, chi^2 / 5) is 0.84.
     chi2 = rng.chisquare(5, 100_000) / 5
     assert np.mean(normalised**2) == pytest.approx(np.mean(1 / np.maximum(1, chi2)), rel=0.08)
     assert abs(np.mean(normalised)) < 0.06
@@ -132,18 +132,18 @@ def test_sigma_is_consistent_with_errors_drawn_from_the_declared_sources(n_frame
 @pytest.mark.parametrize("wrong", [one.name for one in SIX])
 @pytest.mark.parametrize("factor", [0.5, 1.8])
 @pytest.mark.parametrize("n_before", [0, 12])
-def test_outlier_of_any_method_is_left_out(wrong, factor, n_before):
+def test_outlier_of_any_method_is_rejected(wrong, factor, n_before):
     fusion, true_m = Fusion(SIX), 30.0
     sigma = dict(zip((one.name for one in SIX), (0.08, 0.08, 0.06, 0.03, 0.06, 0.05), strict=True))
     for step in range(n_before):
         fusion.fuse({name: ranges(true_m, s) for name, s in sigma.items()}, ONE, step * 0.1)
     now = {name: ranges(true_m * (factor if name == wrong else 1.0), s) for name, s in sigma.items()}
-    found = fusion.fuse(now, ONE, n_before * 0.1).ranges
-    assert found.distance_m[0] == pytest.approx(true_m, rel=0.02)
-    assert found.sigma_m[0] < 0.04 * true_m
+    result = fusion.fuse(now, ONE, n_before * 0.1).ranges
+    assert result.distance_m[0] == pytest.approx(true_m, rel=0.02)
+    assert result.sigma_m[0] < 0.04 * true_m
 
 
-def test_one_of_two_is_left_out_only_where_the_past_decides():
+def test_history_decides_between_two_methods():
     contradiction = {"radar": ranges(30.0, 0.03), "lidar": ranges(45.0, 0.03)}
     undecided = Fusion((RADAR, LIDAR)).fuse(contradiction, ONE, 0.0)
     assert undecided.ranges.distance_m == pytest.approx([np.sqrt(30 * 45)])
@@ -157,21 +157,21 @@ def test_one_of_two_is_left_out_only_where_the_past_decides():
     assert decided.n_conflicts == [0]
 
 
-def test_fallback_counts_only_where_the_method_it_stands_in_for_is_missing():
+def test_fallback_is_used_only_if_its_target_is_missing():
     dense = like("dense", "stereo", fallback_for="stereo")
     sonar = method("sonar", ("own", 0.5, 0.5), fallback_for="stereo")
-    stranger = method("stranger", ("own", 0.5, 0.5), fallback_for="nobody")
-    listed = (sonar, dense, REFERENCE, stranger)
-    assert alone(
+    separate = method("separate", ("own", 0.5, 0.5), fallback_for="absent")
+    listed = (sonar, dense, REFERENCE, separate)
+    assert single_frame(
         listed, stereo=(20.0, 0.05), dense=(22.0, 0.05), sonar=(24.0, 0.05)
     ).ranges.distance_m == pytest.approx([20])
-    # The same sources as stereo's: dense takes its place, also before the other fallback.
-    assert alone(listed, dense=(22.0, 0.05), sonar=(24.0, 0.05)).ranges.distance_m == pytest.approx([22.0])
-    assert alone(listed, sonar=(24.0, 0.05)).ranges.distance_m == pytest.approx([24.0])
-    assert 20.0 < alone(listed, stereo=(20.0, 0.05), stranger=(22.0, 0.05)).ranges.distance_m[0] < 22.0
+    # Dense has the same sources as stereo and replaces it, also for the other fallback.
+    assert single_frame(listed, dense=(22.0, 0.05), sonar=(24.0, 0.05)).ranges.distance_m == pytest.approx([22.0])
+    assert single_frame(listed, sonar=(24.0, 0.05)).ranges.distance_m == pytest.approx([24.0])
+    assert 20.0 < single_frame(listed, stereo=(20.0, 0.05), separate=(22.0, 0.05)).ranges.distance_m[0] < 22.0
 
 
-def test_scale_is_the_references_while_it_measures_or_others_have_learnt_it():
+def test_scale_source_of_reference_and_learnt_biases():
     fusion = Fusion((MONO, REFERENCE, RADAR))
     assert fusion.fuse({"radar": ranges(20.0, 0.05)}, ONE, 0.0).scale_source == [ScaleSource.ASSUMED]
     for step in range(1, 30):
@@ -182,14 +182,14 @@ def test_scale_is_the_references_while_it_measures_or_others_have_learnt_it():
     assert later.ranges.distance_m == pytest.approx([20.0], rel=0.03)
 
 
-def test_second_pair_of_the_same_sources_is_a_reference_too():
+def test_pair_with_the_same_sources_is_a_reference():
     copy = like("second", "stereo")
     fusion = Fusion((MONO, REFERENCE, copy))
     for step in range(30):
         fusion.fuse({"mono": ranges(24.0, 0.1), "second": ranges(20.0, 0.02)}, ONE, step * 0.1)
-    found = fusion.fuse({"mono": ranges(24.0, 0.1)}, ONE, 3.0)
-    assert found.ranges.distance_m == pytest.approx([20.0], rel=0.02)
-    assert found.scale_source == [ScaleSource.REFERENCE]
+    result = fusion.fuse({"mono": ranges(24.0, 0.1)}, ONE, 3.0)
+    assert result.ranges.distance_m == pytest.approx([20.0], rel=0.02)
+    assert result.scale_source == [ScaleSource.REFERENCE]
 
 
 measurement = st.one_of(st.none(), st.tuples(st.floats(10, 60), st.floats(0.01, 0.3)))
@@ -210,14 +210,14 @@ def test_order_of_methods_does_not_matter(frames, order):
 
 
 @pytest.mark.parametrize("n_copies", [2, 6])
-def test_copies_of_one_method_are_worth_one(n_copies):
+def test_copies_of_a_method_count_as_one(n_copies):
     listed = [like(f"copy_{i}", "stereo") for i in range(n_copies)]
-    found = alone(listed, **{one.name: (30.0 + 0.1 * i, 0.05) for i, one in enumerate(listed)})
-    assert 0.95 * 0.05 <= relative_sigma(found) <= 0.0501
+    result = single_frame(listed, **{one.name: (30.0 + 0.1 * i, 0.05) for i, one in enumerate(listed)})
+    assert 0.95 * 0.05 <= relative_sigma(result) <= 0.0501
 
 
 @pytest.mark.parametrize("listed", [None, SIX])
-def test_covariance_of_biases_stays_valid_over_thousand_frames_of_contradictions(listed):
+def test_bias_covariance_stays_valid_over_many_conflicts(listed):
     rng, ids, fusion = np.random.default_rng(0), np.arange(8), Fusion(listed)
     names = [one.name for one in (methods() if listed is None else listed)]
     true_m = rng.uniform(10, 60, 8)
@@ -227,16 +227,16 @@ def test_covariance_of_biases_stays_valid_over_thousand_frames_of_contradictions
             distance_m = true_m * np.exp(sigma * rng.normal(size=8))
             distance_m[rng.random(8) > 0.7] = np.nan
             by_method[name] = Ranges(ids, distance_m, sigma * distance_m)
-        found = fusion.fuse(by_method, ids, step * 0.1).ranges
-        has_any = np.isfinite(found.distance_m)
-        assert found.distance_m[has_any] == pytest.approx(true_m[has_any], rel=0.6)
+        result = fusion.fuse(by_method, ids, step * 0.1).ranges
+        has_any = np.isfinite(result.distance_m)
+        assert result.distance_m[has_any] == pytest.approx(true_m[has_any], rel=0.6)
     C = TrackBiases.from_columns(fusion._tracks.known, len(names)).C.transpose(2, 0, 1)
     assert np.array_equal(C, C.transpose(0, 2, 1))
     assert np.linalg.eigvalsh(C).min() > -1e-9
 
 
 def test_correlations_of_the_built_in_methods():
-    """By hand: mono, ground and lane read the same foot of the same box; dense and patch matching share the rig."""
+    """By hand: mono, ground and lane share the contact point; dense and patch matching share the rig."""
     model = ErrorModel.of(methods())
     mono, ground, lane, stereo, sgbm = (
         model.names.index(name) for name in ("mono", "ground", "lane", "stereo", "sgbm")

@@ -19,7 +19,7 @@ SMOOTH = GroundSettings(height_m=HEIGHT_M, height_sigma_m=0.02, kerb_m=0.0, box_
 
 
 def cars_at(distance_m, *, horizon_px=CY_PX, height_m=HEIGHT_M, size_error=0.0, sigma=0.06):
-    """Cars seen from behind on a plane, and what their sizes say (each wrong by `size_error`)."""
+    """Cars seen from behind on a plane, and their distances by size, with an error of `size_error`."""
     distance_m = np.asarray(distance_m, float)
     n = len(distance_m)
     bottom = horizon_px + F_PX * height_m / distance_m
@@ -34,18 +34,18 @@ def at(time_s, index=0):
     return Frame(index, time_s, IMAGE, None)
 
 
-def test_a_car_on_the_plane_by_hand():
-    """f H / (y - horizon) = 700 1.65 / 57.75 = 20 m; 3 cm of it lie between the ground and the surface."""
+def test_car_on_the_plane_by_hand():
+    """f H / (y - horizon) = 700 1.65 / 57.75 = 20 m; 3 cm of it are between contact point and surface."""
     plane = GroundPlane(CAMERA, SMOOTH)
     tracks, by_size = cars_at([20.0, 40.0, 60.0])
     assert tracks.xyxy_px[0, 3] - CY_PX == pytest.approx(57.75)
-    found = plane.measure(tracks, by_size, at(0.0))
-    assert found.distance_m == pytest.approx([20.0, 40.0, 60.0], rel=0.01)
-    assert (np.diff(found.sigma_m / found.distance_m) > 0).all()  # pixels below the horizon get fewer
+    ranges = plane.measure(tracks, by_size, at(0.0))
+    assert ranges.distance_m == pytest.approx([20.0, 40.0, 60.0], rel=0.01)
+    assert (np.diff(ranges.sigma_m / ranges.distance_m) > 0).all()  # fewer pixels below the horizon
 
 
-def test_an_objects_own_size_has_no_say_in_its_distance():
-    """A car that is 30 % larger than it should be is measured by what the others say of the horizon."""
+def test_own_size_does_not_affect_the_distance():
+    """A car 30 % larger than its class is measured with the horizon from the other cars."""
     tracks, wrong = cars_at([20.0, 30.0, 45.0, 60.0], size_error=[-0.3, 0.0, 0.0, 0.0])
     _, right = cars_at([20.0, 30.0, 45.0, 60.0])
     measured = [GroundPlane(CAMERA, SMOOTH).measure(tracks, sizes, at(0.0)).distance_m for sizes in (wrong, right)]
@@ -54,18 +54,18 @@ def test_an_objects_own_size_has_no_say_in_its_distance():
 
 
 @pytest.mark.parametrize("horizon_px", [150.0, 180.0, 205.0])
-def test_the_horizon_is_found_from_the_sizes(horizon_px):
+def test_horizon_from_sizes(horizon_px):
     plane = GroundPlane(CAMERA, SMOOTH)
     before = plane.horizon
     for k in range(20):
         tracks, by_size = cars_at(np.array([15.0, 30.0, 45.0, 60.0]), horizon_px=horizon_px)
-        found = plane.measure(tracks, by_size, at(0.1 * k, k))
+        ranges = plane.measure(tracks, by_size, at(0.1 * k, k))
     assert plane.horizon.y_px == pytest.approx(horizon_px, abs=2.0)
     assert plane.horizon.sigma_px < 0.5 * before.sigma_px
-    assert found.distance_m == pytest.approx([15.0, 30.0, 45.0, 60.0], rel=0.06)
+    assert ranges.distance_m == pytest.approx([15.0, 30.0, 45.0, 60.0], rel=0.06)
 
 
-def test_an_unknown_height_is_told_by_near_and_far_objects_together():
+def test_camera_height_from_near_and_far_objects():
     plane = GroundPlane(CAMERA, GroundSettings(box_sigma_px=0.1, kerb_m=0.0, pitch_sigma_rad=0.001))
     assert plane.horizon.height_m == pytest.approx(1.5)
     for k in range(20):
@@ -73,7 +73,7 @@ def test_an_unknown_height_is_told_by_near_and_far_objects_together():
     assert plane.horizon.height_m == pytest.approx(1.2, abs=0.1)
 
 
-def test_what_was_seen_is_forgotten():
+def test_measurements_decay():
     plane = GroundPlane(CAMERA, SMOOTH)
     sigma_px = [plane.horizon.sigma_px]
     plane.measure(*cars_at([30.0, 45.0, 60.0]), at(0.0))
@@ -86,26 +86,26 @@ def test_what_was_seen_is_forgotten():
     assert sigma_px[3] == pytest.approx(sigma_px[0], rel=1e-3)
 
 
-def test_a_horizon_seen_otherwise_helps():
+def test_horizon_from_lane_lines():
     plane = GroundPlane(CAMERA, SMOOTH)
     plane.add_horizon(200.0, 1.0)
     assert plane.horizon.y_px == pytest.approx(200.0, abs=3.0)
-    tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)  # alone: nobody else tells of the horizon
+    tracks, by_size = cars_at([25.0], horizon_px=200.0, size_error=0.2)  # a single car, no other objects
     with_lanes = plane.measure(tracks, by_size, at(0.0))
     without = GroundPlane(CAMERA, SMOOTH).measure(tracks, by_size, at(0.0))
     assert with_lanes.distance_m == pytest.approx([25.0], rel=0.08)
     assert not (with_lanes.sigma_m[0] >= without.sigma_m[0])
     other = GroundPlane(CAMERA, SMOOTH)
-    for y_px in (200.0, 160.0):  # what is said anew replaces what was said before
+    for y_px in (200.0, 160.0):  # a new horizon replaces the previous one
         other.add_horizon(y_px, 1.0)
     assert other.horizon.y_px == pytest.approx(160.0, abs=3.0)
 
 
-def test_what_cannot_be_measured_is_nan():
+def test_unmeasurable_boxes_are_nan():
     tracks, by_size = cars_at([20.0, 30.0, 40.0, 50.0, 60.0])
     boxes = tracks.xyxy_px.copy()
-    boxes[1, [1, 3]] = [60.0, 120.0]  # stands above the horizon
-    boxes[2, 3] = 369.5  # cut by the image's lower border
+    boxes[1, [1, 3]] = [60.0, 120.0]  # above the horizon
+    boxes[2, 3] = 369.5  # cut by the lower image border
     changed = Tracks(
         tracks.track_id,
         boxes,
@@ -113,25 +113,25 @@ def test_what_cannot_be_measured_is_nan():
         tracks.score,
         np.array([True, True, True, False, True]),
     )
-    found = GroundPlane(CAMERA, SMOOTH).measure(changed, by_size, at(0.0)).distance_m
-    assert np.isnan(found).tolist() == [True, True, True, True, False]
+    ranges = GroundPlane(CAMERA, SMOOTH).measure(changed, by_size, at(0.0)).distance_m
+    assert np.isnan(ranges).tolist() == [True, True, True, True, False]
 
 
-def test_one_odd_object_does_not_move_the_horizon_far():
+def test_outlier_has_little_effect_on_the_horizon():
     """A car on a bridge, 40 px too high, among five on the road."""
     tracks, by_size = cars_at([20.0, 30.0, 40.0, 50.0, 60.0])
     boxes = tracks.xyxy_px.copy()
     boxes[4, [1, 3]] -= 40.0
-    odd = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
+    with_outlier = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
     plane = GroundPlane(CAMERA, SMOOTH)
     for k in range(10):
-        found = plane.measure(odd, by_size, at(0.1 * k, k))
+        ranges = plane.measure(with_outlier, by_size, at(0.1 * k, k))
     assert abs(plane.horizon.y_px - CY_PX) < 5.0
-    assert found.distance_m[:3] == pytest.approx([20.0, 30.0, 40.0], rel=0.2)
+    assert ranges.distance_m[:3] == pytest.approx([20.0, 30.0, 40.0], rel=0.2)
 
 
-def test_sigma_follows_how_even_the_road_is():
-    """Bottom edges scattered by 8 px (a rough road) and by none: roughness is learnt, so sigma tells which it is."""
+def test_sigma_adapts_to_the_road():
+    """Bottom edges with a scatter of 8 px (rough road) and without: the learnt pitch sigma differs."""
     sigma = {}
     for scatter_px in (0.0, 8.0):
         rng = np.random.default_rng(3)
@@ -140,13 +140,13 @@ def test_sigma_follows_how_even_the_road_is():
             tracks, by_size = cars_at([15.0, 20.0, 30.0, 40.0, 50.0, 60.0])
             boxes = tracks.xyxy_px + np.array([0, 1, 0, 1]) * rng.normal(0, scatter_px, (6, 1))
             moved = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
-            found = plane.measure(moved, by_size, at(0.1 * k, k))
-        sigma[scatter_px] = found.sigma_m[0]
+            ranges = plane.measure(moved, by_size, at(0.1 * k, k))
+        sigma[scatter_px] = ranges.sigma_m[0]
     assert sigma[0.0] < 0.6 * sigma[8.0]
 
 
-def test_sigma_is_true_on_a_made_road():
-    """Sizes wrong by 6 % (kept by a track), kerbs of 10 cm, pitch of 4 px, slopes of 5 px, boxes of 1 px."""
+def test_sigma_is_calibrated_on_a_simulated_road():
+    """Size errors of 6 %, constant per track; kerbs of 10 cm, pitch of 4 px, slopes of 5 px, box noise of 1 px."""
     rng = np.random.default_rng(5)
     in_sigmas = []
     for _ in range(60):
@@ -161,41 +161,41 @@ def test_sigma_is_true_on_a_made_road():
                 - np.array([0, 1, 0, 1]) * (F_PX * kerb_m / true_m + slope_px)[:, None]
             )
             moved = Tracks(tracks.track_id, boxes, tracks.class_id, tracks.score, tracks.observed)
-            found = plane.measure(moved, by_size, at(0.1 * k, k))
-            in_sigmas.append(np.abs(found.distance_m - true_m) / found.sigma_m)
-    told = np.concatenate(in_sigmas)
-    told = told[np.isfinite(told)]
-    assert 0.60 < (told <= 1).mean() < 0.85
-    assert 0.92 < (told <= 2).mean() < 0.999
+            ranges = plane.measure(moved, by_size, at(0.1 * k, k))
+            in_sigmas.append(np.abs(ranges.distance_m - true_m) / ranges.sigma_m)
+    deviation = np.concatenate(in_sigmas)
+    deviation = deviation[np.isfinite(deviation)]
+    assert 0.60 < (deviation <= 1).mean() < 0.85
+    assert 0.92 < (deviation <= 2).mean() < 0.999
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(st.floats(0, 1190), st.floats(0, 360), st.floats(2, 400), st.floats(2, 400)), max_size=12))
-def test_whatever_the_boxes_distances_are_positive_or_nan(boxes):
+def test_any_boxes_give_positive_distances_or_nan(boxes):
     xyxy_px = np.array([[x, y, x + w, y + h] for x, y, w, h in boxes]).reshape(-1, 4)
     n = len(xyxy_px)
     tracks = Tracks(np.arange(1, n + 1), xyxy_px, np.arange(n) % 8, np.ones(n), np.ones(n, bool))
     by_size_m = 900.0 / np.maximum(xyxy_px[:, 3] - xyxy_px[:, 1], 1.0)
     plane = GroundPlane(CAMERA)
     for k in range(3):
-        found = plane.measure(tracks, Ranges(tracks.track_id, by_size_m, 0.1 * by_size_m), at(0.1 * k, k))
-        known = np.isfinite(found.distance_m)
-        assert (np.isfinite(found.sigma_m) == known).all()
-        assert (found.distance_m[known] > 0).all()
-        assert (found.sigma_m[known] > 0).all()
+        ranges = plane.measure(tracks, Ranges(tracks.track_id, by_size_m, 0.1 * by_size_m), at(0.1 * k, k))
+        known = np.isfinite(ranges.distance_m)
+        assert (np.isfinite(ranges.sigma_m) == known).all()
+        assert (ranges.distance_m[known] > 0).all()
+        assert (ranges.sigma_m[known] > 0).all()
 
 
-def test_offset_from_the_ground_to_the_surface():
+def test_offset_from_contact_point_to_surface():
     boxes = np.array([[0, 0, 100, 100], [0, 0, 300, 100], [0, 0, 40, 100.0]])
     assert surface_offset_m(boxes, np.array([CAR, CAR, PERSON])) == pytest.approx([0.03, 0.45, 0.05])
 
 
-def test_the_ranger_finds_the_horizon_by_monos_distances():
+def test_ranger_estimates_the_horizon_from_mono():
     ranger = GroundRanger(CAMERA, GroundSettings.of_known_height(HEIGHT_M))
     tracks, by_size = cars_at([20.0, 40.0, 60.0], horizon_px=CY_PX + 20.0)
     alone = ranger.measure(tracks, at(0.0))
     assert ranger.plane.horizon.y_px == pytest.approx(CY_PX, abs=1e-6)
-    found = ranger.measure_with(tracks, at(0.0), {"mono": by_size})
+    ranges = ranger.measure_with(tracks, at(0.0), {"mono": by_size})
     assert ranger.plane.horizon.y_px == pytest.approx(CY_PX + 20.0, abs=5.0)
-    error = [np.abs(ranges.distance_m / [20.0, 40.0, 60.0] - 1)[0] for ranges in (alone, found)]
+    error = [np.abs(result.distance_m / [20.0, 40.0, 60.0] - 1)[0] for result in (alone, ranges)]
     assert error[1] < error[0] < 0.6

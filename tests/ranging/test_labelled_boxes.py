@@ -6,8 +6,8 @@ from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, box_set, gr
 from track_range.stereo.geometry.rig import RigError
 
 
-def test_a_car_seen_from_behind_by_hand(tmp_path, row, drives):
-    """f = 700 px: a back of 1.7 x 1.5 m at 20 m is 59.5 x 52.5 px; the ray through its middle meets it at 20 m."""
+def test_car_seen_from_behind_by_hand(tmp_path, row, drives):
+    """f = 700 px: a rear of 1.7 x 1.5 m at 20 m is 59.5 x 52.5 px; the ray through its centre meets it at 20 m."""
     boxes = box_set(*drives(tmp_path, {"a": [row(3, 7, "Car", 20.0)]}))
     assert boxes.distance_m == pytest.approx([20.0], abs=1e-4)
     assert boxes.xyxy_px[0, 2:] - boxes.xyxy_px[0, :2] == pytest.approx([59.5, 52.5], abs=1e-4)
@@ -17,8 +17,8 @@ def test_a_car_seen_from_behind_by_hand(tmp_path, row, drives):
     assert boxes.is_rear_view.all()
 
 
-def test_the_ray_starts_at_the_left_colour_camera(tmp_path, row, drives):
-    """P2's fourth column tells where camera 2 is; labels are in camera 0's frame.
+def test_ray_starts_at_the_left_colour_camera(tmp_path, row, drives):
+    """The fourth column of P2 is the position of camera 2; labels are in camera 0's frame.
 
     The ray of bearing 0.3 meets the back at 20 m; a car that is 1.2 m further right is met at its left side, which runs
     along x = 6.35 m: at 6.35 / 0.3 = 21.17 m.
@@ -31,7 +31,7 @@ def test_the_ray_starts_at_the_left_colour_camera(tmp_path, row, drives):
     assert shifted.distance_m == pytest.approx([6.35 / 0.3], abs=1e-3)
 
 
-def test_what_is_measured_and_what_not(tmp_path, row, drives):
+def test_usable_labels(tmp_path, row, drives):
     rows = [
         row(0, 0, "Car", 20.0),
         row(0, 1, "Car", 20.0, x_m=5.0, truncated=1),
@@ -46,47 +46,47 @@ def test_what_is_measured_and_what_not(tmp_path, row, drives):
     boxes = box_set(*drives(tmp_path, {"a": [*rows, rows[0].replace("Car", "Misc").replace("0 0", "0 9", 1)]}))
     assert boxes.track_id.tolist() == [0, 5, 6, 7, 8]
     assert boxes.class_name.tolist() == ["car", "van", "person", "bicycle", "truck"]
-    assert boxes.is_rear_view.tolist() == [True, True, True, True, False]  # the truck is 12 m aside
+    assert boxes.is_rear_view.tolist() == [True, True, True, True, False]  # the truck has a lateral offset of 12 m
 
 
-def test_noise_moves_edges_by_its_sigma_and_a_seed_repeats_it(tmp_path, row, drives):
+def test_edge_noise_is_seeded(tmp_path, row, drives):
     rows = [row(frame, track, "Car", 20.0 + track, x_m=2.0 * track) for frame in range(50) for track in range(10)]
-    place = drives(tmp_path, {"a": rows})
+    folders = drives(tmp_path, {"a": rows})
     exact, noisy, again, other = (
-        box_set(*place, noise_px=noise_px, seed=seed).xyxy_px for noise_px, seed in ((0, 0), (2, 0), (2, 0), (2, 1))
+        box_set(*folders, noise_px=noise_px, seed=seed).xyxy_px for noise_px, seed in ((0, 0), (2, 0), (2, 0), (2, 1))
     )
     assert (noisy - exact).std() == pytest.approx(2.0, rel=0.05)
     assert (noisy - exact).mean() == pytest.approx(0.0, abs=0.15)
     assert (noisy == again).all()
     assert (noisy != other).any()
-    assert box_set(*place, noise_px=2).distance_m == pytest.approx(box_set(*place).distance_m)  # the truth stays
-    thin = box_set(*place, noise_px=50, seed=0)
+    assert box_set(*folders, noise_px=2).distance_m == pytest.approx(box_set(*folders).distance_m)
+    thin = box_set(*folders, noise_px=50, seed=0)
     assert (thin.xyxy_px[:, 2:] - thin.xyxy_px[:, :2] >= 1.0 - 1e-9).all()
 
 
-def test_detections_take_the_labels_place_and_the_truth_stays(tmp_path, row, drives):
-    """One that fits, one too weak, one too far off, one of a hidden car that stands beside a measured one."""
+def test_detections_replace_boxes_but_not_the_truth(tmp_path, row, drives):
+    """A match, a low-confidence one, one with too little overlap, and one of an occluded car next to a measured car."""
     hidden = row(1, 3, "Car", 20.0, x_m=1.0, occluded=3)
-    place = drives(tmp_path, {"a": [row(0, 1, "Car", 20.0), row(1, 2, "Car", 20.0), hidden, row(2, 4, "Van", 20.0)]})
-    exact = box_set(*place)
+    folders = drives(tmp_path, {"a": [row(0, 1, "Car", 20.0), row(1, 2, "Car", 20.0), hidden, row(2, 4, "Van", 20.0)]})
+    exact = box_set(*folders)
     x1, y1, x2, y2 = exact.xyxy_px[0]
     for kind in ("Car", "Pedestrian"):
         (tmp_path / "rrc" / kind).mkdir(parents=True)
     shift_px = 700.0 / 20.0
-    found = [
+    detection_lines = [
         f"0,{x1 + 2},{y1},{x2 + 2},{y2},0.9",
         f"0,{x1},{y1},{x2},{y2},0.4",
         f"1,{x1 + shift_px},{y1},{x2 + shift_px},{y2},0.9",
-        f"2,{x1},{y1},{x2},{y2},0.9",  # a van is no car to be found
+        f"2,{x1},{y1},{x2},{y2},0.9",  # a van is not a car
     ]
-    (tmp_path / "rrc/Car/a.txt").write_text("\n".join(found))
-    boxes = box_set(*place, boxes=f"rrc:{tmp_path / 'rrc'}")
+    (tmp_path / "rrc/Car/a.txt").write_text("\n".join(detection_lines))
+    boxes = box_set(*folders, boxes=f"rrc:{tmp_path / 'rrc'}")
     assert boxes.track_id.tolist() == [1]
     assert boxes.xyxy_px[0] == pytest.approx([x1 + 2, y1, x2 + 2, y2])
     assert boxes.distance_m == pytest.approx([20.0], abs=1e-3)
 
 
-def test_the_strongest_detection_takes_the_best_label_first():
+def test_greedy_matching_by_confidence():
     labels = (np.array([0, 0, 1]), np.array([[0, 0, 10, 10], [4, 0, 14, 10], [0, 0, 10, 10.0]]))
     detections = (np.array([0, 0, 0, 1]), np.array([[1, 0, 11, 10], [0, 0, 10, 10], [50, 0, 60, 10], [9, 0, 19, 10.0]]))
     row, detection = greedy_matches(labels, detections, score=np.array([0.9, 0.8, 0.95, 0.9]))
@@ -95,8 +95,8 @@ def test_the_strongest_detection_takes_the_best_label_first():
     assert sorted(zip(row.tolist(), detection.tolist(), strict=True)) == [(0, 1), (1, 0)]
 
 
-def test_object_labels_a_file_per_image(tmp_path, row, drives):
-    """The same rows without frame and id; images become groups, since nothing says which drive is which."""
+def test_object_labels_with_a_file_per_image(tmp_path, row, drives):
+    """Rows without frame and id; images are divided into groups, since their drives are unknown."""
     images = {f"{k:06d}": [row(0, 0, "Car", 10.0 + k).split(maxsplit=2)[2]] for k in range(20)}
     images["000020"] = []
     boxes = box_set(*drives(tmp_path, images))
@@ -122,7 +122,7 @@ def test_invalid_labels(tmp_path, drives, rows, message):
 def test_missing_calibration_or_folder(tmp_path, row, drives):
     labels, calib = drives(tmp_path, {"a": [row(0, 0, "Car", 20.0)]})
     with pytest.raises(LabelFileError, match="rrc:DIR"):
-        box_set(labels, calib, boxes="mine")
+        box_set(labels, calib, boxes="other")
     with pytest.raises(LabelFileError, match="DIR/Car"):
         box_set(labels, calib, boxes=f"rrc:{tmp_path}")
     (labels / "a.txt").write_bytes(b"\xff\xfe\x00\x01")
@@ -134,12 +134,12 @@ def test_missing_calibration_or_folder(tmp_path, row, drives):
         box_set(labels, calib)
 
 
-def test_kitti_has_what_is_known_of_it(shared_data):
-    place = shared_data / "kitti_labels"
-    boxes = box_set(place / "label_02", place / "calib")
+def test_kitti_counts(shared_data):
+    folders = shared_data / "kitti_labels"
+    boxes = box_set(folders / "label_02", folders / "calib")
     counts = {name: int((boxes.class_name == name).sum()) for name in np.unique(boxes.class_name)}
     assert counts == {"bicycle": 1194, "car": 11918, "person": 2502, "truck": 724, "van": 1055}
     assert 0.2 < boxes.is_rear_view.mean() < 0.3
-    found = box_set(place / "label_02", place / "calib", boxes=f"rrc:{place / 'rrc'}")
-    assert set(found.class_name) == {"car", "person"}
-    assert 0.85 < (found.class_name == "car").sum() / counts["car"] < 1.0
+    with_detections = box_set(folders / "label_02", folders / "calib", boxes=f"rrc:{folders / 'rrc'}")
+    assert set(with_detections.class_name) == {"car", "person"}
+    assert 0.85 < (with_detections.class_name == "car").sum() / counts["car"] < 1.0

@@ -23,7 +23,7 @@ FRAME = Frame(7, 0.0, np.zeros((*HW, 3), np.uint8), None)
 
 
 def lines(lane_m=3.5, *, sigma_px=0.0, rows=(190.0, 355.0)):
-    """A lane seen from 1.5 m: x = 320 -+ lane / 2 / 1.5 (y - 170)."""
+    """A lane from a camera height of 1.5 m: x = 320 -+ lane / 2 / 1.5 (y - 170)."""
     slope = lane_m / 2 / 1.5
     covariance = np.diag([sigma_px**2, 0.0, 0.0])
     return LaneLines(
@@ -31,10 +31,10 @@ def lines(lane_m=3.5, *, sigma_px=0.0, rows=(190.0, 355.0)):
     )
 
 
-def standing_at(*distance_m, lanes_aside=0.0, class_id=CAR, observed=True):
-    """Boxes whose bottom edges are on the ground there."""
+def boxes_at(*distance_m, lanes_to_the_right=0.0, class_id=CAR, observed=True):
+    """Boxes with their bottom edges on the ground at these distances."""
     y = row_px(np.array(distance_m))
-    x = CENTRE_PX + lanes_aside * width_px(y)
+    x = CENTRE_PX + lanes_to_the_right * width_px(y)
     n = len(y)
     return Tracks(
         np.arange(1, n + 1),
@@ -45,9 +45,9 @@ def standing_at(*distance_m, lanes_aside=0.0, class_id=CAR, observed=True):
     )
 
 
-def measured(tracks, seen=None, **more):
+def measured(tracks, lane_lines=None, **more):
     ranger = LaneWidthRanger(CAMERA, **more)
-    ranger.update_lanes(seen or lines())
+    ranger.update_lanes(lane_lines or lines())
     return ranger.measure(tracks, FRAME)
 
 
@@ -57,85 +57,85 @@ def test_by_hand():
     assert measured(box).distance_m == pytest.approx([15.0])
 
 
-def test_distances_down_the_road_and_of_another_width():
+def test_distances_and_another_lane_width():
     true_m = np.array([5.0, 10.0, 20.0, 30.0])
-    assert measured(standing_at(*true_m)).distance_m == pytest.approx(true_m)
-    assert measured(standing_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(true_m)
-    assert measured(standing_at(*true_m), lines(3.0)).distance_m == pytest.approx(true_m * 3.5 / 3.0)
+    assert measured(boxes_at(*true_m)).distance_m == pytest.approx(true_m)
+    assert measured(boxes_at(*true_m), lines(3.0), width_m=3.0).distance_m == pytest.approx(true_m)
+    assert measured(boxes_at(*true_m), lines(3.0)).distance_m == pytest.approx(true_m * 3.5 / 3.0)
 
 
-def test_sigma_by_the_rule_of_errors():
-    ranges = measured(standing_at(15.0), lines(sigma_px=2.0), width_sigma=0.06, box_sigma_px=1.5)
+def test_sigma_by_error_propagation():
+    ranges = measured(boxes_at(15.0), lines(sigma_px=2.0), width_sigma=0.06, box_sigma_px=1.5)
     width = 3.5 / 1.5 * 50
     parts = (2 * np.sqrt(2) / width, 0.06, 3.5 / 1.5 * 1.5 / width, 0.01)
     assert ranges.sigma_m == pytest.approx([15 * np.sqrt(np.sum(np.square(parts)))])
 
 
-def test_own_and_neighbouring_lanes_only():
-    for lanes_aside, is_measured in ((0.0, True), (-1.0, True), (1.0, True), (-2.0, False), (2.0, False)):
-        ranges = measured(standing_at(15.0, lanes_aside=lanes_aside))
+def test_ego_and_neighbouring_lanes_only():
+    for lanes_to_the_right, is_measured in ((0.0, True), (-1.0, True), (1.0, True), (-2.0, False), (2.0, False)):
+        ranges = measured(boxes_at(15.0, lanes_to_the_right=lanes_to_the_right))
         assert np.isfinite(ranges.distance_m).tolist() == [is_measured]
 
 
-def test_what_cannot_be_measured_is_nan():
-    def is_nan(tracks, seen=None):
-        ranges = measured(tracks, seen)
+def test_unmeasurable_boxes_are_nan():
+    def is_nan(tracks, lane_lines=None):
+        ranges = measured(tracks, lane_lines)
         assert np.isnan(ranges.sigma_m).tolist() == np.isnan(ranges.distance_m).tolist()
         return np.isnan(ranges.distance_m).all()
 
-    assert is_nan(standing_at(15.0, observed=False))
-    assert is_nan(standing_at(15.0, class_id=ROAD_CLASSES.index("traffic light")))
-    assert is_nan(standing_at(3.98))  # its bottom edge, row 358.4, is at the image's border
-    assert is_nan(standing_at(-30.0))  # above the horizon
-    assert is_nan(standing_at(15.0), LaneLines())
-    assert is_nan(standing_at(15.0), LaneLines(lines().left, None))
+    assert is_nan(boxes_at(15.0, observed=False))
+    assert is_nan(boxes_at(15.0, class_id=ROAD_CLASSES.index("traffic light")))
+    assert is_nan(boxes_at(3.98))  # the bottom edge, row 358.4, is at the image border
+    assert is_nan(boxes_at(-30.0))  # above the horizon
+    assert is_nan(boxes_at(15.0), LaneLines())
+    assert is_nan(boxes_at(15.0), LaneLines(lines().left, None))
     assert len(measured(Tracks.empty())) == 0
 
 
-def test_no_farther_than_twice_what_was_seen():
-    seen = lines(rows=(row_px(12.0), 355.0))
-    ranges = measured(standing_at(12.0, 23.9, 24.1), seen)
+def test_extrapolation_is_limited():
+    lane_lines = lines(rows=(row_px(12.0), 355.0))
+    ranges = measured(boxes_at(12.0, 23.9, 24.1), lane_lines)
     assert np.isfinite(ranges.distance_m).tolist() == [True, True, False]
     near_unseen = lines(rows=(190.0, row_px(20.0)))
-    assert np.isfinite(measured(standing_at(9.9, 10.1), near_unseen).distance_m).tolist() == [False, True]
+    assert np.isfinite(measured(boxes_at(9.9, 10.1), near_unseen).distance_m).tolist() == [False, True]
 
 
-def test_unsure_lines_measure_nothing():
-    assert np.isnan(measured(standing_at(15.0), lines(sigma_px=40.0)).distance_m).all()
+def test_uncertain_lines_measure_nothing():
+    assert np.isnan(measured(boxes_at(15.0), lines(sigma_px=40.0)).distance_m).all()
 
 
-def test_without_lines_nothing_is_measured():
-    assert np.isnan(LaneWidthRanger(CAMERA).measure(standing_at(15.0), FRAME).distance_m).all()
+def test_nothing_is_measured_without_lines():
+    assert np.isnan(LaneWidthRanger(CAMERA).measure(boxes_at(15.0), FRAME).distance_m).all()
 
 
-def test_lines_and_tracks_that_are_other_ones_are_looked_at_anew():
-    ranger, tracks = LaneWidthRanger(CAMERA), standing_at(15.0)
-    for seen in (lines(), LaneLines(), lines()):
-        ranger.update_lanes(seen)
-        expected = measured(tracks, seen).distance_m
+def test_cache_depends_on_lines_and_tracks():
+    ranger, tracks = LaneWidthRanger(CAMERA), boxes_at(15.0)
+    for lane_lines in (lines(), LaneLines(), lines()):
+        ranger.update_lanes(lane_lines)
+        expected = measured(tracks, lane_lines).distance_m
         assert ranger.measure(tracks, FRAME).distance_m == pytest.approx(expected, nan_ok=True)
-    assert ranger.measure(standing_at(12.0, 20.0), FRAME).distance_m == pytest.approx([12.0, 20.0], rel=0.01)
+    assert ranger.measure(boxes_at(12.0, 20.0), FRAME).distance_m == pytest.approx([12.0, 20.0], rel=0.01)
 
 
 def learn(ranger, lane_m, n_frames, *, noise=0.02, first=0):
     rng = np.random.default_rng(2)
     for i in range(first, first + n_frames):
         frame = Frame(i, i * 0.1, FRAME.left, None)
-        tracks = standing_at(12.0, 20.0)
+        tracks = boxes_at(12.0, 20.0)
         ranger.update_lanes(lines(lane_m))
         stereo_m = np.array([12.0, 20.0]) * (1 + noise * rng.standard_normal(2))
         ranger.update_width(tracks, frame, Ranges(tracks.track_id, stereo_m, 0.02 * stereo_m))
     return ranger
 
 
-def test_the_width_is_learnt_from_stereo():
+def test_width_is_learnt_from_stereo():
     ranger = learn(LaneWidthRanger(CAMERA), 4.0, 20)
     assert ranger.lane.width_m == pytest.approx(4.0, rel=0.02)
     assert 0.014 < ranger.lane.sigma < 0.03
 
 
-def test_the_width_is_learnt_from_one_method_after_measuring():
-    tracks = standing_at(12.0, 20.0)
+def test_width_is_learnt_after_measuring():
+    tracks = boxes_at(12.0, 20.0)
     others = {name: Ranges(tracks.track_id, scale * np.array([12.0, 20.0]), np.ones(2)) for name, scale in SCALES}
     for width_from, width_m in (("stereo", 3.85), (None, 3.5)):
         ranger = LaneWidthRanger(CAMERA, width_sigma=0.2, width_from=width_from)
@@ -144,36 +144,36 @@ def test_the_width_is_learnt_from_one_method_after_measuring():
         assert ranger.lane.width_m == pytest.approx(width_m, rel=0.03)
 
 
-def test_another_lane_is_learnt_anew():
+def test_width_adapts_to_another_lane():
     ranger = learn(learn(LaneWidthRanger(CAMERA), 3.5, 20), 6.5, 30, first=20)
     assert ranger.lane.width_m == pytest.approx(6.5, rel=0.02)
 
 
 def test_nothing_is_learnt_from_nothing():
     ranger = LaneWidthRanger(CAMERA)
-    tracks = standing_at(15.0)
-    ranger.update_width(tracks, FRAME, Ranges(tracks.track_id, np.array([15.0]), np.array([0.1])))  # no lines seen
+    tracks = boxes_at(15.0)
+    ranger.update_width(tracks, FRAME, Ranges(tracks.track_id, np.array([15.0]), np.array([0.1])))  # no lines
     ranger.update_lanes(lines(4.0))
     ranger.update_width(tracks, FRAME, Ranges.unmeasured(tracks.track_id))
     assert ranger.lane == LaneWidth()
 
 
-def test_one_image_teaches_by_the_rule_of_inverse_variances():
-    taught = LaneWidth(3.5, 0.1).updated_with(np.array([3.85]), np.array([0.1]))
-    assert taught.width_m == pytest.approx(3.5 * np.sqrt(1.1))  # half way, in logarithms
-    assert taught.sigma == pytest.approx(0.1 / np.sqrt(2))
+def test_update_by_inverse_variances():
+    updated = LaneWidth(3.5, 0.1).updated_with(np.array([3.85]), np.array([0.1]))
+    assert updated.width_m == pytest.approx(3.5 * np.sqrt(1.1))  # midway in logarithms
+    assert updated.sigma == pytest.approx(0.1 / np.sqrt(2))
     many = LaneWidth(3.5, 0.1).updated_with(np.full(50, 3.85), np.full(50, 0.1))
-    assert many == taught  # they share their errors
-    assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(LANE_WIDTH_SIGMA)  # not beyond the first guess
+    assert many == updated  # their errors are common
+    assert LaneWidth(3.5, 0.02).after(60.0).sigma == pytest.approx(LANE_WIDTH_SIGMA)  # limited to the default
     assert LaneWidth(3.5, 0.02).after(0.6).sigma == pytest.approx(np.hypot(0.02, 0.1 * LANE_WIDTH_SIGMA))
 
 
-def test_from_a_picture_to_metres():
-    """A painted road, its lines found by their edges; the exact truth is what the picture was drawn from."""
+def test_from_image_to_metres():
+    """A rendered road with lane detection by edges, against the exact distances."""
     ranger = LaneWidthRanger(CAMERA)
     ranger.update_lanes(EdgeLaneFinder().find(picture(-1.75, 1.75), 0.0))
     true_m = np.array([6.0, 10.0, 20.0, 30.0])
-    ranges = ranger.measure(standing_at(*true_m), FRAME)
+    ranges = ranger.measure(boxes_at(*true_m), FRAME)
     error = ranges.distance_m / true_m - 1
     assert np.abs(error).max() < 0.05
     assert (np.abs(error) < ranges.sigma_m / true_m).all()
@@ -184,7 +184,7 @@ def by(distance_m, relative_sigma):
     return Ranges(np.arange(1, len(metres) + 1), metres, relative_sigma * metres)
 
 
-def test_lines_of_another_lane_are_doubted_by_what_all_distances_are_off_together():
+def test_common_error_inflates_sigma():
     true_m = np.array([10.0, 20.0, 40.0, 50.0])
     wrong = inflated_by_disagreement(by(0.7 * true_m, 0.03), [by(true_m, 0.08)])
     error = 1.25 * np.hypot(0.03, 0.08) / 2
@@ -192,23 +192,23 @@ def test_lines_of_another_lane_are_doubted_by_what_all_distances_are_off_togethe
     np.testing.assert_array_equal(wrong.distance_m, 0.7 * true_m)
 
 
-def test_right_lines_are_not_doubted_for_what_one_object_is_off():
+def test_single_error_does_not_inflate_sigma():
     true_m = np.array([10.0, 20.0, 40.0, 50.0])
-    by_size = by(true_m * [1.05, 0.97, 2.2, 0.98], 0.08)  # the third is taken for a truck
+    by_size = by(true_m * [1.05, 0.97, 2.2, 0.98], 0.08)  # the third is detected as a truck
     np.testing.assert_allclose(inflated_by_disagreement(by(true_m, 0.03), [by_size]).sigma_m, 0.03 * true_m)
 
 
-def test_two_eyes_are_believed_before_sizes():
-    true_m, nobody = np.array([10.0, 20.0]), np.full(2, np.nan)
+def test_stereo_has_precedence_over_size():
+    true_m, unknown = np.array([10.0, 20.0]), np.full(2, np.nan)
     lane = by(true_m, 0.03)
     np.testing.assert_allclose(
         inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(true_m, 0.01)]).sigma_m, lane.sigma_m
     )
-    assert (inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(nobody, 0.01)]).sigma_m > 0.5 * true_m).all()
+    assert (inflated_by_disagreement(lane, [by(2 * true_m, 0.08), by(unknown, 0.01)]).sigma_m > 0.5 * true_m).all()
 
 
 @pytest.mark.parametrize("others", [[], [by([np.nan, np.nan], 0.1)]])
-def test_where_nobody_else_measures_nothing_is_doubted(others):
+def test_sigma_is_unchanged_without_other_methods(others):
     lane = by([10.0, np.nan], 0.03)
     np.testing.assert_array_equal(inflated_by_disagreement(lane, others).sigma_m, lane.sigma_m)
     assert len(inflated_by_disagreement(by([], 0.03), [by([], 0.1)])) == 0

@@ -23,7 +23,7 @@ def test_by_hand():
 
 
 def test_equations_of_the_paper():
-    """Against the scalar recursion; an unknown ego speed is 0."""
+    """Against the scalar recursion; an unknown ego speed counts as 0."""
     rng, paper = np.random.default_rng(7), PaperFilter()
     d = P = np.nan
     for step in range(20):
@@ -39,7 +39,7 @@ def test_equations_of_the_paper():
         assert result.ranges.sigma_m[0] == pytest.approx(np.sqrt(P))
 
 
-def test_each_track_has_its_own_filter():
+def test_tracks_have_separate_filters():
     both, alone = PaperFilter(), PaperFilter()
     for step in range(5):
         first = both.update(measured([1, 2], [30.0 - step, 80.0 + step]), 0.1 * step)
@@ -48,7 +48,7 @@ def test_each_track_has_its_own_filter():
     assert first.ranges.distance_m[0] < 30.0
 
 
-def test_tracks_end_after_a_second():
+def test_tracks_restart_after_a_second():
     paper = PaperFilter()
     paper.update(measured([1, 2], [30.0, 40.0]), 0.0)
     assert paper.update(measured([2], [np.nan]), 0.5, ego_speed_mps=4.0).ranges.distance_m == pytest.approx([38.0])

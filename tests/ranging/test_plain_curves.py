@@ -1,4 +1,4 @@
-"""Plain curves by hand, and that the safe ones fall everywhere and never turn negative."""
+"""Plain curves by hand, and monotonic, positive safe curves."""
 
 import numpy as np
 import pytest
@@ -15,31 +15,31 @@ FITTED = {name: curve.fit(SIZES, BEARING, DISTANCE_M) for name, curve in SAFE_CU
 FITTED["log-linear"] = PLAIN_CURVES["log-linear"].fit(SIZES, BEARING, DISTANCE_M)
 
 
-def test_the_inverse_by_hand():
-    """Two boxes: 0.1 at 10 m and 0.02 at 50 m are on 1/d = h."""
+def test_inverse_by_hand():
+    """Two boxes, 0.1 at 10 m and 0.02 at 50 m, are on 1 / d = h."""
     sizes = np.array([[1.0, 0.1], [1.0, 0.02]])
     fitted = PLAIN_CURVES["inverse-height"].fit(sizes, np.zeros(2), np.array([10.0, 50.0]))
     assert fitted.predict(np.array([[9.0, 0.05]]), np.zeros(1)) == pytest.approx([20.0])
 
 
 @pytest.mark.parametrize("name", ["diagonal-3", "height-3"])
-def test_a_polynomial_finds_the_one_that_it_was_made_with(name):
+def test_polynomial_recovers_its_coefficients(name):
     side = np.linspace(0.1, 1.0, 50)
     sizes = np.stack([0.75 * side, side], axis=1)
     size = np.hypot(*sizes.T) if name == "diagonal-3" else side
-    wanted = 90 - 80 * size + 30 * size**2 - 5 * size**3
-    fitted = PLAIN_CURVES[name].fit(sizes, np.zeros(50), wanted)
-    np.testing.assert_allclose(fitted.predict(sizes, np.zeros(50)), wanted, rtol=1e-9)
+    expected = 90 - 80 * size + 30 * size**2 - 5 * size**3
+    fitted = PLAIN_CURVES[name].fit(sizes, np.zeros(50), expected)
+    np.testing.assert_allclose(fitted.predict(sizes, np.zeros(50)), expected, rtol=1e-9)
 
 
-def test_log_linear_finds_slopes_and_bearing():
-    wanted = np.exp(0.4 - 0.9 * np.log(SIZES[:, 1]) - 0.1 * np.log(SIZES[:, 0]) + 0.2 * np.abs(BEARING))
-    fitted = PLAIN_CURVES["log-linear"].fit(SIZES, BEARING, wanted)
-    np.testing.assert_allclose(fitted.predict(SIZES, -BEARING), wanted, rtol=1e-9)
+def test_log_linear_recovers_its_slopes():
+    expected = np.exp(0.4 - 0.9 * np.log(SIZES[:, 1]) - 0.1 * np.log(SIZES[:, 0]) + 0.2 * np.abs(BEARING))
+    fitted = PLAIN_CURVES["log-linear"].fit(SIZES, BEARING, expected)
+    np.testing.assert_allclose(fitted.predict(SIZES, -BEARING), expected, rtol=1e-9)
 
 
-def test_the_papers_polynomial_is_not_safe_and_the_safe_one_is():
-    """Beyond the boxes that it was fitted on it says anything: the near car at a negative distance."""
+def test_safe_polynomial_outside_the_fitted_sizes():
+    """Outside the fitted sizes the raw polynomial gives a negative distance for a near car."""
     near = np.array([[0.6, 0.5], [0.9, 0.75]])
     raw = PLAIN_CURVES["diagonal-5"].fit(SIZES, BEARING, DISTANCE_M).predict(near, np.zeros(2))
     safe = FITTED["diagonal-5"].predict(near, np.zeros(2))
@@ -48,7 +48,7 @@ def test_the_papers_polynomial_is_not_safe_and_the_safe_one_is():
 
 
 @pytest.mark.parametrize("name", FITTED)
-def test_safe_curves_are_the_raw_ones_where_these_fall(name):
+def test_safe_curves_equal_raw_ones_where_decreasing(name):
     middle = (DISTANCE_M > 15) & (DISTANCE_M < 40)
     error = FITTED[name].predict(SIZES[middle], BEARING[middle]) / DISTANCE_M[middle] - 1
     assert 0.005 < np.abs(error).mean() < 0.25
@@ -56,7 +56,7 @@ def test_safe_curves_are_the_raw_ones_where_these_fall(name):
 
 @given(st.sampled_from(sorted(FITTED)), st.floats(1e-4, 5.0), st.floats(1.0, 3.0), st.floats(0.2, 4.0))
 @settings(deadline=None)
-def test_distance_is_positive_and_never_rises_with_size(name, height, ratio, aspect):
+def test_distance_never_increases_with_size(name, height, ratio, aspect):
     sizes = np.array([[aspect * height, height], [aspect * height * ratio, height * ratio]])
     small, large = FITTED[name].predict(sizes, np.zeros(2))
     assert 0 < large <= small * (1 + 1e-9)

@@ -1,4 +1,4 @@
-"""The registry of ranging methods: order, checks of descriptions, entry points of other packages."""
+"""Registry of ranging methods: order, validation of descriptions, entry points of other packages."""
 
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -28,16 +28,16 @@ def names(listed):
 
 @pytest.fixture
 def fresh():
-    """The registry as a new process finds it, before and after."""
+    """A registry as in a new process, restored afterwards."""
     registry._installed.cache_clear()
     yield
     registry._installed.cache_clear()
 
 
-def correlation(one, other):
-    """Of the parts of two methods' errors that are independent from frame to frame."""
+def correlation(method, other):
+    """Correlation of the independent errors of two methods."""
     parts = [
-        {s.name: s.independent / m.noise_share**2 for s in m.error_sources if s.name != "own"} for m in (one, other)
+        {s.name: s.independent / m.noise_share**2 for s in m.error_sources if s.name != "own"} for m in (method, other)
     ]
     return sum((parts[0][name] * parts[1].get(name, 0.0)) ** 0.5 for name in parts[0])
 
@@ -51,7 +51,7 @@ def test_built_in_methods_in_order_with_their_noise():
     assert [correlation(*pair) for pair in pairs] == pytest.approx([0.5, 0.4, 0.7, 0.0], abs=1e-3)
 
 
-def test_registered_ends_with_the_block():
+def test_registered_is_limited_to_the_block():
     with registry.registered(RADAR):
         assert names(registry.methods())[-1] == "radar"
         with pytest.raises(MethodError, match="radar"):
@@ -61,7 +61,7 @@ def test_registered_ends_with_the_block():
     assert "radar" not in names(registry.methods())
 
 
-def test_methods_measure_after_those_that_they_read():
+def test_measuring_order_follows_reads():
     first, second = replace(RADAR, name="a", reads=("b", "absent")), replace(RADAR, name="b")
     assert names(registry.in_measuring_order([first, second])) == ["b", "a"]
     with pytest.raises(MethodError, match="cycle"):
@@ -70,7 +70,7 @@ def test_methods_measure_after_those_that_they_read():
     assert order.index("lane") > order.index("stereo")
 
 
-def test_created_are_the_methods_whose_needs_are_met():
+def test_rangers_are_created_if_their_needs_are_met():
     assert list(registry.create_rangers(MethodContext(camera=CAMERA))) == ["mono", "ground"]
     rig = StereoRig.rectified(CAMERA, 0.5)
     assert list(registry.create_rangers(MethodContext(camera=CAMERA, rig=rig))) == ["mono", "ground", "stereo"]
@@ -106,7 +106,7 @@ def test_invalid_descriptions(change, word):
         replace(RADAR, **change)
 
 
-def test_needs_and_reads_are_any_collection_of_names():
+def test_needs_and_reads_accept_any_collection():
     method = replace(RADAR, needs=["rig", "image"], reads=["mono"])
     assert method.needs == frozenset({"rig", "image"})
     assert method.reads == ("mono",)
@@ -126,11 +126,11 @@ def test_entry_points(fresh, monkeypatch, tmp_path):
         "good": "radar_package:RADAR",
         "other": "radar_package:WORD",
         "unknown": "no_such_package_of_radars:RADAR",
-        "zweimal": "radar_package:RADAR",
+        "twice": "radar_package:RADAR",
     }
     entries = [EntryPoint(name, value, registry.ENTRY_POINT_GROUP) for name, value in targets.items()]
     monkeypatch.setattr(registry, "entry_points", lambda group: entries)
     assert names(registry.methods())[5:] == ["radar"]
     notes = registry.method_notes()
-    assert [note.split()[2] for note in notes] == ["absent", "other", "unknown", "zweimal"]
+    assert [note.split()[2] for note in notes] == ["absent", "other", "twice", "unknown"]
     assert all("\n" not in note for note in notes)

@@ -1,4 +1,4 @@
-"""Fitting log-linear curves: the height is found, and the error is that of other drives."""
+"""Fit of log-linear curves: height of the objects, and error on other drives."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from track_range.ranging.size_models.curve import CurveError, load_curves, save_
 
 
 def world(n=400, n_sequences=4, seed=0):
-    """Cars of 1.5 m whose height differs from sequence to sequence by 5 %."""
+    """Cars of 1.5 m height, with a standard deviation of 5 % between sequences."""
     rng = np.random.default_rng(seed)
     sequence = np.arange(n) % n_sequences
     distance_m = rng.uniform(8, 80, n)
@@ -17,18 +17,18 @@ def world(n=400, n_sequences=4, seed=0):
     return SizeSamples(np.full(n, "car"), sequence, sizes, rng.uniform(-0.5, 0.5, n), distance_m)
 
 
-def test_fit_finds_the_height_and_an_honest_sigma():
+def test_fit_recovers_height_and_sigma():
     samples = world()
     curve = fit_curves(samples, source="made up").height_only["car"]
     assert np.exp(curve.intercept) == pytest.approx(1.5, rel=0.03)
     assert curve.per_log_height == pytest.approx(-1.0, abs=0.02)
-    assert 0.04 < curve.sigma_relative < 0.09  # between the sequences, not the 1 % within them
+    assert 0.04 < curve.sigma_relative < 0.09  # between sequences; within them it is 1 %
     error = leave_one_out_error(samples, use_width=False)
     assert np.sqrt((error**2).mean()) == pytest.approx(curve.sigma_relative, rel=0.01)
 
 
-def test_what_is_fitted_can_be_loaded_even_where_the_labels_say_little(tmp_path):
-    """One truck seen from one side: its width explains everything, and its height nothing."""
+def test_fit_to_a_single_view_can_be_loaded(tmp_path):
+    """A truck seen from one side: only the width determines the distance."""
     distance_m = np.linspace(20, 21, 150)
     sizes = np.stack([2.5 / distance_m, 3.0 / 20 * np.ones(150)], axis=1)
     samples = SizeSamples(np.full(150, "truck"), np.zeros(150, np.int64), sizes, np.zeros(150), distance_m)
@@ -36,7 +36,7 @@ def test_what_is_fitted_can_be_loaded_even_where_the_labels_say_little(tmp_path)
     assert load_curves(tmp_path / "c.json").whole["truck"].per_log_height <= -0.1
 
 
-def test_one_sequence_is_enough_to_fit_but_its_sigma_has_a_floor():
+def test_single_sequence_has_a_minimum_sigma():
     samples = world()
     one = samples.select(samples.sequence == 0)
     assert fit_curves(one, source="").whole["car"].sigma_relative == 0.03

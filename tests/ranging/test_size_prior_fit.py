@@ -1,4 +1,4 @@
-"""Priors over sizes from labels: sizes are found by object, scatter by box, and what is too little is refused."""
+"""Fit of size priors to labels: sizes by object, scatter by box, and too few labels."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ MEAN_M, SIGMA = np.array([1.45, 1.70, 4.30]), np.array([0.06, 0.05, 0.09])
 
 
 def labelled(n_objects=120, n_each=10, *, seed=0, name="car"):
-    """Cars of known sizes, most of them seen from behind, whose boxes are 2 % taller than they."""
+    """Cars of known sizes, mostly seen from behind, with boxes 2 % taller than the cars."""
     rng = np.random.default_rng(seed)
     n = n_objects * n_each
     object_id = np.repeat(np.arange(n_objects), n_each)
@@ -32,21 +32,21 @@ def labelled(n_objects=120, n_each=10, *, seed=0, name="car"):
     )
 
 
-def test_sizes_turns_offset_and_scatter_are_found():
+def test_fit_recovers_sizes_yaw_offset_and_scatter():
     prior = fit_size_priors(labelled(), source="made up").priors["car"]
     np.testing.assert_allclose(prior.hwl_m, MEAN_M, rtol=0.03)
     np.testing.assert_allclose(prior.log_sigma, SIGMA, rtol=0.35)
     assert prior.offset[0] == pytest.approx(0.02, abs=0.004)
     assert prior.scatter[0] == pytest.approx(0.03, abs=0.006)
-    assert prior.scatter[1] == 0.02  # exact widths: the least scatter
+    assert prior.scatter[1] == 0.02  # exact widths: the smallest scatter
     assert prior.turn_weights[0] == pytest.approx(0.63, abs=0.06)
     assert prior.turn_weights[-1] == pytest.approx(0.27, abs=0.06)
     assert (prior.n_tracks, prior.n_boxes, prior.source) == (120, 1200, "made up")
     assert prior.faults() == ""
 
 
-def test_a_few_objects_are_not_believed_to_be_all_alike():
-    """Three cars of one size: the standard size keeps a share, and the spread stays."""
+def test_few_objects_keep_the_spread():
+    """Three cars of one size: the standard size contributes, and the spread remains."""
     labels = labelled(3, 50)
     same = replace(labels, size_hwl_m=np.tile(MEAN_M, (150, 1)))
     prior = fit_size_priors(same, source="").priors["car"]
@@ -54,7 +54,7 @@ def test_a_few_objects_are_not_believed_to_be_all_alike():
     assert prior.log_sigma[0] > 0.02
 
 
-def test_a_class_with_too_little_has_its_standard_size():
+def test_class_with_few_labels_has_its_standard_size():
     priors = fit_size_priors(labelled(), source="").priors
     assert set(priors) == set(STANDARD_SIZES)
     assert priors["truck"].hwl_m == STANDARD_SIZES["truck"][0]
@@ -62,7 +62,7 @@ def test_a_class_with_too_little_has_its_standard_size():
     assert not priors["traffic sign"].stands
 
 
-def test_labels_without_3d_boxes_or_too_few_are_refused():
+def test_too_few_3d_boxes_are_refused():
     labels = labelled()
     for bad in (
         replace(labels, size_hwl_m=np.full((1200, 3), np.nan)),
@@ -73,7 +73,7 @@ def test_labels_without_3d_boxes_or_too_few_are_refused():
             fit_size_priors(bad, source="")
 
 
-def test_tables_are_the_geometry_between_their_nodes():
+def test_tables_interpolate_the_geometry():
     prior = replace(fit_size_priors(labelled(), source="").priors["car"], offset=(0.0, 0.0))
     tables = ShapeTables({"car": prior})
     rng = np.random.default_rng(1)
@@ -99,18 +99,18 @@ def kitti(shared_data):
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 2.0])
-def test_on_drives_not_fitted_on_it_beats_every_plain_curve_and_knows_its_error(kitti, noise_px):
-    """The figures that the goals are about, two-sided: better than they are would be a bug as well."""
+def test_cross_validated_error_on_kitti(kitti, noise_px):
+    """Two-sided bounds of the errors: smaller ones would also be a bug."""
     boxes = kitti.with_noise(noise_px, seed=0) if noise_px else kitti
-    found = measured_by(("inverse-height", "log-linear", "height-5"), boxes, kitti)
-    plain = {name: figures(boxes, column.distance_m) for name, column in found.items()}
+    plain = measured_by(("inverse-height", "log-linear", "height-5"), boxes, kitti)
+    plain = {name: figures(boxes, column.distance_m) for name, column in plain.items()}
     column = cross_validated(boxes, kitti, size_fitter(MONO, MethodOptions(box_sigma_px=noise_px)))
-    ours = figures(boxes, column.distance_m, column.sigma_m)
+    mono = figures(boxes, column.distance_m, column.sigma_m)
     key = "mean_relative_error_pct"
     for kind, share, least in (("car", 0.9, 4.0), ("person", 0.95, 4.0), ("bicycle", 0.95, 2.0)):
         best = min(rows[kind][key] for rows in plain.values())
-        assert least < ours[kind][key] < share * best, kind
-        assert ours[kind]["within_2_sigma"] > 0.92
-    assert ours["van"][key] < 0.85 * plain["log-linear"]["van"][key]
+        assert least < mono[kind][key] < share * best, kind
+        assert mono[kind]["within_2_sigma"] > 0.92
+    assert mono["van"][key] < 0.85 * plain["log-linear"]["van"][key]
     for kind in ("car", "van", "person"):
-        assert 0.60 < ours[kind]["within_1_sigma"] < 0.76, kind
+        assert 0.60 < mono[kind]["within_1_sigma"] < 0.76, kind

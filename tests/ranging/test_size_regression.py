@@ -1,4 +1,4 @@
-"""The size ranger as a run has it: cut boxes, noise, classes, and what it tells of its error."""
+"""SizeRanger as in a run: cut boxes, noise, classes and sigma."""
 
 import numpy as np
 import pytest
@@ -33,21 +33,21 @@ def tracks_of(*boxes, class_id=CAR, observed=True):
     return Tracks(np.arange(1, n + 1), np.array(boxes, float), np.full(n, class_id), np.ones(n), np.full(n, observed))
 
 
-def test_an_object_of_known_height_by_hand():
+def test_object_of_known_height_by_hand():
     ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=0.0)
     ranges = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)  # 1.5 m over 50 px at f = 1000 px: 30 m
     assert ranges.distance_m == pytest.approx([30.0])
     assert ranges.sigma_m == pytest.approx([3.0])
 
 
-def test_box_noise_widens_sigma_by_the_rule_of_errors_and_is_not_kept():
+def test_box_noise_widens_sigma_and_is_independent():
     ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}), box_sigma_px=2.0)
     sized = ranger.measure(tracks_of([300, 200, 360, 250]), FRAME)
     assert sized.sigma_m == pytest.approx([30 * np.hypot(0.1, np.sqrt(2) * 2 / 50)])
     assert sized.sigma_systematic_m == pytest.approx([3.0])
 
 
-def test_a_detectors_noise_grows_with_the_box_and_with_limbs():
+def test_detector_noise_grows_with_box_size():
     noise = BoxNoise(px=0.6, relative=0.01, relative_person=0.04)
     size_px = np.array([[80.0, 60.0], [80.0, 60.0]])
     sigma_px = noise.sigma_px(size_px, np.array([SIZE_CLASSES.index("van"), SIZE_CLASSES.index("person")]))
@@ -59,7 +59,7 @@ def test_a_detectors_noise_grows_with_the_box_and_with_limbs():
 
 
 @pytest.mark.parametrize("curves", [None, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)})])
-def test_what_cannot_be_measured_is_nan(curves):
+def test_unmeasurable_boxes_are_nan(curves):
     ranger = SizeRanger(CAMERA, curves)
     cut = tracks_of([300, -0.5, 360, 250], [300, 200, 360, 479.5], [300, 200, 360, 203])
     assert np.isnan(ranger.measure(cut, FRAME).distance_m).all()
@@ -69,7 +69,7 @@ def test_what_cannot_be_measured_is_nan(curves):
     assert len(ranger.measure(Tracks.empty(), FRAME)) == 0
 
 
-def test_a_cut_side_leaves_the_width_out():
+def test_cut_side_excludes_the_width():
     curves = SizeCurves({"car": flat(1.5, per_log_width=-0.5)}, {"car": flat(1.5)})
     whole, cut = (
         SizeRanger(CAMERA, curves).measure(tracks_of([300, 200, 360, 250], [-0.5, 200, 59.5, 250]), FRAME).distance_m
@@ -78,25 +78,25 @@ def test_a_cut_side_leaves_the_width_out():
     assert cut == pytest.approx(30.0)
 
 
-def test_the_packaged_priors_mind_a_cut_side_too():
-    """A car cut to a sliver is as far as its height says: its width would be that of nothing on wheels."""
+def test_packaged_priors_with_a_cut_side():
+    """A car cut to a narrow strip is ranged by its height only."""
     ranger = SizeRanger(CAMERA)
     (sliver,) = ranger.measure(tracks_of([-0.5, 200, 9.5, 250]), FRAME).distance_m
     assert sliver == pytest.approx(1.53 / 50 * 1000, rel=0.08)
 
 
-def test_a_van_is_a_car_where_only_cars_have_a_curve():
+def test_van_uses_the_curve_of_cars():
     ranger = SizeRanger(CAMERA, SizeCurves({"car": flat(1.5)}, {"car": flat(1.5)}))
     van = tracks_of([300, 200, 360, 250], class_id=SIZE_CLASSES.index("van"))
     assert ranger.measure(van, FRAME).distance_m == pytest.approx([30.0])
 
 
-def test_packaged_priors_serve_every_class_and_fall_with_size():
+def test_packaged_priors_decrease_with_size():
     ranger = SizeRanger(CAMERA)
     for class_id in range(len(SIZE_CLASSES)):
         boxes = [[320 - s / 2, 240 - s / 2, 320 + s / 2, 240 + s / 2] for s in (5, 10, 20, 50, 100, 300)]
-        found = [ranger.measure(tracks_of(box, class_id=class_id), FRAME) for box in boxes]
-        distance_m = np.concatenate([ranges.distance_m for ranges in found])
+        ranges_by_size = [ranger.measure(tracks_of(box, class_id=class_id), FRAME) for box in boxes]
+        distance_m = np.concatenate([ranges.distance_m for ranges in ranges_by_size])
         assert (np.diff(distance_m) < 0).all(), SIZE_CLASSES[class_id]
         assert (distance_m > 0).all()
-        assert (np.concatenate([ranges.sigma_m for ranges in found]) > 0).all()
+        assert (np.concatenate([ranges.sigma_m for ranges in ranges_by_size]) > 0).all()

@@ -1,4 +1,4 @@
-"""The scale of a pair without a rig, by hand and over many made-up tracks."""
+"""Scale of an uncalibrated pair, by hand and over many simulated tracks."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def tracks_of(*ids):
     return Tracks(np.array(ids), np.tile([100.0, 60, 200, 140], (n, 1)), np.full(n, 2), np.ones(n), np.ones(n, bool))
 
 
-def test_nothing_is_known_before_a_track_has_told():
+def test_unknown_before_the_first_track():
     scale = FocalBaseline()
     scale.learn(np.array([np.nan, 10.0, 2.0]), by_size([1, 2, 3], [10.0, np.nan, 100.0]))
     assert scale.n_tracks == 0
@@ -30,7 +30,7 @@ def test_nothing_is_known_before_a_track_has_told():
 
 
 def test_one_track_by_hand():
-    """30 px at 12 m: K = 360 px m; sigma: 0.08 for the class, and 1.25 times 0.15 for the one track."""
+    """30 px at 12 m: K = 360 px m; sigma is 0.08 for the class and 1.25 * 0.15 for one track."""
     scale = FocalBaseline()
     scale.learn(np.array([30.0]), by_size([7], [12.0]))
     focal_baseline, sigma = scale.estimate()
@@ -38,8 +38,8 @@ def test_one_track_by_hand():
     assert sigma == pytest.approx(np.hypot(0.08, 1.25 * 0.15))
 
 
-def test_many_tracks_say_the_mean_and_wrong_ones_little():
-    """Sizes scatter by 10 %, every sixth match is on the background: K stays within its own sigma."""
+def test_median_over_many_tracks():
+    """Sizes with a scatter of 10 % and every sixth match on the background: the error of K is within its sigma."""
     rng = np.random.default_rng(5)
     scale = FocalBaseline()
     for _ in range(12):
@@ -54,7 +54,7 @@ def test_many_tracks_say_the_mean_and_wrong_ones_little():
     assert 0.08 < sigma < 0.13
 
 
-def test_a_long_track_counts_no_more_than_ten_frames_of_it():
+def test_weight_of_a_track_is_limited():
     long, short = FocalBaseline(), FocalBaseline()
     for scale, n in ((long, 200), (short, 10)):
         for _ in range(n):
@@ -66,8 +66,8 @@ def test_a_long_track_counts_no_more_than_ten_frames_of_it():
     assert long.estimate()[0] == pytest.approx(320.0, rel=0.02)
 
 
-class Matched:
-    """A matcher that finds the disparities it is told."""
+class FixedMatcher:
+    """A matcher that returns given disparities."""
 
     def __init__(self, *disparity_px):
         self.disparity_px = np.array(disparity_px)
@@ -77,8 +77,8 @@ class Matched:
         return PatchMatches(self.disparity_px, np.full(n, 0.1), np.zeros(n, np.int64))
 
 
-def test_a_track_without_a_size_is_ranged_by_what_the_others_told():
-    ranger = SizeScaledRanger(Matched(24.0, 12.0, -3.0), focal_px=720.0, focal_sigma=0.25)
+def test_track_without_a_size_uses_the_common_scale():
+    ranger = SizeScaledRanger(FixedMatcher(24.0, 12.0, -3.0), focal_px=720.0, focal_sigma=0.25)
     frame, tracks = Frame(0, 0.0, IMAGE, IMAGE), tracks_of(1, 2, 3)
     assert np.isnan(ranger.measure(tracks, frame).distance_m).all()
     assert (ranger.notes, ranger.summary()) == ((), {})
@@ -96,6 +96,6 @@ def test_a_track_without_a_size_is_ranged_by_what_the_others_told():
     assert "0.50 m" in ranger.notes[0]
 
 
-def test_without_a_right_eye_nothing_is_measured():
-    ranges = SizeScaledRanger(Matched(24.0), focal_px=720.0).measure(tracks_of(1), Frame(0, 0.0, IMAGE, None))
+def test_nothing_is_measured_without_a_right_image():
+    ranges = SizeScaledRanger(FixedMatcher(24.0), focal_px=720.0).measure(tracks_of(1), Frame(0, 0.0, IMAGE, None))
     assert np.isnan(ranges.distance_m).all()

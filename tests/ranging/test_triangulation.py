@@ -28,8 +28,8 @@ def test_depth_and_sigma_by_hand():
     assert np.isnan(ranges.distance_m[1:]).all()
 
 
-def test_disparities_are_put_right_before_they_become_metres():
-    """The box's middle is column 150, 9.5 px from the axis: the curvature is (9.5 / 160)^2 of that at the edge."""
+def test_disparities_are_aligned_before_triangulation():
+    """The box centre is column 150, 9.5 px from the axis: the curvature term is (9.5 / 160)^2 of that at the edge."""
     alignment = Alignment(offset_px=0.5, curvature_px=-1.6, residual_px=0.4)
     ranges = Triangulation(RIG, alignment).ranges(tracks_of(1), np.array([9.5]), np.array([0.3]))
     disparity_px = 9.5 + 0.5 - 1.6 * (9.5 / 160) ** 2
@@ -37,13 +37,13 @@ def test_disparities_are_put_right_before_they_become_metres():
     assert ranges.sigma_m == pytest.approx([500 / disparity_px**2 * 0.5])  # hypot(0.3, 0.4)
 
 
-def test_an_alignment_that_nobody_measured_is_in_sigma():
+def test_sigma_includes_an_unmeasured_alignment():
     ranges = StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0))
     assert ranges.sigma_m == pytest.approx([50.0**2 / 500 * np.hypot(0.1, UNCORRECTED_SIGMA_PX)])
 
 
 class Recorder:
-    """A matcher that says 10 px for every box and keeps the priors it was handed."""
+    """A matcher that returns 10 px for every box and records the priors."""
 
     def __init__(self):
         self.priors = []
@@ -59,7 +59,7 @@ def frame_at(time_s, right=True):
     return Frame(round(10 * time_s), time_s, image, image if right else None)
 
 
-def test_a_track_is_searched_about_its_last_disparity_until_it_is_stale():
+def test_prior_is_the_last_disparity_until_it_expires():
     matcher = Recorder()
     ranger = StereoRanger(RIG, matcher)
     ranger.measure(tracks_of(1), frame_at(0.0))
@@ -69,7 +69,7 @@ def test_a_track_is_searched_about_its_last_disparity_until_it_is_stale():
     np.testing.assert_equal(matcher.priors, [[np.nan], [np.nan, 10.0], [10.0], [np.nan, np.nan]])
 
 
-def test_the_full_range_is_searched_again_every_second():
+def test_full_range_is_searched_every_second():
     matcher = Recorder()
     ranger = StereoRanger(RIG, matcher)
     for step in range(25):
@@ -86,7 +86,7 @@ def test_predicted_boxes_are_not_measured():
     assert len(matcher.priors[0]) == 1
 
 
-def test_without_a_right_eye_nothing_is_measured():
+def test_nothing_is_measured_without_a_right_image():
     assert np.isnan(StereoRanger(RIG, Recorder()).measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
     dense = DenseRanger(RIG)
     assert np.isnan(dense.measure(tracks_of(1), frame_at(0.0, right=False)).distance_m).all()
@@ -106,7 +106,7 @@ def test_dense_ranging_of_a_textured_wall():
     assert dense.background_s > 0
 
 
-def test_dense_sigma_carries_what_the_alignment_leaves():
+def test_dense_sigma_includes_the_alignment():
     left = np.random.default_rng(0).integers(0, 255, (200, 320, 3), np.uint8)
     same = Frame(0, 0.0, left, np.roll(left, -20, axis=1))
     ranges = []
@@ -118,7 +118,7 @@ def test_dense_sigma_carries_what_the_alignment_leaves():
     assert ranges[0].sigma_m[0] > 3 * ranges[1].sigma_m[0]
 
 
-def test_why_boxes_are_not_matched_is_counted():
+def test_unmatched_boxes_are_counted_by_reason():
     ranger = StereoRanger(RIG, PatchMatcher())
     for step in range(2):
         assert np.isnan(ranger.measure(tracks_of(1, 2), frame_at(0.1 * step)).distance_m).all()  # black images
