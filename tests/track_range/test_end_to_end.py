@@ -354,8 +354,8 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
     assert own < 10
     for wrong, words in (
         ((*fit, tmp_path / "none" / "curves.json"), "cannot be written"),
-        ((*fit, tmp_path / "c.json", "--leave-out", "0009"), "no sequence 0009 to leave out"),
-        (("fit", "--labels", tmp_path, "--calib", tmp_path, "--out", tmp_path / "c.json"), "no label files"),
+        ((*fit, tmp_path / "c.json", "--leave-out", "0009"), "0009"),
+        (("fit", "--labels", tmp_path, "--calib", tmp_path, "--out", tmp_path / "c.json"), "label files"),
     ):
         failed = cli(*wrong)
         assert (failed.status, words in failed.stderr) == (1, True), failed.stderr
