@@ -23,6 +23,7 @@ import pyarrow.csv
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
+from playwright.sync_api import sync_playwright
 
 import track_range as tr
 from track_range.ranging.registry import methods
@@ -247,17 +248,21 @@ def scenarios() -> None:
 
 
 def report() -> None:
-    """The top of the demo's report, as Chromium shows it."""
+    """The charts of the demo's report, as Chromium shows them."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         print("report: Chromium is not installed; the picture stays as it is.", file=sys.stderr)  # noqa: T201
         return
     shot = _temporary() / "report.png"
-    page = (_demo() / "report.html").as_uri()
-    window = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1200,1080"]
-    subprocess.run(
-        [chromium, *window, "--virtual-time-budget=4000", f"--screenshot={shot}", page], check=True, capture_output=True
-    )
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1200, "height": 1150})
+        page.goto((_demo() / "report.html").as_uri())
+        page.evaluate("document.querySelector('video').currentTime = 3")
+        page.evaluate("document.getElementById('tracks').scrollIntoView()")
+        page.wait_for_timeout(3000)  # ms; charts are drawn when they become visible
+        page.screenshot(path=str(shot))
+        browser.close()
     image = cv2.resize(cv2.imread(str(shot)), None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
     _save_jpeg(image, IMAGES / "report.jpg", quality=80)
 
