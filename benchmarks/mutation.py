@@ -253,6 +253,8 @@ def _start(mutant: Mutant | None, tests: tuple[str, ...]) -> int:
         os.chdir(ROOT)
         sys.path.insert(0, str(ROOT))
         os.environ["TRACK_RANGE_DATA"] = os.devnull
+        for name in [name for name in sys.modules if name.partition(".")[0] == "track_range"]:
+            del sys.modules[name]
         if mutant is not None:
             _replace_module(mutant.path, mutant.source())
         import pytest
