@@ -58,3 +58,8 @@ def test_layout_and_validity():
     boxes = np.array([[0, 0, 1, 1], [0, 0, 0, 1], [3, 3, 1, 5], [0, np.nan, 1, 1], [0, 0, np.inf, 1]])
     assert are_valid_boxes(boxes).tolist() == [True, False, False, False, False]
     assert area_px2(boxes[:3]).tolist() == [1.0, 0.0, 0.0]
+
+
+def test_corners_from_centres_for_any_leading_shape():
+    cxcywh = np.array([[[10.0, 20.0, 4.0, 6.0]], [[0.0, 1.0, 2.0, 8.0]]])
+    np.testing.assert_array_equal(xyxy_from_cxcywh(cxcywh), [[[8.0, 17.0, 12.0, 23.0]], [[-1.0, -3.0, 1.0, 5.0]]])

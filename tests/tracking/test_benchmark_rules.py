@@ -1,5 +1,7 @@
 """The rules by hand; on KITTI 0000-0017 and MOT17-05 they agree with TrackEval 1.3.0 to 1e-11."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from track_range.detection.formats.kitti import KittiLabels
@@ -87,3 +89,12 @@ def test_mot15_has_no_classes_and_no_distractors():
     truth = mot((0, 0, 1), (0, 100, 0))
     evaluated, counted = mot_cleaned(truth, results(at(0), at(100)))
     assert (evaluated.track_id.tolist(), len(counted)) == ([0], 2)
+
+
+def test_mot17_distractors_in_several_frames():
+    truth = mot((8, 0, 1), (1, 100, 1), (8, 0, 1), (8, 100, 1))
+    truth = replace(truth, frame=np.array([0, 0, 1, 2]))
+    xyxy_px = np.array([at(100), at(0), at(0), at(100), at(100)], float)
+    boxes = TrackedBoxes(np.array([2, 0, 1, 0, 3]), np.arange(5), xyxy_px, np.zeros(5, np.int64))
+    _, counted = mot_cleaned(truth, boxes)
+    assert counted.track_id.tolist() == [3, 4]  # the others lie on distractors of their frame

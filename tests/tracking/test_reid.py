@@ -69,6 +69,15 @@ def test_crops_are_resized_to_the_networks_input(tmp_path, size):
     np.testing.assert_allclose(model.embed(image, boxes), expected, atol=0.03)  # the edge between the halves blurs
 
 
+def test_crops_are_shrunk_by_area(tmp_path):
+    model = ReidModel(write_mean_network(tmp_path / "m.onnx", input_shape=[1, 3, 4, 4]), ONE_THREAD)
+    image = np.zeros((16, 16, 3), np.uint8)
+    image[:, ::4] = 252  # sampling between pixels, without averaging over the area, would miss these columns
+    feature = ((np.full(3, 63 / 255) - MEAN) / STD)[[0, 1, 2, 0, 1, 2]]
+    embedding = model.embed(image, np.array([[-0.5, -0.5, 15.5, 15.5]]))
+    np.testing.assert_allclose(embedding[0], feature / np.linalg.norm(feature), atol=1e-4)
+
+
 def test_default_input_size(tmp_path):
     path = write_mean_network(tmp_path / "m.onnx", input_shape=["batch", 3, "height", "width"], split_at_row=256)
     model = ReidModel(path, ONE_THREAD)
