@@ -56,7 +56,7 @@ def write_film(
 
 @pytest.fixture(scope="session")
 def film() -> Callable[..., Path]:
-    """Writes a film: `film(path, times_s, ...)`, see `write_film`."""
+    """Writes a video: `film(path, times_s, ...)`, see `write_film`."""
     return write_film
 
 
@@ -68,5 +68,5 @@ def level() -> Callable[..., np.ndarray]:
 
 @pytest.fixture(scope="session")
 def number_in() -> Callable[[np.ndarray], int]:
-    """The number of a film's image."""
+    """Number of an image of such a video, from its grey level."""
     return number_of

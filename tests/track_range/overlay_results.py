@@ -1,4 +1,4 @@
-"""Results of one frame, made up: what the overlay's tests draw."""
+"""Synthetic results of one frame for the tests of the overlay."""
 
 from __future__ import annotations
 
@@ -51,5 +51,5 @@ def result(
 
 
 def painted(image: Image, colour: tuple[int, int, int]) -> BoolArray:
-    """Where an image has exactly this colour."""
+    """Mask of the pixels of exactly this colour."""
     return np.asarray((image == np.array(colour, np.uint8)).all(axis=2))

@@ -1,4 +1,4 @@
-"""Every input that a user can get wrong, by the command line: one sentence, status 1, no traceback."""
+"""Invalid input on the command line: one sentence, status 1, no traceback."""
 
 import shutil
 import subprocess
@@ -20,7 +20,7 @@ def drive(render_drive):
 
 @pytest.fixture
 def fails(tmp_path, cli):
-    """Runs the command; its one sentence."""
+    """Runs a command that must fail; returns its error message."""
 
     def run(*arguments, status=1):
         done = cli(*arguments, "--out", tmp_path / "out")
@@ -36,7 +36,7 @@ def fails(tmp_path, cli):
 
 @pytest.fixture
 def succeeds(tmp_path, cli):
-    """Runs the command; what it printed, in one line."""
+    """Runs a command that must succeed; returns its output in one line."""
 
     def run(*arguments):
         done = cli(*arguments, "--out", tmp_path / "out")
@@ -48,7 +48,7 @@ def succeeds(tmp_path, cli):
 
 @pytest.fixture
 def options(drive):
-    """`options(right=..., rig=...)`: the arguments of a good run, with some replaced."""
+    """`options(right=..., rig=...)`: arguments of a valid run, with some replaced."""
 
     def arguments(**changed):
         files = {"left": drive.left, "right": drive.right, "rig": drive.rig, "detections": drive.detections} | changed

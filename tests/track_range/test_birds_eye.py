@@ -1,4 +1,4 @@
-"""The road from above: to scale, with what is not sure shown as such."""
+"""Bird's-eye view: scale, uncertainty bars and colours."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def at(x_m: float, z_m: float) -> np.ndarray:
 
 
 def mark(x_m: float, z_m: float, *, sigma_m: float = 0.1, **more: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns that a car there changes: against the same car far beside the picture."""
+    """Rows and columns changed by a car at this position, relative to the same car far outside."""
     ranges = {"fused": (z_m, sigma_m)}
     beside = drawn(BirdsEye(), ranges=ranges, xyz_m=at(-1e6, z_m), **more)
     rows, columns = np.nonzero((drawn(BirdsEye(), ranges=ranges, xyz_m=at(x_m, z_m), **more) != beside).any(axis=2))
@@ -61,7 +61,7 @@ def test_predicted_track_is_hollow_and_on_its_ray() -> None:
     assert np.isnan(BirdsEye().ground_m(shown)[0]).any()
     where: dict[str, Any] = {"ranges": {"fused": (40.0, 0.1)}, "xyz_m": at(10, 40.0)}
     solid, hollow = (drawn(BirdsEye(), observed=observed, **where) for observed in (True, False))
-    assert hollow.astype(int).sum() < solid.astype(int).sum()  # black in the middle
+    assert hollow.astype(int).sum() < solid.astype(int).sum()  # black centre
 
 
 def test_field_of_view_of_the_camera() -> None:

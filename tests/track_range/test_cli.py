@@ -119,7 +119,7 @@ def test_completion_script_can_be_shown(cli, monkeypatch):
 
 
 def test_names_in_help_texts():
-    """They are written out, because importing them takes longer than showing the help."""
+    """Help texts repeat names of the code, because importing it takes longer than showing the help."""
     shown = {name: field.description for name, field in RunSettings.model_fields.items()}
     assert all(name in shown["classes"] for name in ROAD_CLASSES)
     assert LETTERBOXES in shown["letterbox"]

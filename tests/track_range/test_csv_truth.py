@@ -1,4 +1,4 @@
-"""--truth with a CSV: what the simulation writes, and files of a user's own, good and bad."""
+"""--truth with a CSV: that of the simulation, and valid and invalid files of users."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def drive(render_drive: Any) -> Drive:
 
 @pytest.fixture
 def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
-    """`against(truth)`: run on the drive; status, summary (None where it failed), what it printed, complaint."""
+    """`against(truth)`: run on the drive; status, summary (None if it failed), output, error."""
 
     def run(truth: Path) -> tuple[int, Any, str, str]:
         sides = ("--stereo", drive.left, drive.right, "--rig", drive.rig, "--detections", drive.detections)
@@ -38,7 +38,7 @@ def against(cli: Any, drive: Drive, tmp_path: Path) -> Any:
 
 
 def rewritten(drive: Drive, path: Path, change: Any) -> Path:
-    """truth.csv with its rows (dicts) changed; a row that `change` gives back as None is left out."""
+    """truth.csv with its rows (dicts) changed; rows for which `change` returns None are omitted."""
     with drive.table.open(newline="") as file:
         rows = [row for row in map(change, csv.DictReader(file)) if row is not None]
     with path.open("w", newline="") as file:
@@ -72,7 +72,7 @@ def test_csv_and_kitti_truth_agree_on_cars(drive: Drive) -> None:
     np.testing.assert_allclose(exact.xyxy_px, kitti.xyxy_px[row], atol=0.01)
     gap = kitti.distance_m[row][both] / exact.distance_m[both] - 1
     assert abs(np.median(gap)) < 0.01
-    # which are scored is the same but for a box on the border that lies outside by less than KITTI minds
+    # the same boxes are scored, except at the border, where KITTI tolerates small excess
     assert np.mean(np.isfinite(exact.distance_m) == np.isfinite(kitti.distance_m[row])) > 0.95
 
 

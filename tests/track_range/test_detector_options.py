@@ -15,7 +15,7 @@ BLACK = np.zeros((64, 64, 3), np.uint8)
 
 @pytest.fixture
 def model(tmp_path):
-    """A car of score 0.4 and a person of 0.2, to whom the file gives no names."""
+    """A model that detects a car (score 0.4) and a person (0.2), without class names."""
     rows = np.zeros((1, 252, 7))
     rows[0, 0] = 32, 32, 16, 8, 1.0, 0.0, 0.4
     rows[0, 1] = 8, 8, 8, 8, 1.0, 0.2, 0.0

@@ -29,7 +29,7 @@ STEREO_METHODS = ["mono", "stereo", "sgbm", "fused", "mono_kf", "stereo_kf", "fu
 
 @pytest.fixture(scope="session")
 def track_range(cli):
-    """Runs the command, which must succeed; what it printed."""
+    """Runs a command that must succeed; returns its output."""
 
     def run(*arguments, **more):
         done = cli(*arguments, **more)
@@ -304,7 +304,7 @@ def test_real_cars_are_tracked(kitti_run):
 
 
 def test_real_stereo_error_below_three_per_cent(kitti_run):
-    """Six matchers read these drives about half a pixel low: uncorrected, the medians are 3 to 4 %."""
+    """Six matchers measure disparities half a pixel too small here; uncorrected medians are 3 to 4 %."""
     _, _, summary = kitti_run
     methods, alignment = summary["methods"], summary["alignment"]
     assert alignment["is_applied"]
@@ -350,7 +350,7 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
         json.loads((tmp_path / name / "summary.json").read_text())["methods"]["mono"]["mean_relative_error_pct"]
         for name in ("own", "packaged")
     )
-    assert own < packaged - 0.5  # curves of these very cars
+    assert own < packaged - 0.5  # curves of the same cars
     assert own < 10
     for wrong, words in (
         ((*fit, tmp_path / "none" / "curves.json"), "cannot be written"),
@@ -362,7 +362,7 @@ def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
 
 
 def test_boxes_of_a_raw_video_are_rectified(drive, track_range, tmp_path):
-    """A lens that squeezes: boxes given in the video's own pixels must land where its undistorted frames are."""
+    """With lens distortion, boxes in pixels of the video are converted to undistorted pixels."""
     rig = yaml.safe_load(drive.rig.read_text())
     rig["left"]["distortion"] = [-0.3, 0.1, 0, 0, 0]
     (tmp_path / "lens.yaml").write_text(yaml.safe_dump(rig))
@@ -370,7 +370,7 @@ def test_boxes_of_a_raw_video_are_rectified(drive, track_range, tmp_path):
     track_range(*run, tmp_path / "raw", "--rig", tmp_path / "lens.yaml")
     track_range(*run, tmp_path / "ideal", "--rig", drive.rig)
     raw, ideal = (read_tracks_csv(tmp_path / name / "tracks.csv")["x2_px"] for name in ("raw", "ideal"))
-    assert raw.max() > ideal.max() + 10  # the lens bulged inwards, so what lies right moves further right
+    assert raw.max() > ideal.max() + 10  # undistortion moves points on the right further to the right
 
 
 def test_boxes_of_another_video(drive, track_range, tmp_path):

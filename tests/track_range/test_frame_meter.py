@@ -1,4 +1,4 @@
-"""How fast a run goes and how late it is, by a clock that the test turns."""
+"""Rate and latency of a run, with a clock set by the test."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_one_frame_has_no_rate() -> None:
 
 
 def test_live_run_reports_latency_and_drops() -> None:
-    """Images of 100.0, 100.1 and 100.4 s were ready at 100.2, 100.35 and 100.45 s; frames 5, 6 and 9."""
+    """Frames 5, 6 and 9 of 100.0, 100.1 and 100.4 s; results at 100.2, 100.35 and 100.45 s."""
     meter = meter_of([100.2, 100.35, 100.45], [(5, 0.0), (6, 0.1), (9, 0.4)], Camera(100.0))
     assert meter.captions() == ("8.0 fps", "latency 50 ms", "2 dropped")
     (note,) = meter.notes

@@ -1,4 +1,4 @@
-"""Interrupts wait for what belongs together, and are not lost."""
+"""Interrupts are deferred to the end of a block, and not lost."""
 
 import signal
 import threading

@@ -1,4 +1,4 @@
-"""Where labels stand: inside the image, beside their boxes, never on one another."""
+"""Layout of labels: inside the image, near their boxes, without overlap."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_previous_place_is_preferred() -> None:
     nothing = np.zeros((0, 4))
     assert free_place(places[0], place_costs(places, boxes, [2])[0], nothing) == 2
     assert free_place(places[0], place_costs(places, boxes, [None])[0], nothing) == 0
-    # Far from the box, or on it, is no place to stay.
+    # positions far from the box or on it are not kept
     assert free_place(places[0], place_costs(places, boxes, [len(PLACES) - 1])[0], nothing) == 0
     assert free_place(places[0], place_costs(places, boxes, [6])[0], nothing) == 0
 
@@ -78,7 +78,7 @@ def test_labels_are_inside_without_overlap(boxes: list[tuple[float, float, float
 
 
 def placed(boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] = (WIDTH, HEIGHT)) -> list[int | None]:
-    """Which size (0 = full) each label takes, of 130 x 46 and 90 x 20 px."""
+    """Size (0 = full, 130 x 46 px; 1 = short, 90 x 20 px) of each label."""
     n = len(boxes)
     sizes_px = np.array([[[130.0, 46.0]] * n, [[90.0, 20.0]] * n])
     placements = LabelPlacer().place(
@@ -89,7 +89,7 @@ def placed(boxes: list[list[float]], *, urgent: bool, image_px: tuple[int, int] 
 
 def test_label_over_boxes_is_shortened_unless_urgent() -> None:
     assert placed([BOX], urgent=False) == [0]
-    wall = [[x, 0.0, x + 40.0, float(HEIGHT)] for x in range(0, WIDTH, 40)]  # cars wherever one looks
+    wall = [[x, 0.0, x + 40.0, float(HEIGHT)] for x in range(0, WIDTH, 40)]  # cars everywhere
     assert placed([*wall, BOX], urgent=False)[0] == 1
     assert placed([*wall, BOX], urgent=True)[0] == 0
 

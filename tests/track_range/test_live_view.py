@@ -1,4 +1,4 @@
-"""The live page: what it answers, to whom, and that it never holds a run up."""
+"""The live page: answers, access, and no delay of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options declared as fields: the parameters that Typer gets of them, and the values that come back."""
+"""Options declared as fields: Typer parameters, and values passed on."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -25,7 +25,7 @@ class Recipe(Options):
 
 @pytest.fixture
 def cook():
-    """Run the command and give the options that reached the function, or the result of a refused call."""
+    """Runs the command; returns the options passed to the function, or the result of a failed call."""
 
     def run(*arguments):
         cooked = []
@@ -47,7 +47,7 @@ def test_values_reach_the_model(cook):
 
 def test_old_name_is_accepted_and_hidden(cook):
     assert cook("soup", "--no-agitated").stirred is False
-    assert cook("soup", "--agitated", "--no-stir").stirred is False  # the present name has precedence
+    assert cook("soup", "--agitated", "--no-stir").stirred is False  # the current name has precedence
     help_text = cook("--help").output
     assert "--stir" in help_text
     assert "agitated" not in help_text

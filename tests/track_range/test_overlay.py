@@ -1,4 +1,4 @@
-"""The overlay: what is drawn, where labels stand, and that nothing in a result can break it."""
+"""The overlay: drawing, layout of labels, and robustness to any result."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_frame_is_not_modified() -> None:
 
 
 def test_predicted_box_is_dashed() -> None:
-    # The lower edge: no label stands there while there is room above.
+    # the lower edge, where no label is placed while there is room above
     share = {}
     for observed in (True, False):
         drawn = Overlay().draw(result([BOX], observed=observed))
@@ -91,7 +91,7 @@ def test_frame_without_tracks() -> None:
     changed = (drawn != 128).any(axis=2)
     assert changed[:20].any()
     assert not changed[20:, 160:].any()
-    assert changed[300, 60]  # the road from above
+    assert changed[300, 60]  # bird's-eye view
 
 
 def passing(*may_hit: bool) -> PassingOffsets:
@@ -168,7 +168,7 @@ def test_crowd_is_drawn_nearest_on_top() -> None:
 
 
 def test_nearest_of_a_thousand_have_labels() -> None:
-    """Whoever reaches lowest is nearest; what a farther one is called makes no difference."""
+    """The box with the lowest bottom edge is nearest; labels of farther ones do not affect it."""
     column, row = np.divmod(np.arange(1000), 20)
     boxes = np.stack([70.0 * column, 100.0 * row + 50, 70.0 * column + 20, 100.0 * row + 70 + column / 100], axis=1)
     shown = result(boxes.tolist(), image=grey(2160, 3840))

@@ -77,8 +77,8 @@ def test_bar_length_and_text_contrast() -> None:
         if filled:
             assert (columns[0], columns[-1]) == (13, 12 + round(200 * filled))
         unfilled = canvas[11:27, 13 + round(200 * filled) : 213]
-        assert filled == 1.0 or unfilled.max() > 200  # white letters
-        assert not filled or (canvas[11:27, 13 : 13 + round(200 * filled)].max(axis=2) < 60).any()  # black ones
+        assert filled == 1.0 or unfilled.max() > 200  # white text
+        assert not filled or (canvas[11:27, 13 : 13 + round(200 * filled)].max(axis=2) < 60).any()  # black text
 
 
 def test_warnings_start_below_four_and_two_seconds() -> None:

@@ -1,4 +1,4 @@
-"""The loop on made-up frames: order, overlap's errors, and what each result holds."""
+"""The pipeline on synthetic frames: order, errors in threads, and content of results."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ IMAGE = np.zeros((80, 100, 3), np.uint8)
 
 
 class OneTrack:
-    """A tracker that takes every detection for a track."""
+    """A tracker that makes every detection a track."""
 
     def update(self, detections, time_s, image):
         n = len(detections)
@@ -92,7 +92,7 @@ class LinesTo:
 
 
 class Listening(Falling):
-    """A ranger that keeps what its hooks are called with."""
+    """A ranger that records the arguments of its hooks."""
 
     background_s = 7.0
 
@@ -119,7 +119,7 @@ def test_every_hook_of_a_ranger_is_called():
     loop.lane_finder = LinesTo(40.0)
     list(loop.run(frames(3)))
     assert ranger.started == [0, 1, 2]
-    assert ranger.others == [{"mono", "stereo"}] * 3  # what lane reads, and no more
+    assert ranger.others == [{"mono", "stereo"}] * 3  # only the methods that lane reads
     assert ranger.is_closed
     assert 7.0 <= loop.clock.busy_s["lane"] < 8.0
 
@@ -197,7 +197,7 @@ def test_ranger_of_other_tracks():
 
 
 class Returning(Ranger):
-    """A ranger that returns what a function makes of the tracks."""
+    """A ranger that returns the result of a function of the tracks."""
 
     def __init__(self, made_of):
         self._made_of = made_of

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from track_range.run.prefetch import prefetch
 
-WAIT_S = 20.0  # long enough for any machine; passed only when something hangs
+WAIT_S = 20.0  # long enough for any machine; exceeded only if something hangs
 
 
 def prefetch_threads() -> list[threading.Thread]:

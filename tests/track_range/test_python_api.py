@@ -1,4 +1,4 @@
-"""The front door: `import track_range as tr`."""
+"""The Python API: `import track_range as tr`."""
 
 import csv
 import doctest
@@ -24,7 +24,7 @@ def recorded(drive, **options):
 
 @pytest.fixture(scope="module")
 def finished(drive, tmp_path_factory):
-    """A run that was iterated to its end and wrote its files; with the frames that it gave."""
+    """A run that was iterated to its end and wrote its files, and its frames."""
     out = tmp_path_factory.mktemp("results")
     run = recorded(drive, out=out, truth=drive.truth)
     return run, list(run), out

@@ -1,4 +1,4 @@
-"""`evaluate ranges` and `fit` through the command line, on made drives of vehicles seen from behind, and on KITTI."""
+"""`evaluate ranges` and `fit` on the command line, on synthetic drives and on KITTI."""
 
 import json
 
@@ -70,7 +70,7 @@ def test_filters_smooth_and_give_closing_speeds(cli, folders, tmp_path):
 
 
 def test_fit_and_test_on_the_same_drive(cli, folders, tmp_path):
-    """People are 5 % taller in one drive: nothing for who fits on it, all for who does not."""
+    """People are 5 % taller in one drive, which causes errors only if the curves are fitted to others."""
     tall = [row(k, 0, "Pedestrian", 60 - 0.3 * k, scale=1.1) for k in range(160)]
     usual = [[row(k, 0, "Pedestrian", d_m - 0.3 * k) for k in range(160)] for d_m in (58.0, 62.0)]
     given = ("evaluate", "ranges", *folders(a=tall, b=usual[0], c=usual[1]), "--method", "log-linear", "--json")
@@ -218,7 +218,7 @@ def test_invalid_usage_of_fit(cli, options, status, message):
 
 
 def test_kitti_figures_are_unchanged(cli, shared_data, tmp_path):
-    """Two-sided: the plain curves on all drives."""
+    """Errors of the curves of one measure on all drives, with lower and upper bounds."""
     place = shared_data / "kitti_labels"
     given = ("--labels", place / "label_02", "--calib", place / "calib", "--json", tmp_path / "f.json")
     assert cli("evaluate", "ranges", *given, "--method", "log-linear,inverse-height,height-5")[0] == 0

@@ -124,7 +124,7 @@ def test_page_shows_the_summary() -> None:
 def test_page_is_self_contained() -> None:
     text = report_page(summary(), columns(700, 5, 7))
     page = Page(text)
-    assert set(re.findall(r"https?://[^\"']+", text)) == {"http://www.w3.org/2000/svg"}  # the name of a language
+    assert set(re.findall(r"https?://[^\"']+", text)) == {"http://www.w3.org/2000/svg"}  # the name of the SVG language
     assert "@import" not in text
     assert "url(" not in text
     assert "link" not in page.counts

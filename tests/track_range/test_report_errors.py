@@ -1,4 +1,4 @@
-"""The numbers of the charts of errors and of honest sigmas."""
+"""Data of the charts of errors and of the calibration of sigma."""
 
 from __future__ import annotations
 

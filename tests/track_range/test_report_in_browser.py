@@ -119,7 +119,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def frame_shown(page: Any) -> float:
-    """Number of the overlay's frame that the page shows, from its brightness above the player's controls."""
+    """Number of the displayed overlay frame, from the brightness above the player controls."""
     page.mouse.move(2, 2)
     picture = cv2.imdecode(np.frombuffer(page.locator("#video").screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
     height, width = picture.shape
@@ -141,7 +141,7 @@ def first_chart(page: Any) -> Any:
 
 
 def click_at(page: Any, time_s: float, *, first_s: float = 0.0, last_s: float = (N_FRAMES - 1) * STEP_S) -> None:
-    """Click in the first chart where a time is."""
+    """Click in the first chart at a time."""
     chart = first_chart(page)
     plot = chart.locator("> svg > svg").bounding_box()
     box = chart.bounding_box()
@@ -275,7 +275,7 @@ def test_tables_sort_by_mouse_and_by_key(page_of: Callable[..., Any], run: Path)
     banded = table.get_by_role("columnheader", name="20-30 m").get_by_role("button")
     for _ in range(2):
         banded.click()
-        assert names()[0] == "fused"  # what was not measured stays below, either way
+        assert names()[0] == "fused"  # missing values stay at the bottom in both orders
 
 
 def test_methods_are_switched_in_all_charts(page_of: Callable[..., Any], run: Path) -> None:

@@ -1,4 +1,4 @@
-"""A run's tracks as small text: what is packed comes out again, to the centimetre."""
+"""Compact encoding of tracks: decoded values equal the originals to the centimetre."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from track_range.results.columns import methods_measured
 
 
 def unpacked(text: str, ticks_per_unit: float) -> list[float]:
-    """As the page's script does it."""
+    """Decoding as in the script of the page."""
     values, last = [], 0
     for cell in text.split(","):
         last += int(cell or 0)

@@ -108,7 +108,7 @@ def test_truth_in_a_csv(run: Path) -> None:
 def test_killed_run(run: Path) -> None:
     (run / "summary.json").unlink()
     with (run / "tracks.csv").open("a") as file:
-        file.write("6,0.6,1,ca")  # the row that it was writing
+        file.write("6,0.6,1,ca")  # an incomplete row
     read = read_run_folder(run)
     assert read.missing[0].startswith("summary.json is missing")
     assert read.summary["notes"] == list(read.missing)

@@ -1,4 +1,4 @@
-"""Notes of a run: what the user should know of its inputs, in summary.json."""
+"""Notes of a run on its inputs, in summary.json."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def test_valid_rows_and_missing_columns(tmp_path: Path) -> None:
     assert columns["class"].tolist() == ["car", "car"]
     assert np.isnan(columns["closing_mps"]).all()
     assert len(columns["closing_sigma_mps"]) == 2
-    assert "fused_sigma_m" not in columns  # methods without sigmas are not judged
+    assert "fused_sigma_m" not in columns  # methods without sigmas are not scored
 
 
 @pytest.mark.parametrize(

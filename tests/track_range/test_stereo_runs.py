@@ -107,7 +107,7 @@ def test_disparity_video_with_options_from_a_file(drive, run, tmp_path):
     assert pictures[0].shape == (188, 620, 3)
     spread = pictures[0].astype(int).max(axis=2) - pictures[0].astype(int).min(axis=2)
     assert (spread > 60).mean() > 0.3  # coloured where the disparity is known,
-    assert (pictures[0].max(axis=2) < 30).mean() > 0.05  # and black where not
+    assert (pictures[0].max(axis=2) < 30).mean() > 0.05  # and black elsewhere
     saved = yaml.safe_load((tmp_path / "out/settings.yaml").read_text())["run"]
     assert saved["sgbm_options"] == {"mode": "sgbm", "block_size": 7}
     assert saved["disparity"] is True

@@ -50,7 +50,7 @@ def test_closing_speed_against_truth():
 @pytest.mark.parametrize(
     "truth",
     [
-        truth_of(),  # knows no speeds
+        truth_of(),  # without speeds
         truth_of(closing_mps=2.5, class_id=-1),  # of no road class
         truth_of(closing_mps=2.5, distance_m=4.0),  # too near for distances to be scored, so for speeds too
         truth_of(closing_mps=2.5, distance_m=np.nan),
@@ -72,7 +72,7 @@ def test_mot_metrics_and_ignored_classes():
     perfect = track_scores(columns_of(), truth_of(), frames)
     assert (perfect["n"], perfect["mota"], perfect["idf1"], perfect["idsw"]) == (1, 100.0, 100.0, 0)
     van = track_scores(columns_of(), truth_of(kitti_type="Van", class_id=-1), frames)
-    assert van["fp"] == 0  # a van is neither right nor wrong to track
+    assert van["fp"] == 0  # vans are ignored
     assert track_scores(columns_of(), None, frames)["mota"] is None
 
 

@@ -10,7 +10,7 @@ from track_range.tracking import registry
 
 @pytest.fixture
 def mono_run(tmp_path, film, cli):
-    """Runs on a film of eight frames with a box in each; gives status, ids in tracks.csv, and complaint."""
+    """Runs on a video of eight frames with a box each; returns status, ids in tracks.csv, and the error."""
     video = film(tmp_path / "film.mp4", [0.1 * i for i in range(8)])
     boxes = tmp_path / "boxes.txt"
     boxes.write_text("".join(f"{i},10,10,40,40,0.9\n" for i in range(8)))

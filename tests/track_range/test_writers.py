@@ -1,4 +1,4 @@
-"""Writers by name: the toy writer of tests/toy_writer.py in a run, selection, errors."""
+"""Result writers by name: a toy writer in a run, selection, errors."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class FullDisk:
 
 @pytest.fixture
 def mono_run(tmp_path, cli, film):
-    """Runs `run` on three frames with these settings; the standard output."""
+    """Runs on three frames with these settings; returns the standard output."""
     video = film(tmp_path / "film.mp4", [0.0, 0.1, 0.2])
     (tmp_path / "boxes.txt").write_text(ROW)
 
