@@ -128,7 +128,7 @@ def prism(rng: np.random.Generator, extent: Extent, bgr: Colour, *, contrast: fl
 
 
 def ring(centre: Vector, radii: tuple[float, float], *, n_sides: int = N_PRISM_SIDES) -> FloatArray:
-    """(n_sides, 3) corners of a level ellipse round `centre` = (x, height above the road, z), `radii` along x and z."""
+    """(n_sides, 3) corners of a level ellipse; `centre` is (x, height above the road, z), `radii` are along x and z."""
     angles = np.pi + 2 * np.pi * (np.arange(n_sides) - 0.5) / n_sides
     x, height, z = centre
     corners = [x + radii[0] * np.cos(angles), np.full(n_sides, -height), z + radii[1] * np.sin(angles)]
@@ -156,9 +156,9 @@ def loft(
     contrast: float = 8.0,
     others: Mapping[int, Colour] = MappingProxyType({}),
 ) -> list[Face]:
-    """The sides between two rings (N, 3) of corners, lit by their slopes: trapezia where the rings are alike.
+    """The sides between two rings (N, 3) of corners, shaded by their slopes; trapezia if the rings are similar.
 
-    A trapezium is a parallelogram with its two outer triangles cut out. Side k lies between corners k - 1 and k;
+    A trapezium is a parallelogram with its two outer triangles transparent. Side k is between corners k - 1 and k;
     `others` are the colours of sides that differ from `bgr`.
     """
     middle = (low.mean(axis=0) + high.mean(axis=0)) / 2
