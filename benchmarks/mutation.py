@@ -1,8 +1,8 @@
 """Mutation testing: the share of small changes to the central algorithms that their tests detect.
 
 A sample of mutants (a comparison, number, arithmetic or logical operator changed; operators of cosmic-ray) is drawn
-evenly over the places of the source that can be changed. Each mutant is imported in place of its module in a process of
-its own, which runs the fast tests of its package until one fails. A mutant is killed if a test fails, the import
+evenly over the places of the source that can be changed. Each mutant is imported instead of its module in a separate
+process, which runs the fast tests of its package until one fails. A mutant is killed if a test fails, the import
 fails, or the tests run into the time limit. Annotations and decorators are left out, since they have no effect at run
 time here.
 """
@@ -239,7 +239,7 @@ def _finish(process: int, limit_s: float) -> int:
 
 
 def _start(mutant: Mutant | None, tests: tuple[str, ...]) -> int:
-    """A new process that runs the tests with the mutant in place of its module; it ends with 0 if all pass."""
+    """A new process that runs the tests with the mutant instead of its module; it ends with 0 if all pass."""
     process = os.fork()
     if process:
         return process
