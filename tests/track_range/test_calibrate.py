@@ -262,7 +262,7 @@ def test_invalid_output_paths(boards, tmp_path, cli):
         (tmp_path, "folder"),
         (".", "folder"),
         (tmp_path / "file" / "rig.yaml", "written"),
-        (tmp_path / "rig.png", "twice"),
+        (tmp_path / "rig.png", "two outputs"),
         (boards / "left3.yaml", "left3.png"),
     ):
         outcome = cli("calibrate", "--mono", boards / "left*.png", "--board", "9x6", "--square-mm", 30, "--out", out)
