@@ -137,7 +137,7 @@ def test_combination_of_two_segments() -> None:
     assert (both.error_px[1], both.sigma_px[1]) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("share_moving", [0.1, 0.25])
+@pytest.mark.parametrize("share_moving", [pytest.param(0.1, marks=pytest.mark.slow), 0.25])
 def test_moving_objects_have_no_influence(share_moving: float) -> None:
     estimate = combine([segment(drive(4, offset_px=0.5, share_moving=share_moving))], has_curvature=False)
     assert estimate.error_px[0] == pytest.approx(0.5, abs=0.03)
@@ -147,6 +147,7 @@ def test_mostly_moving_scene_is_refused() -> None:
     assert isinstance(segment_of(drive(4, share_moving=0.6), RIG), str)
 
 
+@pytest.mark.slow
 def test_unmodelled_errors_increase_the_spread() -> None:
     seen = drive(5, offset_px=0.5)
     u = (seen.xyx_px[:, 0] - CAMERA.cx_px) / 600.0

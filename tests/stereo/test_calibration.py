@@ -48,7 +48,7 @@ def test_exact_corners_give_the_camera_exactly():
     assert result.rms_px < 1e-3
 
 
-@pytest.mark.parametrize("n_terms", [0, 4, 5, 8])
+@pytest.mark.parametrize("n_terms", [0, 4, 5, pytest.param(8, marks=pytest.mark.slow)])
 def test_number_of_distortion_coefficients(n_terms):
     ideal = dataclasses.replace(CAMERA, distortion=())
     rng = np.random.default_rng(0)

@@ -14,8 +14,8 @@ TRACK_RANGE = Path(sys.executable).with_name("track-range")
 
 
 @pytest.fixture(scope="module")
-def drive(render_drive):
-    return render_drive(seed=5, seconds=0.5)
+def drive(small_drive):
+    return small_drive
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_videos(fails, options, drive, tmp_path, content, word):
 
 
 def test_truncated_video(render_drive, succeeds, tmp_path):
-    long = render_drive(seed=5, seconds=1.5)  # a fragment per second: the second one is cut
+    long = render_drive(seed=3, seconds=1.6)  # a fragment per second: the second one is cut
     right = junk(tmp_path / "cut.mp4", long.right.read_bytes()[: int(long.right.stat().st_size * 0.9)])
     files = ("--stereo", long.left, right, "--rig", long.rig, "--detections", long.detections)
     assert "right video ends" in succeeds(*files, "--no-sgbm", "--no-overlay", "--lanes", "off", "--align", "off")

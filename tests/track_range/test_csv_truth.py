@@ -18,8 +18,8 @@ N_FRAMES = 12
 
 
 @pytest.fixture(scope="module")
-def drive(render_drive: Any) -> Drive:
-    return render_drive(seed=5, seconds=N_FRAMES / 10)
+def drive(small_drive: Drive) -> Drive:
+    return small_drive
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ import track_range as tr
 
 
 @pytest.fixture(scope="module")
-def drive(render_drive):
-    return render_drive(seed=5, seconds=0.7)
+def drive(small_drive):
+    return small_drive
 
 
 def recorded(drive, **options):

@@ -80,6 +80,7 @@ def measured_m(folder: Path, boxes_of_frame):
     return np.concatenate(distances_m), recording
 
 
+@pytest.mark.slow
 def test_raw_pair_gives_the_same_distances(folders):
     top, labels = folders
     clear = (labels.occluded == 0) & (labels.truncated == 0) & (labels.location_m[:, 2] < 50)

@@ -192,6 +192,7 @@ def test_one_video_is_opened_once(tmp_path, film, opened_files):
     assert opened_files == ["left.mp4"]
 
 
+@pytest.mark.slow
 def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, monkeypatch):
     left, right = films(tmp_path, film, n=30, rate_hz=30)
     buffered = open_recording(left, right)

@@ -49,6 +49,7 @@ def test_drive_and_run_on_it(cli, rig, tmp_path):
     assert (tmp_path / "run" / "tracks.csv").stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_seed(cli, rig, tmp_path):
     texts = []
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
@@ -59,6 +60,7 @@ def test_seed(cli, rig, tmp_path):
     assert texts[0] != texts[2]
 
 
+@pytest.mark.slow
 def test_faults_reach_the_files(cli, rig, tmp_path):
     plain, faulty = tmp_path / "plain", tmp_path / "faulty"
     assert cli("simulate", "--out", plain, "--seconds", 0.2, "--rig", rig, "--noise", 0)[0] == 0

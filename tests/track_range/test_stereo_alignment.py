@@ -71,6 +71,7 @@ def drive():
     ]
 
 
+@pytest.mark.slow
 def test_alignment_from_the_drive(drive):
     steps = []
 

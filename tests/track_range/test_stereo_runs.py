@@ -46,7 +46,9 @@ def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     scale, stereo = summary["learnt_scale"], summary["methods"]["stereo"]
     assert scale["n_tracks"] >= 5
     assert 0.25 < scale["relative_sigma"] < 0.35
-    assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(721.5 * 0.54, rel=2 * scale["relative_sigma"])
+    rig, _ = load_rig(drive.rig, size_px=(620, 188))
+    expected = rig.left.fx_px * rig.baseline_m
+    assert scale["focal_px"] * scale["baseline_m"] == pytest.approx(expected, rel=2 * scale["relative_sigma"])
     assert 1 < stereo["median_relative_error_pct"] < 40
     assert stereo["within_2_sigma"] > 0.9
     share = columns["stereo_sigma_m"] / columns["stereo_m"]
