@@ -95,6 +95,7 @@ def test_pair(boards, tmp_path, cli):
     assert read["views"][0]["right_name"] == "right0.png"
 
 
+@pytest.mark.slow
 def test_charuco_board(tmp_path, cli):
     for i, board_pose in enumerate(varied_poses(7, seed=1, board=CHARUCO)):
         cv2.imwrite(str(tmp_path / f"c{i}.png"), drawn(CAMERA, board_pose, board=CHARUCO, seed=i))
@@ -149,6 +150,7 @@ def test_images_without_a_partner_are_rejected(copied, tmp_path, cli):
     assert "6 of 7 pairs" in printed
 
 
+@pytest.mark.slow
 def test_cameras_of_different_image_size(boards, tmp_path, cli):
     """Left and right files have the same names, and one right image has the left camera's size."""
     for side in ("left", "right"):
@@ -170,6 +172,7 @@ def test_cameras_of_different_image_size(boards, tmp_path, cli):
     assert calibrated.baseline_m == pytest.approx(TRUE.baseline_m, rel=0.02)
 
 
+@pytest.mark.slow
 def test_video(tmp_path, cli, film):
     images = []
     for i, board_pose in enumerate(varied_poses(9, seed=4)):
@@ -186,7 +189,7 @@ def test_video(tmp_path, cli, film):
     assert load_camera(out, size_px=(640, 360))[0].fx_px == pytest.approx(CAMERA.fx_px, rel=0.02)
 
 
-@pytest.mark.parametrize("board", ["8x6", "9x5", "9x7", "10x7"])
+@pytest.mark.parametrize("board", ["8x6", *(pytest.param(b, marks=pytest.mark.slow) for b in ("9x5", "9x7", "10x7"))])
 def test_wrong_number_of_corners(boards, tmp_path, cli, board):
     out = tmp_path / "rig.yaml"
     outcome = cli("calibrate", "--mono", boards / "left*.png", "--board", board, "--square-mm", 30, "--out", out)
