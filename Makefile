@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 
 # Processes that run tests; 0 = none beside pytest itself, which a debugger needs.
-WORKERS ?= auto
+WORKERS ?= logical
 PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal --tiers-file out/tiers.json
 SLOW_TIERS := slow or train or browser or real
 ifdef COVERAGE

@@ -55,15 +55,15 @@ def test_run_with_workers(tmp_path):
         [*command, "--tiers-file", "t.json"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1, done.stderr
-    found = json.loads((tmp_path / "t.json").read_text())
+    counted = json.loads((tmp_path / "t.json").read_text())
     zero = dict.fromkeys(OUTCOMES, 0) | {"reasons": {}}
-    assert found == {
+    assert counted == {
         "fast": zero | {"passed": 1},
         "real": zero | {"skipped": 1, "reasons": {"no recordings": 1}},
         "slow": zero | {"failed": 1},
         "train": zero | {"passed": 1},
     }
-    assert all(line in done.stdout.splitlines() for line in table_lines(found))
+    assert all(line in done.stdout.splitlines() for line in table_lines(counted))
 
 
 def test_complete_table_succeeds(tmp_path, capsys):
