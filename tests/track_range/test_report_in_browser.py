@@ -356,7 +356,7 @@ def test_missing_video(page_of: Callable[..., Any], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("actual", "lengths", "truth"),
+    ("changed", "lengths", "truth"),
     [({}, (1,), True), ({"truth": None, "methods": {}}, (5, 3), False), ({"truth": None, "methods": {}}, (), False)],
     ids=["one frame", "no truth", "no track"],
 )
