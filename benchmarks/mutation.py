@@ -109,7 +109,7 @@ def measure(options: Namespace) -> dict[str, Any]:
         mutants = [mutant for mutant in mutants if str(mutant) in listed]
     _import_libraries()
     limits_s = {}
-    for tests in sorted({mutant.tests for mutant in mutants}):
+    for tests in sorted({tuple(sorted(mutant.tests)) for mutant in mutants}):
         start_s = time.perf_counter()
         if (status := _finish(_start(None, tests), 1800.0)) != 0:
             raise SystemExit(f"{' '.join(tests)}: the tests fail without a mutant (status {status}).")
@@ -215,7 +215,10 @@ def _run(mutants: list[Mutant], limits_s: dict[tuple[str, ...], float], n_jobs: 
     while waiting or running:
         while waiting and len(running) < n_jobs:
             mutant = waiting.pop()
-            running[_start(mutant, mutant.tests)] = (mutant, time.perf_counter() + limits_s[mutant.tests])
+            running[_start(mutant, mutant.tests)] = (
+                mutant,
+                time.perf_counter() + limits_s[tuple(sorted(mutant.tests))],
+            )
         for process, (mutant, until_s) in list(running.items()):
             ended, status = os.waitpid(process, os.WNOHANG)
             if not ended and time.perf_counter() > until_s:
