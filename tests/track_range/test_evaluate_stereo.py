@@ -63,7 +63,7 @@ def test_one_matcher_has_no_common_objects(cli, tmp_path):
 
 
 def test_leave_two_out_removes_a_common_offset(cli, tmp_path):
-    folder = write_set(tmp_path / "set", [f"{n:06d}_10" for n in range(6)], reads_low_px=1)
+    folder = write_set(tmp_path / "set", [f"{n:06d}_10" for n in range(6)], offset_px=1)
     raw, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch")
     assert raw["matchers"]["patch"]["bias_pct"] == pytest.approx(100 * (1 / 20 + 1 / 30) / 2, abs=0.4)
     corrected, printed = evaluate(cli, folder, tmp_path, "--matcher", "patch", "--align", "leave-two-out")
@@ -73,7 +73,7 @@ def test_leave_two_out_removes_a_common_offset(cli, tmp_path):
 
 
 def test_alignment_file_is_applied(cli, tmp_path):
-    folder = write_set(tmp_path / "set", reads_low_px=1)
+    folder = write_set(tmp_path / "set", offset_px=1)
     save_alignment(Alignment(offset_px=1.0, residual_px=0.2), tmp_path / "align.yaml")
     figures, _ = evaluate(cli, folder, tmp_path, "--matcher", "patch", "--align", tmp_path / "align.yaml")
     assert abs(figures["matchers"]["patch"]["bias_pct"]) < 0.3
