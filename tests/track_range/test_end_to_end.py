@@ -193,7 +193,7 @@ def long_drive(drive, tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL]
+    "number", [signal.SIGINT, *(pytest.param(s, marks=pytest.mark.slow) for s in (signal.SIGTERM, signal.SIGKILL))]
 )
 def test_stopped_run_keeps_its_frames(long_drive, tmp_path, number):
     out = tmp_path / "out"

@@ -80,6 +80,7 @@ def test_detections_round_trip(drive):
     assert words[10:17] == ["-1", "-1", "-1", "-1000", "-1000", "-1000", "-10"]
 
 
+@pytest.mark.slow
 def test_same_seed_gives_the_same_bytes(drive, tmp_path):
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
     for name in ("truth", "table", "ego_speed", "detections", "rig", "left", "right"):

@@ -85,6 +85,7 @@ def test_standard_deviation_of_noise(sigma):
     assert abs(steps.mean()) < 0.01
 
 
+@pytest.mark.slow
 def test_late_right_camera_keeps_its_timestamps(tmp_path):
     faults = Faults(late_s=0.5)
     drive = write_drive(tmp_path, seconds=0.2, rig=SMALL, options=DriveOptions(scenario="highway", faults=faults))
