@@ -60,6 +60,7 @@ check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/python .ci/word_list.py
 
 # The pages are in out/docs, ready to be opened as files.
 docs: $(VENV)/.docs
