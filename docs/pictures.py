@@ -107,7 +107,7 @@ def ground() -> None:
 
 
 def lane() -> None:
-    """The own lane in the image, the box in it, and the width in the row of its bottom edge."""
+    """The ego lane in the image, the box in it, and the width in the row of its bottom edge."""
     figure = Figure((7.4, 2.5))
     scene = figure.subplots()
     scene.set(xlim=(0, 1240), ylim=(376, 120), aspect="equal")

@@ -2,7 +2,7 @@
 
 Boxes are solid if detected, dashed if predicted; corners inside a box mark the window of the patch matcher. Labels
 (`labels.py`) are placed near their boxes, inside the image and without overlap (`label_layout.py`). A bird's-eye view
-(`birds_eye.py`) is at the lower left; the lines of the own lane are drawn on the road. Labels of near tracks are placed
+(`birds_eye.py`) is at the lower left; the lines of the ego lane are drawn on the road. Labels of near tracks are placed
 first; without room for a full label only its first line is drawn, and without room for that none.
 """
 
@@ -28,7 +28,7 @@ Status = Callable[[], Sequence[str]]
 """Returns short texts on the state of the run, such as the frame rate."""
 
 MOST_LABELS = 100
-"""Most labels per frame; in a crowd only the nearest tracks are labelled."""
+"""Maximum number of labels per frame; in a crowd only the nearest tracks are labelled."""
 
 
 class Overlay:

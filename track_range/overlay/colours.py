@@ -17,7 +17,7 @@ CALM: Bgr = (125, 110, 95)
 """Bar of a time to collision that is not urgent."""
 
 LANE_COLOUR: Bgr = (70, 255, 215)
-"""Lines of the own lane; a hue between amber and the greens of tracks."""
+"""Lines of the ego lane; a hue between amber and the greens of tracks."""
 
 FUSED_COLOUR = "#2f7ed8"
 """Fused distance in the charts."""

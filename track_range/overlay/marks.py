@@ -1,4 +1,4 @@
-"""Drawing of boxes, inner windows, leader lines from labels to boxes, and the lines of the own lane."""
+"""Drawing of boxes, inner windows, leader lines from labels to boxes, and the lines of the ego lane."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _nearest(low: float, high: float, other_low: float, other_high: float) -> tu
 
 
 def draw_lanes(canvas: Image, lanes: LaneLines, *, line_px: int) -> None:
-    """Draw the lines of the own lane over the range in which they were detected."""
+    """Draw the lines of the ego lane over the range in which they were detected."""
     size_px = np.array(canvas.shape[1::-1], np.float64)
     for line in (lanes.left, lanes.right):
         if line is None:

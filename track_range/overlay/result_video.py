@@ -20,7 +20,7 @@ _QUANTIZER = 28
 """Constant quantizer of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)."""
 
 _MAX_QUEUED = 4
-"""Most frames that may wait to be drawn; then `write` blocks."""
+"""Maximum number of frames that may wait to be drawn; then `write` blocks."""
 
 Draw = Callable[[FrameResult], Image]
 """Draws a result as (H, W, 3) uint8 BGR; called from one thread."""

@@ -33,7 +33,7 @@ class FrameResult:
         xyz_m: (N, 3) ranged point in the left camera's frame (x right, y down, z forward), from the fused distance;
             NaN = unknown.
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
-        lanes: lines of the own lane; None if no lane detector ran.
+        lanes: lines of the ego lane; None if no lane detector ran.
         misses: lateral offset of each track at its time to collision; None if it was not estimated.
     """
 

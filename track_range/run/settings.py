@@ -73,7 +73,7 @@ class RunSettings(Options):
         Path | None,
         option(
             "Calibration file: rig.yaml, KITTI's calib.txt, OpenCV's stereo calibration or Kalibr's camchain (default: "
-            "rig.yaml or calib.txt in the folder of the left video; a pair without one is measured uncalibrated).",
+            "rig.yaml or calib.txt in the folder of the left video; without one, distances are uncalibrated).",
             panel=_INPUT,
         ),
     ] = None
@@ -192,7 +192,7 @@ class RunSettings(Options):
     sgbm_options: Annotated[
         dict[str, Any],
         option(
-            "Parameters of dense stereo that do not follow from the rig: fields of SgbmSettings.", is_file_only=True
+            "Parameters of dense stereo that override those for the rig: fields of SgbmSettings.", is_file_only=True
         ),
     ] = Field(default_factory=dict)
     align: Annotated[
@@ -207,8 +207,8 @@ class RunSettings(Options):
     lanes: Annotated[
         str,
         option(
-            "Detector of the own lane's lines, from whose width the lane method measures: edge-based (classical), none "
-            "(off), or a lane network (ONNX).",
+            "Detector of the lines of the ego lane, for distances by lane width: edge-based (classical), none (off), "
+            "or a lane network (ONNX).",
             metavar="classical|off|FILE",
             panel=_RANGING,
         ),
@@ -216,7 +216,7 @@ class RunSettings(Options):
     lane_width_m: Annotated[
         float,
         option(
-            "Width of the own lane in metres; stereo distances refine it.",
+            "Width of the ego lane in metres; refined with stereo distances.",
             metavar="M",
             panel=_RANGING,
             ge=1.5,
@@ -341,7 +341,7 @@ class RunSettings(Options):
 
     @property
     def left(self) -> VideoName:
-        """The left or only video, after which the output folder is named."""
+        """The left or only video; it gives the output folder its name."""
         video = self.mono if self.stereo is None else self.stereo[0]
         if video is None:
             raise ConfigError("expected a video, got none: give --stereo LEFT RIGHT or --mono VIDEO.")

@@ -51,7 +51,7 @@ N_TYRE_PIECES = 10
 
 
 PELVIS, WAIST, CHEST, SHOULDER, NECK = 0.46, 0.60, 0.72, 0.80, 0.845
-"""Heights of a standing body, as shares of its height."""
+"""Heights of a standing body, as fractions of its height."""
 
 TRUNK = (
     (PELVIS, 0.064, 0.102),
@@ -61,10 +61,10 @@ TRUNK = (
     (SHOULDER, 0.062, 0.124),
     (NECK, 0.036, 0.048),
 )
-"""Height, half depth and half width of the trunk, as shares of the body's height."""
+"""Height, half depth and half width of the trunk, as fractions of the body's height."""
 
 HEAD = ((0.16, 0.055, 0.042), (0.34, 0.086, 0.066), (0.62, 0.098, 0.077), (0.86, 0.085, 0.066), (1.0, 0.045, 0.035))
-"""Height, as a share of that of neck and head, half depth and half width in metres."""
+"""Cross-sections of neck and head: height as a fraction from the neck up, half depth and half width in metres."""
 
 BARE_SIDES: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3, 4, 5, 6, 7), (4, 5, 6), (4, 5, 6), ())
 """Sides of the head without hair, ring by ring; 5 is the front."""
@@ -73,7 +73,7 @@ BARE_SIDES: tuple[tuple[int, ...], ...] = ((0, 1, 2, 3, 4, 5, 6, 7), (4, 5, 6), 
 def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
     """The faces of a walking pedestrian; the hands span the width of the 3-D box, the feet its length."""
     height, width, length = size_hwl_m
-    top, trousers, skin = _one(rng, TOPS), _one(rng, TROUSERS), _one(rng, SKIN)
+    top, trousers, skin = _random_colour(rng, TOPS), _random_colour(rng, TROUSERS), _random_colour(rng, SKIN)
     x, z = length / 2, width / 2
     hip_z, has_bag = 0.055 * height, rng.uniform() < 0.3
     faces = [shadow(size_hwl_m, under=150)]
@@ -98,7 +98,7 @@ def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float])
         faces += loft(rng, low, high, trousers if low is rings[0] else top, contrast=CLOTH_CONTRAST)
     if has_bag:
         bag = (-0.19, -0.06, WAIST * height, 0.79 * height, -0.15, 0.15)
-        faces += block(rng, bag, _one(rng, TOPS), contrast=6.0).values()
+        faces += block(rng, bag, _random_colour(rng, TOPS), contrast=6.0).values()
     return [*faces, *_head(rng, x=0.015, low=NECK * height, high=height, skin=skin)]
 
 
@@ -106,7 +106,7 @@ def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) ->
     """The faces of a cyclist; the wheels span the length of the 3-D box, and a bag is at its back."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, WHEEL_RADIUS_M
-    top, trousers, skin = _one(rng, TOPS), _one(rng, TROUSERS), _one(rng, SKIN)
+    top, trousers, skin = _random_colour(rng, TOPS), _random_colour(rng, TROUSERS), _random_colour(rng, SKIN)
     neck, hip_z = 0.835 * height, 0.10
     faces = [shadow(size_hwl_m, under=120)]
     trunk = (
@@ -130,10 +130,10 @@ def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) ->
         grip = (x - 0.44, 0.595 * height, side * (z - 0.06))
         faces += _tube(rng, shoulder, elbow, (0.062, 0.047), top)
         faces += _tube(rng, _towards(elbow, shoulder), grip, (0.047, 0.036), top)
-    faces += _head(rng, x=0.13, low=neck, high=height, skin=skin, helmet=_one(rng, HELMETS))
+    faces += _head(rng, x=0.13, low=neck, high=height, skin=skin, helmet=_random_colour(rng, HELMETS))
     for centre in (-x + radius, x - radius):
         faces += _bicycle_wheel(rng, centre, radius)
-    frame = _one(rng, BIKES)
+    frame = _random_colour(rng, BIKES)
     crank, seat, head_tube = (-0.02, 0.28, 0.0), (-0.22, 0.88, 0.0), (x - 0.50, 0.90, 0.0)
     rear, front, bar = (-x + radius, radius, 0.0), (x - radius, radius, 0.0), (x - 0.46, 1.02, 0.0)
     for start, end in ((crank, seat), (crank, head_tube), (seat, head_tube), (crank, rear), (seat, rear), (front, bar)):
@@ -167,7 +167,7 @@ def _head(
 ) -> list[Face]:
     """Neck, face and hair, or a helmet; `x` is the middle of the head."""
     tall, wide = high - low, 1.0 if helmet is None else 1.1
-    hair = _one(rng, HAIR) if helmet is None else helmet
+    hair = _random_colour(rng, HAIR) if helmet is None else helmet
     shoulders = ring((x - 0.02, low - 0.03, 0.0), (0.058, 0.058), n_sides=6)
     faces = loft(rng, shoulders, ring((x - 0.01, low + 0.3 * tall, 0.0), (0.052, 0.052), n_sides=6), skin)
     rings = [ring((x, low + share * tall, 0.0), (wide * rx, wide * rz)) for share, rx, rz in HEAD]
@@ -190,7 +190,7 @@ def _bicycle_wheel(rng: np.random.Generator, centre_x: float, radius: float) -> 
     return [disc, *tyre]
 
 
-def _one(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
+def _random_colour(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
     return colours[int(rng.integers(len(colours)))]
 
 
@@ -215,8 +215,8 @@ def motorcyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float
     """The faces of a motorcycle with a rider in a helmet, leaning forward."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, 0.32
-    jacket, helmet = _one(rng, TOPS), _one(rng, HELMETS)
-    paint = _one(rng, BIKES)
+    jacket, helmet = _random_colour(rng, TOPS), _random_colour(rng, HELMETS)
+    paint = _random_colour(rng, BIKES)
     seat, neck = 0.50 * height, 0.83 * height
     faces = [
         *prism(rng, (-0.28, 0.22, seat, neck, -0.62 * z, 0.62 * z), jacket, contrast=8.0),
