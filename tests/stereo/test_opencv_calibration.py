@@ -58,7 +58,7 @@ def test_opencv_files_find_each_other(tmp_path: Path, given: int) -> None:
     assert rig.left.distortion == (0.1, 0.01, 0.0, 0.0, 0.0)
     assert rig.right_from_left[0, 2] == pytest.approx(np.sin(0.01))
     assert (rig.left.width_px, rig.left.height_px) == SIZE
-    assert "baseline 0.12 m" in notes[0]
+    assert "0.12 m" in notes[0]
     assert np.array_equal(left_from_reference_m(path, is_grey=False), np.zeros(3))
 
 

@@ -185,7 +185,7 @@ def test_run_without_truth() -> None:
 def test_run_without_tracks_or_figures() -> None:
     page = Page(report_page({"frames": 0}, columns()))
     assert "No track was confirmed in this run." in page.text
-    assert "The summary contains no figures." in page.text
+    assert "contains no results" in page.text
     assert page.content["tracks"] == page.content["methods"] == []
 
 

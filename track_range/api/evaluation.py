@@ -1,4 +1,4 @@
-"""Evaluations as functions: options of `track-range evaluate` as keyword arguments, figures as a dictionary."""
+"""Evaluations as functions: options of `track-range evaluate` as keyword arguments, results as a dictionary."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def evaluate_stereo(pairs: str | Path, **options: Any) -> dict[str, Any]:
 
     Example:
         >>> import track_range as tr
-        >>> figures = tr.evaluate_stereo("drive", matchers=("sgbm",))
-        >>> figures["matchers"]["sgbm"]["median_relative_error_pct"] < 10
+        >>> results = tr.evaluate_stereo("drive", matchers=("sgbm",))
+        >>> results["matchers"]["sgbm"]["median_relative_error_pct"] < 10
         True
 
     Args:

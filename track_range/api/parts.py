@@ -110,7 +110,7 @@ class Detector:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on the model: source of its class names, fallback of the device."""
+        """Messages about the model, such as the source of its class names or a fallback to the CPU."""
         return self._network.notes
 
     def detect(self, image: Image) -> Detections:

@@ -41,7 +41,7 @@ class RigAlignment:
     Attributes:
         applied: the alignment to apply, with insignificant terms set to 0.
         measured: the alignment as estimated.
-        notes: sentences for the user.
+        notes: messages for the user.
     """
 
     applied: Alignment
@@ -60,7 +60,7 @@ class RigAlignment:
         }
 
     def save(self, settings: AlignmentSettings) -> None:
-        """Write the alignment file and, if `settings.json_file` is given, the figures.
+        """Write the alignment file and, if `settings.json_file` is given, the results.
 
         Raises:
             OutputError, RigError: a file cannot be written.

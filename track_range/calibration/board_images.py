@@ -27,12 +27,12 @@ _MAX_VIDEO_SHOTS = 300
 """Largest number of frames of a video that are searched for boards."""
 
 _SHORTEST_STEP_S = 0.2
-"""Smallest time between these frames, s: a board held by hand hardly moves in less."""
+"""Minimum time between these frames, s; a hand-held board hardly moves in a shorter time."""
 
 _WILDCARD = re.compile(r"[*?\[]")
 
 Key = Callable[[Path], str]
-"""Function that gives equal texts for the paths of a left and a right image that belong together."""
+"""Function that returns the same text for the paths of the left and right image of a pair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class ImageFiles:
 
     Attributes:
         paths: one tuple of paths per shot, with one path per camera.
-        unpaired: images without a partner.
+        unpaired: images without a counterpart from the other camera.
         is_video: False.
     """
 
@@ -87,7 +87,7 @@ class VideoShots:
     Attributes:
         files: the videos.
         n_shots: estimated number of shots; None = unknown.
-        is_video: True: most shots may show no board.
+        is_video: True, since many frames of a video may not show the board.
         unpaired: always empty.
 
     Raises:

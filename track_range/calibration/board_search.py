@@ -52,7 +52,7 @@ class BoardSearch:
     Attributes:
         shots: the views of each usable shot, one per camera.
         rejected: the rejected images.
-        notes: sentences for the user.
+        notes: messages for the user.
         n_images: number of shots that were searched.
     """
 
@@ -196,7 +196,7 @@ def _no_charuco_message(board: CharucoBoard, samples: Sequence[Image], n_images:
     if not seen[best]:
         return f"{problem}, and no ArUco marker; the board must be well lit, with markers at least 20 px wide."
     if seen[board.dictionary] < seen[best]:
-        return f"{problem}; the markers are of the dictionary {best}, append it to --board."
+        return f"{problem}; the markers belong to the dictionary {best}; append it to --board."
     return f"{problem}, but markers of {board.dictionary}; check the numbers of squares, columns first."
 
 

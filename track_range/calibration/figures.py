@@ -1,4 +1,4 @@
-"""The figures of a calibration for `calibrate --json`: cameras, standard deviations, used and rejected views."""
+"""Results of a calibration for `calibrate --json`: cameras, standard deviations, used and rejected views."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from track_range.stereo.calibration.two_cameras import PairCalibration
 
 
 def mono_figures(calibration: CameraCalibration, search: BoardSearch) -> dict[str, Any]:
-    """The figures of one camera as plain values for JSON."""
+    """Results of one camera as plain values for JSON."""
     return {
         "camera": _camera_figures(calibration),
         "rms_px": calibration.rms_px,
@@ -28,7 +28,7 @@ def mono_figures(calibration: CameraCalibration, search: BoardSearch) -> dict[st
 
 
 def pair_figures(calibration: PairCalibration, search: BoardSearch) -> dict[str, Any]:
-    """The figures of a rig as plain values for JSON."""
+    """Results of a rig as plain values for JSON."""
     warnings = [
         f"{name}: {text}"
         for name, camera in (("left", calibration.left), ("right", calibration.right))

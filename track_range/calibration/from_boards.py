@@ -58,7 +58,7 @@ class BoardCalibration:
         return list(self.figures["warnings"])
 
     def save(self, settings: CalibrationSettings) -> list[Path]:
-        """Write the rig, the picture and, if `settings.json_file` is given, the figures; returns the files' paths.
+        """Write the rig, the picture and, if `settings.json_file` is given, the results; returns the files' paths.
 
         Raises:
             OutputError, RigError: a file cannot be written.
@@ -144,7 +144,7 @@ def _board(settings: CalibrationSettings) -> Board:
 
 
 def _warnings(search: BoardSearch, cameras: Mapping[str, CameraCalibration]) -> list[str]:
-    """Sentences for the user about an implausible distance, blur, and images of different size."""
+    """Messages for the user about an implausible distance, blur, and images of different size."""
     warnings = []
     first = next(iter(cameras.values()))
     distance_m = float(np.median([fit.board_to_camera[2, 3] for fit in first.fits]))

@@ -45,7 +45,7 @@ class CalibrationSettings(Options):
         Path | None,
         option("Picture of the residuals and the image coverage (default: beside --out).", metavar="FILE.png"),
     ] = None
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 class AlignmentSettings(Options):
@@ -77,7 +77,7 @@ class AlignmentSettings(Options):
     rig: Annotated[Path | None, option("Calibration file (default: the one in the folder of the images).")] = None
     out: Annotated[Path, option("Alignment file to write, for the option --align of a run.", metavar="FILE")]
     seed: Annotated[int, option("Random seed for the resampling that estimates the uncertainty.", ge=0)] = 0
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 class StereoEvaluationSettings(Options):

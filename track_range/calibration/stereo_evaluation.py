@@ -60,7 +60,7 @@ def _check_names(names: Sequence[str]) -> None:
         if name not in MATCHER_NAMES:
             raise UsageError(f"--matcher {name}: expected one of {', '.join(MATCHER_NAMES)}.")
     if len(set(names)) < len(names):
-        raise UsageError("--matcher: expected different matchers, got one twice.")
+        raise UsageError("--matcher: expected each matcher once, got duplicates.")
 
 
 def _n_pairs(settings: StereoEvaluationSettings) -> int | None:

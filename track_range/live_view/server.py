@@ -179,7 +179,7 @@ class _Handler(BaseHTTPRequestHandler):
 def _advice(error: OSError) -> str:
     if isinstance(error, gaierror) or error.errno == errno.EADDRNOTAVAIL:
         return "give an address of this machine, such as 0.0.0.0 for all interfaces"
-    return "choose a port from 1024 on" if error.errno == errno.EACCES else "choose another port"
+    return "choose a port above 1023" if error.errno == errno.EACCES else "choose another port"
 
 
 def _name_of_host(header: str) -> str:

@@ -1,6 +1,6 @@
 """LiveView: the overlay of a run in progress, in a browser; only the newest frame is drawn, and only on request.
 
-results --> [ newest ] <-- threads of the connections: draw, once for all of them         offering a result never waits
+results --> [ newest ] <-- connection threads, which share one drawing of each result      (`offer` does not block)
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ _METHOD_GRIDS: tuple[_MethodFigure, ...] = (
 """Title, key in a method's row, format, scale and cost of each table of methods."""
 
 _OMITTED = ("out", "versions")
-"""Settings without influence on the figures."""
+"""Settings without influence on the results."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +64,7 @@ class ComparedRun:
 
 
 def comparison_grids(runs: Sequence[ComparedRun]) -> list[Grid]:
-    """Tables with a row per run: main figures, figures of each method, run time of each stage."""
+    """Tables with a row per run: main results, results of each method, run time of each stage."""
     grids = [_run_grid(runs), *(_method_grid(runs, spec) for spec in _METHOD_GRIDS), _stage_grid(runs)]
     return [grid for grid in grids if grid.rows and len(grid.columns) > 1]
 
@@ -110,13 +110,13 @@ def settings_grid(runs: Sequence[ComparedRun]) -> Grid:
 
 
 def comparison_notes(runs: Sequence[ComparedRun]) -> list[str]:
-    """Reasons why the figures of the runs may not be comparable."""
+    """Reasons why the results of the runs may not be comparable."""
     notes = []
     if len({run_name(run.summary) for run in runs}) > 1:
         notes.append("The runs are of different videos, so their errors are not directly comparable.")
     truths = {str(run.summary.get("truth")) for run in runs}
     if len(truths) > 1:
-        notes.append("The runs were not evaluated against the same kind of ground truth, or some without ground truth.")
+        notes.append("The runs were not evaluated against the same kind of ground truth, or some had none.")
     if len({run.summary.get("frames") for run in runs}) > 1:
         notes.append("The runs have different numbers of frames.")
     return notes

@@ -54,7 +54,7 @@ def speed_grid(figures: Mapping[str, Any]) -> Grid:
 
 
 def class_grid(figures: Mapping[str, Any]) -> Grid:
-    """One row per class: labelled images and boxes, and AP50 of each model, or all figures of a single model."""
+    """One row per class: labelled images and boxes, and AP50 of each model, or all metrics of a single model."""
     models = figures["models"]
     by_name = (item for row in models.values() for item in row["classes"].items())
     labelled = {name: scores for name, scores in by_name if scores["n_boxes"]}

@@ -17,13 +17,13 @@ from track_range.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 from track_range.results.columns import Columns, methods_measured
 
 SCATTER_POINTS = 1500
-"""Most points of one method in the chart of errors; more would cover each other."""
+"""Maximum number of points of one method in the chart of errors; more would overlap."""
 
 BAND_M = 10.0
 """Width in metres of the distance bands of the median line."""
 
 MIN_IN_BAND = 3
-"""Fewest errors in a band for a median."""
+"""Minimum number of errors in a band for a median."""
 
 EXPECTED_SHARES = np.arange(0.05, 1.0, 0.05)
 """Fractions of errors expected within k sigma at which the calibration curve is sampled."""

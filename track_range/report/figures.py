@@ -18,7 +18,7 @@ from track_range.ranging.evaluation.curve_comparison import CurveFit
 from track_range.results.output_files import write_bytes
 
 SCATTER_PATHS = 3000
-"""Most points of a scatter plot; more are thinned."""
+"""Maximum number of points of a scatter plot; more are thinned."""
 
 
 def training_chart(history: Sequence[Mapping[str, float]], path: Path) -> None:

@@ -23,7 +23,7 @@ class WrittenReport:
         page: page to open.
         grids: tables of a comparison; none for a single run.
         missing: sentences about files that are missing in a folder.
-        notes: limits of a comparison; none for a single run.
+        notes: reasons why the runs may not be comparable; none for a single run.
     """
 
     page: Path
@@ -89,7 +89,7 @@ def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
 
 
 def short_names(folders: Sequence[Path]) -> list[str]:
-    """Last parts of each path, as many as make the names unique."""
+    """Shortest trailing parts of the paths that are unique."""
     parts = [folder.resolve().parts for folder in folders]
     for n in range(1, max(map(len, parts)) + 1):
         names = ["/".join(path[-n:]) for path in parts]

@@ -1,4 +1,4 @@
-"""Sentences of the report, made from a run's summary: name, main figures, calibration and alignment, settings.
+"""Sentences of the report, made from a run's summary: name, main results, calibration and alignment, settings.
 
 A disparity error e in pixels changes the distance Z = f B / d by about Z^2 e / (f B).
 """
@@ -30,7 +30,7 @@ def run_name(summary: Summary) -> str:
 
 
 def cards(summary: Summary) -> Iterator[dict[str, str]]:
-    """Main figures of a run: frames, speed, tracks, distance error, HOTA."""
+    """Main results of a run: frames, speed, tracks, distance error, HOTA."""
     wall_s, fps = tables.figure(summary, "wall_s"), tables.frames_per_s(summary)
     tracks = summary.get("tracks") or {}
     yield card("frames", summary.get("frames"), f"in {wall_s:.1f} s" if wall_s else "")

@@ -17,10 +17,10 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.results.columns import Columns, methods_measured
 
 LINE_POINTS = 1200
-"""Most points of a line; longer ones are thinned. A page shows about one point per pixel."""
+"""Maximum number of points of a line; longer ones are thinned. A page shows about one point per pixel."""
 
 MOST_CELLS = 1_800_000
-"""Most numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
+"""Maximum count of numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
 
 TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS = 1000.0, 100.0, 10.0
 """Resolution of times, distances and speeds."""
@@ -76,7 +76,7 @@ def _sigma(method: str) -> str:
 
 
 def _longest_line(lengths: list[int], *, n_series: int) -> int:
-    """Most points per line such that all lines fit into a page."""
+    """Maximum number of points per line with which all lines fit into a page."""
     limit = LINE_POINTS
     while limit > 8 and n_series * sum(min(length, limit) for length in lengths) > MOST_CELLS:
         limit = int(0.9 * limit)

@@ -1,6 +1,6 @@
 """Tables of a run's summary, for the terminal and the report, and as Markdown.
 
-A summary is the content of `summary.json`. Figures without `_pct` are fractions 0..1 and are shown in per cent; MOT
+A summary is the content of `summary.json`. Values without `_pct` are fractions 0..1 and are shown in per cent; MOT
 metrics are in per cent already. None, NaN or a missing key means not measured, shown as "-". A column without any value
 (such as errors of a run without ground truth) is omitted. The best value of a column is marked: the largest coverage,
 the smallest error, the bias nearest 0, and the fraction within k sigma nearest to that of a normal distribution.
@@ -30,7 +30,7 @@ Cost = Callable[[float], float]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One figure as text; `best` marks the best one of its column."""
+    """One value as text; `best` marks the best value of its column."""
 
     text: str
     best: bool = False
@@ -47,7 +47,7 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of figures.
+    """A column of values.
 
     Attributes:
         heading: text above the column.
@@ -97,7 +97,7 @@ METHOD_COLUMNS: tuple[tuple[str, str, str, float, Cost | None], ...] = (
 
 
 STAGE_OF = {"fused": "fuse"}
-"""Stage that times a method, where it has another name; filtered methods are part of the fusion stage."""
+"""Stage that measures a method's run time, if their names differ; filtered methods are part of the fusion stage."""
 
 
 def grids(summary: Mapping[str, Any]) -> list[Grid]:
@@ -202,7 +202,7 @@ def grid_of(title: str, corner: str, names: Sequence[str], columns: Sequence[Col
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
-    """The tables of a summary as Markdown, best figures in bold, with the source of the ground truth and the notes."""
+    """The tables of a summary as Markdown, best values in bold, with the source of the ground truth and the notes."""
     parts = [markdown_table(grid) for grid in grids(summary)]
     if summary.get("truth"):
         parts.append(f"Ground truth: {summary['truth']}")

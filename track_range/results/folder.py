@@ -38,7 +38,7 @@ _LARGEST = 2.0**53
 """Largest integer up to which all integers are exact in float64."""
 
 _MOST_NAMED = 5
-"""Most values of wrong types that a note names."""
+"""Maximum number of values of wrong types that a note names."""
 
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 """Settings that are inputs of a run."""

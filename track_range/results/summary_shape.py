@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 Figure = Annotated[float, Field(strict=True, gt=-1e15, lt=1e15, allow_inf_nan=False)] | None
-"""Finite number, or null = unknown; the limits are larger than any figure of a run."""
+"""Finite number, or null = unknown; the limits are larger than any value of a run."""
 Text = Annotated[str, Field(strict=True)] | None
 
 

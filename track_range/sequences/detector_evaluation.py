@@ -37,7 +37,7 @@ PROTOCOL = (
     "detector's non-maximum suppression; precision and recall at IoU 0.5 and the working score; median ms per image, "
     "all detectors in turn on each image"
 )
-"""Description of the measurement for the figures."""
+"""Description of the measurement for the results."""
 
 
 @dataclass(slots=True)
@@ -84,7 +84,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Run all detectors on the labelled images; returns their figures as plain values for JSON.
 
-    After an interrupt (Ctrl-C) the figures are those of the finished images.
+    After an interrupt (Ctrl-C) the results are those of the finished images.
 
     Args:
         candidates: the detectors.
@@ -144,7 +144,7 @@ def evaluate_source(
     progress: FrameProgress = no_frame_progress,
     min_height_px: float = 0.0,
 ) -> dict[str, Any]:
-    """`evaluate` on the images of `source`; the figures also name images, labels, format and split.
+    """`evaluate` on the images of `source`; the results also name images, labels, format and split.
 
     Raises:
         LabelFileError, ImageFileError, VideoError, UsageError: images or labels cannot be used.
@@ -161,7 +161,7 @@ def evaluate_source(
 
 
 def _figures(candidate: Candidate, scores: dict[str, DetectionScores]) -> dict[str, Any]:
-    """The figures of one model: file, accuracy over its classes and over the classes averaged for all models, speed."""
+    """Results of one model: file, accuracy over its classes and over the classes averaged for all models, speed."""
     own = scores[candidate.name]
     shared = [
         i for i in own.by_class if all(i in row.by_class and row.by_class[i].is_averaged for row in scores.values())

@@ -23,7 +23,7 @@ _VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm")
 """Suffixes of videos, in the order of preference."""
 
 _MAX_OUTSIDE = 0.05
-"""Share of boxes with centres outside the images above which the user is warned."""
+"""Fraction of boxes with centres outside the images above which the user is warned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class TrackedSequence:
     Attributes:
         frames: the tracks of every frame.
         us_per_frame: mean time of tracking per frame in microseconds, without reading images.
-        notes: sentences for the user.
+        notes: messages for the user.
     """
 
     frames: list[Tracks]
@@ -138,7 +138,7 @@ class _ImageCounts:
         self._size_text = f"{width} x {height}"
 
     def notes(self, images: Path | None, n_frames: int) -> tuple[str, ...]:
-        """Sentences for the user about missing images and boxes outside the images."""
+        """Messages for the user about missing images and boxes outside the images."""
         notes = []
         if self._n_frames < n_frames:
             notes.append(f"{images}: images for {self._n_frames} of {n_frames} frames; the others use boxes only.")

@@ -9,7 +9,7 @@ app = lazy_app(
         "tracks": Lazy(
             "track_range.cli.evaluate.tracks",
             "HOTA, MOTA, IDF1 and related metrics of tracks.",
-            "Follows the evaluation rules of KITTI or MOTChallenge, by the format of the ground truth.",
+            "Follows the evaluation rules of KITTI or MOTChallenge, depending on the format of the ground truth.",
             (
                 "track-range evaluate tracks --truth MOT17/train --results tracks",
                 "track-range evaluate tracks --truth label_02/ --results tracks --class person",

@@ -27,7 +27,7 @@ from track_range.sequences.settings import DetectionEvaluationSettings
 class DetectionsOptions(DetectionEvaluationSettings):
     """Options of `track-range evaluate detections`."""
 
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _detections(options: DetectionsOptions) -> None:
@@ -63,7 +63,7 @@ def print_figures(figures: dict[str, Any]) -> None:
 
 
 def write_figures(figures: dict[str, Any], path: Path | None) -> None:
-    """Write the figures as JSON if a file is given.
+    """Write the results as JSON if a file is given.
 
     Raises:
         OutputError: the file cannot be written.

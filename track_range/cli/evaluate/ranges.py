@@ -21,7 +21,7 @@ class RangesOptions(RangeEvaluationSettings):
     """Options of `track-range evaluate ranges`."""
 
     table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _ranges(options: RangesOptions) -> None:

@@ -22,7 +22,7 @@ from track_range.run.progress import step_progress
 class StereoOptions(StereoEvaluationSettings):
     """Options of `track-range evaluate stereo`."""
 
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _stereo(options: StereoOptions) -> None:

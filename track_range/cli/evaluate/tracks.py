@@ -19,13 +19,13 @@ from track_range.sequences.settings import TrackEvaluationSettings
 from track_range.tracking.motmetrics_comparison import REASONS
 
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
-"""Metrics shown, by the usual names; keys of the figures in lower case."""
+"""Metrics shown, by their usual names; keys of the results in lower case."""
 
 
 class TracksOptions(TrackEvaluationSettings):
     """Options of `track-range evaluate tracks`."""
 
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _tracks(options: TracksOptions) -> None:
@@ -39,7 +39,7 @@ def _tracks(options: TracksOptions) -> None:
 
 
 def _print_comparison(figures: Mapping[str, Any]) -> None:
-    """Print the figures of motmetrics beside those of track-range, with reasons for differences."""
+    """Print the results of motmetrics beside those of track-range, with reasons for differences."""
     rows: dict[str, Mapping[str, Any]] = {
         "track-range": figures["combined"],
         "motmetrics": figures["motmetrics"]["combined"],
@@ -54,7 +54,7 @@ def _print_comparison(figures: Mapping[str, Any]) -> None:
         if not _is_same(own, reference):
             differing.setdefault(REASONS[head.lower()], []).append(head)
     reasons = [f"{', '.join(heads)}: {reason}." for reason, heads in differing.items()]
-    print_notes(console, reasons or ["All figures agree."])
+    print_notes(console, reasons or ["All results agree."])
 
 
 def _is_same(value: float | None, other: float | None) -> bool:

@@ -36,7 +36,7 @@ N_CALIBRATION = 60
 """Number of images for calibration of the value ranges of the layers; see detection/models/quantize.py."""
 
 N_COMPARED = 100
-"""Most images on which copies are compared with the original if there are no labels."""
+"""Maximum number of images on which copies are compared with the original if there are no labels."""
 
 
 @dataclass(slots=True)
@@ -94,7 +94,7 @@ class QuantizeOptions(Options):
     letterbox: Annotated[str | None, letterbox_option()] = None
     size_px: Annotated[int | None, size_option()] = None
     threads: Annotated[int, threads_option()] = 0
-    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    json_file: Annotated[Path | None, option("JSON file for the results.", flag="--json", metavar="FILE")] = None
 
 
 def _quantize(options: QuantizeOptions) -> None:
@@ -130,7 +130,7 @@ def _quantize(options: QuantizeOptions) -> None:
     candidates = open_candidates([str(model) for model in (path, int8, fp16)], detector, Path)
     figures = evaluate(candidates, frames, min_score=None, progress=partial(frame_progress, console))
     truth = "the labels" if source else f"boxes of the original of confidence {WORKING_SCORE} or more"
-    figures["notes"].append(f"Accuracy is relative to {truth}, on images that were not used for calibration.")
+    figures["notes"].append(f"Accuracy is measured against {truth}, on images that were not used for calibration.")
     print_figures(figures)
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)
     write_figures(figures, options.json_file)

@@ -19,7 +19,7 @@ from track_range.foundation.arrays import FloatArray
 from track_range.run.progress import step_progress
 
 _N_LISTED = 20
-"""Most unreadable images that are listed by name."""
+"""Maximum number of unreadable images that are listed by name."""
 
 _N_PER_HEAD = 3
 """Number of anchors of each head, in all networks."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
 
-_DATA, _TRAINING, _OUTPUT, _VARIANTS = "Data and network", "Training", "Output", "Variants from the paper"
+_DATA, _TRAINING, _OUTPUT, _VARIANTS = "Data and network", "Training", "Output", "Network variants"
 
 _Data = Annotated[
     Path,
@@ -65,7 +65,7 @@ class TrainOptions(Options):
     ] = Path("track-range-training")
     resume: Annotated[
         bool,
-        option("Continuation of the interrupted run in --out; give its other options again.", panel=_OUTPUT),
+        option("Whether to resume the interrupted run in --out; its other options must be repeated.", panel=_OUTPUT),
     ] = False
     device: Annotated[
         str,

@@ -37,7 +37,7 @@ CURVES = "curves.png"
 
 
 def train(options: TrainOptions) -> None:
-    """Train, export the best network to the run folder, and print its figures.
+    """Train, export the best network to the run folder, and print its metrics.
 
     Raises:
         LabelFileError, ImageFileError: the data cannot be used.
@@ -193,7 +193,7 @@ def _teacher(options: TrainOptions, data: TrainingData, settings: TrainingSettin
 
 
 def _finish(training: Training, options: TrainOptions, data: TrainingData) -> None:
-    """Export the best network and print its figures."""
+    """Export the best network and print its metrics."""
     training.load_best()
     model = options.out / f"{options.model}.onnx"
     export_onnx(training.average.network, model, _metadata(options, data, training))

@@ -85,7 +85,7 @@
     return { at: positions, decimals: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
   }
 
-  // Axes of a box: `plot` is clipped to them; `toX` and `toY` convert figures to pixels of `plot`.
+  // Axes of a box: `plot` is clipped to them; `toX` and `toY` convert values to pixels of `plot`.
   function axes(box, { x, y }) {
     const width = box.clientWidth, height = box.clientHeight;
     const inner = { width: width - MARGIN.left - MARGIN.right, height: height - MARGIN.top - MARGIN.bottom };
