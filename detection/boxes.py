@@ -7,7 +7,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 _NMS_BLOCK = 128
-"""Boxes per block of `nms`, by measurement: larger blocks compare more pairs in vain, smaller ones need more calls."""
+"""Boxes per block of `nms`, chosen by measurement: larger blocks compare too many pairs, smaller ones add calls."""
 
 
 def xyxy_from_cxcywh(cxcywh: FloatArray) -> FloatArray:
@@ -48,7 +48,7 @@ def iou(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
 
 
 def share_inside(a_xyxy_px: FloatArray, b_xyxy_px: FloatArray) -> FloatArray:
-    """(N, M) intersection over the area of the first box, |A n B| / |A|, in [0, 1]; 0 for an empty A."""
+    """(N, M) intersection over the area of the first box, |A n B| / |A|, in [0, 1]; 0 if A is empty."""
     intersection = intersection_px2(a_xyxy_px, b_xyxy_px)
     area = area_px2(a_xyxy_px)[:, None]
     return np.divide(intersection, area, out=np.zeros_like(intersection), where=area > 0)
@@ -63,16 +63,16 @@ def are_valid_boxes(xyxy_px: FloatArray) -> BoolArray:
 def nms(
     xyxy_px: FloatArray, score: FloatArray, class_id: IntArray, *, max_iou: float, max_boxes: int | None = None
 ) -> IntArray:
-    """Indices of the boxes that greedy non-maximum suppression leaves, highest score first.
+    """Indices of the boxes that remain after greedy non-maximum suppression, highest score first.
 
-    Boxes of different classes do not suppress each other; of boxes with equal scores the first in the input wins.
-    The boxes are processed in blocks by falling score, and processing ends once `max_boxes` are left.
+    Boxes of different classes do not suppress each other. Boxes with equal scores keep the order of the input.
+    Boxes are processed in blocks of decreasing score until `max_boxes` have been selected.
 
     Args:
         xyxy_px: (N, 4) boxes.
         score: (N,) confidences.
         class_id: (N,) classes.
-        max_iou: a box is suppressed if its IoU with a better box of its class exceeds this.
+        max_iou: a box is suppressed if its IoU with a higher-scoring box of its class exceeds this value.
         max_boxes: largest number of indices returned; None = no limit.
     """
     order = np.argsort(-score, kind="stable")
@@ -112,10 +112,13 @@ def _overlap(a: FloatArray, b: FloatArray, *, max_iou: float) -> BoolArray:
 
 
 def _survivors(overlaps: BoolArray) -> BoolArray:
-    """(N,) mask of the boxes that survive greedy suppression, given (N, N) which pairs overlap too much, best first.
+    """(N,) mask of the boxes that survive greedy suppression.
 
-    A box survives if no better survivor overlaps it. Starting with all boxes, this rule is applied until nothing
-    changes: after k rounds the first k boxes are final, and in practice a few rounds suffice.
+    A box survives if no surviving box with a higher score overlaps it. Starting with all boxes, this rule is applied
+    until nothing changes: after k rounds the first k boxes are final, and in practice a few rounds suffice.
+
+    Args:
+        overlaps: (N, N) whether two boxes overlap too much, in order of decreasing score.
     """
     better_overlaps = np.triu(overlaps, 1)
     survives: BoolArray = np.ones(len(overlaps), np.bool_)

@@ -36,7 +36,7 @@ PRECISIONS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Precisions at which the recall is reported, so that detectors can be compared at equal precision."""
 
 MIN_BOXES = 50
-"""Fewest labels of a class that is included in the means; figures from fewer labels vary too much."""
+"""Minimum number of labels of a class that is included in the means; metrics from fewer labels vary too much."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -107,8 +107,8 @@ class ErrorSource:
 
     Attributes:
         name: the source; methods that declare the same source share its error.
-        systematic: share of the variance, 0..1, that is constant over a track.
-        independent: share of the variance, 0..1, that is independent from frame to frame.
+        systematic: fraction of the variance, 0..1, that is constant over a track.
+        independent: fraction of the variance, 0..1, that is independent from frame to frame.
     """
 
     name: SourceName
@@ -129,7 +129,7 @@ class RangingMethod:
         needs: required inputs; `create` is called only if the run has all of them.
         reads: methods with ranges that this one uses if they are available; they measure a frame first. Names of
             methods that are not installed are ignored.
-        error_sources: the contributions to its variance; their shares sum to 1.
+        error_sources: the contributions to its variance; their fractions sum to 1.
         fallback_for: name of a method that supersedes this one: fusion uses this method only for tracks that the other
             one has not measured, since it shares nearly all of the other's errors or is calibrated by it.
         is_scale_reference: whether fusion takes the scale of this method as correct: its systematic error is part of
@@ -191,7 +191,7 @@ class RangingMethod:
 
     @property
     def noise_share(self) -> float:
-        """Share of sigma (not of the variance) that is independent from frame to frame, 0..1."""
+        """Fraction of sigma (not of the variance) that is independent from frame to frame, 0..1."""
         return math.sqrt(sum(source.independent for source in self.error_sources))
 
 

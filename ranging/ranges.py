@@ -45,6 +45,6 @@ class Ranges:
 
     @classmethod
     def unmeasured(cls, track_id: IntArray) -> Ranges:
-        """Ranges of (N,) tracks of which none is measured: NaN."""
+        """Ranges of (N,) unmeasured tracks: NaN for all."""
         nan = np.full(len(track_id), np.nan)
         return cls(track_id, nan, nan.copy())

@@ -39,7 +39,7 @@ def methods() -> tuple[RangingMethod, ...]:
 
 
 def method_notes() -> tuple[str, ...]:
-    """One sentence for each entry point that cannot be used."""
+    """One message for each entry point that cannot be used."""
     return _installed()[1]
 
 

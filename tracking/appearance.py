@@ -21,10 +21,10 @@ from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_sh
 from track_range.tracking.gallery import unit_rows
 
 MIN_SIDE_PX = 4.0
-"""Least width and height of a box with an embedding."""
+"""Minimum width and height of a box with an embedding."""
 
 MIN_SHARE_INSIDE = 0.3
-"""Least share of a box inside the image, for an embedding."""
+"""Minimum fraction of a box inside the image, for an embedding."""
 
 _FAR_PX = 1e6
 """Box edges are clipped here, so that areas stay finite."""
@@ -160,7 +160,7 @@ class ColourLayout:
 
 
 def _soft_bins(value: FloatArray, n_bins: int) -> FloatArray:
-    """(L, bins) share of each value (L,), clipped to 0..1, in each bin, linear between the two nearest bins."""
+    """(L, bins) fraction of each value (L,), clipped to 0..1, in each bin, linear between the two nearest bins."""
     position = np.clip(value, 0.0, 1.0) * (n_bins - 1)
     return np.maximum(1.0 - np.abs(position[:, None] - np.arange(n_bins)), 0.0)
 

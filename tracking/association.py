@@ -1,6 +1,6 @@
 """Association of tracks and detections: cost matrices, their gates, and the best assignment.
 
-    c_ij = 1 - IoU(predicted box i, detected box j)      inf where the classes cannot be one object
+    c_ij = 1 - IoU(predicted box i, detected box j)      inf for incompatible classes
     minimise  sum of c_ij over the pairs (i, j) + max_cost * number of unmatched tracks,  with c_ij <= max_cost
 
 Most tracks and detections of a frame have only one possible partner: these pairs are matched directly, and only the
@@ -19,7 +19,7 @@ from track_range.detection.classes import SAME_OBJECT_GROUP
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 Classes = Literal["similar", "same", "any"]
-"""Which classes may be one object: those that detectors confuse, only equal ones, or all."""
+"""Classes of a track and a detection that may be matched: those that detectors confuse, equal ones, or all."""
 
 _UNRELATED_COST = 0.95
 """1 - IoU above which a track and a detection are not candidates for each other."""
@@ -53,7 +53,7 @@ class Assignment:
         self._add(tracks[i], detections[j])
 
     def match_unambiguous(self, cost: FloatArray, tracks: BoolArray, max_cost: FloatArray) -> None:
-        """Match tracks within the mask (N,) and detections that overlap each other and hardly anything else.
+        """Match tracks within the mask (N,) and detections that are each other's only candidates.
 
         Later stages would match them too, but more slowly: this stage finds most pairs of a frame.
 
@@ -92,7 +92,7 @@ def widened(xyxy_px: FloatArray, margin: float) -> FloatArray:
 
 
 def are_compatible(track_class_id: IntArray, detected_class_id: IntArray, classes: Classes = "similar") -> BoolArray:
-    """(N, M) whether the classes of a track and a detection may be one object: detectors confuse cars and trucks."""
+    """(N, M) whether the classes of a track and a detection can be matched; detectors confuse cars and trucks."""
     if classes == "any":
         return np.ones((len(track_class_id), len(detected_class_id)), np.bool_)
     if classes == "similar":
@@ -105,8 +105,8 @@ def min_cost_matching(cost: FloatArray, *, max_cost: float) -> tuple[IntArray, I
 
     Args:
         cost: (N, M), no NaN; N or M may be 0.
-        max_cost: largest cost of a pair, and the cost of an unmatched row, so that more pairs are not better by
-            themselves.
+        max_cost: largest cost of a pair, and the cost of an unmatched row: matching more rows is not preferred over a
+            lower total cost.
     """
     allowed = cost <= max_cost
     n_of_row, n_of_column = allowed.sum(axis=1), allowed.sum(axis=0)

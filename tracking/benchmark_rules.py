@@ -26,10 +26,10 @@ from track_range.tracking.mot_format import MotRows
 from track_range.tracking.tracked_boxes import TrackedBoxes
 
 _MIN_IOU = 0.5
-"""Least IoU of a match."""
+"""Minimum IoU of a match."""
 
 _MIN_SHARE_IGNORED = 0.5
-"""Share of a result box inside a DontCare region above which it is dropped."""
+"""Fraction of a result box inside a DontCare region above which it is dropped."""
 
 _EPSILON = float(np.finfo(np.float64).eps)
 """Tolerance of comparisons, as in TrackEval."""

@@ -36,7 +36,7 @@ _GRID_PX = 8
 """Side of the squares of the half-size image with one feature each: 16 small pixels, two cells."""
 
 _MIN_EIGENVALUE = 1e-5
-"""Least corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
+"""Minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
 
 _MIN_SIDE_PX = 32
 """Smallest side of a small image that has room for windows."""
@@ -48,7 +48,7 @@ _TUKEY = 4.685
 """Residual, in standard deviations, from which the weight is 0 (95 % efficiency with normal noise)."""
 
 _NEAR_CENTRE = 0.01
-"""Least distance from the image centre, as a share of the long side, at which the direction from it is meaningful."""
+"""Minimum distance from the image centre, as a fraction of the long side, for a meaningful direction from it."""
 
 _RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])
 """Ridge that pulls v to the centre; small compared to the sum of z^2 where there is enough parallax to fit v."""
@@ -56,24 +56,24 @@ _RIDGE = np.diag([1e-9, 1e-9, 1e-9, 0.01, 0.01])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraMotionSettings:
-    """How features are detected and tracked, and which motions are plausible; "small pixels" are the small image's.
+    """Settings of feature detection and tracking, and limits of plausible motions, in pixels of the small image.
 
     Attributes:
         long_side_px: the image is halved until neither side is longer.
         n_features: largest number of tracked features.
-        min_quality: least quality of a corner, as a share of the best corner's.
+        min_quality: minimum quality of a corner, as a fraction of the best corner's.
         window_px: side of the tracked window, small pixels.
         n_halvings: pyramid levels above the small image, for motions larger than the window.
         noise_px: standard deviation of a tracked feature, small pixels.
         max_residual_px: largest residual of an inlier, small pixels.
-        min_inliers: least number of inliers of a motion.
-        min_inlier_share: least share of inliers among the tracked features.
-        similarity_share: share of inliers from which the similarity, with its zoom, is the motion.
-        min_spread: least rms distance of the features from their mean, as a share of the long side; below it, only t is
-            fitted.
+        min_inliers: minimum number of inliers of a motion.
+        min_inlier_share: minimum fraction of inliers among the tracked features.
+        similarity_share: fraction of inliers from which the similarity, with its zoom, is the motion.
+        min_spread: minimum rms distance of the features from their mean, as a fraction of the long side; below it, only
+            t is fitted.
         max_scale: largest plausible scale; its inverse is the smallest.
         max_roll_rad: largest plausible roll.
-        max_shift: largest plausible shift of the image centre, as a share of width and of height.
+        max_shift: largest plausible shift of the image centre, as a fraction of width and of height.
     """
 
     long_side_px: int = 640
@@ -192,7 +192,7 @@ def _are_masked(points: FloatArray, is_masked: BoolArray) -> BoolArray:
 def _tracked(
     before: _View, grey: Image, is_masked: BoolArray, settings: CameraMotionSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Features tracked into an unmasked part of this frame: (N, 2) small pixels in the frame before and in this one."""
+    """Features tracked into an unmasked part of this frame: (N, 2) small pixels in the previous frame and this one."""
     if len(before.features) == 0:
         return np.zeros((0, 2)), np.zeros((0, 2))
     side, stop = settings.window_px, (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)

@@ -18,13 +18,13 @@ from scipy.optimize import linear_sum_assignment
 from track_range.tracking.similarity import Similarity
 
 MIN_IOU = 0.5
-"""Least IoU of a match."""
+"""Minimum IoU of a match."""
 
 _EPSILON = float(np.finfo(np.float64).eps)
 """Tolerance of comparisons, as in TrackEval."""
 
 _CONTINUITY_BONUS = 1000.0
-"""Added to the IoU of a pair that was matched in the frame before; exceeds any sum of IoUs of a frame."""
+"""Added to the IoU of a pair that was matched in the previous frame; exceeds any sum of IoUs of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def count_clear(similarity: Similarity) -> ClearCounts:
     iou_sum = 0.0
     for truth_ids, result_ids, iou in similarity.frames():
         if not len(truth_ids) or not len(result_ids):
-            continue  # tracks matched in the frame before count as matched in this one, as in TrackEval
+            continue  # tracks matched in the previous frame count as matched in this one, as in TrackEval
         score = iou + _CONTINUITY_BONUS * (result_ids[None, :] == last_frame[truth_ids][:, None])
         score[iou < MIN_IOU - _EPSILON] = 0.0
         rows, columns = linear_sum_assignment(score, maximize=True)

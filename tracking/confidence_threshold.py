@@ -1,7 +1,7 @@
 """ConfidenceThreshold: the track-activation threshold of a detector, estimated online from the persistence of boxes.
 
 At a score of 0.5, 85 of 100 boxes are cars with one detector, and 18 of 100 are persons with another. Objects are
-detected again in the next frame; false alarms are not. So the persistence of boxes, the share that overlaps a box of
+detected again in the next frame; false alarms are not. So the persistence of boxes, the fraction that overlaps a box of
 the next frame, shows how reliable a score is, without ground truth (on RRC's KITTI boxes, MOT15 and MOT17-05):
 
     score                   0.3-0.4  0.4-0.5  0.5-0.6  0.6-0.7  0.7-0.8  0.8-0.9  best half
@@ -34,7 +34,7 @@ _MIDDLE = (np.arange(_N_BINS) + 0.5) / _N_BINS
 """Scores in the middle of the bins."""
 
 _MAX_COMPARED = 64
-"""Most boxes of a frame that are compared with the next frame; of more boxes, every k-th is compared."""
+"""Maximum number of boxes of a frame that are compared with the next frame; of more boxes, every k-th is compared."""
 
 _MIN_BEST = 0.4
 """Persistence of the better half of boxes below which frames are too far apart for a comparison."""
@@ -51,15 +51,15 @@ _N_GROUPS = int(SAME_OBJECT_GROUP.max()) + 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConfidenceThresholdSettings:
-    """How the threshold is estimated; scores and shares are in [0, 1].
+    """Settings of the estimation of the threshold; scores and fractions are in [0, 1].
 
     Attributes:
         first: initial threshold, before any box is counted.
-        min_share: persistence that a score must reach, as a share of that of the better half of boxes; 0 = a fixed
+        min_share: persistence that a score must reach, as a fraction of that of the better half of boxes; 0 = a fixed
             threshold.
         lowest, highest: limits of the threshold.
         prior_boxes: weight of the prior, in boxes per bin of scores.
-        min_iou: least IoU of two boxes of one object in successive frames.
+        min_iou: minimum IoU of two boxes of one object in successive frames.
     """
 
     first: float = 0.4
@@ -119,7 +119,7 @@ class ConfidenceThreshold:
                 self._by_group[group] = self._threshold(n_compared, n_persisted)
 
     def _threshold(self, n_compared: FloatArray, n_persisted: FloatArray) -> float:
-        """Score at which the persistence reaches its share, interpolated between the middles of two bins.
+        """Score at which the persistence reaches its fraction, interpolated between the middles of two bins.
 
         Args:
             n_compared: (10,) number of boxes per bin of scores.

@@ -51,7 +51,7 @@ class AppearanceSettings:
             appearance is not used; None = the appearance model's value, 0.2 for embeddings from a file.
         gating_threshold: largest squared Mahalanobis distance from the track's prediction: the chi-square gate, 99.7 %
             at 4 degrees of freedom.
-        max_occlusion: largest share of a detection's area inside one nearer detection; beyond it, no embedding is
+        max_occlusion: largest fraction of a detection's area inside one nearer detection; beyond it, no embedding is
             computed, because it would resemble the occluder's.
         nn_budget: embeddings per track, including the running mean.
     """
@@ -73,14 +73,14 @@ class DeepSortSettings:
         min_score: detections with a lower score are ignored.
         track_activation_threshold: how the score is estimated from which a detection has high confidence and starts a
             track.
-        min_iou: least IoU of a high-confidence detection and the predicted box of a confirmed track.
-        min_iou_low_confidence: least IoU of a low-confidence detection and the predicted box of a confirmed track;
+        min_iou: minimum IoU of a high-confidence detection and the predicted box of a confirmed track.
+        min_iou_low_confidence: minimum IoU of a low-confidence detection and the predicted box of a confirmed track;
             stricter.
-        min_iou_tentative: least IoU of a high-confidence detection and a tentative track, both boxes widened by
+        min_iou_tentative: minimum IoU of a high-confidence detection and a tentative track, both boxes widened by
             `tentative_margin`.
-        tentative_margin: share of a box's size added on every side, because the speed of a new track is unknown.
+        tentative_margin: fraction of a box's size added on every side, because the speed of a new track is unknown.
         n_init: detections, one per frame, that confirm a tentative track.
-        init_score_sum: least sum of their scores, so that low-confidence tracks are confirmed later; not used with
+        init_score_sum: minimum sum of their scores, so that low-confidence tracks are confirmed later; not used with
             `n_init` = 1.
         max_skipped_s: longest time without any detection that counts as frames skipped by the detector, not as misses:
             tentative tracks survive and hit streaks continue.
@@ -152,7 +152,7 @@ class DeepSortTracker:
         boxes so far.
 
         Raises:
-            ValueError: `time_s` is not later than in the call before.
+            ValueError: `time_s` is not later than in the previous call.
         """
         if not self._last_s < time_s < np.inf:
             raise ValueError(f"time_s: expected more than {self._last_s} s, the time of the last frame, got {time_s} s")
@@ -179,7 +179,7 @@ class DeepSortTracker:
         return self._as_tracks(np.flatnonzero((table.last_s == self._last_s) & ~table.is_confirmed))
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
-        """(N,) least score at which a detection of a class (N,) starts a track, as estimated so far."""
+        """(N,) minimum score at which a detection of a class (N,) starts a track, as estimated so far."""
         return self._activation_threshold.of(class_id)
 
     def _valid_detections(self, detections: Detections) -> Detections:

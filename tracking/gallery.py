@@ -19,7 +19,7 @@ from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 _SPARSE = 0.1
-"""Share of pairs to compare below which single pairs are faster than a matrix product of all: a tenth."""
+"""Fraction of pairs to compare below which single pairs are faster than a matrix product of all: a tenth."""
 
 _PAIR_BLOCK = 256
 """Pairs compared at once: larger blocks do not fit into the processor's cache."""
@@ -108,7 +108,7 @@ class Gallery:
         return Gallery(embedding, self.mean_memory)
 
     def cosine_distance(self, embedding: Descriptors, among: BoolArray | None = None) -> FloatArray:
-        """(N, M) least distance of each track's embeddings from each box's; inf where one of the two is unknown.
+        """(N, M) minimum distance of each track's embeddings from each box's; inf where one of the two is unknown.
 
         Args:
             embedding: (M, D) embeddings of boxes, of length 1 or zeros.
@@ -135,7 +135,7 @@ class Gallery:
         return np.asarray(np.maximum(distance, 0.0))  # rounding
 
     def _distance_of_pairs(self, rows: IntArray, columns: IntArray, embedding: Descriptors) -> FloatArray:
-        """(P,) least distance of each pair of a track (row) and a box (column)."""
+        """(P,) minimum distance of each pair of a track (row) and a box (column)."""
         best = np.empty(len(rows))
         for start in range(0, len(rows), _PAIR_BLOCK):
             part = slice(start, start + _PAIR_BLOCK)

@@ -34,17 +34,17 @@ Form = Literal["median-of-steps", "step-of-medians"]
 class PredictionGates:
     """Conditions for the prediction of a missing box, checked in each frame.
 
-    The occlusion of a box is the largest share of its area inside one nearer box; a lower bottom edge means nearer.
+    The occlusion of a box is the largest fraction of its area inside one nearer box; a lower bottom edge means nearer.
 
     Attributes:
         form: form of the prediction.
         n_kept: boxes stored per track: k + 1, for k steps or two medians of k; at least 2.
         max_missing_s: longest time since the last detection; 0 = no prediction.
-        min_hit_streak: least number of successive frames with a detection, up to the last one; at least 2.
+        min_hit_streak: minimum number of successive frames with a detection, up to the last one; at least 2.
         min_hit_streak_visible: the same for a box with an occlusion below `min_occlusion`.
-        min_occlusion: occlusion that explains a missing box, as a share of its area.
+        min_occlusion: occlusion that explains a missing box, as a fraction of its area.
         max_deviation: largest median deviation of the steps, extrapolated over the missing time, in heights of the box.
-        min_margin: least distance from the image border, in heights of the box; nearer boxes are leaving the image.
+        min_margin: minimum distance from the image border, in heights of the box; nearer boxes are leaving the image.
     """
 
     form: Form = "median-of-steps"
@@ -109,7 +109,7 @@ class BoxHistory:
             rows: (M,) row numbers of different tracks.
             xyxy_px: (M, 4) detected boxes.
             time_s: time of the frame.
-            is_streak: (M,) whether a track was also detected in the frame before.
+            is_streak: (M,) whether a track was also detected in the previous frame.
         """
         self.xyxy_px[rows, :-1], self.time_s[rows, :-1] = self.xyxy_px[rows, 1:], self.time_s[rows, 1:]
         self.xyxy_px[rows, -1], self.time_s[rows, -1] = xyxy_px, time_s
@@ -185,7 +185,7 @@ def predict_missing(
 
 
 def occluded_share(xyxy_px: FloatArray, others_xyxy_px: FloatArray) -> FloatArray:
-    """(N,) largest share of the area of each valid box (N, 4) inside one nearer box of (M, 4)."""
+    """(N,) largest fraction of the area of each valid box (N, 4) inside one nearer box of (M, 4)."""
     left, top, right, bottom = np.ascontiguousarray(xyxy_px.T)[:, :, None]  # contiguous columns: a fifth of the time
     other_left, other_top, other_right, other_bottom = np.ascontiguousarray(others_xyxy_px.T)
     width = np.minimum(right, other_right) - np.maximum(left, other_left)

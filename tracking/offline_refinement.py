@@ -25,8 +25,8 @@ class RefinementSettings:
 
     Attributes:
         max_gap_s: longest gap that is interpolated.
-        min_boxes: fewest boxes of a track; fewer are enough in a recording with fewer frames.
-        min_score_share: least mean score of a track, as a share of its class's track-activation threshold.
+        min_boxes: minimum number of boxes of a track; fewer are enough in a recording with fewer frames.
+        min_score_share: minimum mean score of a track, as a fraction of its class's track-activation threshold.
     """
 
     max_gap_s: float = 1.0

@@ -27,12 +27,12 @@ _MIN_POWER = 0.05
 """Lower limit of the denominator of c, in standard deviations squared."""
 
 _MAX_TRACKS = 10
-"""Largest n: number of tracks of a frame from which more have no influence."""
+"""Upper limit of n, the number of tracks, in the update."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessNoiseSettings:
-    """How the scale is estimated.
+    """Settings of the estimation of the scale.
 
     Attributes:
         rate: learning rate per track and frame; 0 = a fixed scale.

@@ -82,7 +82,7 @@ class TrackTable:
             rows: (M,) row numbers of the tracks.
             matched: M detections.
             time_s: time of the frame.
-            is_streak: (M,) whether a track was also detected in the frame before.
+            is_streak: (M,) whether a track was also detected in the previous frame.
             noise: noise of the motion filters.
         """
         filters, innovation = motion.update(self.filters.select(rows), matched.xyxy_px, noise)

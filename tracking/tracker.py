@@ -1,4 +1,4 @@
-"""Protocols of tracking: `Tracker`, between detections and identities, and `AppearanceModel`."""
+"""Protocols of tracking: `Tracker`, which assigns identities to detections, and `AppearanceModel`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Tracker(Protocol):
         """The confirmed tracks at `time_s`, which must increase from call to call; `image` is (H, W, 3) BGR or None.
 
         Raises:
-            ValueError: `time_s` is not later than in the call before.
+            ValueError: `time_s` is not later than in the previous call.
         """
         ...
 
@@ -26,8 +26,8 @@ class Tracker(Protocol):
 class RefinableTracker(Tracker, Protocol):
     """A tracker with additional output for `track_range.tracking.offline_refinement`; optional.
 
-    The tracks of other trackers are refined too, but do not get their tentative start and are not dropped for low
-    scores.
+    The tracks of other trackers are refined too, but without the boxes from before a track's confirmation, and tracks
+    with low scores are not dropped.
     """
 
     @property
@@ -36,7 +36,7 @@ class RefinableTracker(Tracker, Protocol):
         ...
 
     def track_activation_threshold(self, class_id: IntArray) -> FloatArray:
-        """(N,) least score at which a detection of a class (N,) starts a track."""
+        """(N,) minimum score at which a detection of a class (N,) starts a track."""
         ...
 
 
@@ -45,7 +45,7 @@ class AppearanceModel(Protocol):
 
     Attributes:
         max_cosine_distance: largest cosine distance between two embeddings of one object.
-        notes: sentences for the user.
+        notes: messages for the user.
     """
 
     max_cosine_distance: float

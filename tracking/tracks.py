@@ -74,7 +74,7 @@ class Tracks:
         return cls(track_id, detections.xyxy_px[rows], detections.class_id[rows], detections.score[rows], observed)
 
     def to_supervision(self) -> Any:
-        """`supervision.Detections` with `tracker_id`, or an object with its attributes without that package."""
+        """`supervision.Detections` with `tracker_id`, or an equivalent object if supervision is not installed."""
         return supervision_boxes(self.xyxy_px, self.score, self.class_id, self.track_id)
 
     def select(self, rows: BoolArray | IntArray) -> Tracks:

@@ -13,7 +13,7 @@ simulation's truth.csv has this format; measurements of a lidar or radar can be 
     visible_share   visible fraction 0..1 of the object, neither occluded nor outside the image
     closing_mps     closing speed, positive when approaching
 
-The last three may be empty or nan if unknown; an unknown visible share is 1.
+The last three may be empty or nan if unknown; an unknown visible fraction is 1.
 """
 
 from __future__ import annotations

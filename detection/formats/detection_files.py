@@ -79,7 +79,7 @@ def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionFor
         form: the expected format; None = any.
 
     Raises:
-        LabelFileError: the file cannot be read, has an unknown format, or not the expected one.
+        LabelFileError: the file cannot be read, or its format is unknown or not `form`.
     """
     file_format = _format_of(path)
     kind, frame, boxes = _FORMATS[file_format](path, unnamed_class_id)
@@ -158,7 +158,7 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors:
     """(N, D) float32 embeddings from the feat.npy in the folder of `path`; D = 0 if there is no such file.
 
     Raises:
-        LabelFileError: feat.npy cannot be read, or does not have the rows of `path`.
+        LabelFileError: feat.npy cannot be read, or its rows differ from those of `path`.
     """
     features_path = path.with_name(_FEATURES_NAME)
     if not features_path.is_file():
@@ -170,8 +170,8 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors:
     n_columns = table.shape[1]
     if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
         raise LabelFileError(
-            f"{features_path}: expected the {len(table)} rows of {path.name}, {n_columns} numbers and an embedding "
-            f"each, got shape {features.shape}."
+            f"{features_path}: expected {len(table)} rows as in {path.name}, each with {n_columns} numbers and an "
+            f"embedding, got shape {features.shape}."
         )
     if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not np.isfinite(features).all():
         raise LabelFileError(f"{features_path}: expected finite numbers and the same boxes as in {path.name}.")

@@ -1,6 +1,6 @@
 """Reader of KITTI's label and detection files.
 
-Each row describes one object, in columns separated by blanks. A tracking file covers a sequence, an object file one
+Each row describes one object, in columns separated by spaces. A tracking file covers a sequence, an object file one
 image:
     tracking: frame id TYPE truncated occluded alpha x1 y1 x2 y2 h w l X Y Z rotation_y [score]
     object:            TYPE truncated occluded alpha x1 y1 x2 y2 h w l X Y Z rotation_y [score]
@@ -28,7 +28,7 @@ _OBJECT_COLUMNS = 15
 
 
 class LabelFileError(UserError):
-    """An invalid label or detection file; the message has the file, the line and the expected content."""
+    """An invalid label or detection file; the message names the file, the line and the expected content."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,12 +80,13 @@ class CatalogueEntry:
 
 
 APACHE = Licence(
-    "Apache-2.0", "may be used, modified and redistributed, also commercially, if the licence notices are preserved."
+    "Apache-2.0",
+    "may be used, modified and redistributed, including commercially, if the licence notices are preserved.",
 )
 AGPL = Licence(
     "AGPL-3.0",
     "GNU Affero General Public License: software that contains this model and is distributed, or used by others over a "
-    "network, must be offered with its source code under the same licence; the owner sells other licences.",
+    "network, must be offered with its source code under the same licence; the owner also sells commercial licences.",
 )
 PUBLIC_DOMAIN = Licence("public domain", "Darknet's licence permits any use.")
 
@@ -130,7 +131,7 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
         ),
         licence=PUBLIC_DOMAIN,
         project="AlexeyAB/darknet",
-        release="yolov4, the weights of December 2020",
+        release="yolov4 (weights of December 2020)",
     ),
     CatalogueEntry(
         name="yolov4",
@@ -174,7 +175,7 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
 
 
 def entry_named(name: str) -> CatalogueEntry | None:
-    """The catalogue entry with this name, in any case and with - or _; None if there is none."""
+    """The catalogue entry with this name, or None; case is ignored, and - and _ are equivalent."""
     return next((entry for entry in CATALOGUE if _key(entry.name) == _key(name)), None)
 
 

@@ -29,8 +29,8 @@ class ScheduleSettings:
         last_share: final learning rate of the cosine schedule, as a fraction of `learning_rate`.
         momentum: momentum after the warm-up, during which it rises from 0.8.
         weight_decay: weight decay of the convolutions' weights; biases and batch norms have none.
-        warmup_epochs: epochs in which the rate rises from 0 (SGD's rate of biases falls from ten times the rate); at
-            most n_epochs / 5.
+        warmup_epochs: epochs in which the rate rises linearly from 0 (with SGD, that of the biases falls from ten
+            times `learning_rate`); at most n_epochs / 5.
         average_share: time constant of the moving average of the weights, as a fraction of all steps; at most 10,000
             steps (as in YOLOv5).
     """

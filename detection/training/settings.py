@@ -36,7 +36,7 @@ class TrainingSettings:
         device: torch device, such as "cpu" or "cuda".
         precision: precision of the network's arithmetic; losses and weights are float32.
         validate_every: epochs between validations; the last epoch is always validated.
-        min_boxes: classes with fewer labels are not averaged in the validation.
+        min_boxes: classes with fewer labels are excluded from the means of the validation.
         schedule: optimiser and learning rate.
         augmentation: augmentation of the training images.
     """
@@ -71,7 +71,7 @@ class TrainingSettings:
 
 
 def usable_device(name: str) -> tuple[str, str]:
-    """The torch device for "auto", "cpu", "cuda" or torch's name of a device, and a note if it is another one.
+    """The torch device for "auto", "cpu", "cuda" or torch's name of a device, and a note if it differs from `name`.
 
     Raises:
         TrainingError: the name is unknown, or the device is neither a CPU nor a CUDA GPU.
@@ -94,7 +94,7 @@ def usable_device(name: str) -> tuple[str, str]:
 
 
 def _is_usable(device: str) -> bool:
-    """Torch can put something there."""
+    """Whether torch can allocate a tensor on the device."""
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError):  # no such GPU; a PyTorch without CUDA

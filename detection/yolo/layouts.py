@@ -70,7 +70,7 @@ _YOLOX_INPUT = InputFormat(placement="top-left", colours="bgr", divisor=1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YoloModel:
-    """What is needed to run a YOLO network on images and decode its outputs.
+    """Everything needed to run a YOLO network on images and decode its outputs.
 
     Attributes:
         family: name of the family, for display.
@@ -91,7 +91,7 @@ class YoloModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchedLayout:
-    """What follows from a network's output layout.
+    """A known output layout and its defaults, matched to a network.
 
     Attributes:
         family: default family of networks with this layout.

@@ -1,6 +1,6 @@
 """Errors of box-only methods on labelled boxes, per class and distance band, with cross-validation over sequences.
 
-Errors are relative. The figures of a class cover 10-100 m, its far figures 30-100 m, its bands 5-100 m. Fitted methods
+Errors are relative. The metrics of a class cover 10-100 m, those of far objects 30-100 m, bands 5-100 m. Fitted methods
 are cross-validated: each fold of sequences is measured by a method that was fitted to the other sequences.
 """
 
@@ -17,10 +17,10 @@ from track_range.ranging.evaluation.errors import BANDS_M, MethodColumn, score_r
 from track_range.ranging.fitting.labelled_boxes import CLASS_OF, BoxSet
 
 CLASSES = tuple(CLASS_OF.values())
-"""Classes with figures, in the order of tables."""
+"""Evaluated classes, in the order of tables."""
 
 NEAREST_M, FAR_M = 10.0, 30.0
-"""Smallest distance in m of the figures of a class, and of its far figures."""
+"""Smallest distance in m of the metrics of a class, and of those of far objects."""
 
 N_FOLDS = 7
 """Folds of the cross-validation: 3 of KITTI's 21 sequences each."""
@@ -36,7 +36,7 @@ Fitter = Callable[[BoxSet], Predictor]
 
 
 def figures(boxes: BoxSet, distance_m: FloatArray, sigma_m: FloatArray | None = None) -> dict[str, dict[str, Any]]:
-    """Figures by class for (N,) measured distances, NaN = not measured, and their (N,) sigmas, None = unknown."""
+    """Metrics by class for (N,) measured distances, NaN = not measured, and their (N,) sigmas, None = unknown."""
     sigma_m = np.full(len(boxes), np.nan) if sigma_m is None else sigma_m
     column = MethodColumn(distance_m, sigma_m)
     present = [name for name in CLASSES if (boxes.class_name == name).any()]

@@ -27,7 +27,7 @@ _Filter = Callable[[Ranges, float], FilteredRanges]
 """Function from the measured ranges and the time of a frame to filtered ranges."""
 
 _NOISE_SHARE = 0.6
-"""Initial independent share of sigma for the default filter, that of mono."""
+"""Initial independent fraction of sigma for the default filter, that of mono."""
 
 
 def _default_filter() -> _Filter:

@@ -21,7 +21,7 @@ TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
 """Distances in m of the rows of the paper's Table 3."""
 
 _NEAR = 0.05
-"""Largest relative difference from a distance of the table for boxes that are averaged in its row."""
+"""Largest relative difference between a box's distance and that of the row in which it is averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class CurveFit:
         residual_m2: residual sum of squares over the fitted boxes.
         fitted_error_pct: mean relative error over the fitted boxes.
         other_drives_error_pct: mean relative error, cross-validated by sequence; NaN = one sequence only.
-        at_m: mean distance by the fitted curve of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes.
+        at_m: mean fitted distance of the boxes near each of `TABLE_DISTANCES_M`; NaN = no boxes.
         predict: the fitted curve.
     """
 

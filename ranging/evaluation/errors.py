@@ -2,9 +2,9 @@
 
 Tracks are matched to labels frame by frame: one to one, with the largest total IoU, each at least 0.5, regardless of
 class. Errors are relative, (measured - true) / true, over 5-100 m, for labels that are not truncated and at most partly
-occluded; errors of closing speeds are differences over the same labels. `coverage` is the share of matched track-frames
-that a method measured. The `common` figures cover the track-frames that all methods measured, so that methods are
-compared on the same objects.
+occluded; errors of closing speeds are differences over the same labels. `coverage` is the fraction of matched
+track-frames that a method measured. The `common` metrics cover the track-frames that all methods measured, so that
+methods are compared on the same objects.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MIN_IOU = 0.5
 """Smallest intersection over union of a matched track and label, as in KITTI's evaluation of people and cyclists."""
 
 _MIN_COMMON_COVERAGE = 0.5
-"""Smallest coverage of methods in the common figures; others would leave too few common track-frames."""
+"""Smallest coverage of methods in the common metrics; others would leave too few common track-frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def _band(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str
 
 
 def score_rows(column: MethodColumn, true_m: FloatArray, rows: BoolArray) -> dict[str, Any]:
-    """Figures of one method over the measured ones of `rows` (N,); None = no measured rows."""
+    """Metrics of one method over its measured rows of `rows` (N,); None = no measured rows."""
     measured = np.isfinite(column.distance_m) & rows
     error = column.distance_m[measured] / true_m[measured] - 1
     in_sigmas = np.abs(column.distance_m - true_m)[measured] / column.sigma_m[measured]
@@ -158,7 +158,7 @@ def _sigma_pct(column: MethodColumn, measured: BoolArray) -> float | None:
 
 
 def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
-    """Figures of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
+    """Metrics of relative errors (N,) and of errors in units of sigma (N,); None if N = 0."""
     return {
         "mean_relative_error_pct": _rounded(100 * np.abs(error).mean()) if len(error) else None,
         "median_relative_error_pct": _rounded(100 * np.median(np.abs(error))) if len(error) else None,
@@ -168,7 +168,7 @@ def _figures(error: FloatArray, in_sigmas: FloatArray) -> dict[str, Any]:
 
 
 def _within(in_sigmas: FloatArray) -> dict[str, float | None]:
-    """Shares of errors (N,) in units of sigma within 1 and 2; NaN = sigma unknown."""
+    """Fractions of errors (N,) in units of sigma within 1 and 2; NaN = sigma unknown."""
     known = in_sigmas[np.isfinite(in_sigmas)]
     return {"within_1_sigma": _share(known <= 1), "within_2_sigma": _share(known <= 2)}
 

@@ -92,7 +92,7 @@ def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) ->
     mono_curves = "fitted in the same way" if is_refitted else f"{settings.curves or 'packaged'}"
     notes = [
         "Ground truth: z at which the ray through the label's box centre meets its 3-D box, for labels at 5-100 m, not "
-        "truncated, occluded <= 1. Class figures cover 10-100 m, far figures 30-100 m, bands 5-100 m.",
+        "truncated, occluded <= 1. Metrics by class cover 10-100 m, metrics of far objects 30-100 m, bands 5-100 m.",
         f"Plain curves: fitted to {fitted}, {scheme}. Size curves of mono: {mono_curves}.",
     ]
     if settings.filter != "none":

@@ -26,13 +26,13 @@ MAX_OCCLUDED = 1
 guesses."""
 
 MIN_VISIBLE_SHARE = 0.5
-"""Smallest visible share of objects that are scored for distance; corresponds to KITTI's "partly occluded"."""
+"""Smallest visible fraction of objects that are scored for distance; corresponds to KITTI's "partly occluded"."""
 
 _CUT_PX = 1.0
 """Distance in px from the image border within which a label counts as cut; labels are clipped to the image."""
 
 _MIN_DETECTABLE_SHARE = 0.2
-"""Smallest visible share of objects that are scored for detection; corresponds to KITTI's "largely occluded"."""
+"""Smallest visible fraction of objects that are scored for detection; corresponds to KITTI's "largely occluded"."""
 
 _SCORED = "tracks matched to labels one to one at IoU 0.5; coverage: measured track-frames over those with truth"
 

@@ -38,7 +38,7 @@ _ACCELERATION_NOISE = 0.7
 """Process noise: random walk of v in m/s per square root of a second, tuned on simulated drives."""
 
 _CENTRE_SIGMA_PX, _CENTRE_SIGMA_SHARE = 1.0, 0.02
-"""Standard deviation of a box centre: a constant in px, plus a share of the box width; typical of detectors."""
+"""Standard deviation of a box centre: a constant in px, plus a fraction of the box width; typical of detectors."""
 
 _GATE_SIGMA = 5.0
 """Gate in standard deviations of the innovation; a measurement outside restarts the track's filter."""

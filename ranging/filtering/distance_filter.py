@@ -3,8 +3,8 @@
     x = [d, v]'   F = [1 dt; 0 1]    Q = q [dt^3/3 dt^2/2; dt^2/2 dt]         (`foundation.constant_velocity`)
     z = log d     H = [1/d 0]        R = lambda (s sigma / d)^2
 
-d is the distance in m, v its rate (m/s, negative = closing), s the independent share of sigma; time steps dt come from
-the frames' timestamps. The innovation and its noise are converted to metres: nu = d (z - log d), and d^2 R. z is a
+d is the distance in m, v its rate (m/s, negative = closing), s the independent fraction of sigma; time steps dt come
+from the frames' timestamps. The innovation and its noise are converted to metres: nu = d (z - log d), and d^2 R. z is a
 logarithm because the noise is in the box size in px: in metres, too large distances would also have too large sigmas,
 and short distances too much weight. If the ego speed V is known, the target's own speed v + V is taken as constant,
 with dV the change of V over the step: d' = d + v dt - dV dt / 2, v' = v - dV. A new track then starts as a static
@@ -35,7 +35,7 @@ from track_range.ranging.filtering.noise_scale import NoiseScale
 from track_range.ranging.ranges import Ranges
 
 _MIN_INDEPENDENT_SHARE = 0.1
-"""Smallest independent share of sigma; a method that declares less is filtered with this share."""
+"""Smallest independent fraction of sigma; a method that declares less is filtered with this fraction."""
 
 _MIN_DISTANCE_M = 0.3
 """Smallest distance in m; a track that is predicted to be nearer has passed the camera, and its filter restarts."""
@@ -111,8 +111,8 @@ class DistanceFilters:
         """Start without tracks.
 
         Args:
-            noise_shares: initial independent share s of sigma by method; not used for `Ranges` with a systematic part
-                per box.
+            noise_shares: initial independent fraction s of sigma by method; not used for `Ranges` with a systematic
+                part per box.
             settings: settings of all filters; None = the defaults.
         """
         self._settings = settings or FilterSettings()
@@ -123,7 +123,7 @@ class DistanceFilters:
 
     @property
     def noise_shares(self) -> dict[str, float]:
-        """Current estimate of the independent share of sigma, by method."""
+        """Current estimate of the independent fraction of sigma, by method."""
         shares = np.sqrt(self._independent_share * self._noise_scale.factor)[:, 0]
         return dict(zip(self._methods, shares.tolist(), strict=True))
 

@@ -72,7 +72,11 @@ def _box_set(
     names, number = np.unique(table.texts("sequence"), return_inverse=True)
     track = table.texts("track")
     name = table.path.name
-    notes = [] if "cx" in numbers else [f"{name} has no column cx; using the middle of the boxes, {middle[0]:g} px."]
+    notes = (
+        []
+        if "cx" in numbers
+        else [f"{name} has no column cx; assuming a principal point in the middle of all boxes, {middle[0]:g} px."]
+    )
     if len(names) == 1:
         notes.append(f"{name} contains one sequence only; the curves cannot be validated on other drives.")
     boxes = BoxSet(

@@ -32,7 +32,7 @@ CLASS_OF: Mapping[str, str] = {
     "Pedestrian": "person",
     "Cyclist": "bicycle",
 }
-"""KITTI types that are measured, with their class names in the figures."""
+"""KITTI types that are measured, with their class names in the results."""
 
 DETECTED_CLASS_OF: Mapping[str, str] = {"van": "car"}
 """Class names that are not road classes, with the road class that a detector reports for them."""
@@ -70,7 +70,7 @@ class BoxSet:
         time_s: (N,) seconds from the sequence's first frame.
         track_id: (N,) identity of the object, unique within a sequence.
         kitti_type: (N,) type of the label, as in the file.
-        class_name: (N,) class in the figures: car, van, truck, person, bicycle.
+        class_name: (N,) class in the results: car, van, truck, person, bicycle.
         xyxy_px: (N, 4) box to measure: that of the label, with noise, or detected.
         fxycxy_px: (N, 4) fx, fy, cx, cy of the camera.
         size_px: (N, 2) width and height of the image, from the camera, or estimated from the boxes.

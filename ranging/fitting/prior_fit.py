@@ -29,7 +29,7 @@ _STANDARD_OBJECTS = 1.0
 """Weight of the standard size of a class, as a number of objects."""
 
 _UNIFORM_YAW_SHARE = 0.1
-"""Share of objects with a uniformly distributed yaw, so that no yaw is impossible."""
+"""Fraction of objects with a uniformly distributed yaw, so that no yaw is impossible."""
 
 _MIN_SCATTER = (0.01, 0.02)
 """Smallest standard deviations of log height and log width of boxes about those of the cuboid."""
@@ -41,12 +41,12 @@ _CORRELATION = (0.3, 0.2, 0.2)
 """Correlations of log height and width, height and length, width and length of standard sizes."""
 
 STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, float, float], str]] = {
-    "person": ((1.70, 0.55, 0.55), (0.08, 0.25, 0.35), "adults 1.55-1.90 m, children among them"),
+    "person": ((1.70, 0.55, 0.55), (0.08, 0.25, 0.35), "adults 1.55-1.90 m, and some children"),
     "bicycle": ((1.73, 0.60, 1.75), (0.06, 0.25, 0.10), "a rider on a bicycle"),
-    "car": ((1.52, 1.75, 4.20), (0.08, 0.08, 0.13), "passenger cars, sizes of sold models"),
+    "car": ((1.52, 1.75, 4.20), (0.08, 0.08, 0.13), "passenger cars, sizes of production models"),
     "van": ((2.05, 1.92, 4.90), (0.14, 0.08, 0.15), "delivery vans and minibuses"),
     "truck": ((3.35, 2.50, 8.50), (0.14, 0.07, 0.30), "lorries of 7-40 t"),
-    "bus": ((3.10, 2.50, 11.5), (0.12, 0.07, 0.20), "city buses 2.9-3.3 m high, coaches to 3.8 m, minibuses 2.5 m"),
+    "bus": ((3.10, 2.50, 11.5), (0.12, 0.07, 0.20), "city buses 2.9-3.3 m high, coaches up to 3.8 m, minibuses 2.5 m"),
     "motorcycle": ((1.55, 0.80, 2.10), (0.12, 0.20, 0.12), "a motorcycle with its rider, 1.3-1.8 m"),
     "traffic light": ((0.95, 0.35, 0.35), (0.35, 0.35, 0.35), "three lamps of 200 or 300 mm; some have one, two, four"),
     "traffic sign": ((0.70, 0.70, 0.05), (0.30, 0.30, 0.30), "round and octagonal signs of 600-900 mm"),

@@ -2,8 +2,8 @@
 
     cov(i, j) = sigma_i sigma_j  sum_s sqrt(p_is p_js)        over the error sources s that both methods declare
 
-p_is is the share of source s in the variance of method i. There is one covariance of the systematic shares, constant
-over a track, and one of the independent shares, new in every frame. Methods do not share the source `own`.
+p_is is the fraction of source s in the variance of method i. There is one covariance of the systematic fractions,
+constant over a track, and one of the independent fractions, new in every frame. Methods do not share the source `own`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.method import RangingMethod
 
 _MIN_OWN_NOISE = 0.1
-"""Smallest share of the source `own` in a method's independent variance: two methods with the same sources still
+"""Smallest fraction of the source `own` in a method's independent variance: two methods with the same sources still
 differ by rounding and implementation, and their covariance has to be positive definite."""
 
 _SIMILAR = 0.5
@@ -30,10 +30,10 @@ class ErrorModel:
 
     Attributes:
         names: names of the methods, in the order of all arrays.
-        systematic: (M, 1) systematic share of sigma, constant over a track.
-        independent: (M, 1) independent share of sigma, new in every frame.
+        systematic: (M, 1) systematic fraction of sigma, constant over a track.
+        independent: (M, 1) independent fraction of sigma, new in every frame.
         systematic_correlation: (M, M) correlation C0 of the systematic errors.
-        systematic_covariance: (M, M, 1) products of the systematic shares.
+        systematic_covariance: (M, M, 1) products of the systematic fractions of sigma.
         independent_covariance: (M, M, 1) covariance of the independent errors for sigmas of 1.
         similar: pairs of methods with an error correlation above 0.5 that may both be used for a track.
         reference: indices of scale references: methods declared as such, and methods with all systematic errors in
@@ -100,7 +100,7 @@ class ErrorModel:
 
 
 def _parts(method: RangingMethod, kind: str) -> dict[str, float]:
-    """Share of the variance by error source, of one kind ("systematic" or "independent")."""
+    """Fraction of the variance by error source, of one kind ("systematic" or "independent")."""
     parts: dict[str, float] = {}
     for source in method.error_sources:
         parts[source.name] = parts.get(source.name, 0.0) + getattr(source, kind)
@@ -108,9 +108,9 @@ def _parts(method: RangingMethod, kind: str) -> dict[str, float]:
 
 
 def _correlation(methods: Sequence[RangingMethod], kind: str, *, min_own: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """(M, 1) share of sigma and (M, M) correlation of the errors of one kind ("systematic" or "independent").
+    """(M, 1) fraction of sigma and (M, M) correlation of the errors of one kind ("systematic" or "independent").
 
-    A source that only one method declares counts as `own`. If `own` is less than the share `min_own` of a method's
+    A source that only one method declares counts as `own`. If `own` is less than the fraction `min_own` of a method's
     variance of this kind, the shared sources are scaled down.
     """
     parts = [_parts(method, kind) for method in methods]

@@ -36,9 +36,9 @@ class GroundPrior:
         camera_height_sigma_m: standard deviation of H.
         horizon: mean of the horizon y0, a tangent below the camera's axis.
         horizon_sigma: scale of y0, with long tails (Student's t with 2 degrees of freedom).
-        kerb_m: standard deviations of the height of contact points above the road, for most objects and for the share
-            `rough_share`; twice the measured ones, since neighbouring objects have correlated heights.
-        rough_share: share of objects with the second standard deviation.
+        kerb_m: standard deviations of the height of contact points above the road, for most objects and for the
+            fraction `rough_share`; twice the measured ones, since neighbouring objects have correlated heights.
+        rough_share: fraction of objects with the second standard deviation.
     """
 
     camera_height_m: float = 1.5

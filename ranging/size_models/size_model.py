@@ -30,8 +30,8 @@ class BoxNoise:
 
     Attributes:
         px: constant part in px.
-        relative: share of the box size for vehicles, lights and signs.
-        relative_person: share of the box size for people and two-wheelers.
+        relative: fraction of the box size for vehicles, lights and signs.
+        relative_person: fraction of the box size for people and two-wheelers.
     """
 
     px: float = 0.5

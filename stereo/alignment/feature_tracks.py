@@ -17,7 +17,7 @@ import numpy as np
 from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, IntArray
 
 MIN_ROWS = 30
-"""Least number of points for a row offset."""
+"""Minimum number of points for a row offset."""
 
 _N_POINTS = 1100
 """Number of points that are tracked."""
@@ -26,10 +26,10 @@ _GRID = (3, 8)
 """Rows and columns of cells with equal numbers of new points."""
 
 _MIN_GAP_PX = 10
-"""Least distance between two points, px."""
+"""Minimum distance between two points, px."""
 
 _MIN_QUALITY = 0.01
-"""Least quality of a corner, as a share of the best corner's in its cell."""
+"""Minimum quality of a corner, as a fraction of the best corner's in its cell."""
 
 _WINDOW_PX = (15, 15)
 """Size of the tracked window, px."""
@@ -44,7 +44,7 @@ _MAX_ROW_PX = 2.0
 """Largest difference between the row offset of a right point and the common one, px."""
 
 _BORDER_PX = 8
-"""Least distance of a point from the image border, px."""
+"""Minimum distance of a point from the image border, px."""
 
 _COARSE_RANGE_PX = 80
 """Disparities searched in the half-size images; twice as many in full pixels."""
@@ -79,8 +79,8 @@ class FeatureTracks:
     """Tracks corners through the frames of a drive.
 
     Attributes:
-        flow_px: median flow since the frame before; 0 for the first frame.
-        share_tracked: share of the points tracked from the frame before; 1 for the first frame.
+        flow_px: median flow since the previous frame; 0 for the first frame.
+        share_tracked: fraction of the points tracked from the previous frame; 1 for the first frame.
     """
 
     def __init__(self) -> None:

@@ -24,7 +24,7 @@ N_FRAMES = 16
 """Frames of a segment; longer segments would have more parallax, but few points are tracked that long."""
 
 MIN_FRAMES = 10
-"""Fewest frames of a segment."""
+"""Minimum number of frames of a segment."""
 
 _MAX_SEGMENTS = 3
 """Largest number of segments of a drive."""
@@ -39,13 +39,13 @@ _MAX_GAP_S = 0.5
 """Longest time between two frames of a segment, seconds."""
 
 _MIN_FLOW_PX = 0.5
-"""Least median flow between frames of a moving vehicle; other frames are not used."""
+"""Minimum median flow between frames of a moving vehicle; other frames are not used."""
 
 _MIN_TRACKED_SHARE = 0.1
-"""Least share of points tracked between two frames of a segment; below it, the video was cut."""
+"""Minimum fraction of points tracked between two frames of a segment; below it, the video was cut."""
 
 _MIN_CURVATURE_SIGMAS = 3.0
-"""Least ratio of the curvature to its standard deviation at which it is estimated."""
+"""Minimum ratio of the curvature to its standard deviation at which it is estimated."""
 
 _MAX_SIGMA_PX = 0.25
 """Largest standard deviation of a usable offset."""

@@ -22,7 +22,7 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 
 MIN_OBJECTS = 5
-"""Least number of objects for a fit."""
+"""Minimum number of objects for a fit."""
 
 _N_RESAMPLES = 200
 """Number of bootstrap samples."""
@@ -31,10 +31,10 @@ _N_FOLDS = 8
 """Number of folds of the cross-validation."""
 
 _MIN_OBJECTS_FOR_CURVATURE = 60
-"""Least number of objects for a fit of the curvature."""
+"""Minimum number of objects for a fit of the curvature."""
 
 _MIN_LEVERAGE = 0.08
-"""Least standard deviation of u^2 over the objects for the curvature; 0.3 for a uniform distribution."""
+"""Minimum standard deviation of u^2 over the objects for the curvature; 0.3 for a uniform distribution."""
 
 _MAX_MISMATCH = 0.3
 """Largest relative disparity error due to alignment; larger ones are wrong matches or labels."""

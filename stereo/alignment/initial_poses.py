@@ -15,13 +15,13 @@ from track_range.stereo.alignment.bundle_adjustment import Bundle, Observations
 from track_range.stereo.geometry.rig import StereoRig
 
 MIN_OBSERVATIONS = 4
-"""Least number of observations of a point; points with fewer carry little information."""
+"""Minimum number of observations of a point; points with fewer carry little information."""
 
 MIN_POINTS = 60
-"""Least number of points of a bundle."""
+"""Minimum number of points of a bundle."""
 
 _MIN_INLIERS = 12
-"""Least number of inliers of a pose."""
+"""Minimum number of inliers of a pose."""
 
 _MAX_ERROR_PX = 2.0
 """Largest reprojection error of an inlier."""
@@ -36,7 +36,7 @@ _FAR_M = 200.0
 """Largest distance of points used for PnP; farther ones carry no information on the translation."""
 
 _MIN_DEPTH_SHARE = 0.3
-"""Least ratio of a point's depth in frame 0, where its ray starts, to its first depth; in sharp turns it is smaller."""
+"""Minimum ratio of a point's depth in frame 0, where its ray starts, to its first depth; smaller in sharp turns."""
 
 
 def initial_bundle(observed: Observations, rig: StereoRig) -> tuple[Observations, Bundle] | None:

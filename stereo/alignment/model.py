@@ -23,7 +23,7 @@ Six matchers agree that the disparities of KITTI's carefully calibrated pairs ar
 """
 
 MIN_SIGMAS = 2.0
-"""Least ratio of an estimate to its standard deviation at which it is applied."""
+"""Minimum ratio of an estimate to its standard deviation at which it is applied."""
 
 MAX_ROW_OFFSET_PX = 0.3
 """Largest vertical offset without a warning and a correction."""

@@ -46,7 +46,7 @@ _STATIC_WEIGHT = 0.25
 """Mean Cauchy weight from which a point counts as static (about 0.6 for static points, 0.02 for moving objects)."""
 
 _MIN_STATIC_SHARE = 0.5
-"""Least share of static points."""
+"""Minimum fraction of static points."""
 
 _MAX_ERROR_PX = 15.0
 """Largest plausible offset or curvature; beyond, motion and disparities contradict each other."""
@@ -61,7 +61,7 @@ _MAX_STRIP_SIGMA_PX = 0.3
 """Largest standard deviation of a strip's offset that counts in the spread."""
 
 _MIN_STRIPS = 3
-"""Fewest strips for a spread."""
+"""Minimum number of strips for a spread."""
 
 
 class Cell(NamedTuple):
@@ -126,7 +126,7 @@ def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
 
 
 def _static_points(observed: Observations, start: Bundle, rig: StereoRig) -> tuple[Observations, Fit, float]:
-    """Observations and fit of static points, and their share; moving points would bias it even with small weights."""
+    """Observations and fit of static points, and their fraction; moving points bias the fit even with small weights."""
     fit = fit_bundle(observed, start, rig)
     n_points = len(start.points)
     weight = np.bincount(observed.point, fit.weight, n_points) / np.bincount(observed.point, minlength=n_points)

@@ -29,16 +29,16 @@ _ROW_TOLERANCE_PX = 2.0
 """Largest difference between the row offset of an inlier and the most frequent one."""
 
 _CLEAR_DISPARITY_PX = 1.0
-"""Least disparity with a meaningful sign; far points and small alignment errors have smaller ones."""
+"""Minimum disparity with a meaningful sign; far points and small alignment errors have smaller ones."""
 
 _MIN_MATCHES = 30
-"""Least number of disparities with a meaningful sign."""
+"""Minimum number of disparities with a meaningful sign."""
 
 _MIN_SHARE_OF_SIGN = 0.8
-"""Least share of the disparities with equal sign."""
+"""Minimum fraction of the disparities with equal sign."""
 
 _MIN_SHARE_IN_ROW = 0.5
-"""Least share of matches in equal rows; of chance matches about 1 % are."""
+"""Minimum fraction of matches in equal rows; of chance matches about 1 % are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class PairCheck:
         n_matches: number of matches in equal rows.
         row_offset_px: their mean y_right - y_left (the median would be an integer, like the rows of features); NaN
             without matches.
-        negative_share: share of them with a disparity below -1 px, 0..1; NaN without matches.
+        negative_share: fraction of them with a disparity below -1 px, 0..1; NaN without matches.
         view_order: "unknown" with too few or contradictory matches.
     """
 

@@ -21,17 +21,17 @@ _ROW_TOLERANCE_PX = 1.5
 """Largest difference between the row offset of an inlier and the most frequent one."""
 
 _MIN_SHARE = 0.6
-"""Least share of matches in equal rows with the simultaneous image."""
+"""Minimum fraction of matches in equal rows with the simultaneous image."""
 
 _MIN_LEAD = 0.1
-"""Least difference between that share and those of both other images."""
+"""Minimum difference between that fraction and those of both other images."""
 
 _MIN_MATCHES = 60
-"""Least number of matches."""
+"""Minimum number of matches."""
 
 
 def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
-    """Which of three successive right images is simultaneous with the left image.
+    """Index of the right image, of three successive ones, that is simultaneous with the left image.
 
     Args:
         left: (H, W) or (H, W, 3) uint8, rectified; paired with the second of `rights`.
@@ -52,7 +52,7 @@ def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
 
 
 def _share_in_row(left: Features, right: Features) -> float:
-    """Share of the matches in equal rows; 0 with too few matches."""
+    """Fraction of the matches in equal rows; 0 with too few matches."""
     left_px, right_px = matched_points(left, right)
     if len(left_px) < _MIN_MATCHES:
         return 0.0

@@ -27,10 +27,10 @@ from track_range.stereo.calibration.boards import (
 )
 
 _MIN_CHARUCO_CORNERS = 6
-"""Fewest corners of a ChArUco board that determine its pose well enough."""
+"""Minimum number of corners of a ChArUco board that determine its pose well enough."""
 
 _PATCH_SHARE = 0.35
-"""Half side of the patch around a corner in which the edge width is measured, as a share of the corner spacing."""
+"""Half side of the patch around a corner in which the edge width is measured, as a fraction of the corner spacing."""
 
 
 @dataclass(frozen=True, slots=True)

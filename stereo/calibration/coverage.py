@@ -1,6 +1,6 @@
 """Coverage of the image by a set of board views, in position, size and tilt, and what is missing.
 
-    x, y   share of the image width and height spanned by the corners
+    x, y   fraction of the image width and height spanned by the corners
     size   side of the board / side of the image
     tilt   angle between the board's plane and the image plane, degrees
 
@@ -24,10 +24,10 @@ _THIRDS = (("left", "middle", "right"), ("top", "middle", "bottom"))
 """Names of the thirds of the image, by axis."""
 
 _MIN_SHARE_OF_THIRD = 0.03
-"""Least share of all corners in a third of the image."""
+"""Minimum fraction of all corners in a third of the image."""
 
 _EDGE_SHARE = 0.15
-"""Largest distance of the outermost corners from the edges of the image, as a share of its side."""
+"""Largest distance of the outermost corners from the edges of the image, as a fraction of its side."""
 
 _SAME_TILT_RAD = math.radians(6.0)
 """Largest angle between parallel boards."""
@@ -36,13 +36,13 @@ _TILTED_DEG = 15.0
 """Tilt from which a board counts as tilted."""
 
 _MIN_TILTED_SHARE = 0.25
-"""Least share of views with a tilted board."""
+"""Minimum fraction of views with a tilted board."""
 
 _MIN_SIZE_RATIO = 1.3
-"""Least ratio of the largest to the smallest board in the images."""
+"""Minimum ratio of the largest to the smallest board in the images."""
 
 _MIN_LARGEST_SIZE = 0.25
-"""Least size of the largest board, as a share of the image's side."""
+"""Minimum size of the largest board, as a fraction of the image's side."""
 
 _FEW_VIEWS = 10
 """Number of views below which a warning asks for more."""
@@ -56,12 +56,12 @@ class Coverage:
     """Coverage of the image by board views.
 
     Attributes:
-        x_span: (first, last) corner as a share of the image width.
-        y_span: (first, last) corner as a share of the image height.
-        size_range: (smallest, largest) board: square root of the share of the image area.
+        x_span: (first, last) corner as a fraction of the image width.
+        y_span: (first, last) corner as a fraction of the image height.
+        size_range: (smallest, largest) board: square root of the fraction of the image area.
         tilt_range_deg: (smallest, largest) angle between a board's plane and the image plane.
         is_parallel: whether all boards are parallel.
-        warnings: sentences for the user on missing views.
+        warnings: messages for the user on missing views.
     """
 
     x_span: tuple[float, float]
@@ -146,7 +146,7 @@ def _skew(homography: FloatArray, view: BoardView) -> float:
 
 
 def _shares(views: Sequence[BoardView]) -> FloatArray:
-    """(N, 2) all corners as shares of the image width and height."""
+    """(N, 2) all corners as fractions of the image width and height."""
     return np.concatenate([view.xy_px / np.array(view.size_px) for view in views])
 
 

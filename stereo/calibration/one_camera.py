@@ -40,14 +40,14 @@ DISTORTION_FLAGS: dict[int, int] = {
 """OpenCV's flags by number of distortion coefficients: none; k1 k2 p1 p2; with k3; with k3 k4 k5 k6."""
 
 MIN_VIEWS = 5
-"""Fewest views of a calibration with an error estimate; 10 to 30 are usual."""
+"""Minimum number of views of a calibration with an error estimate; 10 to 30 are usual."""
 
 _OUTLIER_RATIO = 2.0
 _OUTLIER_SIGMAS = 4.0
 """A view is rejected if its residual exceeds both this multiple of the median and the median by so many sigmas."""
 
 _MIN_SHARE_USED = 2 / 3
-"""Least share of the views that are used: if more were outliers, the views would not be the cause."""
+"""Minimum fraction of the views that are used: if more were outliers, the views would not be the cause."""
 
 _MAX_GROUPS = 20
 """Largest number of groups of the jackknife."""
@@ -202,7 +202,7 @@ def total_rms_px(fits: Sequence[ViewFit]) -> float:
 
 
 def check_views(n_views: int) -> None:
-    """Refuse to calibrate with too few views.
+    """Raise an error if there are too few views.
 
     Raises:
         CalibrationError: fewer than `MIN_VIEWS`.
@@ -215,7 +215,7 @@ def check_views(n_views: int) -> None:
 
 
 def check_motion(views: Sequence[BoardView]) -> None:
-    """Refuse views that are all equal.
+    """Raise an error if all views are equal.
 
     Raises:
         CalibrationError: the board hardly moves.
@@ -228,7 +228,7 @@ def check_motion(views: Sequence[BoardView]) -> None:
 
 
 def check_determined(std: IntrinsicStd, camera: PinholeCamera) -> None:
-    """Refuse a camera with an uncertain focal length.
+    """Raise an error if the focal length is uncertain.
 
     Raises:
         CalibrationError: the standard deviation of the focal length is large or NaN.

@@ -204,7 +204,7 @@ def _camera_calibration(camera: PinholeCamera, fits: Sequence[ViewFit], std: Flo
 
 
 def _check_consistency(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_distortion_coefficients: int) -> None:
-    """Refuse pairs of images not taken at the same time, which fit each camera alone, but not both."""
+    """Raise an error if the images of pairs are not simultaneous: they fit each camera alone, but not both."""
     single_px = [
         total_rms_px(fit_camera([pair[side] for pair in pairs], n_distortion_coefficients)[1]) for side in (0, 1)
     ]
@@ -218,7 +218,7 @@ def _check_consistency(pairs: Sequence[ViewPair], fits: Sequence[PairFit], n_dis
 
 
 def _check_relative_pose(rig: StereoRig) -> None:
-    """Refuse cameras that are swapped, upside down or one above the other."""
+    """Raise an error if the cameras are swapped, upside down or one above the other."""
     rotation = rig.right_from_left[:3, :3]
     angle_deg = math.degrees(math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
     if angle_deg > _UPSIDE_DOWN_DEG:

@@ -1,4 +1,4 @@
-"""Errors of measured disparities, and of the distances from them: the figures of stereo matchers.
+"""Errors of measured disparities, and of the distances from them: the metrics of stereo matchers.
 
     Z = f B / d        error = Z / Z_true - 1 = d_true / d - 1
 
@@ -21,7 +21,7 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 
 BANDS_M = ((5.0, 15.0), (15.0, 30.0), (30.0, 60.0))
-"""Bands of true distance, metres, with separate figures; objects outside them count only in the total."""
+"""Bands of true distance, metres, with separate metrics; objects outside them count only in the total."""
 
 FAILURE = 0.15
 """Relative distance error above which a value is a failure."""
@@ -111,12 +111,12 @@ def left_out_alignments(column: Column, objects: Objects, fit: Fit, *, seed: int
 
 
 def matcher_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
-    """Figures of each matcher for all objects, with bands and bootstrap intervals."""
+    """Metrics of each matcher for all objects, with bands and bootstrap intervals."""
     return {name: _figures_with_intervals(column, objects, seed=seed) for name, column in columns.items()}
 
 
 def common_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int = 0) -> dict[str, dict[str, Any]]:
-    """Figures of each matcher for the objects measured by all of them, so that rejecting hard objects gives no gain."""
+    """Metrics of each matcher for the objects measured by all of them, so that rejecting hard objects gives no gain."""
     is_common = np.all([np.isfinite(column.disparity_px) for column in columns.values()], axis=0)
     common = _selected(objects, is_common)
     return {
@@ -125,7 +125,7 @@ def common_figures(columns: Mapping[str, Column], objects: Objects, *, seed: int
 
 
 def figures(column: Column, true_px: FloatArray) -> dict[str, Any]:
-    """Figures of one matcher for objects with true disparities (N,); None where undefined."""
+    """Metrics of one matcher for objects with true disparities (N,); None where undefined."""
     is_measured = np.isfinite(column.disparity_px)
     n, measured_px = len(is_measured), column.disparity_px[is_measured]
     expected_px, sigma_px = true_px[is_measured], column.sigma_px[is_measured]

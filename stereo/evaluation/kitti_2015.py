@@ -30,7 +30,7 @@ LEFT, RIGHT, TRUTH, INSTANCES = "image_2", "image_3", "disp_occ_0", "obj_map"
 """The four folders of a set."""
 
 MIN_TRUE_PIXELS, MIN_INNER_PIXELS = 100, 20
-"""Least number of pixels with known disparity of an instance, in total and in the inner half of its box."""
+"""Minimum number of pixels with known disparity of an instance, in total and in the inner half of its box."""
 
 _STEPS_PER_PX = 256.0
 """Steps of the stored disparities per pixel."""
@@ -51,7 +51,7 @@ class StereoPair:
         xyxy_px: (N, 4) boxes in the left image.
         true_px: (N,) true disparity of the inner half of each box.
         rig: the rectified rig.
-        notes: sentences for the user about the rig.
+        notes: messages for the user about the rig.
         track_id: (N,) identities of the objects over the frames of a drive; (0,) for unrelated pairs.
     """
 

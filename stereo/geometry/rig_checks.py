@@ -43,7 +43,7 @@ class Calibration:
         right_from_left: (4, 4) rigid transform, metres; None for a single camera.
         left_from_reference_m: (3,) translation from the frame of the data set's labels to the left camera's frame;
             zeros except for KITTI.
-        notes: sentences for the user.
+        notes: messages for the user.
     """
 
     left: PinholeCamera
@@ -54,7 +54,7 @@ class Calibration:
 
 
 def check_rig(rig: StereoRig, source: object) -> None:
-    """Refuse an implausible rig; `source` names it in the message.
+    """Raise an error for an implausible rig; the message begins with `source`.
 
     Raises:
         RigError: focal length, distortion, rotation or baseline are not plausible.
@@ -95,7 +95,7 @@ def _check_baseline(baseline_m: float, source: object) -> None:
 
 
 def check_camera(camera: PinholeCamera, source: object) -> None:
-    """Refuse an implausible camera; `source` names it in the message.
+    """Raise an error for an implausible camera; the message begins with `source`.
 
     Raises:
         RigError: focal length, principal point or distortion are not plausible.

@@ -3,7 +3,7 @@
 patch                                       track-range's patch matcher
 sgbm                                        dense matching as in a run: median of the inner half of each box
 sgbm-3way, sgbm-5way, sgbm-hh, sgbm-hh4     dense matching with other aggregation directions (OpenCV's modes)
-NAME-centre                                 a dense matcher read at the centre pixel of the box (Guo's binocular paper)
+NAME-centre                                 a dense matcher, sampled at the centre pixel of the box (Guo Pengyu)
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MATCHER_NAMES = ("patch", *(name + end for name in ("sgbm", *_MODE) for end in (
 
 
 class DenseMatcher:
-    """Reads the disparities of boxes from dense disparities; does not use priors."""
+    """Matcher that samples dense disparities in boxes; priors are not used."""
 
     def __init__(self, settings: SgbmSettings, *, is_centre: bool = False) -> None:
         self._sgbm, self._settings = Sgbm(settings), settings
@@ -49,7 +49,7 @@ class DenseMatcher:
 
 
 def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
-    """The matcher with a name, with the settings of a run for a rig.
+    """The matcher called `name`, with the settings that a run uses for `rig`.
 
     Raises:
         ValueError: the name is unknown.
@@ -71,7 +71,7 @@ class Measured:
         objects: N objects with their true disparities.
         columns: disparities of the N objects, by name of the matcher.
         ms_per_frame: median time per pair on one thread, milliseconds, by name of the matcher.
-        notes: sentences for the user, without duplicates.
+        notes: messages for the user, without duplicates.
     """
 
     objects: Objects

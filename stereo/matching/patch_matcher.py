@@ -54,21 +54,21 @@ class PatchMatcherSettings:
             metres; inf = no limit.
         search_px: half width of the search around a prior, px of the box's level.
         min_side_px: smallest side of a box.
-        min_seen_share: smallest share of the windows that must have a minimum, and lie within the right image.
-        min_support: smallest share of those that must belong to one surface.
-        min_margin_bits: least difference between the costs of a chance match and of the minimum, in bits of 24 per
+        min_seen_share: smallest fraction of the windows that must have a minimum, and lie within the right image.
+        min_support: smallest fraction of those that must belong to one surface.
+        min_margin_bits: minimum difference between the costs of a chance match and of the minimum, in bits of 24 per
             pixel.
         max_cost_bits: largest cost of the minimum; not checked for priors from the full search.
-        min_minima_share: least share of the visible windows with a minimum near a track's prior: if the object is
+        min_minima_share: minimum fraction of the visible windows with a minimum near a track's prior: if the object is
             elsewhere, most minima lie at an end of the search range. Not checked for priors from the full search.
-        min_confirmed_share: least share of those minima that are confirmed by grey values. Not checked for priors from
-            the full search.
-        uniqueness_ratio: least difference between the costs of the second best and the best minimum, as a share of the
-            margin (OpenCV's uniquenessRatio is a share of the cost).
+        min_confirmed_share: minimum fraction of those minima that are confirmed by grey values. Not checked for priors
+            from the full search.
+        uniqueness_ratio: minimum difference between the costs of the second best and the best minimum, as a fraction of
+            the margin (OpenCV's uniquenessRatio is a fraction of the cost).
         floor_px: sigma of a flat, textured, noiseless box, px of its level.
-        noise_share: share of the propagated variances of the windows that contributes to sigma.
-        scatter_share: share of the windows' scatter about the plane that contributes to sigma.
-        tilt_share: share of the plane's tilt across the box that contributes to sigma.
+        noise_share: fraction of the propagated variances of the windows that contributes to sigma.
+        scatter_share: fraction of the windows' scatter about the plane that contributes to sigma.
+        tilt_share: fraction of the plane's tilt across the box that contributes to sigma.
     """
 
     min_disparity_px: int = 1

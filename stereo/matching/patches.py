@@ -17,7 +17,7 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 
 _SHARE_CUT = 0.25
-"""Share of the box's width (height) that is cut off on each side."""
+"""Fraction of the box's width (height) that is cut off on each side."""
 
 
 class Patch(NamedTuple):

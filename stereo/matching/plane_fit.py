@@ -35,13 +35,13 @@ _PRIOR_GAIN = 2.0
 """Additional support of a surface at the track's prior disparity, relative to that of other surfaces."""
 
 _MIN_INLIERS = 4
-"""Fewest windows that a plane is fitted to, one more than its parameters."""
+"""Minimum number of windows that a plane is fitted to, one more than its parameters."""
 
 _N_ITERATIONS = 4
 """Iterations of the reweighted least squares."""
 
 _FLOOR_SHARE, _FLOOR_PX = 0.01, 0.05
-"""f: residual below which windows have equal weights, as a share of the mean disparity, and at least this many px."""
+"""f: residual below which windows have equal weights, as a fraction of the mean disparity, and its minimum in px."""
 
 _BOUND_FLOORS = 2.0
 """Residual, in units of f, at which a window counts half of what it would without the bound."""
@@ -62,7 +62,7 @@ class Surface:
         centre: (N,) p0, the disparity at the middle of the inner half; NaN = no surface found.
         tilt: (N, 2) p1, p2: change of disparity over the inner half, to the right and down.
         residual: (N, G) disparity of a window minus the plane; NaN for windows that do not belong to the object.
-        support: (N,) share of the windows with a minimum that belong to the object.
+        support: (N,) fraction of the windows with a minimum that belong to the object.
     """
 
     centre: FloatArray

@@ -30,7 +30,7 @@ MAX_LEVEL = 2
 
 
 class SamplingGrid(NamedTuple):
-    """How densely boxes are sampled.
+    """Density of the samples in boxes.
 
     Attributes:
         n: windows per row, and per column.
@@ -48,7 +48,7 @@ COARSE_GRID = SamplingGrid(3, (10, 20))
 """Grid for the search of the full range, which has a few dozen disparities at this size."""
 
 _INNER_SHARE = 0.5
-"""Share of a box's width and height that is sampled, around its centre, with little background."""
+"""Fraction of a box's width and height that is sampled, around its centre, with little background."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,13 +59,13 @@ class SgbmSettings:
         mode: number of aggregation directions: "3way" 3 (fastest, threaded), "sgbm" 5, "hh4" 4, "hh" 8 (most memory).
         small_step_penalty: P1 per pixel of the window, for neighbours that differ by one disparity.
         large_step_penalty: P2 per pixel of the window, for larger steps.
-        uniqueness_ratio: least margin between the best and the second best cost, per cent.
+        uniqueness_ratio: minimum margin between the best and the second best cost, per cent.
         disp12_max_diff: largest difference between left-to-right and right-to-left matching, px; -1 = not checked.
         speckle_window_size: regions with fewer pixels are removed.
         speckle_range: largest disparity difference within a region, px.
         pre_filter_cap: limit at which the compared x-derivative is truncated.
-        min_valid_share: least share of known pixels in the inner half of a box.
-        shape_share: share of the scatter inside the inner half that contributes to sigma.
+        min_valid_share: minimum fraction of known pixels in the inner half of a box.
+        shape_share: fraction of the scatter inside the inner half that contributes to sigma.
     """
 
     min_disparity: int = 0
@@ -129,7 +129,7 @@ def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
     window_px = settings.block_size**2 if type(settings.block_size) is int else 1
     large = (small + 1, _MAX_COST // max(window_px, 1))
     return [
-        ("min_disparity", whole("min_disparity", -512, 1024), "a whole number -512 .. 1024"),
+        ("min_disparity", whole("min_disparity", -512, 1024), "a whole number from -512 to 1024"),
         ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
         ("block_size", whole("block_size", 1, 21) and settings.block_size % 2 == 1, "an odd number up to 21"),
         ("mode", settings.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
@@ -139,13 +139,13 @@ def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
             whole("large_step_penalty", *large),
             f"more than small_step_penalty, and at most {_MAX_COST} / block_size^2",
         ),
-        ("uniqueness_ratio", whole("uniqueness_ratio", 0, 99), "a whole number 0 .. 99"),
-        ("disp12_max_diff", whole("disp12_max_diff", -1, 1024), "a whole number -1 .. 1024"),
-        ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "a whole number 0 .. 1e9"),
-        ("speckle_range", whole("speckle_range", 0, 1024), "a whole number 0 .. 1024"),
-        ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "a whole number 1 .. 127"),
-        ("min_valid_share", share("min_valid_share", 0.0, 1.0), "a share 0 .. 1"),
-        ("shape_share", share("shape_share", 0.0, math.inf), "a number from 0"),
+        ("uniqueness_ratio", whole("uniqueness_ratio", 0, 99), "a whole number from 0 to 99"),
+        ("disp12_max_diff", whole("disp12_max_diff", -1, 1024), "a whole number from -1 to 1024"),
+        ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "a whole number from 0 to 1e9"),
+        ("speckle_range", whole("speckle_range", 0, 1024), "a whole number from 0 to 1024"),
+        ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "a whole number from 1 to 127"),
+        ("min_valid_share", share("min_valid_share", 0.0, 1.0), "a fraction from 0 to 1"),
+        ("shape_share", share("shape_share", 0.0, math.inf), "a number of 0 or more"),
     ]
 
 
@@ -207,7 +207,7 @@ def inner_half_median(
 def centre_disparity(
     disparity: DisparityMap | FloatArray, xyxy_px: FloatArray, *, settings: SgbmSettings | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Disparity of the pixel at the centre of each box (N, 4), as in Guo's binocular paper, and sigma, (N,) each.
+    """Disparity of the pixel at the centre of each box (N, 4), as used by Guo Pengyu, and sigma, (N,) each.
 
     NaN where that pixel is unknown or outside the image. Sigma is that of the inner half, which includes the scatter of
     its pixels, or that of a flat patch if too few of them are known.

@@ -55,7 +55,7 @@ _VERTICAL_SIGMA_PX = 0.3
 """Prior standard deviation of the vertical offset, px of the level; larger ones are corrected by the alignment."""
 
 _FLOOR_PX, _FLOOR_SHARE = 0.06, 0.006
-"""Lower limit of a window's standard deviation, px of the level, and as a share of its disparity: objects are not
+"""Lower limit of a window's standard deviation, px of the level, and as a fraction of its disparity: objects are not
 planes."""
 
 

@@ -50,7 +50,9 @@ def _read(text: str, source: object) -> Calibration:
     notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
     second_from_first = _numbers(second, "T_cn_cnm1", (4, 4), f"{source}: cam1")
     if not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
-        raise RigError(f"{source}: cam1: expected 0, 0, 0, 1 in the last row of 'T_cn_cnm1', found others; {_HINT}.")
+        raise RigError(
+            f"{source}: cam1: expected 0, 0, 0, 1 in the last row of 'T_cn_cnm1', found other numbers; {_HINT}."
+        )
     second_camera = _camera(second, f"{source}: cam1")
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")

@@ -60,7 +60,7 @@ def _read(text: str, path: Path) -> Calibration:
     right_from_left[:3, :3] = _shaped(values["R"], (3, 3), "R", path)
     right_from_left[:3, 3] = _shaped(values["T"], (3,), "T", path)
     baseline_m = float(np.linalg.norm(right_from_left[:3, 3]))
-    note = f"{path}: baseline {baseline_m:.4g} m if the size of the chessboard's squares was given in metres."
+    note = f"{path}: the baseline is {baseline_m:.4g} m, assuming that the square size was given in metres."
     return Calibration(left, _camera(values, "2", path), right_from_left, notes=(note,))
 
 
@@ -106,7 +106,9 @@ def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
         root = storage.root()
         nodes = {key: _numbers(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (a FileNode is no mapping)
     except (cv2.error, SystemError) as error:
-        raise RigError(f"{path}: OpenCV cannot read this file, which is damaged; calibrate again.") from error
+        raise RigError(
+            f"{path}: cannot be read with OpenCV, probably because the file is damaged; calibrate again."
+        ) from error
     numbers = {key: value for key, value in nodes.items() if value is not None}
     if "image_width" in numbers and "image_height" in numbers:
         numbers["size"] = np.concatenate([numbers["image_width"], numbers["image_height"]])

@@ -27,7 +27,7 @@ class BoxSource:
         detect: returns the boxes of a frame.
         frames: (M,) frame numbers with recorded boxes; empty for a detector.
         description: properties for the section `found` of settings.yaml.
-        notes: returns the sentences for the user so far.
+        notes: returns the messages for the user so far.
     """
 
     detect: Callable[[Frame], Detections]

@@ -111,7 +111,7 @@ class RunFolder:
         """Write summary.json, report.html and the Markdown tables, and close the files of the rows.
 
         Args:
-            summary: the figures of the run.
+            summary: the results of the run.
             columns: rows of the run, with the ground truth if there is one.
 
         Raises:

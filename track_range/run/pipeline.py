@@ -48,7 +48,7 @@ _T = TypeVar("_T")
 
 
 def noise_shares() -> dict[str, float]:
-    """Initial fraction of sigma that is independent between frames, for each distance with a filter over time.
+    """Initial fraction of sigma that is independent between frames, for each distance that is filtered over time.
 
     The filters adapt it to their innovations. Fusion uses the declared error sources of the methods instead.
     """
@@ -84,12 +84,12 @@ class Pipeline:
         detect: returns the boxes of a frame.
         tracker: assigns identities to boxes.
         rangers: ranging methods by name, in the order of execution (`registry.create_rangers`).
-        lane_finder: detects the lines of the own lane; None = off.
+        lane_finder: detects the lines of the ego lane; None = off.
         ego_speed: speed of the camera; None = unknown.
         shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
         depths: queue depths of the threads.
-        notes: sentences for the user about the parts of the pipeline.
-        clock: time spent by stage.
+        notes: messages for the user about the parts of the pipeline.
+        clock: time spent in each stage.
     """
 
     camera: PinholeCamera
@@ -116,7 +116,7 @@ class Pipeline:
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """Results of the frames in order; closing the generator ends the threads."""
         with ExitStack() as stack:
-            # closed in reverse order: threads, last one first, so that none reads from closed videos; then rangers
+            # closed in reverse order: the last thread first, so that no thread reads from a closed video; rangers last
             stack.callback(self._close_rangers)
 
             def in_thread(items: Iterable[_T], depth: int, *, low_priority: bool) -> Iterable[_T]:

@@ -2,7 +2,7 @@
 
     open      recording, calibration, detector, tracker, methods, ground truth
     iterate   one FrameResult per frame; rows are collected, and written if there is an output folder
-    finish    figures of the whole run (`summary`), summary.json and report.html
+    finish    results of the whole run (`summary`), summary.json and report.html
 
 Files are written only if `out=` or `write()` gives a folder.
 """
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """One pass over one recording: iterate it once; afterwards it provides the rows and the figures.
+    """One pass over one recording: iterate it once; afterwards it provides the rows and the summary.
 
     Example:
         >>> import track_range as tr
@@ -260,7 +260,7 @@ class Run:
                 yield result
 
     def _finish(self, files: RunFolder | None) -> None:
-        """Compute the figures of the run, and finish its files."""
+        """Compute the summary of the run, and finish its files."""
         session, rows = self.session, self.session.table.to_columns()
         matched = None if session.truth is None else matched_truth(rows, session.truth)
         self._summary = {**session.summary(rows, matched), "files": {} if files is None else files.videos}
@@ -324,12 +324,12 @@ class Run:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user so far: assumptions and problems."""
+        """Messages for the user so far: assumptions and problems."""
         return self.session.notes
 
     @property
     def is_finished(self) -> bool:
-        """Whether the figures are available: all frames were processed, or the run was stopped after some."""
+        """Whether the summary is available: all frames were processed, or the run was stopped after some."""
         return self._summary is not None
 
     def draw(self, result: FrameResult) -> Image:
@@ -363,7 +363,7 @@ class Run:
         return self.session.table.to_pandas()
 
     def _repr_html_(self) -> str:
-        """Representation in notebooks: the videos, and the main figures of a finished run."""
+        """Representation in notebooks: the videos, and the main results of a finished run."""
         source = self.settings.stereo or (self.settings.mono,)
         title = " and ".join(html.escape(str(name)) for name in source)
         if self._summary is None:

@@ -89,7 +89,7 @@ class RunSession:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user so far; more may follow during the run."""
+        """Messages for the user so far; more may follow during the run."""
         has_results = bool(self.frame_index)
         finder, ego = self.pipeline.lane_finder, self.pipeline.ego_speed
         lanes = () if finder is None else finder.notes

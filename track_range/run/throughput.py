@@ -73,7 +73,7 @@ class FrameMeter:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user after a live run."""
+        """Messages for the user after a live run."""
         if not self.latency_s:
             return ()
         median_ms, longest_ms = 1000 * np.median(self.latency_s), 1000 * max(self.latency_s)

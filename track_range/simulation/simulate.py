@@ -34,7 +34,7 @@ class Simulated:
         drive: files of the drive; None for a set of images.
         data_yaml: data.yaml of a set of images; None for a drive.
         n_images: number of images of a set; 0 for a drive.
-        notes: sentences for the user.
+        notes: messages for the user.
     """
 
     drive: Drive | None = None

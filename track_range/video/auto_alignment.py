@@ -41,7 +41,7 @@ class PairAlignment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user."""
+        """Messages for the user."""
         rows_px = self.measured.row_correction_px
         rows = (
             f"Vertical offset of {rows_px:+.1f} px between left and right: corrected, but the rig does not fit these "

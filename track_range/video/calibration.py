@@ -37,7 +37,7 @@ class Calibration:
         raw_rig: the pair as loaded.
         path: the calibration file; None = a focal length.
         left_from_reference_m: (3,) translation of labels from the rig's reference camera to the left camera's frame.
-        file_notes: sentences for the user about the file.
+        file_notes: messages for the user about the file.
         search_notes: the sentence that names the file if it was not given but found.
         alignment: disparity correction of a calibrated pair.
         uncalibrated: assumptions about a pair without calibration.
@@ -57,7 +57,7 @@ class Calibration:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user."""
+        """Messages for the user."""
         alignment = () if self.alignment is None else self.alignment.notes
         uncalibrated = () if self.uncalibrated is None else self.uncalibrated.notes
         return (*self.search_notes, *self.file_notes, *alignment, *uncalibrated)

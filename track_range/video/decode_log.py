@@ -77,7 +77,7 @@ class DecodeLog:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user."""
+        """Messages for the user."""
         notes = []
         if self.stopped_by:
             notes.append(

@@ -85,7 +85,7 @@ class VideoFile:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user, including the problems of the latest reading."""
+        """Messages for the user, including the problems of the latest reading."""
         return [*self._file_notes, *(f"{self.path}: {note}" for note in self._log.notes)]
 
     def close(self) -> None:

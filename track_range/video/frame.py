@@ -19,7 +19,7 @@ _NEUTRAL_DIFFERENCE = 8
 3."""
 
 _NEUTRAL_SHARE = 0.999
-"""Smallest share of grey pixels in an image without colour; assumed."""
+"""Smallest fraction of grey pixels in an image without colour; assumed."""
 
 
 class VideoError(UserError):

@@ -34,7 +34,7 @@ class ImageFolder:
         fps: nominal frame rate: the argument, or the median rate of timestamps.txt.
         first_time_s: time of the first image; seconds since 1970 with timestamps.txt.
         n_frames: images in the folder.
-        notes: sentences for the user.
+        notes: messages for the user.
 
     Raises:
         VideoError: no numbered images, two with the same number, or the first cannot be decoded.
@@ -61,7 +61,7 @@ class ImageFolder:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences for the user, including the problems of the latest reading."""
+        """Messages for the user, including the problems of the latest reading."""
         if not self._n_backward:
             return list(self._folder_notes)
         skipped = f"{counted(self._n_backward, 'image')} with a repeated or backward timestamp skipped."
@@ -151,12 +151,12 @@ def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str
     stamps = [line.strip() for line in lines if line.strip()]
     if len(stamps) != n_images:
         n_lines = counted(len(stamps), "line")
-        return None, [f"{file}: not used; it has {n_lines} for {counted(n_images, 'image')}."]
+        return None, [f"{file}: ignored; it has {n_lines} for {counted(n_images, 'image')}."]
     try:
         dates = [_TIMESTAMP.sub(r"\1T\2", stamp) if _TIMESTAMP.fullmatch(stamp) else "invalid" for stamp in stamps]
         stamps_s = np.array(dates, "datetime64[ns]").astype(np.int64) / 1e9
     except ValueError:
-        return None, [f"{file}: not used; not all of its lines are dates with times."]
+        return None, [f"{file}: ignored; expected a date and a time in every line."]
     return stamps_s, [f"{file}: used for the frame times of {folder}."]
 
 

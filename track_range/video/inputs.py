@@ -126,7 +126,7 @@ class Inputs:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user; complete only after the last frame."""
+        """Messages for the user; complete only after the last frame."""
         paired = () if self.pairs is None else self.pairs.pairs.notes
         return (*itertools.chain.from_iterable(reader.notes for reader in self.readers), *paired)
 

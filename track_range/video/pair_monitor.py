@@ -38,7 +38,7 @@ class Monitor(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user so far."""
+        """Messages for the user so far."""
         ...
 
     def add(self, frame: Frame) -> None:
@@ -93,7 +93,7 @@ class PairMonitor:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user so far."""
+        """Messages for the user so far."""
         if self._is_unmatched:
             return (_UNMATCHED,)
         row_px = self.row_offsets_px[0] - self.corrected_px if self.row_offsets_px else 0.0

@@ -111,7 +111,7 @@ class StereoVideo:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user about unpaired frames; complete only after the last pair."""
+        """Messages for the user about unpaired frames; complete only after the last pair."""
         left, right = self._sides
         return (*self._rate_notes(), *self._unpaired_notes(left, right), *self._unpaired_notes(right, left))
 

@@ -64,7 +64,7 @@ class VideoReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user; complete only after the last frame."""
+        """Messages for the user; complete only after the last frame."""
         return tuple(self._source.notes)
 
     def close(self) -> None:

@@ -71,7 +71,7 @@ class Recording:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user about the recording; complete only after the last frame."""
+        """Messages for the user about the recording; complete only after the last frame."""
         checks = (note for monitor in self.monitors for note in monitor.notes)
         return (*self.calibration.notes, *self.inputs.notes, *checks)
 

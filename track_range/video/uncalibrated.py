@@ -70,7 +70,7 @@ class UncalibratedPair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user."""
+        """Messages for the user."""
         focal = (
             f"a horizontal field of view of {_ASSUMED_FIELD_DEG:.0f} degrees is assumed (focal length "
             f"{self.camera.fx_px:.0f} px; give --focal-px if it is known)"

@@ -6,13 +6,13 @@
     names: [person, car, ...]   # in the order of the class numbers
     format: yolo                # or kitti (object labels with KITTI's classes)
     labels: labels              # folder of label files; default: the folder with `images` replaced by `labels`
-    manifest: manifest.csv      # columns file, split, labels_complete: splits, and completely labelled classes
+    manifest: manifest.csv      # columns file, split, labels_complete (which classes are labelled)
     labels_pseudo: teacher      # detections `class cx cy w h score`, used for classes that are not completely labelled
 
-Of another data.yaml, the images of the same split are used; classes that it does not name are not labelled in them.
-Names that are not road classes are left out. A pseudo-label that does not overlap a label is an object if its score is
-at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise it is ignored, so that it
-counts neither as right nor as wrong.
+If an entry is another data.yaml, its images of the same split are used; they count as unlabelled for the classes that
+it does not name. Names that are not road classes are ignored. A pseudo-label that does not overlap a label is an object
+if its score is at least 0.5 (cars: 0.4) and its class is not completely labelled in the image; otherwise the box is
+ignored, so that a detection there is neither a true nor a false positive.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ _KITTI_NAMES = ("person", "bicycle", "car", "truck")
 """Road classes that KITTI labels."""
 
 _MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
-"""Smallest score of a pseudo-label that is an object, and of a car."""
+"""Minimum score of a pseudo-label that is used as an object: for most classes, and for cars."""
 
 _SAME_OBJECT_IOU = 0.5
 """Smallest IoU of a pseudo-label and a label of the same object."""
 
 _BACKGROUND_NOTE = "no label file: background"
-"""Note of an image without a label file, by which these images are counted."""
+"""Note of an image without a label file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class TrainingData:
 
     Attributes:
         road_class_id: (C,) road class of each of the network's classes.
-        train, val: the images; their truth has the completely labelled classes.
+        train, val: the images; their truth lists which classes are completely labelled.
         notes: notes for the user on clipped boxes, ignored images and assumptions.
     """
 
@@ -85,7 +85,7 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
 
     Args:
         path: the file.
-        within: files that refer to this one, directly or indirectly.
+        within: files that refer to this one, directly or indirectly, to detect circular references.
 
     Raises:
         LabelFileError, ImageFileError: the file, a folder or labels cannot be read or are invalid.

@@ -43,7 +43,7 @@ _SAME_OBJECT_IOU = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Completeness:
-    """Which classes are completely labelled, by quarter of each image in a batch.
+    """Completely labelled classes, by quarter of each image in a batch.
 
     Attributes:
         flags: (B, 2, 2, C) above and below, left and right of `meeting_xy`.

@@ -39,7 +39,7 @@ class Faults:
         rain: density of rain, from 0 = dry to 1 = cloudburst.
         row_offset_px: vertical shift of the right image, positive = down.
         disparity_offset_px: true disparity minus that of the rig file.
-        drop_share: share of frames that each camera drops; the timestamps show the gaps.
+        drop_share: fraction of frames that each camera drops; the timestamps show the gaps.
         late_s: delay of the right camera that its timestamps do not show.
         wrong_rig: the wrong parameter in the rig file; None = none.
     """

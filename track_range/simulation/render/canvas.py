@@ -25,7 +25,8 @@ _OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)
 """`OPAQUE_ALPHA` for a BGRA sample read as one uint32, of which alpha is the highest byte."""
 
 SHADE_SLACK = 1.03
-"""Largest ratio of a shadow's depth to the depth of the surface that it darkens: the road is drawn as chords."""
+"""Largest ratio of a shadow's depth to that of the surface that it darkens; they differ where a curved road is drawn as
+flat pieces."""
 
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
@@ -93,7 +94,7 @@ class Canvas:
                 self._cover(window, warped, self._plane(window, planes[k]))
 
     def n_sky_rows(self) -> int:
-        """Number of rows, from the top, that contain all pixels on which nothing was drawn."""
+        """Number of rows from the top down to the lowest pixel on which nothing was drawn."""
         return int(np.max(np.flatnonzero(self.inverse_depth.min(axis=1) == 0), initial=-1)) + 1
 
     def fill_sky(self, sky: Image) -> None:

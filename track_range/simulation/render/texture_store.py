@@ -88,7 +88,7 @@ class TextureStore:
 
 
 def _n_halvings(n_from: int, n_to: int) -> int:
-    """How often `n_from` texels can be halved without falling below `n_to`."""
+    """Number of times that `n_from` texels can be halved without falling below `n_to`."""
     return (n_from // n_to).bit_length() - 1
 
 

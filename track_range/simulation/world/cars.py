@@ -2,8 +2,8 @@ r"""Car bodies: a hull with chamfered corners on four wheels, and a glazed cabin
 
       ______            Back, front and sides of the hull coincide with the 3-D box, so that the ray through the centre
  ____/__|___\____       of a box in the image meets the paint where it meets the 3-D box. There are three shapes:
-|_ _     |    _ _|      saloon, hatchback and estate. Positions along the car are shares of its length from the back,
-  (o)-------(o)   x ->  heights are shares of its height.
+|_ _     |    _ _|      saloon, hatchback and estate. Positions along the car are fractions of its length from the back,
+  (o)-------(o)   x ->  heights are fractions of its height.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
 
 @dataclass(frozen=True, slots=True)
 class Build:
-    """Shape of a car, in shares of its length from the back and of its height.
+    """Shape of a car, as fractions of its length from the back and of its height.
 
     Attributes:
         deck: height of the hull at the cabin.
@@ -171,7 +171,7 @@ def _side_face(
     picture = face.texture
 
     def at(share: float) -> float:
-        """Share of the texture's width, from the left, for a share of the car's length, from the back."""
+        """Fraction of the texture's width, from the left, for a fraction of the car's length, from the back."""
         from_back = (share * length - length / 2 - back) / (front - back)
         return 1 - from_back if side > 0 else from_back
 

@@ -37,7 +37,7 @@ class Flow:
         speed_mps: speed of all vehicles.
         spacing_m: mean distance between vehicles; each position varies by up to a fifth of it.
         heading_rad: `AWAY_RAD` or `TOWARDS_RAD`.
-        kinds: (type, share) of vehicles.
+        kinds: (type, fraction) of vehicles.
         from_m, until_m: range of positions along the road at time 0.
     """
 

@@ -1,4 +1,4 @@
-"""Painting of vehicle textures in place, with positions in shares of the texture's size."""
+"""Painting of vehicle textures in place, with positions as fractions of the texture's size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from track_range.foundation.arrays import Image
 
 Box = tuple[float, float, float, float]
-"""x1, y1, x2, y2 as shares of the texture's width and height."""
+"""x1, y1, x2, y2 as fractions of the texture's width and height."""
 
 Colour = tuple[float, ...]
 """Blue, green, red, 0 to 255."""
@@ -22,7 +22,7 @@ _REACH = 4
 
 
 def shade_rows(picture: Image, lights: tuple[tuple[float, float], ...]) -> None:
-    """Multiply rows by factors, linearly interpolated between pairs of (share from the top, factor)."""
+    """Multiply rows by factors, linearly interpolated between pairs of (fraction from the top, factor)."""
     rows = np.linspace(0, 1, picture.shape[0])
     factor = np.interp(rows, [at for at, _ in lights], [light for _, light in lights]).astype(np.float32)
     picture[:, :, :3] = np.clip(picture[:, :, :3] * factor[:, None, None], 0, 255).astype(np.uint8)
@@ -61,7 +61,7 @@ def pane(picture: Image, corners: list[tuple[float, float]], *, top: float = 96.
 
 
 def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: float = 1.22) -> None:
-    """Paint a tyre with its rim in a dark arch; the radius is a share of the texture's height."""
+    """Paint a tyre with its rim in a dark arch; the radius is a fraction of the texture's height."""
     height, width = picture.shape[:2]
     at = (round(centre[0] * width), round(centre[1] * height))
     reach = radius * height
@@ -78,7 +78,7 @@ def wheel(picture: Image, centre: tuple[float, float], radius: float, *, arch: f
 
 
 def clip(picture: Image, outlines: list[list[tuple[float, float]]], discs: list[tuple[float, float, float]]) -> None:
-    """Make the texture transparent outside polygons and discs (x, y, radius as a share of the height)."""
+    """Make the texture transparent outside polygons and discs (x, y, radius as a fraction of the height)."""
     height, width = picture.shape[:2]
     inside = np.zeros((height, width), np.uint8)
     for corners in outlines:

@@ -207,7 +207,7 @@ PARKED_SPACING_M = 7.5
 """Distance between parking spaces."""
 
 PARKED_SHARE = 0.6
-"""Share of parking spaces that are occupied."""
+"""Fraction of parking spaces that are occupied."""
 
 VIEW_M = 110.0
 """Distance beyond the last camera position up to which scenes contain objects."""

@@ -75,7 +75,7 @@ def plain(
 
 
 def paint_box(picture: Image, box: tuple[float, float, float, float], bgr: tuple[float, ...]) -> None:
-    """Tint a rectangle, given as shares x1, y1, x2, y2 of the texture's size; its dirt remains."""
+    """Tint a rectangle, given as fractions x1, y1, x2, y2 of the texture's size; its dirt remains."""
     height, width = picture.shape[:2]
     x1, y1, x2, y2 = np.rint(np.array(box) * (width, height, width, height)).astype(int).tolist()
     part = picture[y1:y2, x1:x2, :3].astype(np.float64)
@@ -85,7 +85,7 @@ def paint_box(picture: Image, box: tuple[float, float, float, float], bgr: tuple
 
 
 def paint_wheel(picture: Image, centre: tuple[float, float], radius: float) -> None:
-    """Paint a tyre and its rim; the centre is in shares of the texture's size, the radius in shares of its height."""
+    """Paint a tyre and its rim; the centre is a fraction of the texture's size, the radius a fraction of its height."""
     height, width = picture.shape[:2]
     at = (round(centre[0] * width), round(centre[1] * height))
     cv2.circle(picture, at, round(radius * height), (*RUBBER_BGR, 255), -1, cv2.LINE_AA)
@@ -96,7 +96,7 @@ def paint_wheel(picture: Image, centre: tuple[float, float], radius: float) -> N
 
 
 def cut_outside(picture: Image, corners: list[tuple[float, float]]) -> None:
-    """Make the texture transparent outside a convex polygon with corners in shares of its size."""
+    """Make the texture transparent outside a convex polygon with corners as fractions of its size."""
     height, width = picture.shape[:2]
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, np.rint(np.array(corners) * (width, height)).astype(np.int32), 255)

@@ -29,16 +29,16 @@ NEAR_M = 0.1
 """Depth of the near plane at which 3-D boxes are clipped before projection."""
 
 PARTLY_VISIBLE, LARGELY_VISIBLE = 0.5, 0.85
-"""Visible shares from which KITTI's `occluded` is 1 and 0; it is 2 below."""
+"""Visible fractions from which KITTI's `occluded` is 1 and 0; it is 2 below."""
 
 UNCUT, HALF_CUT = 0.02, 0.5
-"""Shares of the box outside the image from which KITTI's tracking `truncated` is 1 and 2."""
+"""Fractions of the box outside the image from which KITTI's tracking `truncated` is 1 and 2."""
 
 N_RAYS = 12
 """Number of rays per side of the grid through a box."""
 
 DEPTH_SLACK_M, DEPTH_SLACK = 0.3, 0.03
-"""Difference in depth from which a drawn surface hides a 3-D box: sum of metres and a share of the depth."""
+"""Difference in depth from which a drawn surface hides a 3-D box: sum of metres and a fraction of the depth."""
 
 _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 
@@ -50,7 +50,7 @@ class VisibleObjects:
     Attributes:
         row: (N,) rows of the scene's road users.
         labels: (N,) KITTI labels.
-        visible_share: (N,) share of each object's projection that is inside the image and not hidden.
+        visible_share: (N,) fraction of each object's projection that is inside the image and not hidden.
     """
 
     row: IntArray
@@ -111,7 +111,7 @@ def visible_shares(
     rotation_y_rad: FloatArray,
     camera: PinholeCamera,
 ) -> FloatArray:
-    """(N,) share of the rays through an object's box and 3-D box that no other object's 3-D box blocks."""
+    """(N,) fraction of the rays through an object's box and 3-D box that no other object's 3-D box blocks."""
     n = len(xyxy_px)
     rays = camera.rays(_grid_px(xyxy_px))
     n_rays = len(rays)
@@ -134,7 +134,7 @@ def _drawn_shares(
     camera: PinholeCamera,
     inverse_depth: FloatArray,
 ) -> FloatArray:
-    """(N,) shares as from `visible_shares`, with occlusion by all drawn surfaces; `boxes`: locations, sizes, yaws."""
+    """(N,) result of `visible_shares`, with occlusion by all drawn surfaces; `boxes`: locations, sizes, yaws."""
     location, size, yaw = (np.repeat(part, N_RAYS**2, axis=0) for part in boxes)
     grid_px = _grid_px(xyxy_px)
     own_m = surface_distance_m(camera.rays(grid_px), location, size_hwl_m=size, rotation_y_rad=yaw)

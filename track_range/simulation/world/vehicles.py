@@ -136,13 +136,13 @@ def _panes(face: Face, *boxes: tuple[float, float, float, float]) -> None:
 
 
 def _lamps(face: Face, rows: tuple[float, float], bgr: Colour, width: float) -> None:
-    """Paint two lamps on a back or front; `rows` and `width` are shares of the texture's size."""
+    """Paint two lamps on a back or front; `rows` and `width` are fractions of the texture's size."""
     for left in (0.02, 0.98 - width):
         fill(face.texture, (left, rows[0], left + width, rows[1]), bgr)
 
 
 def _on_wheels(face: Face, radius_m: float, at: tuple[float, ...], *, sill_m: float = SILL_M) -> None:
-    """Paint wheels at shares `at` of a side's length; the texture is transparent between them."""
+    """Paint wheels at fractions `at` of a side's length; the texture is transparent between them."""
     down_m = float(face.down[1])
     radius, sill = radius_m / down_m, 1 - sill_m / down_m
     for share in at:

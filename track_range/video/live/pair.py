@@ -44,7 +44,7 @@ class LivePair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user; empty until the reading has ended."""
+        """Messages for the user; empty until the reading has ended."""
         if not self.left.is_closed or not self._differences_s or self._is_shared:
             return ()
         median_ms = 1000 * np.median(self._differences_s)

@@ -46,7 +46,7 @@ class LiveReader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user; empty until the reading has ended."""
+        """Messages for the user; empty until the reading has ended."""
         stream = self.stream
         if not self.is_closed:
             return ()
