@@ -27,7 +27,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.drive import write_drive
 from track_range.stereo.evaluation.disparity_errors import Column, figures
 from track_range.stereo.evaluation.kitti_2015 import StereoPair
-from track_range.stereo.matching.box_matchers import Measured, measure_pairs
+from track_range.stereo.matching.box_matchers import MatcherResults, measure_pairs
 
 FROM_M, TO_M = 15.0, 25.0
 """Distance range in m on simulated drives."""
@@ -80,7 +80,7 @@ def _repeatability(drive: Path) -> dict[str, Any]:
     return {name: _repeated(measured, column) for name, column in {**measured.columns, "labels": truth}.items()}
 
 
-def _repeated(measured: Measured, column: Column) -> dict[str, Any]:
+def _repeated(measured: MatcherResults, column: Column) -> dict[str, Any]:
     objects = measured.objects
     tracks = scatter_px(objects.group, objects.pair, column.disparity_px)
     values = np.array(list(tracks.values()))

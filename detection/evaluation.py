@@ -3,9 +3,9 @@
     p_interp(r) = max over r' >= r of p(r')      AP = mean of p_interp(r) over r = 0, 0.01, ..., 1
     AP50: AP at IoU >= 0.5                        AP50-95: mean AP over IoU >= 0.50, 0.55, ..., 0.95
 
-In each image and class, detections are matched greedily by falling score, each with the unmatched label of the largest
-IoU; labels to ignore are matched only if no other label is left. A detection matched with such a label counts neither
-as true nor as false positive.
+In each image and class, detections are matched greedily in order of decreasing score, each with the unmatched label of
+the largest IoU; labels to ignore are matched only if no other label is left. A detection matched with such a label is
+neither a true nor a false positive.
 (Lin et al., "Microsoft COCO", ECCV 2014; cocodataset.org/#detection-eval.)
 """
 
@@ -140,7 +140,7 @@ def evaluate_detections(
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """The K detections of one class by falling score, and how they were matched at each IoU threshold.
+    """The K detections of one class in order of decreasing score, and how they were matched at each IoU threshold.
 
     Attributes:
         score: (K,) confidence.
@@ -156,7 +156,7 @@ class _Outcome:
 
     @classmethod
     def concatenate(cls, parts: Sequence[_Outcome]) -> _Outcome:
-        """The outcomes of several images as one, by falling score."""
+        """The outcomes of several images as one, in order of decreasing score."""
         if not parts:
             no_matches = np.zeros((len(IOU_THRESHOLDS), 0), np.bool_)
             return cls(np.zeros(0), no_matches, no_matches, 0)
@@ -233,7 +233,7 @@ def _figures(outcome: _Outcome, working_score: float) -> dict[str, Any]:
 
 
 def _average_precision(precision: FloatArray, recall: FloatArray) -> float:
-    """AP, the mean of p_interp(r) over `RECALL_POINTS`, from precision (K,) and recall (K,) by falling score."""
+    """AP, the mean of p_interp(r) over `RECALL_POINTS`, from precision and recall, (K,) each, by decreasing score."""
     p_interp = np.maximum.accumulate(np.nan_to_num(precision)[::-1])[::-1]
     index = np.searchsorted(recall, RECALL_POINTS, side="left")
     return float(np.append(p_interp, 0.0)[np.minimum(index, len(p_interp))].mean())

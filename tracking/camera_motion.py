@@ -45,7 +45,7 @@ _N_SIMILARITY_ROUNDS, _N_ROTATION_ROUNDS = 4, 5
 """Rounds of reweighting; one more changes the result by at most 0.02 px in the median of real drives."""
 
 _TUKEY = 4.685
-"""Residual, in standard deviations, from which the weight is 0 (95 % efficiency with normal noise)."""
+"""Residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)."""
 
 _NEAR_CENTRE = 0.01
 """Minimum distance from the image centre, as a fraction of the long side, for a meaningful direction from it."""
@@ -68,7 +68,7 @@ class CameraMotionSettings:
         max_residual_px: largest residual of an inlier, small pixels.
         min_inliers: minimum number of inliers of a motion.
         min_inlier_share: minimum fraction of inliers among the tracked features.
-        similarity_share: fraction of inliers from which the similarity, with its zoom, is the motion.
+        similarity_share: minimum fraction of inliers for using the similarity, with its zoom, as the motion.
         min_spread: minimum rms distance of the features from their mean, as a fraction of the long side; below it, only
             t is fitted.
         max_scale: largest plausible scale; its inverse is the smallest.

@@ -92,7 +92,7 @@ class ConfidenceThreshold:
         if self._settings.min_share <= 0:
             return
         if not len(detections):
-            return  # a frame that the detector skipped carries no information, an empty one hardly any
+            return  # no information if the detector skipped the frame, and hardly any if it is empty
         copy = Detections.of(detections.xyxy_px.copy(), detections.score.copy(), detections.class_id.copy())
         before, self._before = self._before, copy  # a copy, since the caller may reuse the arrays
         self._n_frames += 1

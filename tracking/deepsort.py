@@ -71,8 +71,8 @@ class DeepSortSettings:
 
     Attributes:
         min_score: detections with a lower score are ignored.
-        track_activation_threshold: how the score is estimated from which a detection has high confidence and starts a
-            track.
+        track_activation_threshold: settings of the estimated score above which a detection has high confidence and can
+            start a track.
         min_iou: minimum IoU of a high-confidence detection and the predicted box of a confirmed track.
         min_iou_low_confidence: minimum IoU of a low-confidence detection and the predicted box of a confirmed track;
             stricter.

@@ -20,7 +20,7 @@ from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 _MIN_SHARE_IGNORED = 0.5
-"""Fraction of an unmatched result box inside an ignore region from which it is dropped."""
+"""Minimum fraction of an unmatched result box inside an ignore region for which it is dropped."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ def _kitti(folder: Path, set_name: str) -> Iterator[Sequence]:
     for source in find_sequences(boxes, "det") if boxes.is_dir() else ():
         if source.path.stat().st_size == 0:  # the labels do not have the class either
             continue
-        detected = read_detections(source.path, unnamed_class_id=ROAD_CLASSES.index(road_class))
+        detected = read_detections(source.path, default_class_id=ROAD_CLASSES.index(road_class))
         truth = read_kitti(folder / "label_02" / f"{source.name}.txt")
         n_frames = int(detected.frame[-1]) + 1
         yield Sequence(source.name, set_name, road_class, detected, n_frames, _KITTI_FPS, _KITTI_SIZE_PX, truth)
@@ -106,7 +106,7 @@ def _kitti(folder: Path, set_name: str) -> Iterator[Sequence]:
 
 def _mot(folder: Path, set_name: str) -> Iterator[Sequence]:
     for source in find_sequences(folder, "det") if folder.is_dir() else ():
-        detected = read_detections(source.path, unnamed_class_id=ROAD_CLASSES.index("person"))
+        detected = read_detections(source.path, default_class_id=ROAD_CLASSES.index("person"))
         n_frames = max(source.info.n_frames or 0, int(detected.frame[-1]) + 1)
         truth = read_mot(folder / source.name / "gt" / "gt.txt")
         fps, size_px = source.info.fps or 30.0, source.info.size_px or _DEFAULT_SIZE_PX

@@ -34,7 +34,7 @@ MAX_FRAME = 1_000_000
 _MAX_COORDINATE_PX = 1e7
 """Largest absolute pixel coordinate of a valid box."""
 
-DetectionForm = Literal["mot", "kitti", "rrc", "tracks"]
+DetectionFormat = Literal["mot", "kitti", "rrc", "tracks"]
 """Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, or track-range's tracks.csv."""
 
 
@@ -51,7 +51,7 @@ class RecordedDetections:
 
     frame: IntArray
     detections: Detections
-    form: DetectionForm
+    form: DetectionFormat
     notes: tuple[str, ...]
 
     @property
@@ -60,7 +60,7 @@ class RecordedDetections:
         return self.form == "tracks"
 
     @property
-    def names_classes(self) -> bool:
+    def has_classes(self) -> bool:
         """Whether the file has a class for each box."""
         return self.form in ("kitti", "tracks")
 
@@ -70,19 +70,21 @@ class RecordedDetections:
         return self.detections.select(np.arange(first, last))
 
 
-def read_detections(path: Path, *, unnamed_class_id: int = 0, form: DetectionForm | None = None) -> RecordedDetections:
+def read_detections(
+    path: Path, *, default_class_id: int = 0, form: DetectionFormat | None = None
+) -> RecordedDetections:
     """The detections in a file, or in a folder of KITTI object files.
 
     Args:
         path: the file or folder.
-        unnamed_class_id: class of every box if the format has no classes (MOTChallenge and plain rows).
+        default_class_id: class of every box if the format has no classes (MOTChallenge and plain rows).
         form: the expected format; None = any.
 
     Raises:
         LabelFileError: the file cannot be read, or its format is unknown or not `form`.
     """
     file_format = _format_of(path)
-    kind, frame, boxes = _FORMATS[file_format](path, unnamed_class_id)
+    kind, frame, boxes = _FORMATS[file_format](path, default_class_id)
     file_form = _form_of(file_format, kind)
     if form not in (None, file_form):
         raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({kind}).")
@@ -117,7 +119,7 @@ def _format_of(path: Path) -> str:
     return "tracks" if first.startswith("frame,") else "comma"
 
 
-def _form_of(file_format: str, kind: str) -> DetectionForm:
+def _form_of(file_format: str, kind: str) -> DetectionFormat:
     if file_format != "comma":
         return "kitti" if file_format == "kitti" else "tracks"
     return "mot" if kind.startswith("MOT") else "rrc"
@@ -130,7 +132,7 @@ def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     return "KITTI rows", labels.frame, Detections.of(labels.xyxy_px, score, class_id)
 
 
-def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detections]:
+def _read_comma(path: Path, default_class_id: int) -> tuple[str, IntArray, Detections]:
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
@@ -138,8 +140,8 @@ def _read_comma(path: Path, unnamed_class_id: int) -> tuple[str, IntArray, Detec
     number = table[:, 0]
     if not np.all((np.abs(number) <= MAX_FRAME + 1) & (np.rint(number) == number)):  # NaN fails too; MOT counts from 1
         raise LabelFileError(f"{path}: expected integers up to {MAX_FRAME} as frame numbers.")
-    class_id = np.full(len(table), unnamed_class_id)
-    name = ROAD_CLASSES[unnamed_class_id]
+    class_id = np.full(len(table), default_class_id)
+    name = ROAD_CLASSES[default_class_id]
     if table.shape[1] == _PLAIN_COLUMNS:
         boxes = Detections.of(table[:, 1:5], table[:, 5], class_id)
         return f"rows frame,x1,y1,x2,y2,score of class {name}", table[:, 0].astype(np.int64), boxes

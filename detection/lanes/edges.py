@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.lanes.ego_lane import EgoLane
 from track_range.detection.lanes.lines import LaneLines
 from track_range.detection.lanes.markings import Markings, run_middles
 from track_range.detection.lanes.model import HORIZON
-from track_range.detection.lanes.own_lane import OwnLane
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
 
 Float32Array = npt.NDArray[np.float32]
@@ -61,7 +61,7 @@ class EdgeLaneFinder:
     def __init__(self) -> None:
         """Start without a lane."""
         self.notes: tuple[str, ...] = ()
-        self._lane = OwnLane()
+        self._lane = EgoLane()
 
     def find(self, image: Image, time_s: float) -> LaneLines:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`.

@@ -27,7 +27,7 @@ _FIRST_GATE, _LAST_GATE = 0.10, 0.03
 """Largest distance of a line's pixels from it in the first and the last iteration, in lane widths."""
 
 _TUKEY = 4.0
-"""Residual in sigmas from which pixels have no weight (Tukey's constant)."""
+"""Residual in sigmas above which pixels have no weight (Tukey's constant)."""
 
 _PAINT_SIGMA = 0.01
 """Standard deviation in lane widths of the detected centre of a painted line, which is 0.1 to 0.3 m wide."""

@@ -24,9 +24,9 @@ from track_range.detection.lanes.decoders import (
     row_anchor_points,
 )
 from track_range.detection.lanes.edges import EdgeLaneFinder
+from track_range.detection.lanes.ego_lane import EgoLane
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.detection.lanes.markings import Markings
-from track_range.detection.lanes.own_lane import OwnLane
 from track_range.detection.models.onnx_session import BoundNetwork, ModelError, OnnxSession, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
 
@@ -92,7 +92,7 @@ class NetLaneFinder:
         self.notes = session.notes
         self._family, self._network, self._decode = _opened(session)
         self._input_hw: tuple[int, int] = self._network.blob.shape[2:]
-        self._lane = OwnLane()
+        self._lane = EgoLane()
 
     def find(self, image: Image, time_s: float) -> LaneLines:
         """The lines in `image`, (H, W, 3) uint8 BGR, taken at `time_s`.

@@ -45,7 +45,7 @@ class NetworkDetector:
         self._min_score = np.full(len(road_class_id), LOWEST_SCORE)
 
     def detect(self, image: Image) -> Detections:
-        """The road users in `image`, (H, W, 3) uint8 BGR, by falling score."""
+        """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         hw = (image.shape[0], image.shape[1])
         letterbox = Letterbox.centred(hw, rectangular_input_hw(hw, size_px=self._size_px))
         input_format, blob = InputFormat(), np.empty((1, 3, *letterbox.input_hw), np.float32)

@@ -133,7 +133,7 @@ class YoloDetector:
         return (*self._session.notes, names, invalid)
 
     def detect(self, image: Image) -> Detections:
-        """The road users in `image`, (H, W, 3) uint8 BGR, by falling score."""
+        """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         self.fill(image)
         return self.decode(self.infer())
 

@@ -60,8 +60,8 @@ _CONFLICT_VARIANCE = 0.5
 """Variance added to u in a frame with a conflict."""
 
 _MAX_BIAS_SIGMA = 2.5
-"""Largest difference between size and matching methods, in standard deviations, from which biases are learnt: a larger
-one is not an object's size but a match on another object, or an occluded box."""
+"""Largest difference between size and matching methods, in standard deviations, that biases are learnt from: larger
+differences are due to matches on another object or to occluded boxes."""
 
 _REFERENCE_S = 0.5
 """Time in s after the last measurement of a scale reference during which the scale counts as that of the reference."""

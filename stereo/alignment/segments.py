@@ -43,7 +43,7 @@ _MIN_PATH_M = 2.0
 """Shortest path of a segment; on shorter ones, the noise of the poses is not small compared to the parallax."""
 
 _STATIC_WEIGHT = 0.25
-"""Mean Cauchy weight from which a point counts as static (about 0.6 for static points, 0.02 for moving objects)."""
+"""Minimum mean Cauchy weight of a static point (about 0.6 for static points, 0.02 for moving objects)."""
 
 _MIN_STATIC_SHARE = 0.5
 """Minimum fraction of static points."""

@@ -33,7 +33,7 @@ _SAME_TILT_RAD = math.radians(6.0)
 """Largest angle between parallel boards."""
 
 _TILTED_DEG = 15.0
-"""Tilt from which a board counts as tilted."""
+"""Minimum tilt of a board that counts as tilted."""
 
 _MIN_TILTED_SHARE = 0.25
 """Minimum fraction of views with a tilted board."""

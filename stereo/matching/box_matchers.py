@@ -64,7 +64,7 @@ def open_matcher(name: str, rig: StereoRig) -> BoxMatcher:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class MatcherResults:
     """Disparities of the objects of all pairs by several matchers.
 
     Attributes:
@@ -80,7 +80,7 @@ class Measured:
     notes: tuple[str, ...] = ()
 
 
-def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> Measured:
+def measure_pairs(pairs: Iterable[StereoPair], names: Sequence[str]) -> MatcherResults:
     """Run several matchers on the same pairs.
 
     As in a run, the last disparity of a track (`StereoPair.track_id`) is the prior in the next pair; other objects are
@@ -135,7 +135,7 @@ class _Parts:
         self._objects.append(_objects_of(pair, number=len(self._cameras)))
         self._cameras.append(pair.rig.left)
 
-    def measured(self, notes: tuple[str, ...]) -> Measured:
+    def measured(self, notes: tuple[str, ...]) -> MatcherResults:
         columns = {
             name: Column(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
             for name, parts in self._results.items()
@@ -145,7 +145,7 @@ class _Parts:
             for part in ("true_px", "focal_baseline_m", "x_px", "pair", "group")
         }
         ms = {name: float(np.median(times)) for name, times in self._ms.items() if times}
-        return Measured(Objects(**arrays, cameras=tuple(self._cameras)), columns, ms, notes)
+        return MatcherResults(Objects(**arrays, cameras=tuple(self._cameras)), columns, ms, notes)
 
 
 _EMPTY = (np.zeros(0), np.zeros(0))

@@ -25,7 +25,7 @@ def test_kitti_rows_by_frame(tmp_path):
 def test_mot_rows_count_from_one(tmp_path):
     file = tmp_path / "det.txt"
     file.write_text("1,-1,11,21,5,6,0.5,-1,-1,-1\n3,-1,1,1,2,2,-1,-1,-1,-1\n3,-1,1,1,0,2,0.9,-1,-1,-1\n")
-    recorded = read_detections(file, unnamed_class_id=2)
+    recorded = read_detections(file, default_class_id=2)
     assert recorded.at(0).xyxy_px.tolist() == [[10, 20, 15, 26]]
     assert recorded.at(0).class_id.tolist() == [2]
     assert recorded.at(2).score.tolist() == [1.0]  # -1 = no score; the empty box is ignored

@@ -91,7 +91,7 @@ def test_timestamps_of_another_recording_are_not_used(folder: Path, level: Level
     reader = VideoReader(folder)
     assert [frame.time_s for frame in reader] == [0.0, 0.1]
     (note,) = reader.notes
-    assert note.startswith(f"{path}: not used")
+    assert note.startswith(f"{path}: ignored")
 
 
 @pytest.mark.parametrize("text", ["0.0\n0.1\n", "2011-09-26 13:10:51.1\n2011-13-99 13:10:51.2\n"])
@@ -102,7 +102,7 @@ def test_invalid_timestamps_are_not_used(folder: Path, level: Level, text: str) 
     reader = VideoReader(folder)
     assert [frame.time_s for frame in reader] == [0.0, 0.1]
     (note,) = reader.notes
-    assert note.startswith(f"{path}: not used")
+    assert note.startswith(f"{path}: ignored")
 
 
 def test_frame_rate_of_one_image_with_a_timestamp(folder: Path, level: Level) -> None:

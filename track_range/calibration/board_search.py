@@ -36,7 +36,7 @@ _MAX_CROP_PX = 2
 """Difference in image size, px, up to which images count as from one camera, rounded or cropped by other software."""
 
 _BLURRED_PX = 4.0
-"""Edge width, px, from which an image may be blurred; see `_BLURRED_RATIO`."""
+"""Edge width, px, above which an image may be blurred; see `_BLURRED_RATIO`."""
 
 _BLURRED_RATIO = 2.5
 """Edge width of a blurred image relative to the 25th percentile of all images; `_BLURRED_PX` must be exceeded too."""

@@ -28,7 +28,7 @@ _BOARD_M = (0.1, 20.0)
 """Plausible range of the median distance of the board, m; outside, --square-mm is probably wrong."""
 
 _OUT_OF_FOCUS_PX = 6.0
-"""Median edge width of the views, px, from which the images count as out of focus."""
+"""Median edge width of the views, px, above which the images count as out of focus."""
 
 
 @dataclass(frozen=True, slots=True)

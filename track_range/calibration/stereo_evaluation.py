@@ -23,7 +23,7 @@ from track_range.stereo.evaluation.disparity_errors import (
     matcher_figures,
 )
 from track_range.stereo.evaluation.kitti_2015 import PairFileError, StereoPair, is_kitti_2015, pair_names, read_pairs
-from track_range.stereo.matching.box_matchers import MATCHER_NAMES, Measured, measure_pairs
+from track_range.stereo.matching.box_matchers import MATCHER_NAMES, MatcherResults, measure_pairs
 
 
 def evaluate_stereo(settings: StereoEvaluationSettings, progress: StepProgress = no_progress) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def _counted(
 
 
 def _aligned(
-    measured: Measured, settings: StereoEvaluationSettings, known: Alignment | None
+    measured: MatcherResults, settings: StereoEvaluationSettings, known: Alignment | None
 ) -> tuple[dict[str, Column], Any]:
     """The corrected disparities by matcher, and the applied alignment as plain values for JSON."""
     objects, columns = measured.objects, measured.columns
@@ -117,5 +117,5 @@ def _aligned(
     return {name: corrected(column, objects, by_pair[name]) for name, column in columns.items()}, means
 
 
-def _with_times(figures: dict[str, dict[str, Any]], measured: Measured) -> dict[str, dict[str, Any]]:
+def _with_times(figures: dict[str, dict[str, Any]], measured: MatcherResults) -> dict[str, dict[str, Any]]:
     return {name: {**row, "ms_per_frame": round(measured.ms_per_frame[name], 3)} for name, row in figures.items()}

@@ -20,7 +20,7 @@ def pictures(settings: RunSettings, source: Recording, status: Status = tuple) -
 
 
 def missing_outputs(settings: RunSettings, source: Recording) -> tuple[str, ...]:
-    """Sentences on requested videos that are not possible because the recording has no rig."""
+    """Messages about requested videos that are not possible because the recording has no rig."""
     if source.rig is not None:
         return ()
     disparity = ("No disparity.mp4: dense stereo requires a calibrated pair.",) if settings.disparity else ()

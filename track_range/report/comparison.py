@@ -53,7 +53,7 @@ class ComparedRun:
         summary: content of its summary.json.
         settings: section `run` of its settings.yaml.
         link: address of its report relative to the page; None = no report.
-        notes: sentences about missing files.
+        notes: messages about missing files.
     """
 
     name: str

@@ -22,7 +22,7 @@ class WrittenReport:
     Attributes:
         page: page to open.
         grids: tables of a comparison; none for a single run.
-        missing: sentences about files that are missing in a folder.
+        missing: messages about files that are missing in a folder.
         notes: reasons why the runs may not be comparable; none for a single run.
     """
 

@@ -82,7 +82,7 @@ def best_method(summary: Summary) -> tuple[str, float, str] | None:
 
 
 def geometry_sentences(summary: Summary) -> list[str]:
-    """Sentences on the calibration and on the alignment of the two cameras."""
+    """Sentences about the calibration and the alignment of the two cameras."""
     sentences = [_calibration(summary), _estimated_scale(summary.get("learnt_scale") or {})]
     alignment = summary.get("alignment")
     if alignment:

@@ -53,7 +53,7 @@ class RunFolder:
         summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
         columns: tracks.csv by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
         settings: section `run` of settings.yaml; empty without that file.
-        missing: sentences on files that are missing or cannot be read.
+        missing: messages about files that are missing or cannot be read.
     """
 
     folder: Path

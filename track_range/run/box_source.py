@@ -89,7 +89,7 @@ def boxes_of(detector: Detector) -> BoxSource:
 
 def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
-    recorded = read_detections(path, unnamed_class_id=class_id[0] if len(class_id) == 1 else 0)
+    recorded = read_detections(path, default_class_id=class_id[0] if len(class_id) == 1 else 0)
     if not recorded.is_rectified:
         boxes = recorded.detections
         recorded = replace(recorded, detections=replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px)))

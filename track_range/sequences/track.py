@@ -139,11 +139,11 @@ def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetecti
     """The boxes of a sequence, with notes for the user; an empty file is a sequence without boxes."""
     if not first_line(path):
         return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), settings.form or "rrc", notes=())
-    recorded = read_detections(path, unnamed_class_id=class_id, form=settings.form)
+    recorded = read_detections(path, default_class_id=class_id, form=settings.form)
     detections, notes = recorded.detections, recorded.notes[1:]  # the first note is on the detected format
     if settings.reid is not None:  # its embeddings replace those of the file
         detections = Detections.of(detections.xyxy_px, detections.score, detections.class_id)
-    if recorded.names_classes and settings.road_class is not None:
+    if recorded.has_classes and settings.road_class is not None:
         notes = (*notes, f"--classes {settings.road_class} ignored: the rows of {path.name} contain classes.")
     return replace(recorded, detections=detections, notes=notes)
 

@@ -7,7 +7,7 @@ import heapq
 from track_range.video.frame import counted
 
 _GAP_INTERVALS = 2.5
-"""Time step, in nominal frame intervals, from which a gap is reported; the jitter of phone cameras is smaller."""
+"""Time step, in nominal frame intervals, above which a gap is reported; the jitter of phone cameras is smaller."""
 
 
 class DecodeLog:

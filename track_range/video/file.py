@@ -37,7 +37,7 @@ _FALLBACK_RATE_HZ = 25.0
 """Frame rate of a file that states none."""
 
 _SHORTFALL_FRAMES = 2.5
-"""Number of missing frames at the end, relative to the header's duration, from which a file counts as truncated."""
+"""Number of missing frames at the end, relative to the header's duration, above which a file counts as truncated."""
 
 _UPRIGHT = (1, 0, 0, 1)
 """Result of `_display_axes` for an image that needs no rotation."""

@@ -156,7 +156,7 @@ def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str
         dates = [_TIMESTAMP.sub(r"\1T\2", stamp) if _TIMESTAMP.fullmatch(stamp) else "invalid" for stamp in stamps]
         stamps_s = np.array(dates, "datetime64[ns]").astype(np.int64) / 1e9
     except ValueError:
-        return None, [f"{file}: ignored; expected a date and a time in every line."]
+        return None, [f"{file}: ignored; expected a date and time on every line."]
     return stamps_s, [f"{file}: used for the frame times of {folder}."]
 
 

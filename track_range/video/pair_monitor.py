@@ -15,8 +15,8 @@ MAX_CHECKED_PAIRS = 10
 """Largest number of pairs that are checked for swapped cameras; fewer if enough are conclusive."""
 
 _MAX_ROW_OFFSET_PX = 1.5
-"""Vertical offset from which the user is warned; features have whole-pixel positions, so one pair shows no smaller
-one."""
+"""Vertical offset above which the user is warned; feature positions are whole pixels, so one pair cannot show smaller
+offsets."""
 
 _UNMATCHED = (
     f"The rig could not be checked: left and right have too few matching points in equal rows in the first "

@@ -158,7 +158,7 @@ class StereoVideo:
         ]
 
     def _unpaired_notes(self, side: _Side, other: _Side) -> list[str]:
-        """Sentences about the unpaired frames of one side before, after and between the pairs."""
+        """Messages about the unpaired frames of one side before, after and between the pairs."""
         later_s = (other.first_s or 0.0) - (side.first_s or 0.0)
         earlier_s = side.end_s - other.end_s
         n_between, notes = side.n_between, []

@@ -62,10 +62,10 @@ class LabelledPixels:
         image: (H, W, 3) uint8, BGR before and RGB after the augmentation.
         xyxy: (M, 4) float64 boxes in corner coordinates (the left edge is 0).
         class_index: (M,) int64 class of the network.
-        is_ignored: (M,) detections of the object count neither as right nor as wrong.
+        is_ignored: (M,) detections of the object are neither true nor false positives.
         is_complete: (2, 2, C) whether each class is completely labelled above and below, left and right of
             `meeting_xy`.
-        meeting_xy: (2,) point in which the parts of a mosaic meet; any point for a single image.
+        meeting_xy: (2,) point where the parts of a mosaic meet; any point for a single image.
     """
 
     image: Image

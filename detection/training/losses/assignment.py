@@ -23,7 +23,7 @@ class Objects:
         image: (T,) int64 index of the image in the batch.
         class_index: (T,) int64 class of the network.
         cxcywh: (T, 4) float32 centre and size in input pixels.
-        is_ignored: (T,) predictions of the object count neither as right nor as wrong.
+        is_ignored: (T,) predictions of the object are neither true nor false positives.
     """
 
     image: Tensor

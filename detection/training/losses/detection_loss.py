@@ -47,7 +47,7 @@ class Completeness:
 
     Attributes:
         flags: (B, 2, 2, C) above and below, left and right of `meeting_xy`.
-        meeting_xy: (B, 2) point in pixels in which the quarters of each mosaic meet.
+        meeting_xy: (B, 2) point in pixels where the quarters of each mosaic meet.
     """
 
     flags: Tensor

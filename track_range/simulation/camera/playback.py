@@ -26,7 +26,7 @@ DETECTED_TYPES = {
 """Detected type of each KITTI type; other types are not detected."""
 
 HIDDEN = 2
-"""Value of KITTI's `occluded` from which objects are not detected."""
+"""Minimum value of KITTI's `occluded` of objects that are not detected."""
 
 FALSE_SIZES_PX = {"Car": (60.0, 40.0), "Pedestrian": (22.0, 60.0)}
 """Mean width and height of false detections by type."""

@@ -19,7 +19,7 @@ from track_range.simulation.render.texture_store import TextureStore
 from track_range.stereo.geometry.camera import PinholeCamera
 
 OPAQUE_ALPHA = 112
-"""Alpha from which a sample is opaque; slightly below half, so that there are no gaps between pieces of a face."""
+"""Minimum alpha of an opaque sample; slightly below half, so that there are no gaps between pieces of a face."""
 
 _OPAQUE_BGRA = np.uint32(OPAQUE_ALPHA << 24)
 """`OPAQUE_ALPHA` for a BGRA sample read as one uint32, of which alpha is the highest byte."""

@@ -26,7 +26,7 @@ REACH_M, FADING = 12.0, 1.3
 """Distance up to which headlights have full strength, and the exponent with which it falls beyond."""
 
 HIDDEN_M = 0.6
-"""Difference in depth from which a nearer surface hides a lamp."""
+"""Difference in depth above which a nearer surface hides a lamp."""
 
 RED, WHITE, AMBER = (40.0, 45.0, 255.0), (235.0, 245.0, 255.0), (120.0, 190.0, 255.0)
 LAMP_HEIGHT = {"Car": 0.52, "Van": 0.40, "Truck": 0.22, "Bus": 0.25, "Motorcycle": 0.45}

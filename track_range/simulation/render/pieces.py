@@ -22,7 +22,7 @@ NEAR_M = 0.3
 """Depth of the near plane, m."""
 
 DEPTH_RATIO = 1.4
-"""Ratio of the depths of the farthest and the nearest corner from which a face is split in two."""
+"""Ratio of the depths of the farthest and the nearest corner above which a face is split in two."""
 
 CUTS = 6
 """Largest number of times that a face is split."""

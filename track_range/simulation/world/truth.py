@@ -29,16 +29,16 @@ NEAR_M = 0.1
 """Depth of the near plane at which 3-D boxes are clipped before projection."""
 
 PARTLY_VISIBLE, LARGELY_VISIBLE = 0.5, 0.85
-"""Visible fractions from which KITTI's `occluded` is 1 and 0; it is 2 below."""
+"""Minimum visible fractions for KITTI's `occluded` = 1 and 0; below the first, it is 2."""
 
 UNCUT, HALF_CUT = 0.02, 0.5
-"""Fractions of the box outside the image from which KITTI's tracking `truncated` is 1 and 2."""
+"""Minimum fractions of the box outside the image for KITTI's tracking `truncated` = 1 and 2."""
 
 N_RAYS = 12
 """Number of rays per side of the grid through a box."""
 
 DEPTH_SLACK_M, DEPTH_SLACK = 0.3, 0.03
-"""Difference in depth from which a drawn surface hides a 3-D box: sum of metres and a fraction of the depth."""
+"""Difference in depth above which a drawn surface hides a 3-D box: sum of metres and a fraction of the depth."""
 
 _EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 

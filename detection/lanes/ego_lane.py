@@ -1,4 +1,4 @@
-"""OwnLane: tracking of the two lines of the ego lane from image to image, with real time steps.
+"""EgoLane: tracking of the two lines of the ego lane from image to image, with real time steps.
 
 In each image, two lines are chosen and fitted with the prediction as the prior. The fit updates the state; if several
 images in a row contradict the state, it is reset. Lines that have not been seen for a while are not reported.
@@ -31,7 +31,7 @@ _MAX_CLUTTER = 1.2
 """Largest `LaneFit.clutter` of a lane: it is 0 to 0.7 on roads, and 2 to 3 in tree shade, which has edges all over."""
 
 
-class OwnLane:
+class EgoLane:
     """Tracker of the ego lane in one video.
 
     Attributes:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from tests.detection.lane_roads import HORIZON_PX, HW, line_pixels, road_x_px, width_px
 from track_range.detection.lanes.choice import own_pair
+from track_range.detection.lanes.ego_lane import EgoLane
 from track_range.detection.lanes.markings import Markings, Proposals, proposals, run_middles
 from track_range.detection.lanes.model import LaneState
-from track_range.detection.lanes.own_lane import OwnLane
 
 ROWS = np.array([220.0, 300.0, 350.0])
 
@@ -30,8 +30,8 @@ def tracked(lane, times_s, seen):
 
 
 @pytest.mark.parametrize("numbered", [False, True])
-def test_own_lane_is_next_to_the_camera(numbered):
-    lines = OwnLane().update(markings(-5.25, -1.75, 1.75, 5.25, numbered=numbered), 0.0, HW)
+def test_ego_lane_is_next_to_the_camera(numbered):
+    lines = EgoLane().update(markings(-5.25, -1.75, 1.75, 5.25, numbered=numbered), 0.0, HW)
     assert lines.left.x_px(ROWS) == pytest.approx(road_x_px(-1.75, ROWS), abs=0.5)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=0.5)
     assert lines.vanishing_point_px() == pytest.approx((320, HORIZON_PX), abs=1.0)
@@ -42,7 +42,7 @@ def test_own_lane_is_next_to_the_camera(numbered):
 @given(offset_m=st.floats(-0.8, 0.8), lane_m=st.floats(2.8, 4.2), seed=st.integers(0, 99))
 def test_width_of_any_lane_from_noisy_pixels(offset_m, lane_m, seed):
     left_m = offset_m - lane_m / 2
-    lines = OwnLane().update(markings(left_m, left_m + lane_m, sigma=1.0, seed=seed), 0.0, HW)
+    lines = EgoLane().update(markings(left_m, left_m + lane_m, sigma=1.0, seed=seed), 0.0, HW)
     width = lines.right.x_px(ROWS) - lines.left.x_px(ROWS)
     sigma = np.hypot(lines.left.sigma_px(ROWS), lines.right.sigma_px(ROWS))
     assert width == pytest.approx(width_px(ROWS, lane_m), rel=0.05)
@@ -52,7 +52,7 @@ def test_width_of_any_lane_from_noisy_pixels(offset_m, lane_m, seed):
 def test_bend_moves_both_lines_alike():
     straight = markings(-1.75, 1.75)
     bend_px = 0.004 * (straight.xy_px[:, 1] - 355) ** 2
-    lines = OwnLane().update(
+    lines = EgoLane().update(
         Markings(straight.xy_px + np.stack([bend_px, 0 * bend_px], axis=1), straight.line, 1.0), 0.0, HW
     )
     y = np.array([230.0, 340.0])
@@ -64,19 +64,19 @@ def test_outliers_do_not_move_the_lines():
     rng = np.random.default_rng(3)
     outliers = rng.uniform([0, 200], [640, 355], (60, 2))
     xy = np.concatenate([markings(-1.75, 1.75).xy_px, outliers])
-    lines = OwnLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
+    lines = EgoLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
     assert lines.right.x_px(ROWS) - lines.left.x_px(ROWS) == pytest.approx(width_px(ROWS), rel=0.03)
 
 
 def test_markings_everywhere_are_not_a_lane():
     rng = np.random.default_rng(4)
-    lines = OwnLane().update(Markings.unnumbered(rng.uniform([0, 200], [640, 355], (900, 2)), 1.0), 0.0, HW)
+    lines = EgoLane().update(Markings.unnumbered(rng.uniform([0, 200], [640, 355], (900, 2)), 1.0), 0.0, HW)
     assert lines.left is None
     assert lines.right is None
 
 
 def test_single_line_continues_but_starts_no_lane():
-    lane = OwnLane()
+    lane = EgoLane()
     assert lane.update(markings(1.75), 0.0, HW).right is None
     tracked(lane, [0.1, 0.2, 0.3], markings(-1.75, 1.75))
     lines = lane.update(markings(1.95), 0.4, HW)  # the camera moved 0.2 m to the left, the left line is not visible
@@ -87,7 +87,7 @@ def test_single_line_continues_but_starts_no_lane():
 
 def test_lost_line_expires_after_half_a_second():
     for step_s in (0.04, 0.2):
-        lane = OwnLane()
+        lane = EgoLane()
         tracked(lane, [0.0, step_s], markings(-1.75, 1.75))
         gone = [lane.update(markings(1.75), step_s + t, HW).left is None for t in np.arange(step_s, 1.0, step_s)]
         times_s = np.arange(step_s, 1.0, step_s)
@@ -95,7 +95,7 @@ def test_lost_line_expires_after_half_a_second():
 
 
 def test_both_lines_vanish():
-    lane = OwnLane()
+    lane = EgoLane()
     no_markings = Markings.unnumbered(np.zeros((0, 2)), 1.0)
     tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     lines = lane.update(no_markings, 0.3, HW)
@@ -108,7 +108,7 @@ def test_both_lines_vanish():
 
 
 def test_gap_in_time_resets_the_lane():
-    lane = OwnLane()
+    lane = EgoLane()
     tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     assert lane.update(markings(1.75), 5.0, HW).right is None
 
@@ -116,13 +116,13 @@ def test_gap_in_time_resets_the_lane():
 def test_crossing_lines_are_not_a_lane():
     y = np.arange(200.0, 355.0, 2.0)
     crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
-    lines = OwnLane().update(Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0), 0.0, HW)
+    lines = EgoLane().update(Markings(crossing, np.repeat([0, 1], len(y)).astype(np.int64), 1.0), 0.0, HW)
     assert lines.left is None
     assert lines.right is None
 
 
 def test_lines_that_cross_later_end_the_lane():
-    lane = OwnLane()
+    lane = EgoLane()
     tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     y = np.arange(200.0, 355.0, 2.0)
     crossing = np.concatenate([np.stack([200 + (y - 200), y], axis=1), np.stack([440 - (y - 200), y], axis=1)])
@@ -135,11 +135,11 @@ def test_lines_that_cross_later_end_the_lane():
 
 def test_noise_is_smoothed_over_time():
     alone, over_time = [], []
-    lane = OwnLane()
+    lane = EgoLane()
     for i in range(30):
         seen = markings(-1.75, 1.75, sigma=6.0, seed=i, step_px=12.0, numbered=True)
         for collected, lines in (
-            (alone, OwnLane().update(seen, 0.0, HW)),
+            (alone, EgoLane().update(seen, 0.0, HW)),
             (over_time, lane.update(seen, i / 25, HW)),
         ):
             collected.append(lines.right.x_px(ROWS) - lines.left.x_px(ROWS) if lines.left else np.full(3, np.nan))
@@ -147,7 +147,7 @@ def test_noise_is_smoothed_over_time():
 
 
 def test_lane_change_is_followed():
-    lane = OwnLane()
+    lane = EgoLane()
     four = (-5.25, -1.75, 1.75, 5.25)
     for i in range(60):  # 3.5 m to the right in three seconds
         shift_m = 3.5 * i / 60
@@ -159,7 +159,7 @@ def test_lane_change_is_followed():
 
 def test_wrong_lane_is_corrected_soon():
     """The dashes at the left become visible late; until then only the line beyond them is visible."""
-    lane = OwnLane()
+    lane = EgoLane()
     without, complete = markings(-5.25, 1.75), markings(-5.25, -1.75, 1.75)
     times_s = np.arange(0, 0.5, 0.1)
     assert tracked(lane, times_s, without).left.x_px(ROWS) == pytest.approx(road_x_px(-5.25, ROWS), abs=2)
@@ -170,12 +170,12 @@ def test_dashes_preferred_to_distant_kerb():
     dashes = line_pixels(1.75)
     dashes = dashes[(dashes[:, 1] // 30) % 3 == 0]
     xy = np.concatenate([line_pixels(-1.75), dashes, line_pixels(5.25)])
-    lines = OwnLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
+    lines = EgoLane().update(Markings.unnumbered(xy, 1.0), 0.0, HW)
     assert lines.right.x_px(ROWS) == pytest.approx(road_x_px(1.75, ROWS), abs=2.0)
 
 
 def test_new_image_size_resets_the_lane():
-    lane = OwnLane()
+    lane = EgoLane()
     tracked(lane, [0.0, 0.1], markings(-1.75, 1.75))
     assert lane.update(markings(1.75), 0.2, (720, 1280)).right is None
 
