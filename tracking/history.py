@@ -125,7 +125,7 @@ def initiate(xyxy_px: FloatArray, time_s: float, *, n_kept: int) -> BoxHistory:
 
 
 def smoothed(history: BoxHistory) -> FloatArray:
-    """(N, 4) l of the paper: median of the boxes of each track, without the oldest slot."""
+    """(N, 4) l in Guo's equations: median of the boxes of each track, without the oldest slot."""
     return _nanmedian(history.xyxy_px[:, 1:])
 
 

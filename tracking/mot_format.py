@@ -110,7 +110,7 @@ def _row(line: str, where: str) -> list[float]:
         raise MotFormatError(f"{where}: expected finite numbers, found '{line.strip()}'.")
     if not _FIRST_FRAME <= row[0] <= MAX_FRAME + _FIRST_FRAME or row[0] % 1 or row[1] % 1:
         raise MotFormatError(
-            f"{where}: expected a whole frame number from {_FIRST_FRAME} on and a whole id, found {cells[0]} and "
+            f"{where}: expected an integer frame number >= {_FIRST_FRAME} and an integer id, found {cells[0]} and "
             f"{cells[1]}; MOTChallenge's files count frames from 1."
         )
     if min(row[4:6]) < 0:

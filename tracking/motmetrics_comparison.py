@@ -55,8 +55,8 @@ REASONS: Mapping[str, str] = {
     "fp": _MATCHING,
     "fn": _MATCHING,
     "frag": (
-        "a truth track matched again after frames without truth boxes of it counts as fragmented in track-range only, "
-        "one unmatched in frames without results in motmetrics only; different pairs may be matched, see IDsw"
+        "only track-range counts a fragmentation if a truth track is matched again after frames without a truth box, and "
+        "only motmetrics if it is unmatched in frames without results; different pairs may be matched, see IDsw"
     ),
     "mt": _EIGHTY_PER_CENT,
     "pt": _EIGHTY_PER_CENT,

@@ -140,7 +140,7 @@ def read_sections(path: Path, known: Collection[str]) -> list[Section]:
     for section in sections[1:]:
         if section.kind not in known:
             supported = ", ".join(f"[{kind}]" for kind in known)
-            raise section.error(f"this section is not supported; supported are {supported}")
+            raise section.error(f"this section is not supported; expected one of {supported}")
     return sections
 
 

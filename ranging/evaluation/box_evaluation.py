@@ -88,7 +88,7 @@ def cross_validated(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
 def within_drives(boxes: BoxSet, train: BoxSet, fit: Fitter) -> MethodColumn:
     """Distances and sigmas of `boxes`, with each sequence measured by a method fitted to the same sequence of `train`.
 
-    This is the protocol of the paper. It shows how well a curve can fit, and not the error on other drives.
+    This is the protocol of Zhang et al. It shows how well a curve can fit, and not the error on other drives.
     """
     parts = []
     for number in np.unique(boxes.sequence):

@@ -1,4 +1,4 @@
-"""Comparison of all plain curves on the boxes of a class, as in the paper's Table 3, and their error on other drives.
+"""Comparison of all plain curves on the boxes of a class (Zhang et al., Table 3), and their error on other drives.
 
 residual sum of squares = sum (d_fitted - d)^2 over the fitted boxes (Zhang et al., eq. 3 and Table 3)
 cross-validated error   = mean |d_fitted - d| / d, with each sequence measured by a curve fitted to other sequences
@@ -18,7 +18,7 @@ from track_range.ranging.fitting.labelled_boxes import BoxSet
 from track_range.ranging.size_models.plain_curves import PLAIN_CURVES, FittedCurve
 
 TABLE_DISTANCES_M = (20.0, 30.0, 40.0, 60.0, 90.0)
-"""Distances in m of the rows of the paper's Table 3."""
+"""Distances in m of the rows of Table 3 of Zhang et al."""
 
 _NEAR = 0.05
 """Largest relative difference between a box's distance and that of the row in which it is averaged."""

@@ -84,10 +84,10 @@ def _figures(settings: RangeEvaluationSettings, boxes: BoxSet, methods: Mapping[
 def _notes(settings: RangeEvaluationSettings, n_sequences: int, n_folds: int) -> list[str]:
     scheme = f"cross-validated in {n_folds} folds over {n_sequences} sequences"
     if settings.same_drive:
-        scheme = "fitted and tested on the same drive, as in the paper (no measure of the error on other drives)"
+        scheme = "fitted and tested on the same drive, as by Zhang et al. (no measure of the error on other drives)"
     elif n_sequences == 1:
         scheme = "fitted and tested on the only sequence"
-    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes like the measured ones"
+    fitted = "the labels' exact boxes" if settings.fit_on == "labels" else "boxes of the same kind as the measured ones"
     is_refitted = settings.cross_validate or settings.same_drive
     mono_curves = "fitted in the same way" if is_refitted else f"{settings.curves or 'packaged'}"
     notes = [

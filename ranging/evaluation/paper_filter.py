@@ -1,4 +1,4 @@
-"""PaperFilter: the paper's Kalman filter of the distance, predicted by the ego speed, with filterpy.
+"""PaperFilter: the Kalman filter of Zhang et al. for the distance, predicted by the ego speed, with filterpy.
 
     d' = d - V t,  P' = P + Q        K = P' / (P' + R),  d = d' + K (z - d'),  P = (1 - K) P'        Q = R = 0.1 m^2
 
@@ -19,7 +19,7 @@ from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_t
 from track_range.ranging.ranges import Ranges
 
 _NOISE_M2 = 0.1
-"""Q and R in m^2, from the paper."""
+"""Q and R in m^2, from Zhang et al."""
 
 _MAX_GAP_S = 1.0
 """Longest time in s without a measurement; after it the filter of a track restarts."""
@@ -35,7 +35,7 @@ class _Track:
 
 
 class PaperFilter:
-    """The paper's filter for all tracks of a video; sigmas of the measurements are not used."""
+    """The filter of Zhang et al. for all tracks of a video; sigmas of the measurements are not used."""
 
     def __init__(self) -> None:
         """Start without tracks."""

@@ -32,7 +32,7 @@ class RangeEvaluationSettings(Options):
         bool, option("Cross-validation: size curves refitted for each sequence on the boxes of the others.")
     ] = False
     same_drive: Annotated[
-        bool, option("Size curves fitted to the sequence they are evaluated on, as in the paper (too optimistic).")
+        bool, option("Size curves fitted to the sequence they are evaluated on, as by Zhang et al. (too optimistic).")
     ] = False
     fit_on: Annotated[
         Literal["labels", "boxes"],

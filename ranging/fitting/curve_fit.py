@@ -35,7 +35,7 @@ _HUBER_SCALE = 0.1
 
 STANDARD_HEIGHTS_M: Mapping[str, tuple[float, float, str]] = {
     "motorcycle": (1.55, 0.15, "a motorcycle with its rider, 1.3-1.8 m"),
-    "bus": (3.1, 0.12, "city buses 2.9-3.3 m, coaches to 3.8 m, minibuses 2.5 m"),
+    "bus": (3.1, 0.12, "city buses 2.9-3.3 m, coaches up to 3.8 m, minibuses 2.5 m"),
     "traffic light": (0.95, 0.35, "three lamps of 200 or 300 mm with housing, 0.8-1.1 m; some have one, two or four"),
     "traffic sign": (0.70, 0.30, "round and octagonal signs of 600-900 mm"),
 }

@@ -1,4 +1,4 @@
-"""fit_sizes: fit of a size model to a user's labels, and the paper's comparison of plain curves."""
+"""fit_sizes: fit of a size model to a user's labels, and the comparison of plain curves (Zhang et al.)."""
 
 from __future__ import annotations
 

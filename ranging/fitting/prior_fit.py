@@ -48,7 +48,11 @@ STANDARD_SIZES: Mapping[str, tuple[tuple[float, float, float], tuple[float, floa
     "truck": ((3.35, 2.50, 8.50), (0.14, 0.07, 0.30), "lorries of 7-40 t"),
     "bus": ((3.10, 2.50, 11.5), (0.12, 0.07, 0.20), "city buses 2.9-3.3 m high, coaches up to 3.8 m, minibuses 2.5 m"),
     "motorcycle": ((1.55, 0.80, 2.10), (0.12, 0.20, 0.12), "a motorcycle with its rider, 1.3-1.8 m"),
-    "traffic light": ((0.95, 0.35, 0.35), (0.35, 0.35, 0.35), "three lamps of 200 or 300 mm; some have one, two, four"),
+    "traffic light": (
+        (0.95, 0.35, 0.35),
+        (0.35, 0.35, 0.35),
+        "three lamps of 200 or 300 mm; some have one, two or four",
+    ),
     "traffic sign": ((0.70, 0.70, 0.05), (0.30, 0.30, 0.30), "round and octagonal signs of 600-900 mm"),
 }
 """Height, width and length in m, their relative standard deviations, and the source, by class."""

@@ -1,7 +1,7 @@
 """Curve files: size models as JSON, with a version and the kind of model.
 
 `cuboids` (packaged): priors over sizes, yaw and the ground plane (`cuboid_sizes`). `log-linear`: a log-linear curve per
-class (`log_linear`). `table`: a plain curve per class, such as the paper's polynomial, made monotonic (`tables`).
+class (`log_linear`). `table`: a plain curve per class, such as Zhang's polynomial, made monotonic (`tables`).
 """
 
 from __future__ import annotations

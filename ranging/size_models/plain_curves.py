@@ -1,10 +1,10 @@
-"""Plain curves from the size of a box to its distance: the paper's polynomials, and simple baselines.
+"""Plain curves from the size of a box to its distance: polynomials (Zhang et al.) and simple baselines.
 
     polynomial   d = c0 + c1 s + ... + ck s^k    s = diagonal (Zhang et al., eq. 4-7) or height of the box
     inverse      1 / d = a + b s                 pinhole model with an offset
     log-linear   log d = a + b log h + c log w + e |tan bearing|
 
-Sizes s, w, h are divided by the focal length. Polynomials are fitted by least squares in d, as in the paper, the
+Sizes s, w, h are divided by the focal length. Polynomials are fitted by least squares in d, as by Zhang et al., the
 inverse in (a + b s) d - 1 (the relative error), the log-linear curve in log d. A polynomial may increase or become
 negative outside the fitted sizes; `safe_table` makes it monotonically decreasing and positive.
 """

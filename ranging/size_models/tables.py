@@ -1,4 +1,4 @@
-"""TableSizes: size model with monotonic tables of plain curves, such as the paper's polynomial of the box diagonal."""
+"""TableSizes: size model with monotonic tables of plain curves, such as Zhang's polynomial of the box diagonal."""
 
 from __future__ import annotations
 

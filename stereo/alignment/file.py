@@ -84,7 +84,9 @@ def _content(path: Path) -> dict[Any, Any]:
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); {_HINT}.") from error
     except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RigError(f"{path}: expected an alignment in YAML, found another or a damaged file; {_HINT}.") from error
+        raise RigError(
+            f"{path}: expected an alignment in YAML, found another format or a damaged file; {_HINT}."
+        ) from error
     if not isinstance(content, dict) or _VERSION_KEY not in content:
         raise RigError(f"{path}: expected an alignment, found no key '{_VERSION_KEY}'; {_HINT}.")
     return content

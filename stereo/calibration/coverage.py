@@ -155,7 +155,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def _few_views(n_views: int) -> list[str]:
-    return [f"only {n_views} views: 15 to 30 are good."] if n_views < _FEW_VIEWS else []
+    return [f"only {n_views} views: 15 to 30 are recommended."] if n_views < _FEW_VIEWS else []
 
 
 def _uncovered_parts(share: FloatArray) -> list[str]:

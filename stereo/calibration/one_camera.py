@@ -209,8 +209,8 @@ def check_views(n_views: int) -> None:
     """
     if n_views < MIN_VIEWS:
         raise CalibrationError(
-            f"expected the board in at least {MIN_VIEWS} views, found it in {n_views}; add views, 15 to 30 are good, "
-            "with the board tilted and in all parts of the image."
+            f"expected the board in at least {MIN_VIEWS} views, found it in {n_views}; add views (15 to 30 are "
+            "recommended) with the board tilted and in all parts of the image."
         )
 
 

@@ -185,7 +185,7 @@ def _read(path: Path) -> npt.NDArray[np.integer]:
         raise PairFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
     image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if len(encoded) else None
     if image is None:
-        raise PairFileError(f"{path}: expected an image, found another or a damaged file.")
+        raise PairFileError(f"{path}: expected an image, found another format or a damaged file.")
     return np.asarray(image)
 
 

@@ -129,21 +129,21 @@ def _checks(settings: SgbmSettings) -> list[tuple[str, bool, str]]:
     window_px = settings.block_size**2 if type(settings.block_size) is int else 1
     large = (small + 1, _MAX_COST // max(window_px, 1))
     return [
-        ("min_disparity", whole("min_disparity", -512, 1024), "a whole number from -512 to 1024"),
+        ("min_disparity", whole("min_disparity", -512, 1024), "an integer from -512 to 1024"),
         ("n_disparities", whole("n_disparities", 16, 1024) and n % 16 == 0, "a multiple of 16 up to 1024"),
         ("block_size", whole("block_size", 1, 21) and settings.block_size % 2 == 1, "an odd number up to 21"),
         ("mode", settings.mode in list(_OPENCV_MODE), "one of " + ", ".join(_OPENCV_MODE)),
-        ("small_step_penalty", whole("small_step_penalty", 1), "a whole number from 1"),
+        ("small_step_penalty", whole("small_step_penalty", 1), "an integer of 1 or more"),
         (
             "large_step_penalty",
             whole("large_step_penalty", *large),
             f"more than small_step_penalty, and at most {_MAX_COST} / block_size^2",
         ),
-        ("uniqueness_ratio", whole("uniqueness_ratio", 0, 99), "a whole number from 0 to 99"),
-        ("disp12_max_diff", whole("disp12_max_diff", -1, 1024), "a whole number from -1 to 1024"),
-        ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "a whole number from 0 to 1e9"),
-        ("speckle_range", whole("speckle_range", 0, 1024), "a whole number from 0 to 1024"),
-        ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "a whole number from 1 to 127"),
+        ("uniqueness_ratio", whole("uniqueness_ratio", 0, 99), "an integer from 0 to 99"),
+        ("disp12_max_diff", whole("disp12_max_diff", -1, 1024), "an integer from -1 to 1024"),
+        ("speckle_window_size", whole("speckle_window_size", 0, 10**9), "an integer from 0 to 1e9"),
+        ("speckle_range", whole("speckle_range", 0, 1024), "an integer from 0 to 1024"),
+        ("pre_filter_cap", whole("pre_filter_cap", 1, 127), "an integer from 1 to 127"),
         ("min_valid_share", share("min_valid_share", 0.0, 1.0), "a fraction from 0 to 1"),
         ("shape_share", share("shape_share", 0.0, math.inf), "a number of 0 or more"),
     ]

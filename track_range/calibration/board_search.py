@@ -162,7 +162,7 @@ def _sharp(shots: list[Views], rejected: list[RejectedView]) -> list[Views]:
 def _varied(shots: list[Views], notes: list[str]) -> list[Views]:
     if len(shots) <= MAX_VIEWS:
         return shots
-    notes.append(f"{MAX_VIEWS} of {len(shots)} views used, chosen to differ most.")
+    notes.append(f"{MAX_VIEWS} of {len(shots)} views used, selected for variety.")
     return [shots[i] for i in most_different([shot[0] for shot in shots], MAX_VIEWS)]
 
 

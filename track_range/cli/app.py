@@ -91,13 +91,13 @@ COMMANDS = {
     "anchors": Lazy(
         "track_range.cli.training.anchors",
         "Fit anchors to the boxes of a data set (k-means++).",
-        "Prints the anchors and their mean best IoU with the boxes, beside that of the networks' default anchors.",
+        "Prints the anchors and their mean best IoU with the boxes, and that of the networks' default anchors.",
         ("track-range anchors --data data.yaml --size 640 --clusters 9",),
     ),
     "simulate": Lazy(
         "track_range.cli.simulate",
         "Simulate a stereo drive with exact ground truth, or labelled images.",
-        "Labelled images serve to train detectors.",
+        "Labelled images can be used to train detectors.",
         (
             "track-range simulate --scenario highway --seconds 20 --out drive",
             "track-range simulate --images 500 --out images",

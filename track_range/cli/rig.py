@@ -26,10 +26,15 @@ _Size = Annotated[str | None, option("Size of the images in pixels, for formats 
 class ConvertOptions(Options):
     """Options of `track-range rig convert`."""
 
-    source: Annotated[Path, option("Calibration file to read, in any known format.", metavar="IN", is_argument=True)]
+    source: Annotated[
+        Path, option("Calibration file to read, in any supported format.", metavar="IN", is_argument=True)
+    ]
     out: Annotated[Path, option("Calibration file to write.", metavar="OUT", is_argument=True)]
     to: Annotated[
-        str, option("Format of OUT: rig.yaml (ours) or OpenCV's stereo_calib (opencv).", metavar="ours|opencv")
+        str,
+        option(
+            "Format of OUT: track-range's rig.yaml (ours) or OpenCV's stereo_calib (opencv).", metavar="ours|opencv"
+        ),
     ] = "ours"
     size: _Size = None
 
@@ -37,7 +42,7 @@ class ConvertOptions(Options):
 class ShowOptions(Options):
     """Options of `track-range rig show`."""
 
-    source: Annotated[Path, option("Calibration file of any known format.", metavar="FILE", is_argument=True)]
+    source: Annotated[Path, option("Calibration file in any supported format.", metavar="FILE", is_argument=True)]
     size: _Size = None
 
 

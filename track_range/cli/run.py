@@ -24,7 +24,7 @@ class RunView(Options):
 
     settings: Annotated[
         Path | None,
-        option("Settings of an earlier run (settings.yaml); options given in addition override it.", panel="Input"),
+        option("Settings of an earlier run (settings.yaml); other options override them.", panel="Input"),
     ] = None
     show: Annotated[bool, option("Live view of the overlay in a browser.", panel="Output")] = False
     serve: Annotated[

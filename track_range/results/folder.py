@@ -100,13 +100,13 @@ def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     except FileNotFoundError:
         missing.append(
             "summary.json is missing: the run was killed or is still in progress. Stage times, alignment and notes are "
-            "unknown; the other figures are computed from tracks.csv."
+            "unknown; the other results are computed from tracks.csv."
         )
         return None
     except (OSError, ValueError, RecursionError):
         summary = None
     if not isinstance(summary, dict):
-        missing.append("summary.json cannot be read: figures are computed from tracks.csv.")
+        missing.append("summary.json cannot be read: results are computed from tracks.csv.")
         return None
     return summary
 

@@ -213,7 +213,7 @@ def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], 
         by_class = model_scores.by_class
         unknown = [ROAD_CLASSES[i] for i, row in by_class.items() if row.n_boxes and not row.is_known]
         if unknown:
-            notes.append(f"{name} does not detect {', '.join(unknown)}; not part of its averages.")
+            notes.append(f"{name} does not detect {', '.join(unknown)}; excluded from its averages.")
     few = {
         i: row.n_boxes
         for model_scores in scores.values()

@@ -85,7 +85,7 @@ class TrackSettings(Options):
         bool,
         option("Tracks as a live run reports them: no filled gaps and no boxes from before a track was confirmed."),
     ] = False
-    kitti: Annotated[bool, option("Tracks in KITTI's format in addition, as kitti/NAME.txt.")] = False
+    kitti: Annotated[bool, option("Additional output of the tracks in KITTI's format, kitti/NAME.txt.")] = False
 
 
 class TrackEvaluationSettings(Options):

@@ -56,7 +56,7 @@ class SimulationSettings(Options):
     disparity: Annotated[
         bool,
         option(
-            "True disparities in addition, in KITTI 2015's layout: image_2/, image_3/, disp_occ_0/ and obj_map/.",
+            "Additional output of true disparities in KITTI 2015's layout (image_2/, image_3/, disp_occ_0/, obj_map/).",
             panel=_OUTPUT,
         ),
     ] = False

@@ -101,7 +101,7 @@ def _quantize(options: QuantizeOptions) -> None:
     """Write NAME-int8.onnx and NAME-fp16.onnx, and print their size, speed and accuracy beside those of the original.
 
     Calibration uses `N_CALIBRATION` images of the folder (at most half of them), drawn with a fixed seed; accuracy is
-    measured on the others, against labels if given, else against boxes of the original of confidence 0.25 or more.
+    measured on the others, against labels if given, else against the original's boxes of 0.25 confidence or more.
     """
     images, out = options.images, options.out
     detector = replace(DetectorOptions.of(options), device="cpu")
@@ -129,7 +129,7 @@ def _quantize(options: QuantizeOptions) -> None:
         frames = replace(source, leave_out=frozenset(calibration)).open()
     candidates = open_candidates([str(model) for model in (path, int8, fp16)], detector, Path)
     figures = evaluate(candidates, frames, min_score=None, progress=partial(frame_progress, console))
-    truth = "the labels" if source else f"boxes of the original of confidence {WORKING_SCORE} or more"
+    truth = "the labels" if source else f"the original's boxes with a confidence of {WORKING_SCORE} or more"
     figures["notes"].append(f"Accuracy is measured against {truth}, on images that were not used for calibration.")
     print_figures(figures)
     console.print(f"Written: {int8}, {fp16}", highlight=False, soft_wrap=True)

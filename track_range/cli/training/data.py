@@ -26,7 +26,7 @@ _N_PER_HEAD = 3
 
 
 def print_anchors(options: AnchorOptions) -> None:
-    """Print k-means++ anchors of the training boxes of a data set, and their mean best IoU beside that of the defaults.
+    """Print k-means++ anchors of the training boxes of a data set, their mean best IoU, and that of the defaults.
 
     Raises:
         LabelFileError, ImageFileError: the data cannot be used, or contain too few boxes.
