@@ -168,7 +168,7 @@ def _oxts_forward_mps(file: Path) -> float:
 
 
 def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
-    """`speed_mps`, if all values are plausible; raises EgoSpeedError otherwise, naming `where` they come from."""
+    """`speed_mps`, if all values are plausible; raises an EgoSpeedError that begins with `where` otherwise."""
     implausible = speed_mps[~(np.abs(speed_mps) <= _MAX_SPEED_MPS)]
     if len(implausible):
         raise EgoSpeedError(

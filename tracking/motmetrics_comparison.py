@@ -55,7 +55,7 @@ REASONS: Mapping[str, str] = {
     "fp": _MATCHING,
     "fn": _MATCHING,
     "frag": (
-        "only track-range counts a fragmentation if a truth track is matched again after frames without a truth box, and "
+        "only track-range counts a fragmentation if a track is matched again after frames without a truth box, and "
         "only motmetrics if it is unmatched in frames without results; different pairs may be matched, see IDsw"
     ),
     "mt": _EIGHTY_PER_CENT,

@@ -182,7 +182,7 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class HeadDecoder:
-    """Decoder of the linear outputs in front of Darknet's [yolo] layers.
+    """Decoder of the raw outputs before Darknet's [yolo] layers.
 
         centre = (s * sigmoid(t_xy) - (s - 1) / 2 + cell) * stride        s = scale_x_y
         size   = anchor * exp(t_wh)          score = sigmoid(t_o) * sigmoid(t_c)

@@ -93,7 +93,7 @@ def fit_curves(samples: SizeSamples, *, source: str) -> SizeCurves:
 
 
 def leave_one_out_error(samples: SizeSamples, *, use_width: bool) -> FloatArray:
-    """(N,) relative errors of samples of one class, by curves fitted to the other sequences; NaN = there is none."""
+    """(N,) relative errors of samples of one class, by curves fitted to the other sequences; NaN = no curve."""
     error = np.full(len(samples.distance_m), np.nan)
     for sequence in np.unique(samples.sequence):
         left_out = samples.sequence == sequence

@@ -157,7 +157,7 @@ class _Elimination(NamedTuple):
 
 
 def fit_bundle(observed: Observations, start: Bundle, rig: StereoRig) -> Fit:
-    """The bundle with the least robust cost, from a start within a few pixels of it; `rig` is rectified."""
+    """The bundle with the minimum robust cost, from a start within a few pixels of it; `rig` is rectified."""
     bundle, damping = start, 1e-4
     linear = linearize(observed, bundle, rig)
     for _ in range(_MAX_STEPS):

@@ -139,7 +139,7 @@ def _fit(known: _Known, *, has_curvature: bool) -> tuple[float, float]:
 
 
 def _offset_and_curvature(known: _Known) -> tuple[float, float]:
-    """Offset and curvature with the least weighted absolute error, by reweighted least squares."""
+    """Offset and curvature with the minimum weighted absolute error, by reweighted least squares."""
     design = np.stack([np.ones_like(known.u2), known.u2], axis=1)
     reweighted, solution = known.weight, np.zeros(2)
     for _ in range(_N_REWEIGHTINGS):

@@ -1,4 +1,4 @@
-"""check_pair: row offset and order (are left and right swapped?) of a rectified pair, from sparse features.
+"""check_pair: row offset and order (whether left and right are swapped) of a rectified pair, from sparse features.
 
     row offset = y_right - y_left, 0 in a rectified pair          disparity = x_left - x_right > 0 for all points
 
