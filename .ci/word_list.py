@@ -59,6 +59,10 @@ WORDS = [
     r"counts for nothing",
     r"whose word",
     r"believe[sd]?",
+    r"own lane",
+    r"in vain",
+    r"sentences? for the user",
+    r"as (?:a )?shares? of",
 ]
 """Phrases of an earlier private idiom, as regular expressions of whole words; DESIGN's terms are used instead."""
 

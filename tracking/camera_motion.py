@@ -109,7 +109,7 @@ class CameraMotion:
         self._before: _View | None = None
 
     def update(self, image: Image, xyxy_px: FloatArray) -> FloatArray:
-        """(2, 3) `now_from_before`, which maps pixels of the frame before to pixels of this one; deterministic.
+        """(2, 3) `now_from_before`, which maps pixels of the previous frame to pixels of this one; deterministic.
 
         The identity for the first frame, after a change of size, with too few inliers, and for an implausible motion.
 

@@ -1,4 +1,4 @@
-r"""LaneWidthRanger: distance from the image width of the lane at an object's contact point (Luo, the lane-width paper).
+r"""LaneWidthRanger: distance from the image width of the lane at an object's contact point (Luo).
 
      \  w  /       d = fx W / w      W: distance between the two lines in m; w: the same in px, in the row y of the
       \___/                          box's bottom edge. Neighbouring lanes are assumed to be as wide as the ego lane.

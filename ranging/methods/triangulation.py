@@ -2,8 +2,8 @@
 
     Z = f B / d        sigma_Z = Z^2 / (f B) sigma_d
 
-with focal length f in px and baseline B in m; the error grows with the square of the distance. (Guo, the binocular
-paper, eq. 5-6, with the disparity at the centre of the box.)
+with focal length f in px and baseline B in m; the error grows with the square of the distance. (Guo
+Pengyu, eq. 5-6, with the disparity at the centre of the box.)
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ CLASS_CONFUSION: Mapping[str, Mapping[str, float]] = {
     "car": {"car": 0.96, "van": 0.04},
     "van": {"van": 0.95, "truck": 0.05},
 }
-"""Probabilities of the true classes of a detected class: detectors report some vans as cars, and KITTI's labels have
-lorries of 3 m height as vans."""
+"""Probabilities of the true classes of a detected class: detectors report some vans as cars, and KITTI labels
+lorries that are 3 m high as vans."""
 
 _QUANTILES_68 = np.array([[0.158655], [0.5], [0.841345]])
 """Levels of the median and of the central 68 %: one standard deviation to either side of a Gaussian."""

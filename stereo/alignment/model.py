@@ -107,7 +107,7 @@ class Alignment:
         return {KEYS.get(name, name): value for name, value in asdict(self).items()}
 
     def sentence(self) -> str:
-        """The alignment and its effect, as one sentence for the user."""
+        """The alignment and its effect, as one sentence for users."""
         if self.is_correcting:
             error = f"{abs(self.offset_px):.2f} ± {self.offset_sigma_px:.2f} px {_direction(self.offset_px)}"
             if self.curvature_px:

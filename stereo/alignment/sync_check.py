@@ -31,7 +31,7 @@ _MIN_MATCHES = 60
 
 
 def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
-    """Index of the right image, of three successive ones, that is simultaneous with the left image.
+    """Whether the left image is simultaneous with the second of three successive right images, or one camera lags.
 
     Args:
         left: (H, W) or (H, W, 3) uint8, rectified; paired with the second of `rights`.

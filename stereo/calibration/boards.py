@@ -110,7 +110,7 @@ def board_of(text: str, square_mm: float | None) -> Board:
 
     Raises:
         ValueError: the specification is wrong, or the size of a square is missing or not plausible; the message is a
-            sentence for the user.
+            message for the user.
     """
     board = _charuco_of(text, square_mm) if text.lower().startswith("charuco") else _chess_of(text, square_mm)
     low, high = SQUARE_M

@@ -44,7 +44,7 @@ MIN_VIEWS = 5
 
 _OUTLIER_RATIO = 2.0
 _OUTLIER_SIGMAS = 4.0
-"""A view is rejected if its residual exceeds both this multiple of the median and the median by so many sigmas."""
+"""A view is rejected if its residual exceeds both this multiple of the median and the median by this many sigmas."""
 
 _MIN_SHARE_USED = 2 / 3
 """Minimum fraction of the views that are used: if more were outliers, the views would not be the cause."""

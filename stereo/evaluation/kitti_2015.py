@@ -1,4 +1,4 @@
-"""KITTI's stereo set of 2015: stereo pairs with the true disparities of labelled cars.
+"""KITTI's stereo data set of 2015: stereo pairs with the true disparities of labelled cars.
 
     FOLDER/image_2/NAME.png     left image      FOLDER/disp_occ_0/NAME.png  true disparity * 256, 16 bit, 0 = unknown
     FOLDER/image_3/NAME.png     right image     FOLDER/obj_map/NAME.png     number of the car, 0 = none

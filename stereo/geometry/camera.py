@@ -11,7 +11,7 @@ from track_range.foundation.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class PinholeCamera:
-    """One calibrated camera: axes x right, y down, z forward; pixel centres at whole numbers.
+    """One calibrated camera: axes x right, y down, z forward; pixel centres at integer coordinates.
 
     Example:
         >>> import numpy as np, track_range as tr

@@ -107,7 +107,7 @@ def object_surface(
 def _fit_planes(
     disparity: FloatArray, weight: FloatArray, u: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Planes p (N, 3) with the least weighted sum of bounded absolute residuals, and the residuals r (N, G).
+    """Planes p (N, 3) with the minimum weighted sum of bounded absolute residuals, and the residuals r (N, G).
 
     Each iteration solves (A^T W A + ridge) p = A^T W d with the rows (1, u, v) of A; the products of A and d do not
     change and are formed once.

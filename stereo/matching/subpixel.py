@@ -30,7 +30,7 @@ _MAX_STEP_PX = 0.5
 """Largest |s| of one iteration, px of the level."""
 
 _REACH = 2
-"""Pixels read to the right and left of a whole disparity: the cubic needs four of these five for |fraction| <= 1 px."""
+"""Pixels read on either side of an integer disparity: the cubic needs four of these five for |fraction| <= 1 px."""
 
 _MAX_CHANGE_PX = 0.75
 """Largest distance of a confirmed window from its census disparity, px of the level."""

@@ -38,7 +38,7 @@ def print_summary(console: Console, summary: Mapping[str, Any]) -> None:
 
 
 def print_grid(console: Console, grid: Grid) -> None:
-    """Print a grid with the best values bold and green; columns that do not fit follow in further tables below."""
+    """Print a grid with the best values bold and green; columns that do not fit are in further tables below."""
     if grid.title and grid.columns:
         # a separate line, because Rich wraps the title of a table at the width of the table
         console.print(Text(grid.title, "italic"))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _COLUMNS = ("time_s", "track_id", "class", "observed", "fused_kf_m", "closing_mps", "ttc_s")
 
 SCENARIO = "crossing"
-"""The camera's car stops for people and a cyclist, who stay in plain sight for seconds."""
+"""The camera's car stops for people and a cyclist, who stay visible for several seconds."""
 
 
 class DemoOptions(Options):
@@ -137,7 +137,7 @@ def accuracy_lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _extreme(values: npt.NDArray[np.object_], choose: Callable[[list[float]], float]) -> float | None:
-    """The smallest or largest value that was measured; None = there is none."""
+    """The smallest or largest value that was measured; None = no value was measured."""
     measured = [float(value) for value in values.tolist() if value is not None]
     return choose(measured) if measured else None
 

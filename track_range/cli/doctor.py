@@ -214,7 +214,7 @@ CHECKS: Mapping[str, Callable[[], str]] = {
     "disk space": _check_disk,
     "short run": _check_run,
 }
-"""Functions that return what is wrong and what to do; "" = all is well."""
+"""Functions that return what is wrong and what to do; "" = no problem."""
 
 
 def _outcome(check: Callable[[], str]) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 from typer.core import TyperCommand, TyperGroup
 
 _OPTION_COLUMNS = 26
-"""Widest first column in characters; the text of an option with a longer name begins on the next line."""
+"""Maximum width of the first column in characters; the text of an option with a longer name begins on the next line."""
 
 
 class HelpPage:

@@ -62,7 +62,7 @@ class LiveView:
         self.page.close()
 
     def begin(self, draw: Callable[[FrameResult], Image]) -> str:
-        """Set the function that draws results, called from one thread at a time; returns a sentence for the user."""
+        """Set the function that draws results, called from one thread at a time; returns a message for the user."""
         self._picture = draw
         if self._opens_browser and has_screen() and webbrowser.open(self.page.url):
             return f"Live view in your browser: {self.page.url}"

@@ -71,7 +71,7 @@ def text_sizes_px(image_px: tuple[int, int]) -> tuple[int, int, int]:
 
 
 def distance_text(distance_m: float) -> str:
-    """Distance in metres with one decimal, from 100 m on without; "-" for NaN."""
+    """Distance in metres with one decimal, or none at 100 m or more; "-" for NaN."""
     if not math.isfinite(distance_m):
         return "-"
     return f"{distance_m:.0f}" if distance_m >= 99.95 else f"{distance_m:.1f}"
@@ -118,7 +118,7 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
 
 
 def closing_span(closing_mps: float, ttc_s: float, size_px: int, *, may_hit: bool = True) -> Span | None:
-    """Time to collision and closing speed on a bar, amber or red if urgent; None for objects that do not close in.
+    """Time to collision and closing speed on a bar, amber or red if urgent; None for objects that do not approach.
 
     Objects that will pass by have no bar.
     """

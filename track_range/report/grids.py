@@ -1,4 +1,4 @@
-"""Tables that only the report has: all tracking metrics, and errors by class."""
+"""Tables shown only in the report: all tracking metrics, and errors by class."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def _is_shown_first(name: str, names: Sequence[str]) -> bool:
 
 
 def video_starts_s(summary: Mapping[str, Any]) -> float:
-    """Time of the overlay's first frame in seconds, from the summary; 0 where that lacks it."""
+    """Time of the overlay's first frame in seconds, from the summary; 0 if the summary lacks it."""
     return round(tables.figure(summary, "starts_s") or 0.0, 6)
 
 

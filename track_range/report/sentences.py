@@ -45,7 +45,7 @@ def cards(summary: Summary) -> Iterator[dict[str, str]]:
 
 
 def _error_cards(summary: Summary) -> Iterator[dict[str, str]]:
-    """Median error of `fused`, and of the best method if that is another one."""
+    """Median error of `fused`, and of the best method if it is a different one."""
     best = best_method(summary)
     if best is None:
         return

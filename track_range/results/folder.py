@@ -198,7 +198,7 @@ def _checked_summary(folder: Path, summary: Sections, settings: Sections, missin
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
-    """Columns of a tracks.csv without damaged rows; their number is added to `missing` as a sentence.
+    """Columns of a tracks.csv without damaged rows; a message with their number is added to `missing`.
 
     Raises:
         OutputError: the file cannot be read, or is not a tracks.csv.

@@ -1,4 +1,4 @@
-"""Output folder of a run: rows and videos are written during the run, figures and the report at its end."""
+"""Output folder of a run: rows and videos are written during the run, the summary and the report at its end."""
 
 from __future__ import annotations
 

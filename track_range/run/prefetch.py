@@ -19,7 +19,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 _SWITCH_INTERVAL_S = 0.0005
-"""Switch interval of the interpreter during a run; a thread waits at most so long for the GIL (default: 5 ms)."""
+"""Switch interval of the interpreter during a run; a thread waits at most this long for the GIL (default: 5 ms)."""
 
 _NICENESS = 15
 """Niceness (0..19) of low-priority threads; the scheduler weight is a thirtieth of that of an ordinary thread."""

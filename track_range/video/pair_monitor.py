@@ -133,7 +133,7 @@ class SyncMonitor:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The sentence for the user if one video lags."""
+        """The message for the user if one video lags."""
         sync = self._votes.most_common(1)[0][0] if self._is_settled else "synchronised"
         if sync == "synchronised":
             return ()
