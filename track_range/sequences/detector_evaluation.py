@@ -82,7 +82,7 @@ def evaluate(
     progress: FrameProgress = no_frame_progress,
     min_height_px: float = 0.0,
 ) -> dict[str, Any]:
-    """Run all detectors on the labelled images; returns their figures as plain values for JSON.
+    """Run all detectors on the labelled images; returns their results as plain values for JSON.
 
     After an interrupt (Ctrl-C) the results are those of the finished images.
 

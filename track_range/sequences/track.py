@@ -169,7 +169,7 @@ def _track_one(
     settings: TrackSettings,
     progress: FrameProgress,
 ) -> tuple[TrackedFile, tuple[str, ...]]:
-    """Track a sequence and write its files; returns its figures and the notes for the user."""
+    """Track a sequence and write its files; returns its results and the notes for the user."""
     last = int(recorded.frame[-1]) + 1 if len(recorded.frame) else 0
     n_frames = max(sequence.info.n_frames or 0, last)
     with progress(n_frames) as advance:

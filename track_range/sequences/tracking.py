@@ -42,7 +42,7 @@ class TrackedSequence:
 
 
 def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> Path | None:
-    """The video or folder of images of a sequence; None = there is none.
+    """The video or folder of images of a sequence; None = no images.
 
     Args:
         sequence: the sequence.

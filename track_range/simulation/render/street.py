@@ -33,7 +33,7 @@ STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 24))
 """(distance, length) of stretches; each length divides the next, and the last one divides the period."""
 
 WINDING_STRETCHES_M = ((0.0, 3), (24.0, 6), (72.0, 12))
-"""`STRETCHES_M` for winding roads, from which chords of 24 m would deviate too much."""
+"""`STRETCHES_M` for winding roads; chords of 24 m would deviate too much from them."""
 
 
 class Street:

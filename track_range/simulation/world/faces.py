@@ -33,7 +33,7 @@ N_PRISM_SIDES = 8
 """Number of sides of the prisms that approximate round bodies."""
 
 LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
-"""Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; much as `SUN`."""
+"""Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; similar to `SUN`."""
 
 
 @dataclass(frozen=True, slots=True)

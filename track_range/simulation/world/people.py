@@ -103,7 +103,7 @@ def pedestrian(rng: np.random.Generator, size_hwl_m: tuple[float, float, float])
 
 
 def cyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
-    """The faces of a cyclist; the wheels span the length of the 3-D box, and a bag is at its back."""
+    """The faces of a cyclist; the wheels span the length of the 3-D box, and a bag is at the rear."""
     height, width, length = size_hwl_m
     x, z, radius = length / 2, width / 2, WHEEL_RADIUS_M
     top, trousers, skin = _random_colour(rng, TOPS), _random_colour(rng, TROUSERS), _random_colour(rng, SKIN)

@@ -74,7 +74,7 @@ class LiveReader:
         return time_s - self.first_time_s >= self._start_s + self._duration_s - TIME_EPSILON_S
 
     def take(self, index: int) -> VideoFrame | None:
-        """The frame with this index; None = it has been dropped meanwhile."""
+        """The frame with this index; None = it has been dropped in the meantime."""
         began_s = time.thread_time()
         frame = self.stream.take(index)
         self.busy_s += time.thread_time() - began_s
