@@ -134,7 +134,7 @@ def test_quantize_writes_smaller_copies(shared_data, cli, tmp_path):
     model, figures = shared_data / "models/yolox_nano_416.onnx", tmp_path / "f.json"
     status, printed, errors = cli("models", "quantize", model, "--images", images, "--out", tmp_path, "--json", figures)
     assert status == 0, errors
-    assert "boxes of the original" in " ".join(printed.split())
+    assert "original's boxes" in " ".join(printed.split())
     read = json.loads(figures.read_text())
     assert read["n_images"] == 5  # the other five were used for calibration
     original, int8, fp16 = read["models"].values()

@@ -157,7 +157,7 @@ def test_no_object_to_measure(cli, tmp_path):
     [
         (("--matcher", "patch,sgmb"), "sgmb"),
         (("--matcher", ""), "--matcher"),
-        (("--matcher", "patch,patch"), "twice"),
+        (("--matcher", "patch,patch"), "duplicates"),
         (("--align", "leave-two-out"), "at least 4 pairs"),
     ],
 )
