@@ -216,6 +216,7 @@ def test_copies_of_a_method_count_as_one(n_copies):
     assert 0.95 * 0.05 <= relative_sigma(result) <= 0.0501
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("listed", [None, SIX])
 def test_bias_covariance_stays_valid_over_many_conflicts(listed):
     rng, ids, fusion = np.random.default_rng(0), np.arange(8), Fusion(listed)

@@ -105,6 +105,7 @@ def test_exact_result_without_noise() -> None:
     assert fit.bundle.path_m == pytest.approx(13.0, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset_px", "curvature_px"), [(0.0, 0.0), (0.5, 0.0), (-0.3, 1.5)])
 def test_known_error_within_two_sigma(offset_px: float, curvature_px: float) -> None:
     estimate = combine([segment(drive(3, offset_px=offset_px, curvature_px=curvature_px))], has_curvature=True)

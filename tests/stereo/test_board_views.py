@@ -114,6 +114,7 @@ def test_common_corners_of_a_pair():
     assert np.array_equal(both[0].xyz_m, CHARUCO.corners_m[10:20])
 
 
+@pytest.mark.slow
 def test_count_board_sizes_and_markers():
     images = [drawn(CAMERA, at) for at in varied_poses(3, seed=2)]
     sizes = count_board_sizes([*images, np.full((100, 100), 99, np.uint8)])

@@ -90,6 +90,7 @@ def test_too_few_views(views, key_word):
         calibrate_camera(views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotation_deg", [(0, 0, 0), (0, 25, 0)])
 def test_parallel_boards_are_refused(rotation_deg):
     rng = np.random.default_rng(0)

@@ -17,6 +17,7 @@ TRUE = rig()
 PAIRS = exact_pairs(TRUE, 12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_known_rig_within_its_sigma(seed):
     result = calibrate_pair(exact_pairs(TRUE, 12, seed=seed))
@@ -38,6 +39,7 @@ def test_exact_pairs_have_no_row_error():
     assert max(row_error_px(TRUE, pair) for pair in exact_pairs(TRUE, 3, noise_px=0.0)) < 1e-4
 
 
+@pytest.mark.slow
 def test_outlier_pair_is_rejected():
     moved = (PAIRS[3][0], dataclasses.replace(PAIRS[3][1], xy_px=PAIRS[3][1].xy_px + np.array([0.0, 4.0])))
     result = calibrate_pair([*PAIRS[:3], moved, *PAIRS[4:]])
@@ -65,6 +67,7 @@ def test_camera_upside_down():
     assert "upside down" in refused([(left, upside_down(right)) for left, right in PAIRS])
 
 
+@pytest.mark.slow
 def test_rolled_or_vertically_arranged_cameras():
     rolled, above = rig(roll_deg=60), rig()
     above.right_from_left[:3, 3] = (0.0, -0.12, 0.0)
@@ -86,6 +89,7 @@ def test_mismatched_pairs():
     assert "simultaneous" in refused(shifted)
 
 
+@pytest.mark.slow
 def test_too_few_and_static_pairs():
     assert "4;" in refused(PAIRS[:4])
     assert "same position" in refused(PAIRS[:1] * 6)

@@ -56,6 +56,7 @@ def test_error_on_known_shifts(with_prior: bool) -> None:
     assert abs(error.mean()) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 6.0])
 @pytest.mark.parametrize("box", [BOX, SMALL])
 def test_no_pixel_locking(box: tuple[float, ...], noise: float) -> None:
@@ -397,6 +398,7 @@ def test_any_box_and_prior_is_accepted(boxes: FloatArray, priors: FloatArray) ->
 # Sigma
 
 
+@pytest.mark.slow
 def test_sigma_matches_errors_on_noisy_textures() -> None:
     ratios = []
     for noise, box in ((10.0, SMALL), (12.0, SMALL), (14.0, (200.0, 40.0, 240.0, 76.0)), (8.0, (200, 50, 216, 64))):

@@ -41,6 +41,7 @@ def pooled(images: tuple[Image, Image], start: float) -> float:
     return float(np.average(matches.offset, weights=matches.weight))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 @pytest.mark.parametrize("blur_px", [0.8, 1.2, 2.5])
 def test_no_fraction_of_a_pixel_is_preferred(noise: float, blur_px: float) -> None:

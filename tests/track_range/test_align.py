@@ -155,6 +155,7 @@ def test_missing_and_different_rigs(drive, videos, tmp_path, cli):
     assert (status, "different rigs" in errors) == (1, True)
 
 
+@pytest.mark.slow
 def test_too_short_drive_writes_nothing(render_drive, tmp_path, cli):
     short = render_drive(seed=1, seconds=0.4).left.parent
     status, _, errors = cli("align", "--drive", short, "--out", tmp_path / "align.yaml")

@@ -102,6 +102,7 @@ def test_videos(fails, options, drive, tmp_path, content, word):
     assert word in sentence
 
 
+@pytest.mark.slow
 def test_truncated_video(render_drive, succeeds, tmp_path):
     long = render_drive(seed=3, seconds=1.6)  # a fragment per second: the second one is cut
     right = junk(tmp_path / "cut.mp4", long.right.read_bytes()[: int(long.right.stat().st_size * 0.9)])
@@ -169,6 +170,7 @@ def test_swapped_videos(fails, options, drive):
     assert "swapped" in fails(*options(left=drive.right, right=drive.left))
 
 
+@pytest.mark.slow
 def test_models(fails, drive, tmp_path):
     pair = ("--stereo", drive.left, drive.right, "--detector")
     assert "none.onnx" in fails(*pair, tmp_path / "none.onnx")
@@ -181,6 +183,7 @@ def test_a_model_with_unknown_outputs(fails, drive, shared_data):
     assert "drivable [1, 2, 360, 640]" in sentence
 
 
+@pytest.mark.slow
 def test_truth_detections_and_classes(fails, options, drive, tmp_path):
     assert "none.txt" in fails(*options(truth=tmp_path / "none.txt"))
     assert "line 1" in fails(*options(truth=junk(tmp_path / "t.txt", b"1 2 3\n")))
@@ -229,6 +232,7 @@ def test_inputs_are_kept_and_old_results_removed(drive, tmp_path, cli):
     assert not (tmp_path / "two/overlay.mp4").exists()
 
 
+@pytest.mark.slow
 def test_closed_pipe_keeps_the_results(options, tmp_path):
     command = [str(TRACK_RANGE), *map(str, options()), "--out", str(tmp_path / "out")]
     with Path("/dev/full").open("w") as full:

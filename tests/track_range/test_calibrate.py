@@ -74,6 +74,7 @@ def test_one_camera(boards, tmp_path, cli):
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50  # arrows, shades, bars, text
 
 
+@pytest.mark.slow
 def test_pair(boards, tmp_path, cli):
     out, figures, picture = tmp_path / "rig.yaml", tmp_path / "f.json", tmp_path / "p.png"
     status, printed, errors = cli(
@@ -114,6 +115,7 @@ def test_charuco_board(tmp_path, cli):
         assert words in error_line(outcome)
 
 
+@pytest.mark.slow
 def test_bad_views_are_rejected(copied, tmp_path, cli):
     grey = cv2.imread(str(copied / "left7.png"))
     cv2.imwrite(str(copied / "left7.png"), cv2.copyMakeBorder(grey, 0, 1, 0, 2, cv2.BORDER_REPLICATE))
@@ -137,6 +139,7 @@ def test_bad_views_are_rejected(copied, tmp_path, cli):
     assert "left92.png: " in printed
 
 
+@pytest.mark.slow
 def test_images_without_a_partner_are_rejected(copied, tmp_path, cli):
     (copied / "right2.png").unlink()
     cv2.imwrite(str(copied / "left5.png"), np.full((360, 640), 90, np.uint8))
@@ -197,6 +200,7 @@ def test_wrong_number_of_corners(boards, tmp_path, cli, board):
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_cameras_swapped_and_upside_down(copied, tmp_path, cli):
     def stereo(left, right):
         return cli(
@@ -229,6 +233,7 @@ def test_sets_without_enough_views(boards, copied, tmp_path, cli):
     assert "ArUco" in error_line(outcome)
 
 
+@pytest.mark.slow
 def test_warnings_about_square_size_and_focus(tmp_path, cli):
     plain = dataclasses.replace(CAMERA, distortion=())
     tilts = ((30, 0, 0), (-30, 0, 0), (0, 30, 0), (0, -30, 0), (25, 25, 0), (0, 0, 10))

@@ -42,6 +42,7 @@ def test_epochs_without_validation_are_left_out() -> None:
     assert precision == {"mean": ([2], [40.0])}
 
 
+@pytest.mark.slow
 def test_chart_is_a_picture_of_the_figure(tmp_path: Path) -> None:
     training_chart(HISTORY[:1], tmp_path / "chart.png")
     picture = cv2.imread(str(tmp_path / "chart.png"))

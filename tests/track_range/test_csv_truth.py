@@ -87,6 +87,7 @@ def test_csv_with_required_columns_only(against: Any, drive: Drive, tmp_path: Pa
     assert "closing speed" not in printed
 
 
+@pytest.mark.slow
 def test_truth_of_other_frames(against: Any, drive: Drive, tmp_path: Path) -> None:
     _, plain, _, _ = against(drive.table)
     more = tmp_path / "more.csv"
@@ -103,6 +104,7 @@ def test_truth_of_other_frames(against: Any, drive: Drive, tmp_path: Path) -> No
     assert f"--truth has boxes for frames {N_FRAMES} to {last}" in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "value", "message"),
     [

@@ -8,6 +8,7 @@ import pytest
 from track_range.cli import doctor
 
 
+@pytest.mark.slow
 def test_report_as_json(cli):
     status, text, _ = cli("doctor", "--json")
     report = json.loads(text)

@@ -159,6 +159,7 @@ def test_default_output_folder(drive, track_range, tmp_path):
     assert "left-track-range" in printed
 
 
+@pytest.mark.slow
 def test_image_folder_equals_video(drive, track_range, tmp_path):
     write_images(drive, tmp_path)
     options = ("--detections", drive.detections, "--rig", drive.rig, "--no-sgbm", "--no-overlay", "--align", "off")
@@ -343,6 +344,7 @@ def scaled_labels(truth, scale, n_rounds=10):
             yield " ".join([str(int(frame) + 16 * turn), *rest[:9], *lengths, *rest[15:]])
 
 
+@pytest.mark.slow
 def test_fitted_curves_in_a_run(drive, track_range, cli, tmp_path):
     """`fit` on labels, and runs with its curves: of a drive, and of one in which everything is 1.2 times as large."""
     (tmp_path / "calib").mkdir()

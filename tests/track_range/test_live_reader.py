@@ -189,6 +189,7 @@ def test_pair_ends_with_one_stream() -> None:
         pair.close()
 
 
+@pytest.mark.slow
 def test_pair_fails_with_one_stream() -> None:
     with cameras(1) as (one,), cameras(1, 200, is_torn=True) as (other,):
         pair = LivePair(LiveReader(LiveAddress(one.url)), LiveReader(LiveAddress(other.url)))
@@ -219,6 +220,7 @@ def test_part_of_a_pair() -> None:
     assert times_s.max() < 0.9
 
 
+@pytest.mark.slow
 def test_streams_without_a_common_time() -> None:
     with cameras(2, 200) as (one, other):
         pair = LivePair(*(LiveReader(LiveAddress(camera.url)) for camera in (one, other)))

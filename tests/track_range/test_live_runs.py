@@ -64,6 +64,7 @@ def test_one_camera_for_a_while(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     assert yaml.safe_load((out / "settings.yaml").read_text())["run"]["mono"] == camera.url
 
 
+@pytest.mark.slow
 def test_two_cameras_until_one_is_unplugged(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
     with cameras(1) as (left,), cameras(1, 500, is_torn=True) as (right,):

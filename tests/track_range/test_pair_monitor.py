@@ -37,6 +37,7 @@ def test_good_pair_has_no_notes():
     assert notes_of(frames(24), PairMonitor(), SyncMonitor()) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("late", "lagging"), [(1, "right"), (-1, "left")])
 def test_sync_one_video_lags(late, lagging):
     (note,) = notes_of(frames(24, late=late), PairMonitor(), SyncMonitor())

@@ -116,6 +116,7 @@ def test_write_processes_all_frames(drive, tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_write_after_iteration_gives_the_same_rows(drive, tmp_path):
     first = recorded(drive, duration=0.5)
     first.write(tmp_path / "while")
@@ -253,6 +254,7 @@ def test_tracks_measured_against_themselves(tmp_path):
     assert figures["combined"]["hota"] == pytest.approx(100)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

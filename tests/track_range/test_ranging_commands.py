@@ -59,6 +59,7 @@ def test_noise_is_seeded(cli, folders, tmp_path):
     assert exact < 0.2 * noisy
 
 
+@pytest.mark.slow
 def test_filters_smooth_and_give_closing_speeds(cli, folders, tmp_path):
     given = (*folders(a=drive(0), b=drive(1), c=drive(2)), "--noise-px", 2)
     none, paper, default = (
@@ -112,6 +113,7 @@ def test_invalid_usage_of_evaluate_ranges(cli, folders, options, status, message
     assert (actual_status, message in err) == (status, True), err
 
 
+@pytest.mark.slow
 def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
     given = folders(a=drive(0), b=drive(1), c=drive(2, n_frames=20))
     outputs = ("--compare", "--picture", tmp_path / "p.png", "--out", tmp_path / "c.json", "--leave-out", "c")
@@ -128,6 +130,7 @@ def test_fit_compares_draws_and_writes(cli, folders, tmp_path):
     assert car["mean_relative_error_pct"] < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curve", MODEL_NAMES)
 def test_fitted_curves_are_usable_in_a_run(cli, folders, tmp_path, curve):
     given = folders(a=drive(0), b=drive(1))

@@ -178,6 +178,7 @@ def films(folder, film, *, n=14, rate_hz=10):
     return folder / "left.mp4", folder / "right.mp4"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"align": "off"}, {"start_s": 0.5}, {"focal_px": 300.0}])
 def test_each_video_is_opened_once(tmp_path, film, opened_files, options):
     left, right = films(tmp_path, film)

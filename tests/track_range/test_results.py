@@ -161,6 +161,7 @@ def test_unreadable_tracks_csv(tmp_path):
             read_tracks_csv(tmp_path / "tracks.csv")
 
 
+@pytest.mark.slow
 @given(
     values=st.lists(st.floats(-1e6, 1e6) | st.just(np.nan), min_size=2, max_size=2),
     times_s=st.lists(st.floats(0, 1e5), min_size=1, max_size=5),

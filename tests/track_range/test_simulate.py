@@ -78,6 +78,7 @@ def test_faults_reach_the_files(cli, rig, tmp_path):
     assert (plain / "truth.txt").read_bytes() == (faulty / "truth.txt").read_bytes()
 
 
+@pytest.mark.slow
 def test_lossless_folders(cli, rig, tmp_path):
     arguments = ["--seconds", 0.25, "--fps", 20, "--rig", rig, "--lossless", "--disparity", "--scenario", "town"]
     status, printed, errors = cli("simulate", "--out", tmp_path, *arguments)
@@ -95,6 +96,7 @@ def test_odd_image_size_grows_by_one(cli, tmp_path):
     assert yaml.safe_load((tmp_path / "d" / "rig.yaml").read_text())["left"]["width_px"] == 312
 
 
+@pytest.mark.slow
 def test_kitti_calibration_is_nearly_rectified(cli, tmp_path):
     projection = "721.5 0 609.6 {} 0 721.5 172.9 {} 0 0 1 {}"
     calib = tmp_path / "calib.txt"
@@ -107,6 +109,7 @@ def test_kitti_calibration_is_nearly_rectified(cli, tmp_path):
     assert motion == pytest.approx([-0.5327, 0, 0], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_training_images(cli, tmp_path):
     status, printed, errors = cli("simulate", "--out", tmp_path / "sim", "--images", 2, "--frames", 1)
     assert status == 0, errors

@@ -36,6 +36,7 @@ def pair(drive):
     return ("--stereo", drive.left, drive.right, "--detections", drive.detections, "--truth", drive.truth)
 
 
+@pytest.mark.slow
 def test_pair_without_a_rig_is_scaled_by_sizes(drive, run, tmp_path):
     for video in (drive.left, drive.right):
         shutil.copy(video, tmp_path / video.name)
@@ -78,6 +79,7 @@ def test_real_drives_without_their_rig(shared_data, run, tmp_path):
         assert abs(error) < 2 * scale["relative_sigma"], drive
 
 
+@pytest.mark.slow
 def test_alignment_file_changes_every_distance(drive, run, tmp_path):
     save_alignment(Alignment(offset_px=2.0, residual_px=0.1, source="a test"), tmp_path / "align.yaml")
     plain, without, _ = run(*pair(drive), "--no-overlay", "--align", "off", name="off")
@@ -97,6 +99,7 @@ def test_alignment_file_changes_every_distance(drive, run, tmp_path):
     assert saved["align"] == str(tmp_path / "align.yaml")
 
 
+@pytest.mark.slow
 def test_disparity_video_with_options_from_a_file(drive, run, tmp_path):
     plain = {"track_range_settings": 1, "run": {"sgbm_options": {"mode": "sgbm", "block_size": 7}, "align": "off"}}
     (tmp_path / "dense.yaml").write_text(yaml.safe_dump(plain))

@@ -78,6 +78,7 @@ def test_shift_is_recovered(dx: int, dy: int) -> None:
     assert corner_error_px(estimate, np.array([[1.0, 0, dx], [0, 1.0, dy]]), cut(0, 0)) < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "roll_deg", "shift"),
     [

@@ -61,6 +61,7 @@ def test_equals_the_equations(kind, loss, a, b):
     assert similarity <= 1 + 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [ciou, eiou])
 def test_loss_is_zero_at_target_and_decreases(loss):
     target = torch.tensor([[50.0, 40.0, 30.0, 20.0]])

@@ -55,6 +55,7 @@ def test_attention_preserves_shapes(name):
     assert [h.shape for h in attentive.eval()(images)] == [h.shape for h in plain.eval()(images)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_cbam", [False, True])
 @pytest.mark.parametrize("name", EXPORTED)
 def test_export_equals_network(tmp_path, name, has_cbam):
@@ -70,6 +71,7 @@ def test_export_equals_network(tmp_path, name, has_cbam):
     assert np.abs(actual[..., 4:] - expected[..., 4:]).max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPORTED)
 def test_detector_loads_export_without_options(tmp_path, name):
     network = random_network(name)

@@ -53,6 +53,7 @@ def test_rig_round_trip(drive):
     assert rig.is_rectified
 
 
+@pytest.mark.slow
 def test_truth_round_trip(drive):
     labels = read_kitti(drive[0].truth)
     renderer = Renderer(make_scene(3, seconds=0.4), SMALL)
@@ -89,6 +90,7 @@ def test_same_seed_gives_the_same_bytes(drive, tmp_path):
     assert kitti_text(other) not in drive[0].truth.read_text()
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_the_number_of_threads(drive, tmp_path, monkeypatch):
     monkeypatch.setattr("track_range.simulation.drive.N_THREADS", 1 if N_THREADS > 1 else 3)
     again = write_drive(tmp_path, seed=3, seconds=0.4, rig=SMALL)
@@ -114,6 +116,7 @@ def test_ego_speed_round_trip(drive):
     np.testing.assert_allclose(speed.speed_mps, 10.0)
 
 
+@pytest.mark.slow
 def test_lossless_folders_contain_the_exact_pixels(tmp_path):
     (tmp_path / "left").mkdir()
     (tmp_path / "left" / "000007.png").write_bytes(b"of an earlier, longer drive")

@@ -29,6 +29,7 @@ def right(scene, *, is_large=False, **faults):
     return Renderer(scene, rig, noise_grey=0, faults=Faults(**faults)).render(0.2, side="right").astype(np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("faults", "expected"), [({"row_offset_px": 1.5}, (0.0, 1.5)), ({"disparity_offset_px": 2.25}, (-2.25, 0.0))]
 )
@@ -45,12 +46,14 @@ def test_offsets_shift_the_right_image(scene, faults, expected):
         assert offsets[int(np.argmin(costs))] == pytest.approx(0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_faults_do_not_change_the_left_image(scene):
     faults = Faults(gain=1.3, row_offset_px=2, disparity_offset_px=1, late_s=0.1)
     plain, faulty = (Renderer(scene, SMALL, faults=value).render(0.2) for value in (Faults(), faults))
     np.testing.assert_array_equal(plain, faulty)
 
 
+@pytest.mark.slow
 def test_gain_of_the_right_image(scene):
     plain, bright = right(scene), right(scene, gain=1.25)
     inside = (plain > 20) & (plain < 200)
@@ -97,6 +100,7 @@ def test_late_right_camera_keeps_its_timestamps(tmp_path):
     assert later < 0.5 * now
 
 
+@pytest.mark.slow
 def test_dropped_frames_leave_gaps_in_time(tmp_path):
     options = DriveOptions(scenario="town", faults=Faults(drop_share=0.4), noise_grey=0)
     drive = write_drive(tmp_path, seed=5, seconds=2.0, rig=SMALL, options=options)

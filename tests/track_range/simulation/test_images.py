@@ -6,6 +6,7 @@ from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.simulation.images import write_image_set
 
 
+@pytest.mark.slow
 def test_image_set_is_a_data_set(tmp_path):
     steps = []
     path = write_image_set(tmp_path, [1000, 1001], n_frames=2, progress=lambda done, total: steps.append((done, total)))

@@ -147,6 +147,7 @@ def test_vehicle_next_to_the_camera():
     assert changed[100:300, :20].mean() > 0.8
 
 
+@pytest.mark.slow
 def test_rendering_is_deterministic_with_the_given_noise():
     small = kitti_like_rig(width_px=310, height_px=94)
     scene = Scene(seed=2, road_users=(road_user(0),))

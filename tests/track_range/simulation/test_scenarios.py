@@ -96,6 +96,7 @@ def test_contents_of_scenarios():
     assert kinds >= {"Car", "Bus", "Motorcycle", "Cyclist", "Pedestrian", "TrafficSign", "TrafficLight"}
 
 
+@pytest.mark.slow
 def test_night_is_dark_with_bright_lamps():
     day, night = (Renderer(make_scenario(name, seed=1), SMALL, noise_grey=0).render(1.0) for name in ("city", "night"))
     assert night.mean() < 0.4 * day.mean()

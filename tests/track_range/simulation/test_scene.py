@@ -59,6 +59,7 @@ def test_scene_contains_every_type_of_road_user(seed):
     assert {road_user.kitti_type for road_user in scene.road_users} == {"Car", "Van", "Truck", "Pedestrian", "Cyclist"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_no_collisions(seed):
     scene = make_scene(seed, seconds=10.0)

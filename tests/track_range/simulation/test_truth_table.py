@@ -77,6 +77,7 @@ def rows(drive):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_distances_equal_the_rendered_depth(rows):
     renderer = Renderer(make_scenario("city", seed=2, seconds=0.3), RIG)
     depth_m = {frame: renderer.depth_m(frame / 10) for frame in range(3)}
