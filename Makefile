@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 
 # Processes that run tests; 0 = none beside pytest itself, which a debugger needs.
 WORKERS ?= logical
-PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal --tiers-file out/tiers.json
+PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --maxprocesses 8 --dist worksteal --tiers-file=out/tiers.json
 SLOW_TIERS := slow or train or browser or real
 ifdef COVERAGE
 PYTEST += --cov --cov-append --cov-report=

@@ -52,7 +52,7 @@ def test_run_with_workers(tmp_path):
     command = [sys.executable, "-m", "pytest", "-p", "tests.tiers", "-p", "no:cacheprovider", "--numprocesses", "1"]
     environment = os.environ | {"PYTHONPATH": str(PROJECT)}
     done = subprocess.run(
-        [*command, "--tiers-file", "t.json"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [*command, "--tiers-file=t.json"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1, done.stderr
     counted = json.loads((tmp_path / "t.json").read_text())
