@@ -262,7 +262,7 @@ def _start(mutant: Mutant | None, tests: tuple[str, ...]) -> int:
             _replace_module(mutant.path, mutant.source())
         import pytest
 
-        options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not slow and not real"]
+        options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not real"]
         status = int(pytest.main([*options, *tests]))
     finally:
         os._exit(status)

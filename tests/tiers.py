@@ -16,7 +16,7 @@ import pytest
 
 TIERS = {
     "fast": "everything else; `make test`",
-    "slow": "more than about two seconds, or a second Python environment",
+    "slow": "more than about 1.5 seconds, or a second Python environment",
     "train": "trainings of networks",
     "browser": "the report and the live view in Chromium",
     "real": "recordings of ../shared/data or of $TRACK_RANGE_DATA",

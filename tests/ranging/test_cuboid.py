@@ -26,6 +26,7 @@ def test_rear_straight_ahead_by_hand():
     assert np.exp(box.log_height) == pytest.approx([HEIGHT_M / 20 - top])
 
 
+@pytest.mark.slow
 @given(
     st.floats(-1.5, 1.5),
     st.floats(-0.8, 0.8),

@@ -21,6 +21,7 @@ def within(result, true: PinholeCamera, n_sigmas: float) -> bool:
     return all(abs(getattr(result.camera, n) - getattr(true, n)) < n_sigmas * getattr(result.std, n) for n in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_known_camera_within_its_sigma(seed):
     result = calibrate_camera(exact_views(14, seed=seed))

@@ -84,6 +84,7 @@ def test_implausible_baseline():
     assert "0.0012 m" in refused(small)
 
 
+@pytest.mark.slow
 def test_mismatched_pairs():
     shifted = [(PAIRS[i][0], PAIRS[(i + 1) % len(PAIRS)][1]) for i in range(len(PAIRS))]
     assert "simultaneous" in refused(shifted)

@@ -130,6 +130,7 @@ def changed_rig(drive, path, **changes):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "messages"),
     [
@@ -217,6 +218,7 @@ def test_start_after_the_end(fails, options):
     assert "start" in fails(*options(), "--start", "1000")
 
 
+@pytest.mark.slow
 def test_inputs_are_kept_and_old_results_removed(drive, tmp_path, cli):
     folder = tmp_path / "one"
     folder.mkdir()

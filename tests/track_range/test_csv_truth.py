@@ -76,6 +76,7 @@ def test_csv_and_kitti_truth_agree_on_cars(drive: Drive) -> None:
     assert np.mean(np.isfinite(exact.distance_m) == np.isfinite(kitti.distance_m[row])) > 0.95
 
 
+@pytest.mark.slow
 def test_csv_with_required_columns_only(against: Any, drive: Drive, tmp_path: Path) -> None:
     needed = ("class", "id", "frame", "distance_m", "x1", "y1", "x2", "y2")
     status, summary, printed, complaint = against(

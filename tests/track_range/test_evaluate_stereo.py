@@ -166,6 +166,7 @@ def test_wrong_usage(cli, tmp_path, options, word):
     assert (status, word in errors) == (2, True), errors
 
 
+@pytest.mark.slow
 def test_invalid_drives(drive, cli, tmp_path):
     status, _, errors = cli("evaluate", "stereo", "--pairs", drive, "--align", "leave-two-out")
     assert (status, "single pairs" in errors) == (2, True)

@@ -182,6 +182,7 @@ def test_pair_is_the_newest_within_the_tolerance() -> None:
     assert "2 pairs" in pair.notes[0]
 
 
+@pytest.mark.slow
 def test_pair_ends_with_one_stream() -> None:
     with cameras(1, 150) as (one,), cameras(1) as (other,):
         pair = LivePair(LiveReader(LiveAddress(one.url)), LiveReader(LiveAddress(other.url)))

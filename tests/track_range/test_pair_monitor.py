@@ -44,6 +44,7 @@ def test_sync_one_video_lags(late, lagging):
     assert f"the {lagging} video" in note
 
 
+@pytest.mark.slow
 def test_sync_static_scene_is_unknown():
     assert notes_of(frames(24, late=1, zoom=1.0), SyncMonitor()) == ()
 

@@ -211,6 +211,7 @@ def test_frames_do_not_depend_on_the_buffer_size(tmp_path, film, opened_files, m
     assert buffered.notes == reread.notes
 
 
+@pytest.mark.slow
 def test_buffered_frames_are_freed_one_by_one(tmp_path, film):
     recording = open_recording(*films(tmp_path, film))
     n_buffered = recording.inputs.pairs.n_buffered

@@ -87,6 +87,7 @@ def test_lossless_folders(cli, rig, tmp_path):
     assert len(list((tmp_path / "left").iterdir())) == len(list((tmp_path / "disp_occ_0").iterdir())) == 5
 
 
+@pytest.mark.slow
 def test_odd_image_size_grows_by_one(cli, tmp_path):
     rig = rig_file(tmp_path / "odd.yaml", width_px=311, height_px=93)
     status, printed, _ = cli("simulate", "--out", tmp_path / "d", "--seconds", 0.1, "--rig", rig)
@@ -161,6 +162,7 @@ def test_rig_file_of_one_camera_or_missing(cli, rig, tmp_path):
         assert word in errors
 
 
+@pytest.mark.slow
 def test_unwritable_folder(cli, rig, tmp_path):
     (tmp_path / "file").write_text("in the way")
     status, _, errors = cli("simulate", "--out", tmp_path / "file" / "d", "--seconds", 0.1, "--rig", rig)

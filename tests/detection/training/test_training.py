@@ -262,6 +262,7 @@ def test_student_learns_without_labels(sets, tmp_path):
     assert objectness["with"] > 0.5 > 0.2 > objectness["without"]
 
 
+@pytest.mark.slow
 def test_teacher_without_road_classes(sets, tmp_path):
     export_onnx(make_network("yolov5n", 2).eval(), tmp_path / "pets.onnx", {"names": ["cat", "dog"]})
     with pytest.raises(ModelError, match=r"pets\.onnx: .*classes"):

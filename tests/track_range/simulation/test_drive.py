@@ -142,6 +142,7 @@ def test_disparity_map_of_the_road(tmp_path):
     assert (truth[np.isnan(depth_m)] == 0).all()
 
 
+@pytest.mark.slow
 def test_kitti_2015_layout(tmp_path):
     rig = kitti_like_rig(width_px=620, height_px=188)
     write_drive(tmp_path, seed=1, seconds=0.1, rig=rig, options=DriveOptions(has_disparity=True))
@@ -158,6 +159,7 @@ def test_kitti_2015_layout(tmp_path):
     assert np.median(np.abs(distance_m / expected_m - 1)) < 0.02
 
 
+@pytest.mark.slow
 def test_odd_sizes_grow_by_one(tmp_path):
     written = write_drive(tmp_path, seconds=0.1, rig=kitti_like_rig(width_px=311, height_px=95))
     frame = next(iter(VideoReader(written.left)))

@@ -129,6 +129,7 @@ def test_depth_of_road_and_sky():
     assert np.isnan(depth_m[60, 620])
 
 
+@pytest.mark.slow
 def test_nearer_objects_hide_farther_ones():
     near, far = road_user(0, back_z=10.0, size=(1.6, 2.4, 4.0)), road_user(1, back_z=30.0)
     both = Renderer(Scene(seed=1, road_users=(far, near)), RIG, noise_grey=0).render(0.0)
@@ -138,6 +139,7 @@ def test_nearer_objects_hide_farther_ones():
     assert not np.array_equal(both, alone)
 
 
+@pytest.mark.slow
 def test_vehicle_next_to_the_camera():
     users = (road_user(0, "Truck", x=-3.5, back_z=-3.0, size=(3.3, 2.5, 12.0)),)  # from 3 m behind to 9 m ahead
     image, background = (
@@ -162,6 +164,7 @@ def test_rendering_is_deterministic_with_the_given_noise():
     assert abs(error[inside].mean()) < 0.05
 
 
+@pytest.mark.slow
 def test_noise_of_left_and_right_is_independent():
     small = kitti_like_rig(width_px=310, height_px=94)
     scene = Scene(seed=2, road_users=())
