@@ -42,7 +42,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/stereo/test_sgbm.py",
         "tests/stereo/test_subpixel.py",
         "tests/stereo/test_surfaces.py",
-        "tests/stereo/test_*matching*.py",
+        "tests/stereo/test_patches.py",
         "tests/ranging/test_triangulation.py",
     ),
     "ranging/fusion/*.py": ("tests/ranging/test_*fus*.py", "tests/ranging/test_filtered_ranges.py"),

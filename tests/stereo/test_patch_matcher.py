@@ -138,6 +138,7 @@ def test_largest_disparity_depends_on_box_size() -> None:
 
 def test_settings_for_a_rig_reach_the_nearest_distance() -> None:
     rig = StereoRig.rectified(PinholeCamera(1000.0, 1000.0, 640.0, 360.0, 1280, 720), 0.5)
+    assert PatchMatcherSettings.for_rig(rig).max_disparity_px == 250
     made = PatchMatcherSettings.for_rig(rig, nearest_m=2.0, smallest_m=0.25)
     assert (made.max_disparity_px, made.max_disparity_per_side) == (250, 2.0)
     assert PatchMatcherSettings.for_rig(rig, nearest_m=0.1).max_disparity_px == 640  # half the image width

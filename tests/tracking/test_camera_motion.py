@@ -172,7 +172,9 @@ def test_small_and_narrow_images(hw: tuple[int, int]) -> None:
     assert np.abs(estimate - IDENTITY).max() < 0.05
 
 
-@pytest.mark.parametrize("gate", [{"max_roll_rad": 0.03}, {"max_scale": 1.05}, {"max_shift": 0.01}])
+@pytest.mark.parametrize(
+    "gate", [{"max_roll_rad": 0.03}, {"max_scale": 1.05}, {"max_shift": 0.01}, {"min_inlier_share": 1.01}]
+)
 def test_implausible_motion_is_the_identity(gate: dict[str, float]) -> None:
     image = texture(375, 1242, seed=1)
     now = warped(image, similarity(1.08, 2.5, (25.0, 0.0), image))

@@ -170,6 +170,16 @@ def test_a_box_that_leaves_the_image_is_not_predicted() -> None:
         assert len(drive(DeepSortTracker(EARLY_PREDICTION), leaving)[-1]) == n_predicted
 
 
+def test_a_box_that_leaves_at_the_bottom_is_not_predicted() -> None:
+    for start_px, n_predicted in (
+        (300, 1),
+        (309, 0),
+    ):  # the lower edge is predicted at 370 and at 379, the border is 374.5
+        boxes = [[100.0, start_px + 5.0 * i, 160.0, start_px + 40.0 + 5 * i] for i in range(6)]
+        leaving = [*[Detections.of([box], [0.9], [CAR]) for box in boxes], Detections.empty()]
+        assert len(drive(DeepSortTracker(EARLY_PREDICTION), leaving)[-1]) == n_predicted
+
+
 def test_class_is_voted() -> None:
     labels = [CAR, CAR, TRUCK, CAR, TRUCK, CAR, CAR]
     out = drive(DeepSortTracker(), [car_at(100, class_id=c) for c in labels])
