@@ -145,6 +145,13 @@ def test_matched_box_in_ignore_region_counts() -> None:
     assert evaluate_tracks(truth, boxes_of([(0, 1, 0), (0, 2, 1)]), ignore=everything).mota == 100.0
 
 
+@pytest.mark.parametrize(("x_px", "n_matches"), [(3.0, 1), (4.0, 0)], ids=["IoU 0.54", "IoU 0.43"])
+def test_only_a_match_protects_a_box_in_an_ignore_region(x_px: float, n_matches: int) -> None:
+    everything = IgnoreRegions(np.array([0]), np.array([[-100.0, -100.0, 100.0, 100.0]]))
+    scores = evaluate_tracks(boxes_of([(0, 1, 0)]), boxes_of([(0, 1, x_px)]), ignore=everything)
+    assert (scores.fp, scores.fn) == (0, 1 - n_matches)
+
+
 def test_scores_without_boxes_are_nan() -> None:
     empty, one = boxes_of([]), boxes_of([(0, 1, 0)])
     no_results = evaluate_tracks(one, empty)
