@@ -47,7 +47,7 @@ class ClassScores:
         n_images: number of images in which all objects of the class are labelled; other images are not evaluated.
         n_boxes: number of labels in these images, without labels to ignore.
         ap50, ap50_95: average precision.
-        precision, recall: of the detections whose score reaches the working score, at IoU >= 0.5.
+        precision, recall: of the detections at or above the confidence threshold, at IoU >= 0.5.
         recall_at: (6,) for each of `PRECISIONS`, the largest recall at which the precision is at least that.
         best_score: score threshold that maximises F1 = 2 precision recall / (precision + recall) at IoU >= 0.5.
         is_known: the detector has a name for this class.
@@ -113,8 +113,8 @@ def evaluate_detections(
             are missing at the high-recall end of the precision-recall curve.
         truth: the labels of each image, in the same order.
         working_score: (8,) score threshold by road class at which precision and recall are computed.
-        known_class_id: road classes that the detector has a name for; the others are not averaged.
-        min_boxes: classes with fewer labels are not averaged.
+        known_class_id: road classes that the detector has a name for; the others are excluded from the mean.
+        min_boxes: classes with fewer labels are excluded from the mean.
         min_height_px: labels below this height are ignored, and so are unmatched detections below it (KITTI's rule).
 
     Raises:

@@ -147,7 +147,7 @@ def _common_length(a: Descriptors, b: Descriptors) -> int:
     """D of two (N, K, D) arrays; one of them may have D = 0."""
     lengths = {a.shape[2], b.shape[2]} - {0}
     if len(lengths) > 1:
-        raise ValueError(f"expected embeddings of one length, got {a.shape[2]} and {b.shape[2]} numbers")
+        raise ValueError(f"expected embeddings of equal length, got {a.shape[2]} and {b.shape[2]} numbers")
     return max(lengths, default=0)
 
 

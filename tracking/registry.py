@@ -90,7 +90,7 @@ def find_tracker(name: str) -> RegisteredTracker:
     try:
         inspect.signature(factory).bind(TrackerOptions())
     except (TypeError, ValueError) as error:
-        raise TrackerError(f"{name}: expected a class or function of one argument, the TrackerOptions.") from error
+        raise TrackerError(f"{name}: expected a class or function with one argument, the TrackerOptions.") from error
     return RegisteredTracker(name=name, factory=factory, uses_reid=bool(getattr(factory, "uses_reid", False)))
 
 

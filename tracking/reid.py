@@ -2,8 +2,8 @@
 
     crop -> resized to the network's input -> RGB, (value / 255 - mean) / standard deviation -> features of length 1
 
-Resizing does not keep the aspect ratio. Mean and standard deviation are ImageNet's, as torchreid and FastReID train
-with. Crops are processed in batches.
+Resizing does not keep the aspect ratio. Mean and standard deviation are ImageNet's, with which
+torchreid and FastReID train. Crops are processed in batches.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ReidModel:
 
     Attributes:
         max_cosine_distance: see `AppearanceModel`. 0.27 was chosen for OSNet x0.25 on KITTI 0003 and 0005 and simulated
-            drives: 0 to 10 % of the same objects rejected, 0 to 16 % of other objects accepted.
+            drives: 0 to 10 % of the pairs of the same object are rejected, 0 to 16 % of different objects accepted.
         input_hw: (height, width) that crops are resized to.
         notes: messages for the user.
     """
@@ -74,7 +74,7 @@ class ReidModel:
         for start in range(0, len(usable), step):
             rows = usable[start : start + step]
             blob = np.zeros((self._fixed_batch or len(rows), 3, *self.input_hw), np.float32)
-            for target, box in zip(blob, xyxy_px[rows], strict=False):  # a fixed batch is filled up with zeros
+            for target, box in zip(blob, xyxy_px[rows], strict=False):  # a fixed batch is padded with zeros
                 _write_crop(image, box, target)
             embedding[rows] = unit_rows(self._run(blob)[: len(rows)])
         return embedding

@@ -96,7 +96,7 @@ class Section:
         """
         for key, value in defaults.items():
             if key in self.options and self.numbers(key) != (value,):
-                raise self._invalid(key, f"{key}={value:g}, other values are not supported")
+                raise self._invalid(key, f"{key}={value:g} (the only supported value)")
 
     def _text(self, key: str, default: object) -> str:
         if default is None and key not in self.options:

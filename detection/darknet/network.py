@@ -180,7 +180,7 @@ def _yolo(section: Section, trunk: _Trunk) -> Layer:
     anchors = tuple(zip(numbers[::2], numbers[1::2], strict=True))
     mask = section.integers("mask") if "mask" in section.options else tuple(range(section.integer("num", 1, minimum=1)))
     if not all(0 <= index < len(anchors) for index in mask):
-        raise section.error(f"expected a mask of numbers below {len(anchors)}, got {', '.join(map(str, mask))}")
+        raise section.error(f"expected mask indices below {len(anchors)}, got {', '.join(map(str, mask))}")
     scale = section.numbers("scale_x_y", 1.0)[0]
     if not 1 <= scale <= 2:
         raise section.error(f"expected scale_x_y from 1 to 2, got {scale:g}")

@@ -36,7 +36,7 @@ _TRACKED_SIGMA = 0.12
 """Standard deviation of a line's x from the tracked lane, in lane widths."""
 
 _MAX_DEPARTURE = 1.5
-"""Largest squared distance from the tracked lane, in sigmas squared, so that a wrong lane can be left."""
+"""Largest squared distance from the tracked lane, in sigmas squared; the limit allows recovery from a wrong lane."""
 
 
 def own_pair(proposed: Proposals, image_hw: tuple[int, int], tracked: LaneState | None) -> tuple[int, int] | None:

@@ -51,7 +51,7 @@ class LaneState:
     def from_straight_lines(
         cls, left: tuple[float, float], right: tuple[float, float], image_hw: tuple[int, int]
     ) -> LaneState:
-        """A wide prior about two lines, given as (constant, slope) of x = constant + slope y."""
+        """A wide prior centred on two lines, given as (constant, slope) of x = constant + slope y."""
         height = image_hw[0]
         (x_left, x_right) = (constant + slope * _REFERENCE_ROW * height for constant, slope in (left, right))
         slopes = np.array([left[1], right[1]]) * height
@@ -62,7 +62,7 @@ class LaneState:
         return cls(mean, np.diag(sigma**2), image_hw)
 
     def after(self, step_s: float) -> LaneState:
-        """The prediction for `step_s` later."""
+        """The state predicted `step_s` ahead."""
         noise = np.diag((_RANDOM_WALK * self.image_hw[0]) ** 2 * step_s)
         return LaneState(self.mean, self.covariance + noise, self.image_hw)
 

@@ -95,7 +95,9 @@ class Teacher:
         if student.strides_px != self.network.strides_px:
             raise TrainingError(f"--teacher: expected a model with YOLOv5's grids, got {student.name}.")
         if not torch.allclose(student.anchors_px.cpu(), self.network.anchors_px.cpu(), rtol=0.01):
-            raise TrainingError("--teacher: expected the anchors of the teacher, got others; use --anchors default.")
+            raise TrainingError(
+                "--teacher: expected the anchors of the teacher, got different ones; use --anchors default."
+            )
 
     @torch.no_grad()
     def outputs(self, images: Tensor) -> list[TeacherOutputs]:

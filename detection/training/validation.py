@@ -77,7 +77,7 @@ def validate(
         detector: the network.
         images: images with their truth.
         road_class_id: classes of the network.
-        min_boxes: classes with fewer labels are not averaged, unless all classes have fewer.
+        min_boxes: classes with fewer labels are excluded from the mean, unless all have fewer.
         done: callback after each image with the number of images so far.
     """
     detections, truth = [], []

@@ -103,7 +103,7 @@ class YoloDetector:
         self._min_score: FloatArray = thresholds[self._road_class]
         if (self._min_score >= _UNREACHABLE_SCORE).all():
             raise ModelError(
-                f"{path}: none of its classes ({', '.join(names[:8])}, ...) is a road class to be detected; "
+                f"{path}: none of its classes ({', '.join(names[:8])}, ...) is one of the road classes to detect; "
                 "choose other classes or another model."
             )
 

@@ -42,7 +42,7 @@ KITTI_PROTOCOL = (
 )
 CSV_PROTOCOL = (
     "distance and closing speed in the rows of the CSV file "
-    f"(rows at 5-100 m, not cut by the image border, visible_share >= {MIN_VISIBLE_SHARE:g}; {_SCORED})"
+    f"(rows at 5-100 m, not truncated by the image border, visible_share >= {MIN_VISIBLE_SHARE:g}; {_SCORED})"
 )
 """Ground truth that errors are measured against, as printed and stored with them."""
 

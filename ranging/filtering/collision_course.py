@@ -9,8 +9,8 @@ r"""CollisionCourse: lateral offset at which a track will pass the camera, and w
                       At constant bearing o = 0.
 
 A track is on a collision course unless |o| exceeds the sum of half the box width, half the width of the ego vehicle and
-one standard deviation. A box that is cut by the left or right image border is not a measurement: the bearing of its
-visible part stays constant while the object passes, as on a collision course.
+one standard deviation. A box that is truncated at the left or right image border is not a measurement: the bearing of
+its visible part stays constant while the object passes, as on a collision course.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class CollisionCourse:
         """Passing offsets of the tracks after the measurements of this frame.
 
         Args:
-            tracks: N tracks; predicted boxes and boxes cut by the left or right image border are not measurements.
+            tracks: N tracks; predicted boxes and boxes truncated at the left or right border are not measurements.
             distance_m: (N,) filtered distance, NaN = unknown.
             ttc_s: (N,) time to collision T; NaN = not closing, the offset is then NaN too.
             time_s: time of the frame, not earlier than that of the previous frame.

@@ -75,10 +75,10 @@ def _box_set(
     notes = (
         []
         if "cx" in numbers
-        else [f"{name} has no column cx; assuming a principal point in the middle of all boxes, {middle[0]:g} px."]
+        else [f"{name} has no column cx; assuming cx = {middle[0]:g} px, midway between the outermost box edges."]
     )
     if len(names) == 1:
-        notes.append(f"{name} contains one sequence only; the curves cannot be validated on other drives.")
+        notes.append(f"{name} contains only one sequence; the curves cannot be validated on other drives.")
     boxes = BoxSet(
         sequence_names=tuple(str(name) for name in names),
         sequence=number.astype(np.int64).reshape(n),

@@ -19,7 +19,7 @@ from track_range.ranging.size_models.curve import CurveError
 from track_range.ranging.size_models.log_linear import SizeCurve, SizeCurves
 
 NEAREST_M, FARTHEST_M = 5.0, 100.0
-"""Range of distances in m to fit: nearer objects are cut by the image, farther ones are a few pixels high."""
+"""Range of distances in m to fit: nearer objects are truncated, farther ones are a few pixels high."""
 
 MIN_SAMPLES = 100
 """Smallest number of boxes of a class for a fit, which requires several objects at several distances."""

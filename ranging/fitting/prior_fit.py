@@ -73,7 +73,7 @@ class LabelledSizes:
         distance_m: (N,) distance of the visible surface.
         size_hwl_m: (N, 3) height, width, length of the 3-D box.
         rotation_y_rad: (N,) yaw of the 3-D box in KITTI's convention.
-        is_whole: (N,) whether the box is not cut by the image border.
+        is_whole: (N,) whether the box is not truncated by the image border.
     """
 
     size_class: npt.NDArray[np.str_]

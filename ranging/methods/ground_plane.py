@@ -190,7 +190,7 @@ class GroundPlane:
     def measure(self, tracks: Tracks, by_size: Ranges, frame: Frame) -> Ranges:
         """Distances of the tracks on the ground; their distances by size update the horizon first.
 
-        NaN for predicted boxes, boxes that are cut at the bottom or above the horizon, and sigmas above `max_sigma`.
+        NaN for predicted boxes, boxes truncated at the bottom or above the horizon, and sigmas above `max_sigma`.
         """
         step_s = 0.0 if self._time_s is None else max(frame.time_s - self._time_s, 0.0)
         self._time_s = frame.time_s

@@ -152,8 +152,8 @@ class LaneWidthRanger(Ranger):
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
         """Distances of the tracks; NaN unless both lines of the ego lane are known.
 
-        NaN also for predicted boxes, boxes cut at the bottom, traffic lights and signs, objects beyond the neighbouring
-        lanes, and contact points far outside the rows in which the lines were detected.
+        NaN also for predicted boxes, boxes truncated at the bottom, traffic lights and signs, objects beyond the
+        neighbouring lanes, and contact points far outside the rows in which the lines were detected.
         """
         widths = self._widths_of(tracks, frame)
         if widths is None:

@@ -18,7 +18,7 @@ _MIN_HEIGHT_PX = 4.0
 
 
 class SizeRanger(Ranger):
-    """Ranges observed boxes by their size; boxes cut at the left or right by height only, at top or bottom not at all.
+    """Ranges observed boxes by size: truncated at the left or right by height only, at the top or bottom not at all.
 
     Example:
         >>> import numpy as np, track_range as tr
@@ -45,7 +45,7 @@ class SizeRanger(Ranger):
             camera: camera of the images with the boxes.
             curves: model of the sizes of road users; None = the packaged priors.
             box_sigma_px: standard deviation of a box edge, if it is the same for all boxes.
-            noise: noise model of the box edges, before `box_sigma_px`; None = that of a detector.
+            noise: noise model of the box edges, overrides `box_sigma_px`; None = typical noise of a detector.
         """
         self._camera = camera
         self._curves = curves or load_curves()
@@ -53,7 +53,7 @@ class SizeRanger(Ranger):
         self._noise = noise or uniform or BoxNoise()
 
     def measure(self, tracks: Tracks, frame: Frame) -> Ranges:
-        """Distances by size; NaN for predicted boxes, boxes cut at top or bottom, and classes without a size model."""
+        """Distances by size; NaN for predicted boxes, boxes truncated at top or bottom, and classes without a model."""
         height_px, width_px = frame.left.shape[:2]
         x1_px, y1_px, x2_px, y2_px = tracks.xyxy_px.T
         first_px, last_x_px, last_y_px = BORDER_PX - 0.5, width_px - 0.5 - BORDER_PX, height_px - 0.5 - BORDER_PX

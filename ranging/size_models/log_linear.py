@@ -4,7 +4,7 @@
 
 For a flat object of known size the slopes are -1 and 0, and exp(intercept) is its height in metres. Unlike the
 polynomial of the box diagonal (Zhang et al., eq. 4-7), the curve is positive and monotonic also outside the fitted
-range. Boxes that are cut at a side are ranged by a second set of coefficients without the width. Sigma has a relative
+range. Boxes truncated at a side are ranged by a second set of coefficients without the width. Sigma has a relative
 part (residuals on left-out sequences) and a part from the noise of the box in px.
 """
 
@@ -59,7 +59,7 @@ class SizeCurves:
 
         Args:
             whole: curves for whole boxes.
-            height_only: curves for boxes that are cut at a side.
+            height_only: curves for boxes truncated at a side.
         """
         self.whole = dict(whole)
         self.height_only = dict(height_only)

@@ -27,7 +27,7 @@ IMPOSSIBLE = -1e9
 """Log probability of a size class that a box cannot have."""
 
 _UNSEEN_VARIANCE = 1e4
-"""Variance of the log width of a box that is cut at a side: the width carries no information."""
+"""Variance of the log width of a box truncated at a side: the width carries no information."""
 
 _MAX_NOISE = np.array([np.inf, 1.0], np.float32).reshape(2, 1, 1, 1)
 """Largest variance of log height and log width that counts as noise of the box, without `_UNSEEN_VARIANCE`."""
@@ -64,7 +64,7 @@ class SizeMixture:
     Attributes:
         mean: (K, N) means of log d, d in metres.
         variance: (K, N) variances of log d.
-        weight: (K, N) weights, with the sum 1 per box.
+        weight: (K, N) weights, which sum to 1 per box.
         frame_variance: (N,) part of the variance of log d that comes from the noise of the box.
         log_contact_ratio: (N,) log of the distance divided by that of the nearest point on the ground.
     """
@@ -149,7 +149,7 @@ def _at_nodes(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray) -> _
 
 
 def _terms(tables: ShapeTables, boxes: BoxExtents, size_class: IntArray, log_share: FloatArray) -> _Float32:
-    """(5, K M, N) log weight, mean, variance, variance by box noise, and log contact ratio of all K M Gaussians.
+    """(5, K M, N) log weight, mean, variance, variance due to box noise, and log contact ratio of all K M Gaussians.
 
     With x = log d - log_m, slopes s of the log size at the node, V = S + R and prior x ~ N(x0, 1 / p0), the log size
     relative to the node is e = s x + N(0, V). Completing the square gives one Gaussian for x:
@@ -209,7 +209,7 @@ class LogGrid:
 
         Args:
             levels: (L, 1) quantile levels, 0..1.
-            is_relative: (L, 1) whether the quantile is that of density / d; None = of none.
+            is_relative: (L, 1) whether the quantile is that of density / d; None = all are of the density.
         """
         weight = self.density[None]
         if is_relative is not None:

@@ -31,10 +31,10 @@ _YAW_RAD = np.radians(np.concatenate([YAW_DEG, -YAW_DEG[1:-1]]))
 """(K,) yaw of the bins of the tables, to both sides."""
 
 _BEARING_STEP = 0.06
-"""Spacing of the nodes in tan bearing."""
+"""Spacing of the nodes in the tangent of the bearing."""
 
 _BEARINGS = np.arange(21) * _BEARING_STEP
-"""Tan bearing of the nodes, to 50 degrees."""
+"""Tangent of the bearing of the nodes, up to 50 degrees."""
 
 _LOG_STEP = 0.1
 """Spacing of the nodes in log distance."""
@@ -60,7 +60,7 @@ class SizePrior:
         hwl_m: typical height, width and length in metres.
         log_sigma: standard deviations of log height, log width and log length.
         correlation: correlations of log height and width, height and length, width and length.
-        turn_weights: probability of each yaw in `YAW_DEG`, with the sum 1.
+        turn_weights: probability of each yaw in `YAW_DEG`; they sum to 1.
         log_distance: mean and standard deviation of log distance, in metres.
         offset: mean of the log height and log width of boxes minus those of the cuboid.
         scatter: standard deviations about `offset`, from shapes that are not cuboids (mirrors, swinging arms).

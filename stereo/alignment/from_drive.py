@@ -42,7 +42,7 @@ _MIN_FLOW_PX = 0.5
 """Minimum median flow between frames of a moving vehicle; other frames are not used."""
 
 _MIN_TRACKED_SHARE = 0.1
-"""Minimum fraction of points tracked between two frames of a segment; below it, the video was cut."""
+"""Minimum fraction of points tracked between two frames of a segment; a lower value indicates a cut in the video."""
 
 _MIN_CURVATURE_SIGMAS = 3.0
 """Minimum ratio of the curvature to its standard deviation at which it is estimated."""
@@ -55,7 +55,7 @@ _SPREADS = 2.0
 
 _PIXEL_LOCKING_PX = 0.02
 """Common error of subpixel point positions, which the jackknife does not include: on simulated drives the error of the
-offset is 0.013 px in the median and 0.05 px at most, while strips and times agree within 0.011 px."""
+offset is 0.013 px in the median and 0.05 px at most, while estimates from strips and times agree within 0.011 px."""
 
 _MIN_RESIDUAL_PX = 0.05
 """Lower limit of the remaining error, px."""

@@ -90,7 +90,7 @@ def fit_reference(
         x_px: (N,) columns in the left image.
         camera: the rectified left camera.
         groups: (N,) frame, pair or object; errors within a group may be correlated.
-        sigma_px: (N,) standard deviations of the matcher, which do not count in the residual; None = zeros.
+        sigma_px: (N,) standard deviations of the matcher, excluded from the residual; None = zeros.
         seed: random seed of the resampling.
 
     Raises:

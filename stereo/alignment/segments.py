@@ -49,7 +49,7 @@ _MIN_STATIC_SHARE = 0.5
 """Minimum fraction of static points."""
 
 _MAX_ERROR_PX = 15.0
-"""Largest plausible offset or curvature; beyond, motion and disparities contradict each other."""
+"""Largest plausible offset or curvature; beyond it, motion and disparities are inconsistent."""
 
 _PRIOR_PX = 5.0
 """Prior standard deviation of offset and curvature."""
@@ -113,11 +113,11 @@ def segment_of(observed: Observations, rig: StereoRig) -> Segment | str:
     """The segment of some observations, or the reason why they are unusable; `rig` is rectified."""
     initial = initial_bundle(observed, rig)
     if initial is None:
-        return "too few points could be tracked"
+        return "too few points were tracked"
     observed, start = initial
     observed, fit, static_share = _static_points(observed, start, rig)
     if not np.isfinite(fit.bundle.error_px).all() or np.abs(fit.bundle.error_px).max() > _MAX_ERROR_PX:
-        return "motion and disparities of the points contradict each other"
+        return "motion and disparities of the points are inconsistent"
     if fit.bundle.path_m < _MIN_PATH_M:
         return "the vehicle hardly moves, or only turns"
     if static_share < _MIN_STATIC_SHARE:

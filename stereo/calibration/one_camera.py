@@ -27,7 +27,7 @@ from track_range.stereo.calibration.coverage import Coverage, coverage_of, is_st
 from track_range.stereo.geometry.camera import PinholeCamera
 
 Advance = Callable[[int, int], None]
-"""Progress callback: number of finished steps, and of all steps."""
+"""Progress callback: number of finished steps, and the total."""
 
 T = TypeVar("T")
 

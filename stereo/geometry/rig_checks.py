@@ -134,7 +134,7 @@ def fitted_to_size(
     aspect ratio agrees. Without a calibrated size, the principal point must lie in the middle third of the image.
 
     Raises:
-        RigError: the calibration is for other images.
+        RigError: the calibration is for images of a different shape or size.
     """
     width, height = size_px
     if camera.width_px == 0:
@@ -157,7 +157,7 @@ def fitted_to_size(
 
 
 def _scaled(camera: PinholeCamera, scale_x: float, scale_y: float) -> PinholeCamera:
-    """The camera of resized images; pixel edges map to pixel edges, which gives the half pixels."""
+    """The camera of resized images; pixel edges map to pixel edges, hence the half-pixel offsets."""
     return replace(
         camera,
         fx_px=camera.fx_px * scale_x,

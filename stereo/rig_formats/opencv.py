@@ -3,7 +3,7 @@
     stereo_calib.cpp   intrinsics.yml  M1 D1 M2 D2     extrinsics.yml  R T (R1 R2 P1 P2 Q are not needed)
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
 
-T has the unit of the chessboard's square size, so that the size must have been given in metres. OpenCV's YAML tags are
+T has the unit of the chessboard's square size, so that size must have been given in metres. OpenCV's YAML tags are
 not standard YAML, so the files are read with OpenCV.
 """
 
@@ -50,7 +50,7 @@ def _read(text: str, path: Path) -> Calibration:
         values.setdefault("D1", values.get("distortion_coefficients", np.zeros(0)))
     if "M1" not in values:
         raise RigError(
-            f"{path}: expected the matrix M1 in this file or in a file intrinsics in its folder, found none; give "
+            f"{path}: expected the matrix M1 in this file or in an intrinsics file in its folder, found none; give "
             "stereo_calib's intrinsics.yml."
         )
     left = _camera(values, "1", path)
@@ -140,8 +140,8 @@ def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:
         left, right = cameras.left, cameras.right
         if (left.width_px, left.height_px) != (right.width_px, right.height_px):
             raise RigError(
-                f"{path}: expected cameras of one image size for OpenCV's format, got {left.width_px}x{left.height_px} "
-                f"and {right.width_px}x{right.height_px} px; write a rig.yaml."
+                f"{path}: expected cameras of equal image size for OpenCV's format, got "
+                f"{left.width_px}x{left.height_px} and {right.width_px}x{right.height_px} px; write a rig.yaml."
             )
         matrices = _rig_matrices(cameras)
     else:

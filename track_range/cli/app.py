@@ -72,7 +72,7 @@ COMMANDS = {
     "evaluate": Lazy("track_range.cli.evaluate", "Evaluate tracks, distances, detectors or stereo matchers."),
     "fit": Lazy(
         "track_range.cli.fit",
-        "Fit the size curves of the mono method to labels of your camera.",
+        "Fit the size curves of the mono method to labelled images from your camera.",
         examples=(
             "track-range fit --labels label_02/ --calib calib/ --out curves.json",
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
@@ -106,7 +106,7 @@ COMMANDS = {
     "doctor": Lazy(
         "track_range.cli.doctor",
         "Print versions, codecs and folders of the installation, and test it.",
-        "The test is a run on a simulated second. Include the output in bug reports. Exit status 1 = a check failed.",
+        "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = a check failed.",
         ("track-range doctor", "track-range doctor --json"),
     ),
 }

@@ -182,7 +182,7 @@ def _check_disk() -> str:
 
 
 def _check_run() -> str:
-    """A run on a simulated second: detector, tracker, all methods, every result file."""
+    """A run on one second of simulated video: detector, tracker, all methods, every result file."""
     from track_range.run.run import Run
     from track_range.run.settings import RunSettings
     from track_range.simulation.drive import write_drive

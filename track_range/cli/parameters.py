@@ -148,6 +148,6 @@ def _help(field: FieldInfo) -> str:
 
 
 def _old_flag(flag: str, declared: str | None, old_name: str) -> str:
-    """Option of an old name, with a negative form if the current option has one."""
+    """Option for an old name, with a negative form if the current option has one."""
     old = "--" + old_name.replace("_", "-")
     return f"{old}/--no-{old.removeprefix('--')}" if declared and "/" in declared else old

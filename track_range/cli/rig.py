@@ -58,7 +58,7 @@ def _convert(options: ConvertOptions) -> None:
     if options.to not in writers:
         raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
     if source.resolve() == out.resolve():
-        raise UsageError(f"{out}: expected another file than the input; choose another name for OUT.")
+        raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
     calibration, notes = load_calibration(source, size_px=_size_of(options.size))
     _check_image_size(calibration, source)
     writers[options.to](calibration, out, [f"from {source.name}"])

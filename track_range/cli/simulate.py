@@ -22,7 +22,7 @@ def _simulate(settings: SimulationSettings) -> None:
         return
     fps = settings.fps or DEFAULT_FPS
     rate = f" --folder-fps {fps:g}" if drive.left.suffix != ".mp4" and fps != DEFAULT_FPS else ""
-    print_line(console, f"Written: {settings.out}. To run on it:")
+    print_line(console, f"Written: {settings.out}. To process it:")
     print_line(
         console, f"  track-range --stereo {drive.left} {drive.right} --rig {drive.rig} --truth {drive.table}{rate}"
     )

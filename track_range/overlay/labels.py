@@ -71,14 +71,14 @@ def text_sizes_px(image_px: tuple[int, int]) -> tuple[int, int, int]:
 
 
 def distance_text(distance_m: float) -> str:
-    """Distance in metres with one decimal, or none at 100 m or more; "-" for NaN."""
+    """Distance in metres with one decimal, without decimals from 100 m; "-" for NaN."""
     if not math.isfinite(distance_m):
         return "-"
     return f"{distance_m:.0f}" if distance_m >= 99.95 else f"{distance_m:.1f}"
 
 
 def sigma_text(sigma_m: float) -> str:
-    """Sigma in metres as a distance, but with two decimals below 0.1 m."""
+    """Sigma in metres, formatted as a distance but with two decimals below 0.1 m."""
     return f"{sigma_m:.2f}" if sigma_m < 0.095 else distance_text(sigma_m)
 
 
@@ -89,7 +89,7 @@ def shown_name(name: str) -> str:
 
 
 def shown_distance(result: FrameResult, row: int) -> tuple[float, float]:
-    """Fused or else filtered distance and its sigma in metres (predicted boxes are only filtered); NaN = unknown."""
+    """Fused, else filtered distance with its sigma in metres (predicted boxes have no fused one); NaN = unknown."""
     known = (result.ranges[name] for name in ("fused", "fused_kf") if name in result.ranges)
     pairs = ((float(ranges.distance_m[row]), float(ranges.sigma_m[row])) for ranges in known)
     return next((pair for pair in pairs if math.isfinite(pair[0])), (math.nan, math.nan))

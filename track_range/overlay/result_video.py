@@ -35,7 +35,7 @@ class VideoFormat:
 
 
 class ResultVideo:
-    """Draws and encodes results in a thread; an error is raised in the caller at a later frame."""
+    """Draws and encodes results in a thread; an error is raised by a later call of `write`."""
 
     def __init__(self, path: Path, draw: Draw, *, form: VideoFormat, clock: StageClock) -> None:
         """Create the video; its time is added to the stage "write" of `clock`.

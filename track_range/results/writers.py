@@ -194,7 +194,9 @@ def _check_writer(name: str, writer: Any) -> None:
         if file in ("", ".", "..") or PureWindowsPath(file).name != file or not file.isprintable():
             raise WriterError(f"the writer '{name}': expected file names without a folder, got {file!r}.")
         if file.casefold() in _RUN_FILES:
-            raise WriterError(f"the writer '{name}': expected names that the run does not use, got {file}.")
+            raise WriterError(
+                f"the writer '{name}': expected file names that the run does not already use, got {file}."
+            )
     if len({file.casefold() for file in files}) < len(files):
         raise WriterError(f"the writer '{name}': expected each file once, got {', '.join(files)}.")
 

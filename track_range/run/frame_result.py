@@ -23,7 +23,7 @@ class FrameResult:
     Attributes:
         frame: the images and their time.
         tracks: N boxes with identities.
-        ranges: distances by name of the method, "fused" and the filtered ones (NAME_kf) included; a method that did
+        ranges: distances by name of the method, including "fused" and the filtered ones (NAME_kf); a method that did
             not run is absent.
         closing_mps: (N,) closing speed in m/s (positive = approaching), from the filtered fused distance; NaN =
             unknown.

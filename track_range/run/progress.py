@@ -44,7 +44,7 @@ def frame_progress(console: Console, n_frames: int | None) -> Iterator[Callable[
 
 @contextmanager
 def step_progress(console: Console, text: str) -> Iterator[Callable[[int, int | None], None]]:
-    """Progress bar that disappears at the end; yields a callable that takes the number of finished and of all steps."""
+    """Progress bar that disappears at the end; yields a callable that takes the finished and total steps."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
         task = progress.add_task(text, total=None)

@@ -34,8 +34,8 @@ WORKING_SCORE = 0.25
 
 PROTOCOL = (
     "COCO AP (101 points, at most 100 boxes per image and class) of boxes with a score of at least 0.001 after the "
-    "detector's non-maximum suppression; precision and recall at IoU 0.5 and the working score; median ms per image, "
-    "all detectors in turn on each image"
+    "detector's non-maximum suppression; precision and recall at IoU 0.5 and the confidence threshold; median ms per "
+    "image, with all detectors run in turn on each image"
 )
 """Description of the measurement for the results."""
 
@@ -89,7 +89,7 @@ def evaluate(
     Args:
         candidates: the detectors.
         frames: labelled images.
-        min_score: working confidence as in `--min-score`; None = `WORKING_SCORE`.
+        min_score: confidence threshold as in `--min-score`; None = `WORKING_SCORE`.
         progress: shows the number of finished images.
         min_height_px: smaller objects are ignored.
 
@@ -222,7 +222,7 @@ def _notes(candidates: Sequence[Candidate], scores: dict[str, DetectionScores], 
     }
     if few:
         classes = ", ".join(f"{ROAD_CLASSES[i]} ({n})" for i, n in few.items())
-        notes.append(f"Classes with fewer than {MIN_BOXES} boxes are reported but not averaged: {classes}.")
+        notes.append(f"Classes with fewer than {MIN_BOXES} boxes are reported but excluded from the mean: {classes}.")
     if unreadable:
         notes.append(f"{len(unreadable)} images skipped, the first: {unreadable[0]}")
     return notes

@@ -31,7 +31,7 @@ def write_mot(frames: Sequence[Tracks], out: Path, name: str) -> None:
 
 
 def write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ...]:
-    """Write kitti/NAME.txt in `out`, frames from 0; returns a note on boxes that were omitted because of their class.
+    """Write kitti/NAME.txt in `out`, frames from 0; returns a note about boxes omitted because of their class.
 
     Raises:
         OutputError: the file cannot be written.

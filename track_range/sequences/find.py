@@ -79,7 +79,7 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
 
 
 def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> list[tuple[SequenceFile, SequenceFile]]:
-    """Pairs of truth and results with equal names; a single file of each is a pair whatever its name.
+    """Pairs of truth and results with equal names; one file of each is a pair even if their names differ.
 
     Raises:
         LabelFileError: truth without results; ignoring such sequences would raise the score.
@@ -97,14 +97,14 @@ def paired(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> li
 
 
 def ignored_files_note(path: Path, sequences: Sequence[SequenceFile]) -> tuple[str, ...]:
-    """A note on NAME.txt files that were ignored because the folder also has MOTChallenge's layout."""
+    """Note about NAME.txt files that were ignored because the folder also has MOTChallenge's layout."""
     used = {sequence.path for sequence in sequences}
     ignored = [file.name for file in _text_files(path) if file not in used] if path.is_dir() else []
     return (f"{path}: read in MOTChallenge's layout; ignored: {listed(ignored)}.",) if ignored else ()
 
 
 def no_truth_note(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]) -> tuple[str, ...]:
-    """A note on results without truth."""
+    """Note about results without ground truth."""
     names = {sequence.name for sequence in truth}
     extra = [sequence.name for sequence in results if sequence.name not in names]
     if not extra or len(truth) == len(results) == 1:

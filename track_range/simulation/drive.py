@@ -122,7 +122,7 @@ def write_drive(
         rig: a rectified pair; None = KITTI's angle of view, 1240 x 376 px and 0.54 m. Odd image sizes grow by one, also
             in the rig file.
         options: scenario, faults and files; None = the defaults.
-        progress: called after each frame with the numbers of finished and of all frames.
+        progress: called after each frame with the number of finished frames and the total.
 
     Raises:
         ValueError: less than one frame, an unknown scenario, or a rig that is not rectified.

@@ -46,7 +46,7 @@ def write_image_set(
         folder: folder for images/, labels/, ignored/ and data.yaml, which lists all images for training.
         seeds: random seed of each scene.
         n_frames: number of images per scene.
-        progress: called after each image with the numbers of finished and of all images.
+        progress: called after each image with the number of finished images and the total.
 
     Returns:
         The path of data.yaml.

@@ -84,7 +84,7 @@ def find_alignment(
     if isinstance(align, Alignment):
         return PairAlignment(measured=align, is_applied=True)
     if align == "off":
-        return PairAlignment(measured=Alignment(source="off, as asked"), is_applied=False)
+        return PairAlignment(measured=Alignment(source="off, as requested"), is_applied=False)
     if align != "auto":
         return PairAlignment(measured=load_alignment(Path(align)), is_applied=True)
     began_s = time.perf_counter()

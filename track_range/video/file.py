@@ -34,7 +34,7 @@ from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, coun
 from track_range.video.threads import DECODER_THREADS
 
 _FALLBACK_RATE_HZ = 25.0
-"""Frame rate of a file that states none."""
+"""Frame rate of a file that does not declare one."""
 
 _SHORTFALL_FRAMES = 2.5
 """Number of missing frames at the end, relative to the header's duration, above which a file counts as truncated."""

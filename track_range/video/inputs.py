@@ -153,6 +153,6 @@ def _common_size_px(left: Reader, right: Reader) -> tuple[int, int]:
     if any(abs(a - b) > _CODEC_CROP_PX for a, b in zip(*sizes, strict=True)):
         (lw, lh), (rw, rh) = sizes
         raise VideoError(
-            f"{right.path}: expected {lw}x{lh} px like {left.path}, got {rw}x{rh}; both videos must have one size."
+            f"{right.path}: expected {lw}x{lh} px like {left.path}, got {rw}x{rh}; both videos must have the same size."
         )
     return min(w for w, _ in sizes), min(h for _, h in sizes)

@@ -39,7 +39,7 @@ class LabelledSet(Protocol):
 
 
 class ValidationSet(Protocol):
-    """Images with their truth."""
+    """Images with their ground truth."""
 
     def __len__(self) -> int: ...
 
@@ -63,10 +63,10 @@ class TrainingSets:
 
 
 class CachedImages:
-    """Labelled images that are cached in memory as far as they fit, and read again otherwise.
+    """Labelled images, cached in memory while there is room; the others are read from disk each time.
 
     Attributes:
-        unreadable: a message on each image that could not be read and was left out.
+        unreadable: one message for each image that could not be read and was left out.
     """
 
     def __init__(

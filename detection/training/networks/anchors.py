@@ -37,7 +37,7 @@ def kmeans_anchors(sizes_px: FloatArray, n_anchors: int, rng: np.random.Generato
     """
     n_sizes = len(np.unique(sizes_px, axis=0))
     if n_sizes < n_anchors:
-        raise ValueError(f"{n_anchors} anchors require as many boxes of different sizes, got {n_sizes}.")
+        raise ValueError(f"expected at least {n_anchors} different box sizes for {n_anchors} anchors, got {n_sizes}.")
     results = [_kmeans(sizes_px, n_anchors, rng) for _ in range(_N_STARTS)]
     best = max(results, key=lambda anchors: mean_best_iou(sizes_px, anchors))
     return best[np.argsort(best.prod(axis=1))]

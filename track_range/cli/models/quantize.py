@@ -144,7 +144,7 @@ def _calibration_images(folder: Path, measured: frozenset[Path]) -> tuple[list[P
     n = min(N_CALIBRATION, len(paths) // 2)
     if n == 0:
         raise ModelError(
-            f"{folder}: expected at least 2 images, for calibration and comparison, better {2 * N_CALIBRATION}; "
+            f"{folder}: expected at least 2 images for calibration and comparison ({2 * N_CALIBRATION} recommended), "
             f"found {len(paths)}."
         )
     drawn = [pool[i] for i in np.random.default_rng(0).permutation(len(pool))]

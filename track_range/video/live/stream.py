@@ -29,7 +29,7 @@ SILENCE_S = 5.0
 """Timeout for the next frame of a stream, s."""
 
 _FALLBACK_RATE_HZ = 25.0
-"""Frame rate of a stream that states none."""
+"""Frame rate of a stream that does not declare one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class LiveStream:
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
                 f"{self.address}: expected images of {self.width_px}x{self.height_px} px, got {width_px}x{height_px}; "
-                "set the camera to one image size."
+                "set the camera to a fixed image size."
             )
         image = waiting.frame.to_ndarray(format="bgr24").astype(np.uint8, copy=False)
         return VideoFrame(waiting.index, waiting.time_s, image)
