@@ -8,7 +8,7 @@ import traceback
 import pytest
 import typer
 
-from track_range.cli.app import COMMANDS, app, main
+from track_range.cli.app import COMMANDS, _report_note, app, main
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.csv_labels import OPTIONAL, REQUIRED
 from track_range.detection.yolo.input_format import LETTERBOXES
@@ -60,6 +60,20 @@ def test_unexpected_error_asks_for_a_report(cli, tmp_path, monkeypatch):
     last_line = "".join(traceback.format_exception(raised.value)).splitlines()[-1]
     for words in ("report", "track-range doctor", "--tracker broken_tracker:Broken"):
         assert words in last_line
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+def test_full_output_is_a_user_error():
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "track_range", "report", "--help"]
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 1
+    assert "no space" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_report_line_hides_passwords():
+    assert "secret" not in _report_note(["--mono", "rtsp://user:secret@camera/stream"])
 
 
 def test_user_error_asks_for_no_report(cli):

@@ -2,10 +2,12 @@
 
 import json
 import re
+import sys
 
 import pytest
 
 from track_range.cli import doctor
+from track_range.detection.models import lookup
 
 
 @pytest.mark.slow
@@ -60,3 +62,22 @@ def test_failing_check_does_not_hide_others(monkeypatch, cli):
     status, text, _ = cli("doctor", "--json")
     assert status == 1
     assert json.loads(text)["checks"] == {"short run": "OSError: no such file", "disk space": "ok"}
+
+
+@pytest.mark.usefixtures("only_quick_checks")
+def test_broken_installation_is_described(cli, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    monkeypatch.setattr(lookup, "DEFAULT_MODEL", "no-such-model")
+    status, text, complaint = cli("doctor", "--json")
+    report = json.loads(text)
+    assert status == 1
+    assert "H.264 encoder" in complaint
+    assert "unknown" in report["versions"]["FFmpeg"]
+    assert "no-such-model" in report["inference"]["default detector"]
+
+
+@pytest.mark.usefixtures("only_quick_checks")
+def test_cache_not_yet_created(cli, monkeypatch, tmp_path):
+    monkeypatch.setenv("TRACK_RANGE_CACHE", str(tmp_path / "cache"))
+    _, text, _ = cli("doctor", "--json")
+    assert "not created yet" in json.loads(text)["folders"]["model cache"]

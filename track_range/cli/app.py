@@ -5,6 +5,7 @@ Exit status: 0 = success, 1 = an unusable input or output, or a run stopped by t
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import sys
@@ -158,7 +159,7 @@ def main() -> None:
     _complete_as_run(os.environ)
     arguments = sys.argv[1:]
     if not arguments and "_TRACK_RANGE_COMPLETE" not in os.environ:
-        sys.stdout.write(OVERVIEW)
+        _print_overview()
         return
     if arguments in (["-h"], ["--help"]):  # the name of the main command may be omitted
         app(["--help"], prog_name=PROGRAM, standalone_mode=False)
@@ -176,12 +177,34 @@ def main() -> None:
         _print_error(str(error))
         raise SystemExit(error.exit_status) from None
     except Exception as error:
+        _exit_if_full(error)
         error.add_note(_report_note(arguments))
         raise
 
 
+def _print_overview() -> None:
+    """Print the overview; a reader that ends early, such as `head`, is not an error."""
+    try:
+        typer.echo(OVERVIEW, nl=False)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
+    except OSError as error:
+        _exit_if_full(error)
+        raise
+
+
+def _exit_if_full(error: Exception) -> None:
+    """Exit with one sentence where a full disk is the cause of the error."""
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        _print_error(f"{error.filename or 'output'}: no space left on the device; free some space.")
+        raise SystemExit(1) from None
+
+
 def _report_note(arguments: list[str]) -> str:
-    """Last line of the traceback of an unexpected error."""
+    """Last line of the traceback of an unexpected error; addresses are without user names and passwords."""
+    from track_range.video.live.address import LiveAddress
+
+    arguments = [str(LiveAddress(argument)) for argument in arguments]
     return (
         f"{PROGRAM}: unexpected error; please report it in the project's issue tracker with these lines, the output of "
         f"`{PROGRAM} doctor` and the command: {PROGRAM} {shlex.join(arguments)}"

@@ -88,9 +88,12 @@ def installation() -> dict[str, dict[str, str]]:
             "processor": f"{platform.machine()}, {os.cpu_count()} logical cores",
             "python": f"{platform.python_version()} ({sys.executable})",
         },
-        "versions": {name: _version(name) for name in PACKAGES} | {"FFmpeg": _ffmpeg_version()},
+        "versions": {name: _version(name) for name in PACKAGES} | {"FFmpeg": _text(_ffmpeg_version)},
         "inference": _inference(),
-        "codecs": {"encoders": _codecs(ENCODERS, "w"), "decoders": _codecs(DECODERS, "r")},
+        "codecs": {
+            "encoders": _text(lambda: _codecs(ENCODERS, "w")),
+            "decoders": _text(lambda: _codecs(DECODERS, "r")),
+        },
         "extras": extras(),
         "folders": _folders(),
     }
@@ -123,14 +126,24 @@ def _ffmpeg_version() -> str:
 
 
 def _inference() -> dict[str, str]:
-    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+    providers = _text(_providers)  # the import sets ORT_DISABLE_TELEMETRY
+    return {
+        "providers": providers,
+        "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
+        "default detector": _text(_default_detector),
+    }
+
+
+def _providers() -> str:
     from track_range.detection.models.onnx_session import available_providers
 
-    return {
-        "providers": ", ".join(available_providers()),
-        "telemetry": "disabled" if os.environ.get("ORT_DISABLE_TELEMETRY") == "1" else "enabled",
-        "default detector": str(find_model(DEFAULT_MODEL).path),
-    }
+    return ", ".join(available_providers())
+
+
+def _default_detector() -> str:
+    from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+
+    return str(find_model(DEFAULT_MODEL).path)
 
 
 def _codecs(names: tuple[str, ...], mode: Literal["r", "w"]) -> str:
@@ -150,19 +163,31 @@ def _has_codec(name: str, mode: Literal["r", "w"]) -> bool:
 
 
 def _folders() -> dict[str, str]:
+    return {
+        "package": str(Path(__file__).parents[1]),
+        "model cache": _text(_model_cache),
+        "temporary files": _text(tempfile.gettempdir),
+        "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),
+        "current folder": _text(lambda: f"{Path.cwd()}, {shutil.disk_usage(Path.cwd()).free / 1e9:.1f} GB free"),
+    }
+
+
+def _model_cache() -> str:
     from track_range.detection.models.lookup import models_folder
 
-    folders = {
-        "package": Path(__file__).parents[1],
-        "model cache": models_folder(),
-        "temporary files": Path(tempfile.gettempdir()),
-    }
-    described = {name: f"{folder}{'' if folder.is_dir() else ' (not created yet)'}" for name, folder in folders.items()}
-    free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
-    return described | {
-        "TRACK_RANGE_CACHE": os.environ.get("TRACK_RANGE_CACHE", "not set"),
-        "current folder": f"{Path.cwd()}, {free_gb:.1f} GB free",
-    }
+    folder = models_folder()
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    states = [] if existing == folder else ["not created yet"]
+    states += [] if os.access(existing, os.W_OK) else [f"{existing} is not writable"]
+    return f"{folder} ({', '.join(states)})" if states else str(folder)
+
+
+def _text(describe: Callable[[], str]) -> str:
+    """The description, or the exception that prevents it: the rest of the report is still of use."""
+    try:
+        return describe()
+    except Exception as error:  # any: a broken installation is what doctor is for
+        return f"unknown ({type(error).__name__}: {error})"
 
 
 def _check_packages() -> str:

@@ -139,7 +139,7 @@ def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | 
         return read_truth(Path(run["truth"]), camera, shift_m)
     except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
         reason = f"settings.yaml has no {error.args[0]}" if isinstance(error, KeyError) else error
-        missing.append(f"The ground truth cannot be read, so charts do not show it ({reason}).")
+        missing.append(f"The ground truth cannot be read, so charts do not show it ({str(reason).rstrip('.')}).")
         return None
 
 
