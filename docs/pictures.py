@@ -64,7 +64,7 @@ def mono() -> None:
     scene.plot([0, 7.0], [1.2, 1.5], color=COLOUR["mono"], lw=1)
     scene.plot([0, 7.0], [1.2, 0.0], color=COLOUR["mono"], lw=1)
     scene.plot([1.3, 1.3], [1.2 - 1.3 * 1.2 / 7, 1.2 + 1.3 * 0.3 / 7], color=INK, lw=2.5)
-    scene.annotate("h px", (1.3, 1.33), ha="center", color=INK)
+    scene.annotate("h px", (1.45, 1.08), va="center", color=INK)
     _arrow(scene, (7.35, 0.0), (7.35, 1.5), "H m", (7.85, 0.7))
     _arrow(scene, (0, -0.28), (7.0, -0.28), "d = f H / h", (3.5, -0.62))
 
@@ -91,7 +91,7 @@ def ground() -> None:
     scene.text(6.8, 1.28, "horizon", ha="right", color=FAINT)
     scene.plot([0, 7.0], [1.2, 0.0], color=COLOUR["ground"], lw=1)
     scene.plot([2.2, 2.2], [1.2 - 2.2 * 1.2 / 7, 1.2], color=INK, lw=2.5)
-    scene.text(2.2, 1.32, "y_bottom - y_horizon", ha="center", color=INK, fontsize=8)
+    scene.text(2.9, 1.32, "y_bottom - y_horizon", ha="center", color=INK, fontsize=8)
     _arrow(scene, (-0.25, 0.0), (-0.25, 1.2), "H", (-0.55, 0.55))
     scene.plot([7.0], [0.0], "o", color=COLOUR["ground"], ms=5)
     scene.text(6.95, -0.34, "contact point", ha="right", fontsize=8, color=COLOUR["ground"])
