@@ -41,8 +41,8 @@ _MATCHING = (
 )
 
 _EIGHTY_PER_CENT = (
-    "a truth track matched in exactly 80 % of its frames is mostly tracked in motmetrics only; different pairs may be "
-    "matched, see IDsw"
+    "a truth track matched in exactly 80 % of its frames counts as mostly tracked in motmetrics only; different "
+    "pairs may be matched, see IDsw"
 )
 
 REASONS: Mapping[str, str] = {

@@ -2,7 +2,7 @@
 
 A tracker needs one file, with a class that has `update` (`track_range.tracking.tracker.Tracker`) and takes
 `TrackerOptions`, and one registration: a line in `_registered`, an entry point of the group `track_range.trackers` in
-another package, or a call of `register_tracker`.
+another package, or a call to `register_tracker`.
 """
 
 from __future__ import annotations

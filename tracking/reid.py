@@ -1,6 +1,6 @@
 """ReidModel: appearance embeddings from a re-identification network (ONNX), such as OSNet (Zhou et al., ICCV 2019).
 
-    crop -> resized to the network's input -> RGB, (value / 255 - mean) / standard deviation -> features of length 1
+    crop -> resized to the network's input -> RGB, (value / 255 - mean) / standard deviation -> unit-norm features
 
 Resizing does not keep the aspect ratio. Mean and standard deviation are ImageNet's, with which
 torchreid and FastReID train. Crops are processed in batches.
@@ -53,7 +53,7 @@ class ReidModel:
         if channels != 3:
             raise ModelError(
                 f"{model}: expected one input [batch, 3, height, width], found "
-                f"{_shape_text(self._session.input_shape)}; give a re-identification network."
+                f"{_shape_text(self._session.input_shape)}; use a re-identification network."
             )
         self.input_hw = (height or OPEN_INPUT_HW[0], width or OPEN_INPUT_HW[1])
         self._fixed_batch = batch
@@ -61,7 +61,7 @@ class ReidModel:
         self.n_values = self._run(np.zeros((batch or 2, 3, *self.input_hw), np.float32)).shape[1]
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """(N, D) embeddings of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown.
+        """(N, D) unit-norm embeddings of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown.
 
         Raises:
             ModelError: the network fails.
@@ -86,7 +86,7 @@ class ReidModel:
             shapes = ", ".join(_shape_text(output.shape) for output in outputs)
             raise ModelError(
                 f"{self._session.path}: expected one output [batch, values] for {len(blob)} crops, found {shapes}; "
-                "give a re-identification network, not a detector."
+                "use a re-identification network, not a detector."
             )
         return outputs[0]
 

@@ -52,7 +52,7 @@ class AppearanceModel(Protocol):
     notes: tuple[str, ...]
 
     def embed(self, image: Image, xyxy_px: FloatArray) -> Descriptors:
-        """(N, D) embeddings of length 1 of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
+        """(N, D) unit-norm embeddings of the boxes (N, 4) in `image`, (H, W, 3) uint8 BGR; zeros = unknown."""
         ...
 
 

@@ -8,7 +8,7 @@ simulation's truth.csv has this format; measurements of a lidar or radar can be 
     frame           frame number from 0, of the left video
     id              integer from 0, one per object
     class           a road class or a synonym (van, pedestrian, ...); dontcare = a region that is not evaluated
-    x1 y1 x2 y2     rectified pixels from 0
+    x1 y1 x2 y2     rectified pixels, 0-based
     distance_m      z of the visible surface at the centre of the box, in the left camera's frame
     visible_share   visible fraction 0..1 of the object, neither occluded nor outside the image
     closing_mps     closing speed, positive when approaching

@@ -2,8 +2,8 @@ r"""LaneState: two parallel lines on a flat road as five parameters with their c
 
     t = (y - y0) / H        centre line  m(t) = a + b t + c t^2        width  w(t) = d + s t        x = m -+ w / 2
 
-H is the image height. Both lines have the same curvature, and on a flat road their distance is linear in the row: w = 0
-at the horizon, and s / H = lane width / camera height for any focal length (2.1 for 3.5 m seen from 1.65 m). The
+H is the image height. Both lines have the same curvature, and on a flat road the spacing between them is linear in the
+row: w = 0 at the horizon, and s / H = lane width / camera height for any focal length (2.1 for 3.5 m seen from 1.65 m). The
 process noise is large for the centre line (steering) and the horizon (pitching), and small for s.
 """
 
@@ -77,7 +77,7 @@ class LaneState:
         return float(self.mean[0] - self.mean[1] * self.mean[2] / self.mean[3])
 
     def width_px(self, y_px: FloatArray) -> FloatArray:
-        """Distance w of the lines in the given rows; negative above the horizon."""
+        """Distance w between the lines in the given rows; negative above the horizon."""
         return np.asarray(self.mean[2] + self.mean[3] * self._t(y_px))
 
     def rows(self, y_px: FloatArray, side: float) -> FloatArray:

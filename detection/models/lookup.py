@@ -1,4 +1,4 @@
-"""Lookup of models by name or path: the user's files, packaged models, and models of the catalogue."""
+"""Lookup of models by name or path: the user's files, packaged models, and models in the catalogue."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Filters over time for the measured distances of labelled boxes, per track as in a run.
+"""Temporal filters for the measured distances of labelled boxes, per track as in a run.
 
 The ego speed is not known: the filter of Zhang et al. (`paper_filter`) assumes 0, and the default one
 (`ranging.filtering.distance_filter`) estimates the relative speed.

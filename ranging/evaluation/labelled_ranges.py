@@ -51,7 +51,7 @@ def _selected(settings: RangeEvaluationSettings) -> tuple[str, ...]:
 def _check(settings: RangeEvaluationSettings) -> None:
     unknown = [name for name in _selected(settings) if name not in method_names()]
     if unknown:
-        raise UsageError(f"--method {','.join(unknown)}: expected methods among {', '.join(method_names())}.")
+        raise UsageError(f"--method {','.join(unknown)}: expected methods from {', '.join(method_names())}.")
     if settings.boxes != "labels" and not (settings.boxes.startswith("rrc:") and settings.boxes != "rrc:"):
         raise UsageError(f"--boxes {settings.boxes}: expected labels or rrc:DIR.")
     if (settings.cross_validate or settings.same_drive) and settings.curves is not None:

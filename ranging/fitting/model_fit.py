@@ -98,7 +98,9 @@ def table_model(boxes: BoxSet, name: str, *, source: str) -> TableSizes:
         samples = boxes.select(boxes.class_name == class_name)
         fitted = SAFE_CURVES[name].fit(samples.wh_over_f, samples.bearing, samples.distance_m)
         if not isinstance(fitted, FittedTable):
-            raise TypeError(f"{name}: expected a curve of one box measure")
+            raise TypeError(
+                f"{name}: expected a curve that depends on one dimension of the box (height, width or diagonal)"
+            )
         measure = fitted.measure.__name__
         sigma = max(_error_on_other_drives(samples, name, fitted), _MIN_SIGMA_RELATIVE)
         curves[class_name] = TableCurve(table=fitted, sigma_relative=sigma, n=len(samples), source=source)

@@ -51,7 +51,7 @@ class GroundPrior:
     def faults(self) -> str:
         """Description of the first invalid value; empty = all are valid."""
         if min(self.camera_height_m, self.camera_height_sigma_m, self.horizon_sigma, *self.kerb_m) <= 0:
-            return "heights and standard deviations of the ground must be positive"
+            return "camera height and the standard deviations of the ground prior must be positive"
         if not (0 <= self.rough_share < 1 and np.isfinite(self.horizon)):
             return "rough_share must be between 0 and 1, the horizon must be finite"
         return ""

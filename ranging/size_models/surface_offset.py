@@ -1,6 +1,6 @@
 """Distance from the contact point of an object to its visible surface, from the aspect ratio of its box.
 
-The ground plane and the lane width measure the bottom edge of a box, which belongs to the object's nearest point on the
+The ground-plane and lane-width methods use the bottom edge of a box, which belongs to the object's nearest point on the
 ground; `distance_m` is where the ray through the box centre meets the object. Both are the same for an object seen from
 behind. Seen from a corner or the side, the nearest point is the corner, and the surface is farther.
 """

@@ -38,7 +38,7 @@ _MIN_SHARE_OF_SIGN = 0.8
 """Minimum fraction of the disparities with equal sign."""
 
 _MIN_SHARE_IN_ROW = 0.5
-"""Minimum fraction of matches in equal rows; of chance matches about 1 % are."""
+"""Minimum fraction of matches in the same row; of chance matches about 1 % are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class PairCheck:
     """Row offset and order of one pair.
 
     Attributes:
-        n_matches: number of matches in equal rows.
+        n_matches: number of matches in the same row.
         row_offset_px: their mean y_right - y_left (the median would be an integer, like the rows of features); NaN
             without matches.
         negative_share: fraction of them with a disparity below -1 px, 0..1; NaN without matches.

@@ -3,8 +3,8 @@
     y_right - y_left of matched points is constant in simultaneous images; if the cameras move between the two images,
     near points move outwards (or, when pitching, all points up or down)
 
-So left image i is matched with the right images i - 1, i and i + 1: the simultaneous one has most points in equal rows.
-In a static scene all three have, and the result is unknown.
+So left image i is matched with the right images i - 1, i and i + 1: the simultaneous one has the most matches in the
+same row. In a static scene all three do, and the result is unknown.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ROW_TOLERANCE_PX = 1.5
 """Largest difference between the row offset of an inlier and the most frequent one."""
 
 _MIN_SHARE = 0.6
-"""Minimum fraction of matches in equal rows with the simultaneous image."""
+"""Minimum fraction of matches in the same row with the simultaneous image."""
 
 _MIN_LEAD = 0.1
 """Minimum difference between that fraction and those of both other images."""
@@ -52,7 +52,7 @@ def check_sync(left: Image, rights: Sequence[Image]) -> Sync:
 
 
 def _share_in_row(left: Features, right: Features) -> float:
-    """Fraction of the matches in equal rows; 0 with too few matches."""
+    """Fraction of the matches in the same row; 0 with too few matches."""
     left_px, right_px = matched_points(left, right)
     if len(left_px) < _MIN_MATCHES:
         return 0.0

@@ -57,7 +57,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-7)
 """Stop criteria of the optimisation: number of iterations and relative change."""
 
 _MAX_RMS_RATIO = 5.0
-"""Largest ratio of the residuals of the common fit and of the single cameras; above, the pairs are inconsistent."""
+"""Largest ratio of the joint fit's residual to the single cameras' residuals; above, the pairs are inconsistent."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -235,8 +235,8 @@ def _check_rectifying_rotations(r1: cv2.typing.MatLike, r2: cv2.typing.MatLike, 
     for side, rotation in (("left", r1), ("right", r2)):
         if _angle_rad(rotation) > _MAX_ROTATION_RAD:
             raise RigError(
-                f"the rig: expected a baseline across the viewing direction, but rectification would rotate the "
-                f"{side} camera by {math.degrees(_angle_rad(rotation)):.0f} degrees; check the translation."
+                f"the rig: expected a baseline perpendicular to the viewing direction, but rectification would rotate "
+                f"the {side} camera by {math.degrees(_angle_rad(rotation)):.0f} degrees; check the translation."
             )
 
 

@@ -128,7 +128,7 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
                 recording.close()
     measured = estimator.estimate()
     if not measured.is_measured:
-        raise RigError(f"{sources[0][0]}: {measured.source}; give a longer drive past static objects.")
+        raise RigError(f"{sources[0][0]}: {measured.source}; use a longer drive past static objects.")
     named = replace(measured, source=measured.source.replace("this drive", _names(sources)))
     return named, tuple(dict.fromkeys(note for recording in recordings for note in recording.calibration.file_notes))
 
@@ -155,7 +155,7 @@ def _from_reference(
         measured = measure_pairs(_with_row_offsets(pairs, rows_px, advance), (_MATCHER,))
     objects, column = measured.objects, measured.columns[_MATCHER]
     if not objects.cameras:
-        raise RigError(f"{reference}: no object belongs to a frame of the videos; check the frame numbers.")
+        raise RigError(f"{reference}: none of the objects refers to a frame of the videos; check the frame numbers.")
     fitted = fit_reference(
         column.disparity_px,
         objects.true_px,

@@ -41,7 +41,7 @@ _METHOD_GRIDS: tuple[_MethodFigure, ...] = (
 """Title, key in a method's row, format, scale and cost of each table of methods."""
 
 _OMITTED = ("out", "versions")
-"""Settings without influence on the results."""
+"""Settings that do not affect the results."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

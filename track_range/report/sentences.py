@@ -115,10 +115,10 @@ def _vertical_offset(alignment: Mapping[str, Any]) -> str:
         return ""
     offset_px = round(offset_px, 2) + 0.0  # not -0.00
     if abs(offset_px) <= MAX_ROW_OFFSET_PX:
-        return f"Vertical offset of left and right {offset_px:+.2f} px: the calibration fits these images."
+        return f"Vertical offset between left and right {offset_px:+.2f} px: the calibration fits these images."
     return (
-        f"Vertical offset of left and right {offset_px:+.2f} px, more than {MAX_ROW_OFFSET_PX:g} px: the calibration "
-        "does not fit these images well; the right image was shifted, but a new calibration is recommended."
+        f"Vertical offset between left and right {offset_px:+.2f} px, more than {MAX_ROW_OFFSET_PX:g} px: the "
+        "calibration does not fit these images well; the right image was shifted, but a new calibration is recommended."
     )
 
 

@@ -212,7 +212,7 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     is_valid = valid_rows(columns)
     n_invalid = int(np.sum(~is_valid))
     if n_invalid:
-        missing.append(f"{n_invalid} of {len(is_valid)} rows of tracks.csv are damaged and ignored.")
+        missing.append(f"{n_invalid} of {len(is_valid)} rows of tracks.csv are malformed and were ignored.")
     if _ends_within_a_row(path):
         missing.append("tracks.csv ends in the middle of a row, so later rows are missing.")
     n_rows = int(np.sum(is_valid))

@@ -58,7 +58,7 @@ def noise_shares() -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class QueueDepths:
-    """Number of frames that each thread may be ahead of the next one.
+    """Number of frames by which each thread may run ahead of the next one.
 
     Attributes:
         read: decoded frames that wait for the lane detector.
@@ -206,7 +206,7 @@ class Pipeline:
         motion = filtered["fused"]
         if not self.shared_sigma:
             return motion
-        # An error of the scale affects speeds by the same factor, but not times to collision.
+        # A scale error affects speeds by the same factor, but not times to collision.
         rate_sigma_mps = np.hypot(motion.rate_sigma_mps, self.shared_sigma * motion.rate_mps)
         return replace(motion, rate_sigma_mps=rate_sigma_mps)
 

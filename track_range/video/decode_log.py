@@ -1,4 +1,4 @@
-"""DecodeLog: frame numbers and counts of unusable frames of one reading of a video file."""
+"""DecodeLog: frame numbers and counts of unusable frames of one pass over a video file."""
 
 from __future__ import annotations
 

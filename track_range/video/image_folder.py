@@ -130,7 +130,7 @@ def _decoded(path: Path) -> Image:
         image = image.astype(np.uint16, copy=False) >> 8
         return image.astype(np.uint8)
     if image.dtype != np.uint8:
-        raise VideoError(f"{path}: expected pixels of 8 or 16 bits, got {image.dtype}; convert the images.")
+        raise VideoError(f"{path}: expected 8- or 16-bit pixels, got {image.dtype}; convert the images.")
     return image.astype(np.uint8, copy=False)
 
 

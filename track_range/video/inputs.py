@@ -20,7 +20,7 @@ from track_range.video.threads import MAX_LOOK_AHEAD_BYTES
 Reader = VideoReader | LiveReader
 
 Images = tuple[VideoFrame, VideoFrame | None]
-"""Left and right frame of one time; the right one is None if there is one video."""
+"""Left and right frames captured at the same time; the right one is None if there is one video."""
 
 _CODEC_CROP_PX = 2
 """Tolerated difference in size between left and right, px: codecs need even sizes, so one may lack a row or column."""

@@ -187,5 +187,5 @@ class StereoVideo:
         spans = [f"{side.reader.path} ({side.first_s or 0.0:.2f} s to {side.end_s:.2f} s)" for side in self._sides]
         return (
             f"{spans[0]} and {spans[1]}: expected frames at most {self.tolerance_s:.3f} s apart, the nearest are "
-            f"{self._nearest_s:.3f} s apart; give two videos of one recording with synchronised clocks."
+            f"{self._nearest_s:.3f} s apart; use two videos of one recording, from cameras with synchronised clocks."
         )

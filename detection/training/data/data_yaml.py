@@ -51,10 +51,10 @@ _MIN_SCORE, _MIN_CAR_SCORE = 0.5, 0.4
 """Minimum score of a pseudo-label that is used as an object: for most classes, and for cars."""
 
 _SAME_OBJECT_IOU = 0.5
-"""Smallest IoU of a pseudo-label and a label of the same object."""
+"""Minimum IoU between a pseudo-label and a label of the same object."""
 
 _BACKGROUND_NOTE = "no label file: background"
-"""Note of an image without a label file."""
+"""Note for an image without a label file."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,8 @@
     CIoU = IoU - d^2 / c^2 - alpha v    v = 4 / pi^2 (atan(w'/h') - atan(w/h))^2    alpha = v / (1 - IoU + v)
     EIoU = IoU - d^2 / c^2 - (w - w')^2 / C_w^2 - (h - h')^2 / C_h^2
 
-d is the distance of the centres, C_w and C_h are the sides of the smallest enclosing box, c is its diagonal. alpha is
-constant in the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for CIoU; Zhang et al., "Focal and Efficient
+d is the distance between the centres, C_w and C_h are the sides of the smallest enclosing box, c is its diagonal. alpha
+is constant in the gradient. (Zheng et al., "Distance-IoU Loss", AAAI 2020, for CIoU; Zhang et al., "Focal and Efficient
 IOU Loss", Neurocomputing 2022, for EIoU.)
 """
 
@@ -30,7 +30,7 @@ class _Pair:
 
     Attributes:
         iou: (P,) intersection over union.
-        centres: (P,) d^2 / c^2, squared distance of the centres over squared diagonal of the enclosing box.
+        centres: (P,) d^2 / c^2, squared distance between the centres over squared diagonal of the enclosing box.
         enclosing: (P, 2) C_w and C_h, width and height of the smallest enclosing box.
     """
 

@@ -18,7 +18,7 @@ class FaceTable:
 
     Attributes:
         corner, along, down: (F, 3) corner and edges, metres.
-        texture: (F,) numbers of the textures in a `TextureStore`.
+        texture: (F,) indices of the textures in a `TextureStore`.
         texels: (F, 2) rows and columns of the textures.
         two_sided: (F,) whether the back is visible too.
         is_shadow: (F,) whether the face is a shadow.

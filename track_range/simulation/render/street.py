@@ -90,7 +90,7 @@ class Street:
         return by_length | {farthest: _shortened(by_length[farthest], 1 - axis, 2)}
 
     def faces(self, ego_z_m: float) -> FaceTable:
-        """The faces of ground and sides from the camera on, stretch by stretch, then the roadside objects."""
+        """The faces of ground and sides from the camera onwards, stretch by stretch, then the roadside objects."""
         visible = list(stretches(ego_z_m, self._stretches_m))
         start_m, length_m = np.array(visible, np.float64).T
         near, far = self._middle_m(start_m), self._middle_m(start_m + length_m)

@@ -16,7 +16,7 @@ PARKED_SPACING_M = 7.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """A `RoadUser` without size and id; see there for the attributes."""
+    """A `RoadUser` without size and id; see `RoadUser` for the attributes."""
 
     kind: str
     x_m: float

@@ -37,7 +37,7 @@ def ground_picture(rng: np.random.Generator, kind: Surroundings) -> Image:
     grain = value_noise(rng, shape, cells=(2, 4, 8, 16, 32)).astype(np.float32)[:, :, None]
     patches = value_noise(rng, shape, cells=(64, 128, 256)).astype(np.float32)[:, :, None]
     bgr = np.full((*shape, 3), 94.0, np.float32)
-    for _, from_m, to_m in kind.lanes:  # two darker tracks of wheels
+    for _, from_m, to_m in kind.lanes:  # two darker wheel tracks
         off_m = np.abs(np.abs(x_m - (from_m + to_m) / 2) - 0.8)
         bgr -= (7.0 * np.exp(-((off_m / 0.3) ** 2)))[None, :, None]
     bgr += 11.0 * grain + 5.0 * patches

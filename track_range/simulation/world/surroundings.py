@@ -23,7 +23,7 @@ GRAVEL: Colour = (108, 120, 128)
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of equal objects along the road.
+    """A row of identical objects along the road.
 
     Attributes:
         kind: "tree", "lamp" or "post".
