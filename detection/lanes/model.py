@@ -3,8 +3,8 @@ r"""LaneState: two parallel lines on a flat road as five parameters with their c
     t = (y - y0) / H        centre line  m(t) = a + b t + c t^2        width  w(t) = d + s t        x = m -+ w / 2
 
 H is the image height. Both lines have the same curvature, and on a flat road the spacing between them is linear in the
-row: w = 0 at the horizon, and s / H = lane width / camera height for any focal length (2.1 for 3.5 m seen from 1.65 m). The
-process noise is large for the centre line (steering) and the horizon (pitching), and small for s.
+row: w = 0 at the horizon, and s / H = lane width / camera height for any focal length (2.1 for 3.5 m seen from 1.65 m).
+The process noise is large for the centre line (steering) and the horizon (pitching), and small for s.
 """
 
 from __future__ import annotations
