@@ -100,7 +100,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def measure(options: Namespace) -> dict[str, Any]:
-    """The share of killed mutants per package and the survivors."""
+    """Numbers of mutants and of killed ones per package, and the survivors."""
     console = Console()
     mutants = sample(options.mutants, options.seed)
     mutants = [mutant for mutant in mutants if options.only in mutant.path.as_posix()]
@@ -204,7 +204,8 @@ def _tests(path: Path, patterns: tuple[str, ...]) -> tuple[str, ...]:
 
 def _import_libraries() -> None:
     """Import the slow libraries once, before the processes are forked."""
-    for name in ("numpy", "cv2", "scipy.optimize", "scipy.ndimage", "onnxruntime", "pyarrow"):
+    # track_range.detection.models disables the telemetry of onnxruntime, before it is imported.
+    for name in ("numpy", "cv2", "scipy.optimize", "scipy.ndimage", "track_range.detection.models", "onnxruntime"):
         importlib.import_module(name)
     importlib.import_module("cv2").setNumThreads(1)
 
