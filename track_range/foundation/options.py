@@ -15,6 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.fields import FieldInfo
 
 from track_range.foundation.errors import UsageError
+from track_range.foundation.input_files import shortened
+from track_range.foundation.validation import first_problem
 
 
 def option(
@@ -81,7 +83,9 @@ def is_list(field: FieldInfo) -> bool:
 class Options(BaseModel):
     """Base class of option models: immutable, unknown names are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)  # built when first used: --help is faster
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, defer_build=True, allow_inf_nan=False
+    )  # built when first used: --help is faster
 
     @model_validator(mode="before")
     @classmethod
@@ -116,9 +120,9 @@ class Options(BaseModel):
         if first["type"] == "extra_forbidden":
             name = str(first["loc"][0])
             near = difflib.get_close_matches(name, cls.model_fields, n=1)
-            return f"{name}: unknown option{f'; did you mean {near[0]}?' if near else '.'}"
+            return f"{shortened(name)}: unknown option{f'; did you mean {near[0]}?' if near else '.'}"
         place = f"{cls.flag(str(first['loc'][0]))}: " if first["loc"] else ""
-        return f"{place}{first['msg'].removeprefix('Value error, ')}."
+        return f"{place}{first_problem(error)[1]}."
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:

@@ -1,0 +1,136 @@
+"""Reading of files that a user names: regular files of limited size; errors are one sentence with the path.
+
+Pipes, devices and folders are refused before they are read: a named pipe would block, and /dev/zero has no end.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from track_range.foundation.atomic_files import describe
+
+MAX_TEXT_BYTES = 1_000_000
+"""Size limit, bytes, of files that a person or a calibration program writes: rigs, settings, data.yaml."""
+
+MAX_TABLE_BYTES = 2_000_000_000
+"""Size limit, bytes, of tables with a row per object: labels, detections, tracks."""
+
+_MAX_QUOTED = 60
+"""Largest number of characters of a value in a message."""
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+
+def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> BinaryIO:
+    """A regular file, opened for reading; symbolic links are followed.
+
+    Args:
+        path: the file.
+        error: class of the exceptions to raise.
+        expected: noun phrase for the content, for messages, such as "the rig.yaml of the cameras".
+        max_bytes: largest size; None = no limit.
+
+    Raises:
+        error: there is no such file, it is not a regular file, it is too large, or it cannot be read.
+    """
+    try:
+        # without O_NONBLOCK, the opening of a named pipe waits for a writer
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except (OSError, ValueError) as reason:
+        raise _unreadable(path, reason, error, expected) from reason
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise _wrong_kind(path, status.st_mode, error, expected)
+        if max_bytes is not None and status.st_size > max_bytes:
+            raise _too_large(path, max_bytes, status.st_size, error, expected)
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def check_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> None:
+    """Check a file that a library opens by its path; see `open_regular` for the arguments and errors."""
+    open_regular(path, error, expected, max_bytes=max_bytes).close()
+
+
+def read_bytes(path: Path, error: type[Exception], expected: str, *, max_bytes: int) -> bytes:
+    """Content of a regular file; see `open_regular` for the arguments and errors."""
+    with open_regular(path, error, expected, max_bytes=max_bytes) as file:
+        try:
+            content = file.read(max_bytes + 1)  # files in /proc have no size, and a file may grow
+        except OSError as reason:
+            raise _unreadable(path, reason, error, expected) from reason
+    if len(content) > max_bytes:
+        raise _too_large(path, max_bytes, len(content), error, expected)
+    return content
+
+
+def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """Text of a regular file in UTF-8, with or without a byte order mark; lines end with a line feed.
+
+    See `open_regular` for the arguments.
+
+    Raises:
+        error: as in `open_regular`, or the file is not UTF-8.
+    """
+    content = read_bytes(path, error, expected, max_bytes=max_bytes)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        line = content.count(b"\n", 0, reason.start) + 1
+        raise error(
+            f"{path}, line {line}: expected {expected} as text in UTF-8, found a binary file or another encoding."
+        ) from reason
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
+    """A value as Python writes it, shortened to a number of characters, for messages."""
+    return shortened(
+        repr(value[: max_characters + 1] if isinstance(value, str | bytes | list | tuple) else value), max_characters
+    )
+
+
+def shortened(text: str, max_characters: int = _MAX_QUOTED) -> str:
+    """A text, cut off after a number of characters, for messages."""
+    return text if len(text) <= max_characters else f"{text[: max_characters - 3]}..."
+
+
+def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception], expected: str) -> Exception:
+    if isinstance(reason, FileNotFoundError | NotADirectoryError):
+        return error(f"{path}: no such file; expected {expected}.")
+    if isinstance(reason, ValueError):  # a path with a null character
+        return error(f"{quoted(str(path))}: expected the path of {expected}, found a name that no file can have.")
+    if reason.errno == errno.ELOOP:
+        return error(f"{path}: expected {expected}, found a loop of symbolic links; give the file itself.")
+    if reason.errno in (errno.EISDIR, errno.ENXIO):  # Windows; a socket
+        return error(f"{path}: expected {expected}, found a folder or a socket; give a file.")
+    return error(f"{path}: cannot be read ({describe(reason)}); expected {expected}.")
+
+
+def _wrong_kind(path: Path, mode: int, error: type[Exception], expected: str) -> Exception:
+    kind = next((kind for is_kind, kind in _KINDS if is_kind(mode)), "a special file")
+    return error(f"{path}: expected {expected}, found {kind}; give a regular file.")
+
+
+def _too_large(path: Path, max_bytes: int, n_bytes: int, error: type[Exception], expected: str) -> Exception:
+    return error(f"{path}: expected {expected} of at most {_size(max_bytes)}, found {_size(n_bytes)}.")
+
+
+def _size(n_bytes: int) -> str:
+    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_bytes >= factor:
+            return f"{n_bytes / factor:.4g} {unit}"
+    return f"{n_bytes} bytes"

@@ -1,0 +1,183 @@
+"""The reader of all YAML and JSON files: limited in size and depth, without aliases; errors are one sentence.
+
+    regular file -> text -> events: depth, aliases, tags -> plain values -> pydantic model (`foundation.validation`)
+
+Aliases are refused because a file of 500 bytes with nested aliases expands to gigabytes (the "billion laughs" attack).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from track_range.foundation.input_files import MAX_TEXT_BYTES, quoted, read_text, shortened
+
+MAX_DEPTH = 32
+"""Largest depth of nested lists and mappings."""
+
+_TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
+"""Tags of the values that JSON has, too; other tags are refused."""
+
+_BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_BaseLoader):  # type: ignore[misc]
+    """YAML's safe loader, with the line number in every error; dates are texts, and duplicate keys are errors."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's way to set them
+        first: [(tag, pattern) for tag, pattern in resolvers if tag in _TAGS or tag.endswith(":merge")]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """The value of a node."""
+        try:
+            return _checked(super().construct_object(node, deep=deep))
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as reason:
+            kind = str(node.tag).rpartition(":")[2]
+            problem = f"{quoted(node.value)} is no {kind}"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from reason
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """The mapping of a node."""
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+        if len(mapping) < len(node.value):
+            keys = [key.value for key, _ in node.value]
+            duplicate = next((key for key in keys if keys.count(key) > 1), keys[0])
+            problem = f"the key {quoted(duplicate)} is given twice"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return mapping
+
+
+def read_yaml(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
+    """Content of a YAML file as plain values: None, bool, int, float, str, list, dict.
+
+    Args:
+        path: the file.
+        error: class of the exceptions to raise.
+        expected: noun phrase for the content, for messages, such as "the settings.yaml of a run".
+        max_bytes: largest size of the file.
+
+    Raises:
+        error: the file cannot be read, or is not YAML within the limits; the message names file and line.
+    """
+    return parse_yaml(read_text(path, error, expected, max_bytes=max_bytes), path, error, expected)
+
+
+def read_json(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> Any:
+    """Content of a JSON file as plain values; see `read_yaml` for the arguments and errors."""
+    return parse_json(read_text(path, error, expected, max_bytes=max_bytes), path, error, expected)
+
+
+def parse_yaml(text: str, source: object, error: type[Exception], expected: str) -> Any:
+    """Content of a YAML text as plain values; `source` is the file, for messages. See `read_yaml`.
+
+    Raises:
+        error: the text is not YAML within the limits.
+    """
+    try:
+        _check_events(text)
+        return yaml.load(text, _Loader)  # noqa: S506 - derived from the safe loader
+    except yaml.YAMLError as reason:
+        mark = getattr(reason, "problem_mark", None)
+        line = "" if mark is None else f", line {mark.line + 1}"
+        problem = shortened(str(getattr(reason, "problem", None) or "characters that YAML does not allow"))
+        raise error(f"{source}{line}: expected {expected} in YAML, found an error: {problem}.") from reason
+    except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as reason:  # of the parser itself
+        raise error(f"{source}: expected {expected} in YAML, found text that is not YAML.") from reason
+
+
+def parse_json(text: str, source: object, error: type[Exception], expected: str) -> Any:
+    """Content of a JSON text as plain values; `source` is the file, for messages. See `read_yaml`.
+
+    Raises:
+        error: the text is not JSON within the limits, a key is given twice, or a number is not finite.
+    """
+    try:
+        value = json.loads(
+            text,
+            object_pairs_hook=_unique,
+            parse_constant=_refused_constant,
+            parse_int=lambda digits: _checked(int(digits)),
+        )
+        json.dumps(value, ensure_ascii=False).encode()  # escapes such as \\ud800 make texts that cannot be encoded
+        is_deep = _is_deeper(value, MAX_DEPTH)
+    except json.JSONDecodeError as reason:
+        raise error(
+            f"{source}, line {reason.lineno}: expected {expected} in JSON, found an error: {reason.msg}."
+        ) from reason
+    except ValueError as reason:  # of `_unique` and `_refused_constant`, and integers of thousands of digits
+        problem = shortened(str(reason).partition(";")[0])
+        raise error(f"{source}: expected {expected} in JSON, found an error: {problem}.") from reason
+    except RecursionError:
+        is_deep = True
+    if is_deep:
+        raise error(f"{source}: expected {expected} in JSON, found more than {MAX_DEPTH} nested brackets.")
+    return value
+
+
+def _check_events(text: str) -> None:
+    """Check the syntax, the depth, and that there are no aliases and no tags of other types.
+
+    Raises:
+        yaml.YAMLError: one of them is wrong; `problem` and `problem_mark` say what and where.
+    """
+    depth = 0
+    for event in yaml.parse(text, _BaseLoader):
+        problem = ""
+        if isinstance(event, yaml.AliasEvent):
+            problem = f"the alias '*{shortened(str(event.anchor))}'; write the value itself"
+        elif isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            problem = f"more than {MAX_DEPTH} nested lists or keys" if depth > MAX_DEPTH else ""
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if (tag := getattr(event, "tag", None)) not in (None, "!", *_TAGS):
+            problem = f"the tag {quoted(tag)}; write plain values"
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)  # type: ignore[arg-type]
+
+
+def _is_deeper(value: object, depth: int) -> bool:
+    """Whether lists and dicts are nested more than `depth` deep."""
+    level = [value]
+    for _ in range(depth + 1):
+        level = [
+            part
+            for item in level
+            if isinstance(item, list | dict)
+            for part in (item.values() if isinstance(item, Mapping) else item)
+            if isinstance(part, list | dict)
+        ]
+        if not level:
+            return False
+    return True
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the key {quoted(next(name for name in names if names.count(name) > 1))} is given twice")
+    return values
+
+
+def _refused_constant(name: str) -> float:
+    raise ValueError(f"the number {name}")
+
+
+def _checked(value: Any) -> Any:
+    """A value, unless it is an integer of more than 64 bits or a text that cannot be encoded.
+
+    Raises:
+        ValueError: it is.
+    """
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError("an integer of more than 64 bits")
+    if isinstance(value, str) and not value.isascii():
+        value.encode()
+    return value

@@ -1,0 +1,80 @@
+"""Validation of structured files and options with pydantic: the first error as one sentence."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from track_range.foundation.input_files import quoted
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def validated(model: type[_Model], content: Any, source: object, error: type[Exception]) -> _Model:
+    """Content of a file as a pydantic model.
+
+    Args:
+        model: the model.
+        content: plain values, usually of `read_yaml` or `read_json`.
+        source: the file, for messages.
+        error: class of the exceptions to raise.
+
+    Raises:
+        error: a key is missing, unknown, or has a wrong value; the message names file and key.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as reason:
+        key, problem = first_problem(reason)
+        place = f"'{key}': " if key else ""
+        raise error(f"{source}: {place}{problem}.") from reason
+
+
+def first_problem(error: ValidationError) -> tuple[str, str]:
+    """Key of the first invalid value, such as "left.fx_px", and what was expected and found."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    kind, limits = first["type"], first.get("ctx", {})
+    if kind == "missing":
+        return key, "expected a value, found none"
+    if kind == "extra_forbidden":
+        return key, "this key is unknown"
+    if kind in ("value_error", "assertion_error"):
+        return key, first["msg"].partition(", ")[2]
+    if kind in _EXPECTED:
+        expected = _EXPECTED[kind].format_map(_Limits(limits))
+    else:
+        expected = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
+    return key, f"expected {expected}, found {quoted(first['input'])}"
+
+
+_EXPECTED = {
+    "greater_than": "a number above {gt}",
+    "greater_than_equal": "a number of at least {ge}",
+    "less_than": "a number below {lt}",
+    "less_than_equal": "a number of at most {le}",
+    "finite_number": "a finite number",
+    "int_type": "an integer",
+    "int_parsing": "an integer",
+    "int_from_float": "an integer",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "keys with values",
+    "model_type": "keys with values",
+    "too_short": "at least {min_length} values",
+    "too_long": "at most {max_length} values",
+}
+"""Expected values by pydantic's type of error."""
+
+
+class _Limits(dict[str, Any]):
+    """Limits of a pydantic error by name; "?" for one that pydantic does not report."""
+
+    def __missing__(self, name: str) -> str:
+        return "?"
