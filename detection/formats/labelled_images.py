@@ -16,21 +16,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
 from track_range.detection.formats.yolo_labels import YoloLabelReader
+from track_range.foundation import images as image_files
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
+from track_range.foundation.images import IMAGE_SUFFIXES
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
-
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
-"""File name suffixes of images, in lower case."""
 
 
 class ImageFileError(UserError):
@@ -73,19 +71,9 @@ def read_image(path: Path) -> Image:
     """An image as (H, W, 3) uint8 BGR, from colour or grey images of 8 or 16 bits; rotated according to EXIF.
 
     Raises:
-        ImageFileError: the file cannot be read, or is not a valid image.
+        ImageFileError: the file cannot be read, is not a valid image, or is too large.
     """
-    try:
-        encoded = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise ImageFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    try:
-        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if len(encoded) else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise ImageFileError(f"{path}: not an image, or damaged.")
-    return np.asarray(image, np.uint8)
+    return np.asarray(image_files.read_image(path, ImageFileError), np.uint8)
 
 
 def images_in(folder: Path) -> list[Path]:

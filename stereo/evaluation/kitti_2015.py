@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.foundation.errors import UserError
+from track_range.foundation.images import read_image
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -177,16 +178,7 @@ def _calibration(root: Path, name: str) -> Path:
 
 
 def _read(path: Path) -> npt.NDArray[np.integer]:
-    try:
-        encoded = np.fromfile(path, np.uint8)
-    except FileNotFoundError as error:
-        raise PairFileError(f"{path}: no such file; each pair needs all four images.") from error
-    except OSError as error:
-        raise PairFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if len(encoded) else None
-    if image is None:
-        raise PairFileError(f"{path}: expected an image, found another format or a damaged file.")
-    return np.asarray(image)
+    return read_image(path, PairFileError, "one of the four images of a pair", flags=cv2.IMREAD_UNCHANGED)
 
 
 def _in_colour(image: npt.NDArray[np.integer]) -> Image:

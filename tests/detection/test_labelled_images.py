@@ -195,11 +195,11 @@ def test_image_depths_and_channels(tmp_path):
 
 
 def test_unreadable_images(tmp_path):
-    with pytest.raises(ImageFileError, match=r"none\.png: cannot be read"):
+    with pytest.raises(ImageFileError, match=r"none\.png: no such file"):
         read_image(tmp_path / "none.png")
     for content in (b"", b"text"):
         (tmp_path / "invalid.png").write_bytes(content)
-        with pytest.raises(ImageFileError, match=r"invalid\.png: not an image"):
+        with pytest.raises(ImageFileError, match=r"invalid\.png: .*damaged"):
             read_image(tmp_path / "invalid.png")
     with pytest.raises(ImageFileError, match=r"none: .*folder"):
         images_in(tmp_path / "none")

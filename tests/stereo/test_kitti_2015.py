@@ -128,7 +128,7 @@ def test_an_image_that_cannot_be_opened(tmp_path: Path) -> None:
     write_set(tmp_path)
     (tmp_path / "image_2" / FIRST).unlink()
     (tmp_path / "image_2" / FIRST).mkdir()
-    with pytest.raises(PairFileError, match="cannot be read"):
+    with pytest.raises(PairFileError, match="folder"):
         list(read_pairs(tmp_path))
 
 

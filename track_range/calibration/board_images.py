@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from track_range.detection.formats.labelled_images import IMAGE_SUFFIXES, ImageFileError, images_in, read_image
+from track_range.detection.formats.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
+from track_range.foundation.images import IMAGE_SUFFIXES
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.video.frame import TIME_EPSILON_S
 from track_range.video.pairing import StereoVideo

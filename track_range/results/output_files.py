@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -58,13 +59,13 @@ def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:
     Raises:
         OutputError: a path is a folder, cannot be written, is given twice, or is an input.
     """
-    read = {path.resolve() for path in inputs}
+    read = {os.path.realpath(path) for path in inputs}
     for number, file in enumerate(outputs):
         if file.is_dir():
             raise OutputError(f"{file}: expected a file, found a folder; give the path of a file in it.")
-        if file.resolve() in read:
+        if os.path.realpath(file) in read:
             raise OutputError(f"{file}: this input or result would be overwritten; choose another file.")
-        if file.resolve() in {other.resolve() for other in outputs[:number]}:
+        if os.path.realpath(file) in {os.path.realpath(other) for other in outputs[:number]}:
             raise OutputError(f"{file}: given for two outputs; choose another file for one of them.")
         make_folder(file.parent)
 
@@ -80,10 +81,10 @@ def clear_results(folder: Path, names: Sequence[str], *, except_for: Iterable[Pa
     Raises:
         OutputError: one of the files is an input, or cannot be removed.
     """
-    inputs = {path.resolve() for path in except_for}
+    inputs = {os.path.realpath(path) for path in except_for}
     for name in names:
         file = folder / name
-        if file.resolve() in inputs:
+        if os.path.realpath(file) in inputs:
             raise OutputError(f"{file}: this input would be overwritten; choose another --out folder.")
     try:
         for name in names:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -388,10 +389,10 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
     run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     for key in ("rig", "detections", "curves", "truth", "table", "out", "reid"):
         if key in run:
-            run[key] = str(Path(run[key]).resolve())
+            run[key] = os.path.realpath(run[key])
     for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file or a name
         if key in run and Path(run[key]).exists():
-            run[key] = str(Path(run[key]).resolve())
+            run[key] = os.path.realpath(run[key])
     if settings.stereo:
         run["stereo"] = [_absolute(video) for video in settings.stereo]
     if settings.mono:
@@ -400,7 +401,7 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
 
 
 def _absolute(video: VideoName) -> str:
-    return str(video.resolve() if isinstance(video, Path) else video)
+    return os.path.realpath(video) if isinstance(video, Path) else str(video)
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -29,7 +29,9 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image
+from track_range.foundation.images import MAX_PIXELS, check_size, header_size_px
 from track_range.video.decode_log import DecodeLog
+from track_range.video.file_state import FileState
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 from track_range.video.threads import DECODER_THREADS
 
@@ -42,8 +44,33 @@ _SHORTFALL_FRAMES = 2.5
 _UPRIGHT = (1, 0, 0, 1)
 """Result of `_display_axes` for an image that needs no rotation."""
 
-_STILL_FORMATS = ("image2", "_pipe")
-"""Endings of FFmpeg's format names of single images."""
+_MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5
+"""Range of frame rates; the rate of another header is ignored."""
+
+_MIN_SIDE_PX = 2
+"""Smallest width and height of a video; YUV 4:2:0 has no smaller images."""
+
+_MAX_TIME_S = 1e10
+"""Largest time stamp, s; stamps that count from 1970 are below. Larger ones are damaged."""
+
+_FORMATS = (
+    "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,h263,h264,hevc,ivf,"
+    "ivr,kux,lmlm4,m4v,matroska,mjpeg,mjpeg_2000,mov,mpeg,mpegts,mpegvideo,mpjpeg,mxf,nsv,nut,obu,ogg,rm,ser,ty,vc1,"
+    "vc1test,vvc,webm,wtv,yuv4mpegpipe,"
+    "aac,ac3,flac,mp3,wav"  # "contains no video"
+)
+"""FFmpeg's names of the formats that are read.
+
+No playlists and session descriptions (hls, concat, dash, sdp, ...), which make FFmpeg open other files or the network.
+"""
+
+_OPTIONS = {
+    "format_whitelist": _FORMATS,
+    "protocol_whitelist": "file",
+    "enable_drefs": "0",  # MP4: no tracks in other files
+    "max_pixels": str(MAX_PIXELS),
+}
+"""FFmpeg's options for opening a file."""
 
 
 class VideoFile:
@@ -57,11 +84,13 @@ class VideoFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._reading: _Reading | None = _Reading(path)
+        self._state = FileState.of(path)
+        self._reading: _Reading | None = _Reading(path, self._state)
         container, stream = self._reading.container, self._reading.stream
         self._log = self._reading.log
         self.fps = self._reading.fps
-        self._file_notes: list[str] = []
+        self._file_notes: list[str] = [f"{path}: {note}" for note in self._reading.notes]
+        self._has_grown = False
         if stream.sample_aspect_ratio not in (None, 0, 1):
             self._file_notes.append(f"{path}: pixels are not square; the images are used as stored.")
 
@@ -86,7 +115,8 @@ class VideoFile:
     @property
     def notes(self) -> list[str]:
         """Messages for the user, including the problems of the latest reading."""
-        return [*self._file_notes, *(f"{self.path}: {note}" for note in self._log.notes)]
+        growth = ["grew while it was read; frames that were added may be missing."] if self._has_grown else []
+        return [*self._file_notes, *(f"{self.path}: {note}" for note in (*self._log.notes, *growth))]
 
     def close(self) -> None:
         """Close the file if its first reading has not started."""
@@ -102,7 +132,9 @@ class VideoFile:
         Raises:
             VideoError: a frame differs in size from the first, or the file cannot be opened again.
         """
-        reading, first = self._reading or _Reading(self.path), self._first
+        if self._reading is None:
+            self.check_unchanged()
+        reading, first = self._reading or _Reading(self.path, self._state), self._first
         self._reading = self._first = None
         self._log = reading.log
         with closing(reading):
@@ -116,6 +148,15 @@ class VideoFile:
                     self._check_size(decoded)
                     yield VideoFrame(timed.index, timed.time_s, decoded.to_bgr(), decoded)
         self._log.note_shortfall(self._declared_end_s, tolerance_s=_SHORTFALL_FRAMES / self.fps)
+
+    def check_unchanged(self) -> None:
+        """Check that the file is the one that was opened; it may have been deleted, or have grown.
+
+        Raises:
+            VideoError: it was replaced, shortened or overwritten in the meantime.
+        """
+        _check_unchanged(self.path, self._state)
+        self._has_grown = self._state.has_grown(self.path)
 
     def _check_size(self, image: _YuvImage) -> None:
         width_px, height_px = image.size_px
@@ -142,13 +183,15 @@ class _Reading:
         container, stream: PyAV's container and its video stream.
         fps: nominal frame rate.
         log: frame numbers and unusable frames.
+        notes: messages for the user about the header, without the path.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, state: FileState) -> None:
+        self._path, self._state = path, state
         self.container, self.stream = _open(path)
         self.log = DecodeLog()
-        rate_hz = self.stream.average_rate or self.stream.guessed_rate
-        self.fps = float(rate_hz) if rate_hz else _FALLBACK_RATE_HZ
+        self.notes: list[str] = []
+        self.fps = self._rate_hz()
         # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
         self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
         self._time_base = self.stream.time_base or Fraction(1, 90_000)
@@ -159,6 +202,15 @@ class _Reading:
     def close(self) -> None:
         """Close the file."""
         self.container.close()
+
+    def _rate_hz(self) -> float:
+        declared_hz = [float(rate) for rate in (self.stream.average_rate, self.stream.guessed_rate) if rate]
+        for rate_hz in declared_hz:
+            if _MIN_RATE_HZ <= rate_hz <= _MAX_RATE_HZ:
+                return rate_hz
+        if declared_hz:
+            self.notes.append(f"states {declared_hz[0]:.4g} frames/s, which is ignored; timestamps are used.")
+        return _FALLBACK_RATE_HZ
 
     def skip_to(self, from_s: float) -> None:
         """Skip the packets before the last keyframe at or before `from_s`; later frames do not depend on them."""
@@ -206,7 +258,8 @@ class _Reading:
             packet = next(self._packets)
             try:
                 self._decoded.extend(self.stream.decode(packet))
-            except av.FFmpegError:
+            except (av.FFmpegError, MemoryError):
+                _check_unchanged(self._path, self._state)
                 self.log.n_damaged += 1
         return self._decoded.popleft()
 
@@ -267,36 +320,44 @@ def _display_axes(frame: av.VideoFrame) -> tuple[int, int, int, int]:
     return (a, b, c, d) if is_right_angle else _UPRIGHT
 
 
+def _check_unchanged(path: Path, state: FileState) -> None:
+    change = state.change_of(path)
+    if change:
+        raise VideoError(f"{path}: the file was {change} while it was read; repeat the run with the complete file.")
+
+
 def _open(path: Path) -> tuple[InputContainer, VideoStream]:
     """The file and its video stream, ready to decode."""
     try:
         container = av.open(
-            f"file:{path}", mode="r", metadata_errors="replace"
+            f"file:{path}", mode="r", options=_OPTIONS, metadata_errors="replace"
         )  # "file:", since a name may look like a URL
-    except av.FFmpegError as error:
+    except (av.FFmpegError, ValueError, MemoryError) as error:
         raise VideoError(f"{path}: {_unreadable_reason(path)}") from error
     try:
-        if container.format.name.endswith(_STILL_FORMATS):
-            raise VideoError(
-                f"{path}: expected a video, got a single image; give a video file or a folder of numbered images."
-            )
         stream = _video_stream(container)
-        if stream is None or container.format.name == "tty":  # FFmpeg reads any text as ANSI art
+        if stream is None:
             raise VideoError(f"{path}: contains no video; give a video file or a folder of numbered images.")
+        check_size(path, (stream.codec_context.width, stream.codec_context.height), VideoError)
     except VideoError:
         container.close()
         raise
     stream.thread_type = "AUTO"
     stream.thread_count = DECODER_THREADS
+    stream.codec_context.options = {**stream.codec_context.options, "max_pixels": str(MAX_PIXELS)}
     return container, stream
 
 
 def _unreadable_reason(path: Path) -> str:
     try:
         with path.open("rb") as file:
+            is_image = header_size_px(file) is not None
+            file.seek(0)
             start = file.read(12)
     except OSError as error:
         return f"cannot be read ({error.strerror}); check its permissions."
+    if is_image:
+        return "expected a video, got a single image; give a video file or a folder of numbered images."
     if not start:
         return "the file is empty; copy or record it again."
     if start[4:8] == b"ftyp":

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import stat
 from collections.abc import Generator
 from pathlib import Path
 
@@ -16,13 +17,19 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.atomic_files import describe
+from track_range.foundation.images import IMAGE_SUFFIXES, read_image
+from track_range.foundation.input_files import check_regular, read_bytes
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
-"""Suffixes of image files, in lower case."""
+_MAX_NUMBER = 2**63 - 1
+"""Largest frame number, an int64 like those of results; times in nanoseconds since 1970 fit."""
+
+_MAX_STAMP_BYTES = 200
+"""Size limit, bytes, of a line of timestamps.txt."""
 
 _TIMESTAMPS_NAME = "timestamps.txt"
-_TIMESTAMP = re.compile(r"(\d{4}-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
+_TIMESTAMP = re.compile(r"((?:19|20|21)\d\d-\d\d-\d\d)[ T](\d\d:\d\d:\d\d(?:\.\d{1,9})?)")
 
 
 class ImageFolder:
@@ -37,12 +44,14 @@ class ImageFolder:
         notes: messages for the user.
 
     Raises:
-        VideoError: no numbered images, two with the same number, or the first cannot be decoded.
+        VideoError: no numbered images, two with the same number, one that is not a regular file, or the first cannot
+            be decoded.
     """
 
     def __init__(self, path: Path, *, fps: float) -> None:
         self.path = path
         self._images = _numbered_images(path)
+        self._states = [_state(image) for _, image in self._images]
         self.n_frames = len(self._images)
         first, last = self._images[0][0], self._images[-1][0]
         stamps_s, self._folder_notes = _stamps_of(path, self.n_frames)
@@ -75,7 +84,7 @@ class ImageFolder:
         """The images with times in [from_s, until_s).
 
         Raises:
-            VideoError: an image cannot be decoded or differs in size from the first.
+            VideoError: an image was deleted, cannot be decoded, or differs in size from the first.
         """
         self._n_backward, last_s, first_number = 0, None, self._images[0][0]
         for (number, path), stamp_s in zip(self._images, self._times_s, strict=True):
@@ -87,9 +96,29 @@ class ImageFolder:
             if from_s - TIME_EPSILON_S <= time_s < until_s - TIME_EPSILON_S:
                 yield VideoFrame(number - first_number, time_s, self._checked(path))
 
+    def check_unchanged(self) -> None:
+        """Check that no image has shrunk or been overwritten since the folder was opened.
+
+        Images may be deleted after they have been read, and one that was still being written may have grown.
+
+        Raises:
+            VideoError: an image has changed.
+        """
+        for (_, path), (n_bytes, modified_ns) in zip(self._images, self._states, strict=True):
+            try:
+                status = path.stat()
+            except OSError:
+                continue
+            if status.st_size < n_bytes or (status.st_size == n_bytes and status.st_mtime_ns != modified_ns):
+                raise VideoError(f"{path}: the image was overwritten while the folder was read; repeat the run.")
+
     def _checked(self, path: Path) -> Image:
         first, self._first_image = self._first_image, None
-        image = first if first is not None and path == self._images[0][1] else _decoded(path)
+        if first is None or path != self._images[0][1]:
+            if not path.exists():
+                raise VideoError(f"{path}: the image was deleted or moved while the folder was read; repeat the run.")
+            first = _decoded(path)
+        image = first
         height_px, width_px = image.shape[:2]
         if (width_px, height_px) != (self.width_px, self.height_px):
             raise VideoError(
@@ -101,7 +130,11 @@ class ImageFolder:
 
 def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
     """(number, path) of a folder's images, sorted by number; the number is the last one in the file name."""
-    entries = [entry for entry in folder.iterdir() if entry.suffix.lower() in IMAGE_SUFFIXES and entry.name[0] != "."]
+    try:
+        names = list(folder.iterdir())
+    except OSError as error:
+        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
+    entries = [entry for entry in names if entry.suffix.lower() in IMAGE_SUFFIXES and entry.name[0] != "."]
     numbers = ((re.findall(r"\d+", entry.stem), entry) for entry in entries)
     images = sorted((int(digits[-1]), entry) for digits, entry in numbers if digits)
     if not images:
@@ -109,6 +142,8 @@ def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
             f"{folder}: expected numbered images (000000.png, 000001.png, ...), found none; give the folder that "
             "contains them, or a video file."
         )
+    if images[-1][0] > _MAX_NUMBER:
+        raise VideoError(f"{images[-1][1]}: expected a frame number of at most 19 digits; rename the images.")
     for (number, path), (next_number, next_path) in itertools.pairwise(images):
         if number == next_number:
             raise VideoError(
@@ -120,12 +155,7 @@ def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
 
 def _decoded(path: Path) -> Image:
     """The image of a file as (H, W, 3) uint8 BGR, upright by EXIF; 16-bit images are reduced to their upper 8 bits."""
-    stored = np.frombuffer(_bytes_of(path), np.uint8)
-    image = cv2.imdecode(stored, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH) if stored.size else None
-    if image is None:
-        raise VideoError(
-            f"{path}: the image is damaged or of an unknown format; replace it, or delete it to skip its frame."
-        )
+    image = read_image(path, VideoError, "an image of the folder", flags=cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if image.dtype == np.uint16:
         image = image.astype(np.uint16, copy=False) >> 8
         return image.astype(np.uint8)
@@ -134,11 +164,20 @@ def _decoded(path: Path) -> Image:
     return image.astype(np.uint8, copy=False)
 
 
-def _bytes_of(path: Path) -> bytes:
+def _state(path: Path) -> tuple[int, int]:
+    """Size in bytes and time of the last change in ns of an image.
+
+    Raises:
+        VideoError: it is not a regular file.
+    """
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise VideoError(f"{path}: cannot be read ({error.strerror}); check its permissions.") from error
+        status = path.stat()
+    except OSError:
+        status = None
+    if status is None or not stat.S_ISREG(status.st_mode):
+        check_regular(path, VideoError, "an image of the folder")
+        status = path.stat()
+    return status.st_size, status.st_mtime_ns
 
 
 def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str]]:
@@ -147,7 +186,8 @@ def _stamps_of(folder: Path, n_images: int) -> tuple[FloatArray | None, list[str
     file = next((candidate for candidate in candidates if candidate.is_file()), None)
     if file is None:
         return None, []
-    lines = _bytes_of(file).decode(errors="replace").split("\n")
+    content = read_bytes(file, VideoError, "a date and time per image", max_bytes=_MAX_STAMP_BYTES * (n_images + 1))
+    lines = content.decode(errors="replace").split("\n")
     stamps = [line.strip() for line in lines if line.strip()]
     if len(stamps) != n_images:
         n_lines = counted(len(stamps), "line")

@@ -43,6 +43,7 @@ class _Side:
         n_before, n_between, n_after: unpaired frames before the first pair, between pairs, after the last pair.
         first_s, last_s: times of the first and the last frame read.
         is_over: whether the video has ended.
+        error: the error that ended it; None = none.
     """
 
     name: str
@@ -56,6 +57,7 @@ class _Side:
     first_s: float | None = None
     last_s: float = 0.0
     is_over: bool = False
+    error: VideoError | None = None
 
     @property
     def n_unread(self) -> int:
@@ -68,8 +70,11 @@ class _Side:
         return self.last_s + self.n_unread / self.reader.fps
 
     def advance(self) -> None:
-        """Read the next frame."""
-        self.current = next(self.frames, None)
+        """Read the next frame; an error is stored, so that the frames before it can be paired."""
+        try:
+            self.current = next(self.frames, None)
+        except VideoError as error:
+            self.current, self.error = None, error
         if self.current is None:
             self.is_over = True
             return
@@ -145,6 +150,10 @@ class StereoVideo:
                 later.advance()
             for side in self._sides:
                 side.n_after += 0 if side.current is None else 1 + side.n_unread
+        for side in self._sides:
+            if side.error is not None:
+                raise side.error
+            side.reader.check_unchanged()
         if not self._n_pairs:
             raise VideoError(self._no_pairs_message())
 

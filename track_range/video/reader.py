@@ -8,6 +8,7 @@ from collections.abc import Generator, Iterator
 from contextlib import closing
 from pathlib import Path
 
+from track_range.foundation.atomic_files import describe
 from track_range.video.file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.image_folder import ImageFolder
@@ -40,7 +41,8 @@ class VideoReader:
 
     Raises:
         VideoError: the path does not exist, is no video, or nothing can be decoded. While iterating: no frame in the
-            part to read, an image of a folder cannot be decoded, or an image has another size.
+            part to read, an image of a folder cannot be decoded, an image has another size, or the file or folder was
+            replaced, shortened or overwritten in the meantime.
     """
 
     def __init__(
@@ -71,12 +73,21 @@ class VideoReader:
         """Close the file, if it has not been read."""
         self._source.close()
 
+    def check_unchanged(self) -> None:
+        """Check that the file or folder is the one that was opened; it may have been deleted, or have grown.
+
+        Raises:
+            VideoError: it was replaced, shortened or overwritten in the meantime.
+        """
+        self._source.check_unchanged()
+
     def __iter__(self) -> Generator[VideoFrame, None, None]:
         is_empty = True
         with closing(self._source.frames(self._from_s, self._until_s)) as frames:
             while (frame := self._timed(frames)) is not None:
                 is_empty = False
                 yield frame
+        self.check_unchanged()
         if is_empty:
             part = "" if math.isinf(self._until_s) else f" to {self._until_s:.2f} s"
             raise VideoError(
@@ -100,9 +111,13 @@ class VideoReader:
 
 def _source(path: Path, folder_fps: float) -> VideoFile | ImageFolder:
     try:
-        path.stat()
-        return ImageFolder(path, fps=folder_fps) if path.is_dir() else VideoFile(path)
-    except FileNotFoundError as error:
-        raise VideoError(f"{path}: no such file or folder; check the name.") from error
-    except OSError as error:
-        raise VideoError(f"{path}: cannot be read ({error.strerror}); check its permissions.") from error
+        is_folder = path.is_dir()
+    except (OSError, ValueError) as error:  # a null character
+        reason = describe(error) if isinstance(error, OSError) else "invalid name"
+        raise VideoError(f"{path}: cannot be read ({reason}); check its permissions.") from error
+    if path.is_fifo():
+        raise VideoError(
+            f"{path}: expected a video file, found a named pipe; give a stream by its address, such as "
+            "udp://127.0.0.1:5000, or record it to a file first."
+        )
+    return ImageFolder(path, fps=folder_fps) if is_folder else VideoFile(path)

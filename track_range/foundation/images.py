@@ -1,0 +1,197 @@
+"""Reading of image files: the size is read from the header, and limited, before the image is decoded.
+
+A compressed file of a few kilobytes can announce an image that takes gigabytes.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from track_range.foundation.input_files import open_regular
+
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
+"""File name suffixes of images, in lower case."""
+
+MAX_SIDE_PX = 16_384
+"""Largest width and height of an image; the widest panoramic cameras have about 12,000 px."""
+
+MAX_PIXELS = 2**26
+"""Largest number of pixels of an image: 8192x8192, of which 8-bit BGR takes 200 MB."""
+
+_MAX_PIXEL_BYTES = 16
+"""Largest number of stored bytes per pixel: four channels of 32 bits."""
+
+_MAX_EXTRA_BYTES = 2**26
+"""Largest number of bytes besides the pixels: metadata, thumbnails, and films that phones append to photographs."""
+
+_MAX_HEADER_FIELDS = 4096
+"""Largest number of segments (JPEG) or tags (TIFF) that are searched for the size."""
+
+_MAX_SKIPPED_BYTES = 65_536
+"""Largest number of bytes between two segments of a JPEG file."""
+
+_JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""JPEG's start-of-frame markers."""
+
+_JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})
+"""JPEG markers without a length."""
+
+_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT = 256, 257, 322, 323
+_TIFF_SHORT = 3
+
+_PNM_SIZE = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,10})(?:\s|#[^\n]*\n)+(\d{1,10})\s")
+
+
+def read_image(
+    path: Path, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
+) -> npt.NDArray[Any]:
+    """The image of a PNG, JPEG, BMP, TIFF, WebP or PNM file, decoded by OpenCV.
+
+    Args:
+        path: the file.
+        error: class of the exceptions to raise.
+        expected: noun phrase for the file, for messages.
+        flags: OpenCV's flags, which determine the number of channels and the type.
+
+    Raises:
+        error: the file cannot be read, is not a regular file, is damaged or of an unknown format, or is too large.
+    """
+    with open_regular(path, error, expected) as file:
+        try:
+            size_px = header_size_px(file)
+            n_bytes = file.seek(0, os.SEEK_END)
+            if size_px is None or 0 in size_px:
+                found = "a file of another format or a damaged one" if n_bytes else "an empty or damaged file"
+                raise error(f"{path}: expected {expected} (PNG, JPEG, BMP, TIFF, WebP, PGM or PPM), found {found}.")
+            check_size(path, size_px, error)
+            max_bytes = _MAX_PIXEL_BYTES * size_px[0] * size_px[1] + _MAX_EXTRA_BYTES
+            if n_bytes > max_bytes:
+                raise error(
+                    f"{path}: expected at most {max_bytes / 1e6:.0f} MB for {size_px[0]}x{size_px[1]} px, found "
+                    f"{n_bytes / 1e6:.0f} MB; the file is damaged."
+                )
+            file.seek(0)
+            stored = np.frombuffer(file.read(n_bytes), np.uint8)
+        except OSError as reason:
+            raise error(f"{path}: cannot be read ({reason.strerror or reason}); expected {expected}.") from reason
+    try:
+        image = cv2.imdecode(stored, flags) if stored.size else None
+    except cv2.error:  # inconsistent sizes, and formats that this build cannot decode
+        image = None
+    if image is None:
+        raise error(f"{path}: expected {expected}, found a damaged or truncated image; replace or delete it.")
+    return np.asarray(image)
+
+
+def check_size(path: object, size_px: tuple[int, int], error: type[Exception]) -> None:
+    """Check the width and height that a file announces.
+
+    Raises:
+        error: they exceed the limits.
+    """
+    width_px, height_px = size_px
+    if max(size_px) > MAX_SIDE_PX or width_px * height_px > MAX_PIXELS:
+        raise error(
+            f"{path}: expected images of at most {MAX_SIDE_PX} px a side and {MAX_PIXELS // 10**6} megapixels, found "
+            f"{width_px}x{height_px} px; scale them down."
+        )
+
+
+def header_size_px(file: BinaryIO) -> tuple[int, int] | None:
+    """Width and height from the header of an image file, without decoding; None = no image of a known format.
+
+    For tiled TIFF files, at least the size of a tile, since a decoder allocates whole tiles.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    file.seek(0)
+    start = file.read(1024)
+    try:
+        if start.startswith(b"\x89PNG\r\n\x1a\n"):
+            return _pair(">II", start, 16) if start[12:16] == b"IHDR" else None
+        if start.startswith(b"\xff\xd8"):
+            return _jpeg_size_px(file)
+        if start.startswith(b"BM"):
+            (n_header,) = struct.unpack_from("<I", start, 14)
+            width_px, height_px = _pair("<HH", start, 18) if n_header == 12 else _pair("<ii", start, 18)
+            return abs(width_px), abs(height_px)  # rows from the top have a negative height
+        if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            return _tiff_size_px(file, "<" if start[:2] == b"II" else ">", is_big=b"+" in start[2:4])
+        if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
+            return _webp_size_px(start)
+    except struct.error:  # truncated
+        return None
+    match = _PNM_SIZE.match(start)
+    return None if match is None else (int(match[1]), int(match[2]))
+
+
+def _pair(layout: str, content: bytes, offset: int) -> tuple[int, int]:
+    first, second = struct.unpack_from(layout, content, offset)
+    return first, second
+
+
+def _jpeg_size_px(file: BinaryIO) -> tuple[int, int] | None:
+    file.seek(2)
+    for _ in range(_MAX_HEADER_FIELDS):
+        segment = file.tell()
+        byte = file.read(1)
+        is_marker = False
+        while byte and (byte == b"\xff" or not is_marker):  # decoders skip bytes between segments
+            is_marker = byte == b"\xff"
+            byte = file.read(1)
+            if file.tell() - segment > _MAX_SKIPPED_BYTES:
+                return None
+        if not byte:
+            return None
+        if byte[0] in _JPEG_BARE:
+            continue
+        (n_bytes,) = struct.unpack(">H", file.read(2))
+        if byte[0] in _JPEG_SIZES:
+            height_px, width_px = _pair(">HH", file.read(5), 1)
+            return width_px, height_px
+        file.seek(max(0, n_bytes - 2), os.SEEK_CUR)
+    return None
+
+
+def _tiff_size_px(file: BinaryIO, order: str, *, is_big: bool) -> tuple[int, int] | None:
+    n_offset, layout, n_tag = (8, "Q", 20) if is_big else (4, "I", 12)
+    file.seek(8 if is_big else 4)
+    (offset,) = struct.unpack(order + layout, file.read(n_offset))
+    if offset >= 2**62:
+        return None
+    file.seek(offset)
+    n_count = 8 if is_big else 2
+    (n_tags,) = struct.unpack(order + ("Q" if is_big else "H"), file.read(n_count))
+    sizes = dict.fromkeys((_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_TILE_WIDTH, _TIFF_TILE_HEIGHT), 0)
+    for _ in range(min(n_tags, _MAX_HEADER_FIELDS)):
+        field = file.read(n_tag)
+        tag, kind = struct.unpack_from(order + "HH", field)
+        if tag in sizes:
+            value = struct.unpack_from(order + ("H" if kind == _TIFF_SHORT else "I"), field, n_tag - n_offset)[0]
+            sizes[tag] = max(sizes[tag], value)
+    if not (sizes[_TIFF_WIDTH] and sizes[_TIFF_HEIGHT]):
+        return None
+    return max(sizes[_TIFF_WIDTH], sizes[_TIFF_TILE_WIDTH]), max(sizes[_TIFF_HEIGHT], sizes[_TIFF_TILE_HEIGHT])
+
+
+def _webp_size_px(start: bytes) -> tuple[int, int] | None:
+    kind = start[12:16]
+    if kind == b"VP8X":
+        width, height = (int.from_bytes(start[at : at + 3], "little") for at in (24, 27))
+        return width + 1, height + 1
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", start, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8 ":
+        width, height = _pair("<HH", start, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    return None
