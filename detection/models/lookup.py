@@ -12,6 +12,7 @@ from typing import Literal
 
 from track_range.detection.models.catalogue import CATALOGUE, CatalogueEntry, entry_named
 from track_range.detection.models.onnx_session import ModelError
+from track_range.foundation.cache_folder import cache_folder
 
 PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"
 """Folder of the models that are part of track-range."""
@@ -58,23 +59,10 @@ def models_folder(environ: Mapping[str, str] = os.environ, *, platform: str = sy
     Raises:
         ModelError: the user has no home folder.
     """
-    if folder := environ.get("TRACK_RANGE_CACHE"):
-        return Path(folder).expanduser() / "models"
-    xdg, local = environ.get("XDG_CACHE_HOME", ""), environ.get("LOCALAPPDATA", "")
-    if platform == "win32":
-        caches = Path(local) if local else _home() / "AppData" / "Local"
-    elif platform == "darwin":
-        caches = _home() / "Library" / "Caches"
-    else:  # by the XDG specification, relative paths are ignored
-        caches = Path(xdg) if Path(xdg).is_absolute() else _home() / ".cache"
-    return caches / "track-range" / "models"
-
-
-def _home() -> Path:
-    try:
-        return Path.home()
-    except RuntimeError as error:
-        raise ModelError("no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.") from error
+    folder = cache_folder(environ, platform=platform)
+    if folder is None:
+        raise ModelError("no home folder for downloaded models; set TRACK_RANGE_CACHE to a folder.")
+    return folder / "models"
 
 
 def find_model(

@@ -1,8 +1,9 @@
-"""Videos whose frames can be identified: each has one grey level, given by its number."""
+"""Videos with identifiable frames, each with a grey level given by its number; and a browser."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -70,3 +71,21 @@ def level() -> Callable[..., np.ndarray]:
 def number_in() -> Callable[[np.ndarray], int]:
     """Number of an image of such a video, from its grey level."""
     return number_of
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Playwright's own Chromium, else the system's; skipped, with the reason, if there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
+    with playwright.sync_playwright() as started:
+        own = Path(started.chromium.executable_path)
+        names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+        program = str(own) if own.is_file() else next(filter(None, map(shutil.which, names)), None)
+        if program is None:
+            pytest.skip("no Chromium here: neither playwright's own nor one on the PATH")
+        try:
+            launched = started.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        except playwright.Error as error:
+            pytest.skip(f"{program} does not start here: {str(error).splitlines()[0]}")
+        yield launched
+        launched.close()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import http.client
 import socket
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 
 import cv2
 import numpy as np
@@ -14,6 +16,7 @@ import pytest
 from tests.track_range.overlay_results import grey, result
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
+from track_range.live_view import server
 from track_range.live_view.server import PageError
 from track_range.live_view.view import LiveView, has_screen, open_view, parse_address
 from track_range.run.frame_result import FrameResult
@@ -25,9 +28,12 @@ def view() -> Iterator[LiveView]:
         yield opened
 
 
+def port_of(view: LiveView) -> int:
+    return int(view.page.url.rstrip("/").rpartition(":")[2])
+
+
 def ask(view: LiveView, path: str, *, host: str | None = None) -> http.client.HTTPResponse:
-    port = int(view.page.url.rstrip("/").rpartition(":")[2])
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", port_of(view), timeout=20)
     connection.request("GET", path, headers={} if host is None else {"Host": host})
     return connection.getresponse()
 
@@ -35,6 +41,14 @@ def ask(view: LiveView, path: str, *, host: str | None = None) -> http.client.HT
 def get(view: LiveView, path: str, *, host: str | None = None) -> tuple[int, bytes]:
     with ask(view, path, host=host) as answer:
         return answer.status, answer.read()
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    for _ in range(2000):
+        if condition():
+            return
+        time.sleep(0.01)
+    pytest.fail("the condition was not met within 20 s")
 
 
 def shade(level: int) -> FrameResult:
@@ -98,8 +112,7 @@ def test_stream_follows_the_run() -> None:
 def test_request_without_any_picture_fails() -> None:
     answers: list[int] = []
     with LiveView("127.0.0.1", 0) as view:
-        port = int(view.page.url.rstrip("/").rpartition(":")[2])
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", port_of(view), timeout=20)
         connection.request("GET", "/frame.jpg")
         waiting = threading.Thread(target=lambda: answers.append(connection.getresponse().status))
         waiting.start()
@@ -134,7 +147,7 @@ def test_all_names_are_answered_on_all_interfaces() -> None:
 
 
 def test_port_in_use(view: LiveView) -> None:
-    port = int(view.page.url.rstrip("/").rpartition(":")[2])
+    port = port_of(view)
     with pytest.raises(PageError, match=rf"^--serve 127\.0\.0\.1:{port}: .*in use"):
         LiveView("127.0.0.1", port)
 
@@ -187,3 +200,132 @@ def test_screen_is_detected_from_the_environment(monkeypatch: pytest.MonkeyPatch
     assert not has_screen()
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
     assert has_screen()
+
+
+def raw(view: LiveView, request: bytes) -> bytes:
+    """The whole answer to bytes sent as they are; empty if the connection is closed without one."""
+    with socket.create_connection(("127.0.0.1", port_of(view)), timeout=20) as connection:
+        with suppress(ConnectionError):
+            connection.sendall(request)
+            connection.shutdown(socket.SHUT_WR)
+        answer = b""
+        with suppress(ConnectionError):
+            while received := connection.recv(65536):
+                answer += received
+        return answer
+
+
+@pytest.mark.parametrize(
+    "request_line",
+    [
+        b"GET / HTTP/1.1",
+        b"HEAD / HTTP/1.1",
+        b"GET /nothing HTTP/1.1",
+        b"GET /state HTTP/9.9",
+        b"GET /state",
+        b"POST / HTTP/1.1",
+        b"\x16\x03\x01\x02",
+        b"GET / x y HTTP/1.1",
+    ],
+)
+def test_headers_of_every_answer(view: LiveView, request_line: bytes) -> None:
+    head = raw(view, request_line + b"\r\nHost: localhost\r\n\r\n").partition(b"\r\n\r\n")[0].decode()
+    headers = dict(line.split(": ", 1) for line in head.splitlines()[1:])
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert headers["Referrer-Policy"] == "no-referrer"
+    assert headers["X-Frame-Options"] == "DENY"
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+    assert "unsafe" not in headers["Content-Security-Policy"]
+
+
+@pytest.mark.parametrize("path", ["/", "/state", "/frame.jpg", "/stream.mjpg", "/nothing"])
+def test_head_request(view: LiveView, path: str) -> None:
+    view.offer(shade(40))
+    answered, headers_of = {}, {}
+    for method in ("GET", "HEAD"):
+        connection = http.client.HTTPConnection("127.0.0.1", port_of(view), timeout=20)
+        connection.request(method, path)
+        with connection.getresponse() as answer:
+            answered[method] = answer.status
+            headers_of[method] = {name: value for name, value in answer.getheaders() if name != "Date"}
+            if method == "HEAD":
+                assert answer.read() == b""
+        connection.close()
+    assert answered["HEAD"] == answered["GET"]
+    assert headers_of["HEAD"] == headers_of["GET"]
+
+
+@pytest.mark.parametrize(
+    ("request_bytes", "status"),
+    [
+        (b"GET /" + b"a" * 70_000 + b" HTTP/1.1\r\n\r\n", b"414"),
+        (b"GET / HTTP/1.1\r\nX: " + b"a" * 70_000 + b"\r\n\r\n", b"431"),
+        (b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 101 + b"\r\n", b"431"),
+        (b"GET / HTTP/1.1\r\n" + (b"X: " + b"a" * 60_000 + b"\r\n") * 3, b"431"),
+        (b"DELETE / HTTP/1.1\r\n\r\n", b"501"),
+        (bytes(range(256)) * 4 + b"\r\n\r\n", b"400"),
+    ],
+)
+def test_hostile_requests(
+    view: LiveView, capfd: pytest.CaptureFixture[str], request_bytes: bytes, status: bytes
+) -> None:
+    answer = raw(view, request_bytes)
+    assert answer == b"" or answer.split()[1] == status  # the answer is lost if the client is still sending
+    assert get(view, "/state") == (200, b"live")
+    assert capfd.readouterr().err == ""
+
+
+def test_unfinished_request_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A client that sends a byte at a time has no more time than one that sends nothing."""
+    monkeypatch.setattr(server, "_TIMEOUT_S", 0.3)
+    with LiveView("127.0.0.1", 0) as view, socket.create_connection(("127.0.0.1", port_of(view))) as connection:
+        connection.settimeout(0.05)
+        connection.sendall(b"GET /state HTTP/1.1\r\n")
+        for _ in range(400):
+            with suppress(TimeoutError, ConnectionError):
+                connection.sendall(b"X")
+                if not connection.recv(1):
+                    return
+        pytest.fail("the connection is still open")
+
+
+def test_viewers_are_limited() -> None:
+    with LiveView("127.0.0.1", 0, n_viewers=2) as view:
+        view.offer(shade(40))
+        with ask(view, "/stream.mjpg") as first, ask(view, "/stream.mjpg") as second:
+            assert next_part(first)
+            assert next_part(second)
+            status, sentence = get(view, "/stream.mjpg")
+            assert status == 503
+            assert b"2" in sentence
+            assert b"--viewers" in sentence
+            assert get(view, "/frame.jpg")[0] == 200  # only streams are counted
+        wait_until(lambda: view.page.free_streams.acquire(blocking=False))
+
+
+def test_connections_are_limited(view: LiveView) -> None:
+    n_before = threading.active_count()
+    with ExitStack() as opened:
+        for _ in range(100):
+            connection = opened.enter_context(socket.create_connection(("127.0.0.1", port_of(view)), timeout=20))
+        received = connection.recv(4096)
+        assert received.startswith(b"HTTP/1.0 503 ")
+        assert b"nosniff" in received
+        assert threading.active_count() - n_before <= server.DEFAULT_VIEWERS + 32
+    wait_until(lambda: threading.active_count() <= n_before)
+    assert get(view, "/state") == (200, b"live")
+
+
+def test_viewer_that_reads_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_TIMEOUT_S", 0.2)
+    noise = np.random.default_rng(1).integers(0, 255, (600, 800, 3), np.uint8)
+    with LiveView("127.0.0.1", 0, n_viewers=1) as view, ask(view, "/stream.mjpg"):
+        view.begin(lambda shown: shown.frame.left)
+
+        def is_free() -> bool:
+            view.offer(result([], image=noise))
+            return view.page.free_streams.acquire(blocking=False)
+
+        wait_until(is_free)

@@ -6,7 +6,6 @@ The brightness of each frame of the small overlay encodes its number, so that a 
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,23 +24,6 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 
 STEP_S, N_FRAMES = 0.1, 25
 EVIL = "<img src=x onerror=\"document.title='hacked'\"></script><script>document.title='hacked'</script>"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Playwright's own Chromium, else the system's."""
-    with playwright.sync_playwright() as started:
-        own = Path(started.chromium.executable_path)
-        names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-        changed = str(own) if own.is_file() else next(filter(None, map(shutil.which, names)), None)
-        if changed is None:
-            pytest.skip("no Chromium here: neither playwright's own nor one on the PATH")
-        try:
-            launched = started.chromium.launch(executable_path=changed, args=["--no-sandbox"])
-        except playwright.Error as error:
-            pytest.skip(f"{changed} does not start here: {str(error).splitlines()[0]}")
-        yield launched
-        launched.close()
 
 
 @pytest.fixture

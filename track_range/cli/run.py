@@ -35,6 +35,16 @@ class RunView(Options):
             panel="Output",
         ),
     ] = None
+    viewers: Annotated[
+        int,
+        option(
+            "Largest number of viewers of the live view at a time (default: 16).",
+            metavar="N",
+            panel="Output",
+            ge=1,
+            le=1000,
+        ),
+    ] = 16
 
 
 def _run(**values: Any) -> None:
@@ -43,7 +53,8 @@ def _run(**values: Any) -> None:
 
     view_options = RunView.of(given_values(RunView, values))
     settings = settings_from(given_values(RunSettings, values), view_options.settings)
-    with open_view(show=view_options.show, serve=view_options.serve) or nullcontext() as view:
+    view = open_view(show=view_options.show, serve=view_options.serve, n_viewers=view_options.viewers)
+    with view or nullcontext():
         run_and_print(settings, console, view)
 
 

@@ -18,9 +18,8 @@ import cv2
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import UsageError
-from track_range.live_view.server import LOOPBACK, LivePage
+from track_range.live_view.server import DEFAULT_VIEWERS, LOOPBACK, LivePage
 from track_range.run.frame_result import FrameResult
-from track_range.run.prefetch import lower_thread_priority
 
 _QUALITY = 80
 """JPEG quality in per cent; at 100 a picture is three times as large."""
@@ -35,6 +34,7 @@ class LiveView:
         host: address to listen on.
         port: port to listen on; 0 = any free port.
         opens_browser: whether to open a browser, if there is a screen.
+        n_viewers: largest number of streams at a time.
 
     Attributes:
         page: server of the page.
@@ -43,14 +43,14 @@ class LiveView:
         PageError: the page cannot be served at this address.
     """
 
-    def __init__(self, host: str, port: int, *, opens_browser: bool = False) -> None:
+    def __init__(self, host: str, port: int, *, opens_browser: bool = False, n_viewers: int = DEFAULT_VIEWERS) -> None:
         self._opens_browser = opens_browser
         self._picture: Callable[[FrameResult], Image] = lambda result: result.frame.left
         self._newest: FrameResult | None = None
         self._number, self._is_over = 0, False
         self._changed = threading.Condition()
         self._drawing, self._drawn = threading.Lock(), (b"", 0)
-        self.page = LivePage(self.next_picture, port, host=host)
+        self.page = LivePage(self.next_picture, port, host=host, n_viewers=n_viewers)
 
     def __enter__(self) -> Self:
         return self
@@ -76,24 +76,26 @@ class LiveView:
             self._newest, self._number = result, self._number + 1
             self._changed.notify_all()
 
-    def next_picture(self, number: int) -> tuple[bytes, int]:
-        """Wait for a result after `number`; returns it as JPEG with its number, or empty bytes after the run."""
+    def next_picture(self, number: int, wait_s: float) -> tuple[bytes, int] | None:
+        """Wait up to `wait_s` for a result after `number`, and return it as JPEG with its number.
+
+        Empty bytes = there is no newer result yet; None = the run is over.
+        """
         with self._changed:
-            self._changed.wait_for(lambda: self._is_over or self._number > number)
+            self._changed.wait_for(lambda: self._is_over or self._number > number, wait_s)
             if self._number <= number:
-                return b"", number
+                return None if self._is_over else (b"", number)
         with self._drawing:
             with self._changed:
                 newest, newest_number = self._newest, self._number
             if newest is not None and self._drawn[1] < newest_number:
-                lower_thread_priority()
                 _, jpeg = cv2.imencode(".jpg", self._picture(newest), (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
                 self._drawn = (jpeg.tobytes(), newest_number)
             return self._drawn
 
 
-def open_view(*, show: bool, serve: str | None) -> LiveView | None:
-    """Live view for the options `--show` and `--serve`; None without both.
+def open_view(*, show: bool, serve: str | None, n_viewers: int = DEFAULT_VIEWERS) -> LiveView | None:
+    """Live view for the options `--show` and `--serve`, with at most `n_viewers` streams; None without both.
 
     Raises:
         UsageError: `serve` is not a port or an address with a port.
@@ -102,7 +104,7 @@ def open_view(*, show: bool, serve: str | None) -> LiveView | None:
     if not show and serve is None:
         return None
     host, port = (LOOPBACK, 0) if serve is None else parse_address(serve)
-    return LiveView(host, port, opens_browser=show)
+    return LiveView(host, port, opens_browser=show, n_viewers=n_viewers)
 
 
 def parse_address(text: str) -> tuple[str, int]:
