@@ -11,6 +11,7 @@ The speed is interpolated linearly between samples and is NaN outside them. Rota
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -20,6 +21,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.numeric_text import number, numbers
 
 _MPS_PER_KMH = 1 / 3.6
 _MAX_SPEED_MPS = 120.0
@@ -31,6 +34,9 @@ _MAX_GAP_S = 3.0
 _EDGE_S = 0.25
 """Time before the first and after the last sample for which its speed holds: recordings and videos do not start on the
 same frame."""
+
+_MAX_TIME_S = 1e10
+"""Largest absolute time; seconds since 1970 are smaller."""
 
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}
 """Factor from each speed column to m/s."""
@@ -89,9 +95,8 @@ def open_ego_speed(text: str) -> EgoSpeed:
     Raises:
         EgoSpeedError: `text` is none of these, or the file or folder cannot be used.
     """
-    try:
-        kmh = float(text)
-    except ValueError:
+    kmh = number(text)
+    if math.isnan(kmh) and text.strip().lower() != "nan":
         return _from_path(Path(text))
     return EgoSpeed(np.array([-np.inf]), _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed"), f"{kmh:g} km/h")
 
@@ -99,72 +104,85 @@ def open_ego_speed(text: str) -> EgoSpeed:
 def _from_path(path: Path) -> EgoSpeed:
     if path.is_dir():
         return _from_oxts(path)
-    if not path.is_file():
+    if not os.path.lexists(path):
+        is_decimal = math.isfinite(number(str(path).replace(",", ".")))
         raise EgoSpeedError(
-            f"{path}: no such file; expected a speed in km/h, a CSV file or a folder of KITTI oxts files."
+            f"{shortened(str(path))}: no such file; expected a speed in km/h, a CSV file or a folder of KITTI oxts "
+            f"files{'; write decimals with a point' if is_decimal else ''}."
         )
     return _from_csv(path)
 
 
 def _from_csv(path: Path) -> EgoSpeed:
-    table = read_csv_table(path, EgoSpeedError, "a header such as 'time_s,speed_kmh' and at least one row")
+    expected = "a header such as 'time_s,speed_kmh' and at least one row"
+    table = read_csv_table(path, EgoSpeedError, expected, exact=True)
     units = [name for name in table.header if name in _UNITS]
     if "time_s" not in table or len(units) != 1:
         raise EgoSpeedError(
-            f"{path}: expected the columns time_s and either speed_mps or speed_kmh, got {','.join(table.header)}."
+            f"{path}: expected the columns time_s and either speed_mps or speed_kmh, got "
+            f"{shortened(','.join(table.header))}."
         )
     table.refuse_duplicates(table.header)
     if not len(table):
         raise EgoSpeedError(f"{path}: expected at least one row below the header, got none.")
     time_s, speed_mps = table.finite("time_s"), table.finite(units[0]) * _UNITS[units[0]]
+    table.check("time_s", time_s, np.abs(time_s) <= _MAX_TIME_S, "seconds from the first frame")
     if (np.diff(time_s) <= 0).any():
         raise EgoSpeedError(f"{path}: expected time_s to increase from row to row; sort the rows, remove duplicates.")
     return EgoSpeed(time_s, _plausible(speed_mps, str(path)), path.name)
 
 
 def _from_oxts(folder: Path) -> EgoSpeed:
-    files = sorted(file for part in (folder, folder / "data") for file in part.glob("*.txt") if file.stem.isdigit())
+    files = sorted(file for part in (folder, folder / "data") for file in part.glob("*.txt") if file.stem.isdecimal())
     if not files:
         raise EgoSpeedError(f"{folder}: expected KITTI oxts files such as 0000000000.txt, found none.")
     times_s = _oxts_times_s(folder)
-    number = np.array([int(file.stem) for file in files])
-    if number[-1] >= len(times_s):
+    frames = [int(file.stem) for file in files]
+    if max(frames) >= len(times_s):
         raise EgoSpeedError(
             f"{folder}: expected a line in timestamps.txt for each oxts file, got {len(times_s)} lines "
             f"but a file {files[-1].name}."
         )
     speed_mps = np.array([_oxts_forward_mps(file) for file in files])
-    return EgoSpeed(times_s[number], _plausible(speed_mps, str(folder)), folder.name)
+    return EgoSpeed(times_s[np.array(frames)], _plausible(speed_mps, str(folder)), folder.name)
 
 
 def _oxts_times_s(folder: Path) -> FloatArray:
     """(N,) seconds from the first line of timestamps.txt, which is in the folder or next to it."""
     for path in (folder / "timestamps.txt", folder.parent / "timestamps.txt"):
-        if path.is_file():
+        if os.path.lexists(path):
             break
     else:
         raise EgoSpeedError(f"{folder}: expected a timestamps.txt in this folder or next to it, found none.")
-    try:
-        # The file has nanoseconds, datetime reads microseconds: 26 characters.
-        moments = [datetime.fromisoformat(line.strip()[:26]) for line in path.read_text("utf-8").splitlines() if line]
-    except (OSError, ValueError) as error:
-        raise EgoSpeedError(f"{path}: expected lines such as '2011-09-26 13:10:51.168593664' ({error}).") from error
+    lines = read_text(path, EgoSpeedError, "timestamps", max_bytes=MAX_TABLE_BYTES).split("\n")
+    moments = [_moment(line.strip(), f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
     times_s = np.array([(moment - moments[0]).total_seconds() for moment in moments])
     if (np.diff(times_s) <= 0).any():
         raise EgoSpeedError(f"{path}: expected times that increase from line to line.")
     return times_s
 
 
-def _oxts_forward_mps(file: Path) -> float:
+def _moment(text: str, where: str) -> datetime:
+    """The time in one line of timestamps.txt; a time zone is ignored."""
     try:
-        values = [float(text) for text in file.read_text("utf-8").split()]
-    except (OSError, ValueError) as error:
-        raise EgoSpeedError(f"{file}: expected the {_OXTS_COLUMNS} numbers of a KITTI oxts file ({error}).") from error
-    if len(values) != _OXTS_COLUMNS or not math.isfinite(values[_OXTS_FORWARD]):
+        # The file has nanoseconds, datetime reads microseconds: 26 characters.
+        return datetime.fromisoformat(text[:26]).replace(tzinfo=None)
+    except ValueError as error:
         raise EgoSpeedError(
-            f"{file}: expected {_OXTS_COLUMNS} numbers, the forward speed (the 9th) finite, got {len(values)} numbers."
+            f"{where}: expected a time such as '2011-09-26 13:10:51.168593664', got {quoted(text)}."
+        ) from error
+
+
+def _oxts_forward_mps(file: Path) -> float:
+    cells = read_text(file, EgoSpeedError, "a KITTI oxts file").split()
+    if len(cells) != _OXTS_COLUMNS:
+        raise EgoSpeedError(
+            f"{file}: expected the {_OXTS_COLUMNS} numbers of a KITTI oxts file, got {len(cells)} numbers."
         )
-    return values[_OXTS_FORWARD]
+    for cell, value in zip(cells, numbers(cells), strict=True):
+        if not math.isfinite(value):
+            raise EgoSpeedError(f"{file}: expected {_OXTS_COLUMNS} finite numbers, got {quoted(cell)}.")
+    return number(cells[_OXTS_FORWARD])
 
 
 def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
@@ -173,6 +191,6 @@ def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
     if len(implausible):
         raise EgoSpeedError(
             f"{where}: expected a speed of at most {_MAX_SPEED_MPS * 3.6:.0f} km/h, got "
-            f"{implausible[0] * 3.6:.0f} km/h; check the unit."
+            f"{implausible[0] * 3.6:.6g} km/h; check the unit."
         )
     return speed_mps

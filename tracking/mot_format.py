@@ -9,18 +9,23 @@ written with 2 decimals, so an edge that is read back is accurate to 0.01 px.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.formats.detection_files import MAX_FRAME, xyxy_from_mot
+from track_range.detection.formats.detection_files import xyxy_from_mot
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.numeric_text import numbers
 from track_range.tracking.tracks import Tracks
 
 _FIRST_PIXEL = 1  # `detection.formats.detection_files.xyxy_from_mot` is the inverse
 _FIRST_FRAME = 1
+_MAX_CLASS = 100_000
 _N_TRUTH_COLUMNS = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
 
 
@@ -78,15 +83,21 @@ def read_mot(path: Path) -> MotRows:
     """The rows of a gt.txt, det.txt or result file; blank lines are skipped.
 
     Raises:
-        MotFormatError: no such file, or a line that is not 7 to 10 numbers with a whole frame >= 1, a whole id and
-            w, h >= 0.
+        MotFormatError: no such file; or a line that is not 7 to 10 finite numbers with an integer frame >= 1, an
+            integer id, a plausible box and w, h >= 0; or an id from 0 that occurs twice in a frame.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise MotFormatError(f"{path}: cannot be read as text ({error}).") from error
-    rows = [_row(line, f"{path}, line {i}") for i, line in enumerate(lines, start=1) if line.strip()]
+    text = read_text(path, MotFormatError, "rows of MOTChallenge", max_bytes=MAX_TABLE_BYTES)
+    numbered = [(i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip()]
+    rows = [_row(line, f"{path}, line {i}") for i, line in numbered]
     table = np.array(rows, np.float64).reshape(-1, 9)
+    seen: set[tuple[float, float]] = set()
+    for (i, _), row in zip(numbered, rows, strict=True):
+        if row[1] >= 0 and (row[0], row[1]) in seen:
+            raise MotFormatError(
+                f"{path}, line {i}: expected each id at most once per frame, found a duplicate of id {row[1]:.0f} in "
+                f"frame {row[0]:.0f}."
+            )
+        seen.add((row[0], row[1]))
     return MotRows(
         frame=table[:, 0].astype(np.int64) - _FIRST_FRAME,
         track_id=table[:, 1].astype(np.int64),
@@ -102,18 +113,25 @@ def _row(line: str, where: str) -> list[float]:
     cells = [cell.strip() for cell in line.strip().rstrip(",").split(",")]
     if not 7 <= len(cells) <= 10:
         raise MotFormatError(f"{where}: expected 7 to 10 numbers between commas, found {len(cells)}.")
-    try:
-        row = [float(cell) for cell in cells]
-    except ValueError as error:
-        raise MotFormatError(f"{where}: expected a number ({error}).") from error
+    row = numbers(cells)
     if not np.isfinite(row).all():
-        raise MotFormatError(f"{where}: expected finite numbers, found '{line.strip()}'.")
-    if not _FIRST_FRAME <= row[0] <= MAX_FRAME + _FIRST_FRAME or row[0] % 1 or row[1] % 1:
+        cell = next(cell for cell, value in zip(cells, row, strict=True) if not math.isfinite(value))
+        raise MotFormatError(f"{where}: expected finite numbers, found {quoted(cell)}.")
+    if not _FIRST_FRAME <= row[0] <= MAX_FRAME + _FIRST_FRAME or row[0] % 1 or row[1] % 1 or abs(row[1]) > MAX_ID:
         raise MotFormatError(
-            f"{where}: expected an integer frame number >= {_FIRST_FRAME} and an integer id, found {cells[0]} and "
-            f"{cells[1]}; MOTChallenge's files count frames from 1."
+            f"{where}: expected an integer frame number from {_FIRST_FRAME} to {MAX_FRAME + _FIRST_FRAME} and an "
+            f"integer id, found {quoted(cells[0])} and {quoted(cells[1])}; MOTChallenge's files count frames from 1."
         )
     if min(row[4:6]) < 0:
-        raise MotFormatError(f"{where}: expected width and height >= 0, found {cells[4]} and {cells[5]}.")
-    has_class = len(row) == _N_TRUTH_COLUMNS
-    return [*row[:7], *(row[7:9] if has_class else (0.0, np.nan))]
+        raise MotFormatError(
+            f"{where}: expected width and height >= 0, found {quoted(cells[4])} and {quoted(cells[5])}."
+        )
+    if not are_plausible_boxes(np.array([row[2:6]])).all():
+        raise MotFormatError(
+            f"{where}: expected a box of at most {MAX_COORDINATE_PX:g} pixels, found {shortened(','.join(cells[2:6]))}."
+        )
+    if len(row) != _N_TRUTH_COLUMNS:
+        return [*row[:7], 0.0, np.nan]
+    if row[7] % 1 or abs(row[7]) > _MAX_CLASS:
+        raise MotFormatError(f"{where}: expected an integer as the class in column 8, found {quoted(cells[7])}.")
+    return row

@@ -26,10 +26,11 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.input_files import first_line, quoted
 
 REQUIRED = ("frame", "id", "class", "x1", "y1", "x2", "y2", "distance_m")
 """Required columns."""
@@ -41,17 +42,14 @@ DONT_CARE = "dontcare"
 """Class of regions that are not evaluated."""
 
 _BOX = ("x1", "y1", "x2", "y2")
-_MAX_ID = 2**53 - 1
-"""Largest integer up to which a float64 represents all integers exactly."""
-
-_MAX_COORDINATE_PX, _MAX_DISTANCE_M, _MAX_SPEED_MPS = 1e7, 1e5, 1e3
-"""Largest plausible absolute values."""
+_MAX_SPEED_MPS = 1e3
+"""Largest plausible closing speed."""
 
 _PLAUSIBLE = {
     "frame": (0.0, MAX_FRAME, "an integer from 0"),
-    "id": (0.0, _MAX_ID, "an integer from 0"),
-    **dict.fromkeys(_BOX, (-_MAX_COORDINATE_PX, _MAX_COORDINATE_PX, "a number of pixels")),
-    "distance_m": (0.0, _MAX_DISTANCE_M, "a positive number, or an empty cell if unknown"),
+    "id": (0.0, MAX_ID, "an integer from 0"),
+    **dict.fromkeys(_BOX, (-MAX_COORDINATE_PX, MAX_COORDINATE_PX, "a number of pixels")),
+    "distance_m": (0.0, MAX_DISTANCE_M, "a positive number, or an empty cell if unknown"),
     "visible_share": (0.0, 1.0, "a number from 0 to 1, or an empty cell"),
     "closing_mps": (-_MAX_SPEED_MPS, _MAX_SPEED_MPS, "a speed in m/s, or an empty cell if unknown"),
 }
@@ -104,9 +102,8 @@ def has_label_columns(path: Path) -> bool:
 def _first_line(path: Path) -> str | None:
     """The first line that is not blank; "" if there is none, None if the file cannot be read."""
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            return next((line for line in file if line.strip()), "")
-    except (OSError, UnicodeDecodeError):
+        return first_line(path, LabelFileError, "labels")
+    except LabelFileError:
         return None
 
 
@@ -154,7 +151,9 @@ def _class_names(table: CsvTable) -> npt.NDArray[np.str_]:
     for row, name in enumerate(names):
         if name not in ROAD_CLASS_OF and name != DONT_CARE:
             known = ", ".join(ROAD_CLASSES)
-            raise table.fault(row, f"expected one of the classes {known}, or {DONT_CARE} for a region, got '{name}'.")
+            raise table.fault(
+                row, f"expected one of the classes {known}, or {DONT_CARE} for a region, got {quoted(name)}."
+            )
     return np.array(names, np.str_)
 
 

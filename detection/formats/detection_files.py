@@ -7,6 +7,8 @@ track-range's tracks.csv. A feat.npy next to a MOTChallenge file has the same ro
 
 from __future__ import annotations
 
+import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,8 +19,12 @@ from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
+from track_range.foundation.array_files import read_array
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table
+from track_range.foundation.input_files import MAX_TABLE_BYTES, first_line, quoted, read_text
+from track_range.foundation.numeric_text import are_integers, number
 
 _MOT_COLUMNS = range(7, 11)
 """Numbers of columns that MOTChallenge's files have."""
@@ -28,11 +34,11 @@ _PLAIN_COLUMNS = 6
 
 _FEATURES_NAME = "feat.npy"
 
-MAX_FRAME = 1_000_000
-"""Largest frame number accepted, from 0: nine hours at 30 Hz."""
+_MAX_FEATURE = 1e15
+"""Largest absolute value of an embedding: sums of squares do not overflow in float32."""
 
-_MAX_COORDINATE_PX = 1e7
-"""Largest absolute pixel coordinate of a valid box."""
+_MAX_SCORE = 1e6
+"""Largest absolute score; scores are probabilities, or margins of a few units."""
 
 DetectionFormat = Literal["mot", "kitti", "rrc", "tracks"]
 """Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, or track-range's tracks.csv."""
@@ -88,9 +94,9 @@ def read_detections(
     file_form = _form_of(file_format, kind)
     if form not in (None, file_form):
         raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({kind}).")
-    score, score_note = _as_probability(boxes.score)
-    in_range = (np.abs(np.nan_to_num(boxes.xyxy_px, nan=np.inf)) < _MAX_COORDINATE_PX).all(axis=1)
-    is_valid = are_valid_boxes(boxes.xyxy_px) & in_range & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
+    score, score_note = _as_probability(np.where(np.abs(boxes.score) <= _MAX_SCORE, boxes.score, np.nan))
+    is_plausible = are_valid_boxes(boxes.xyxy_px) & are_plausible_boxes(boxes.xyxy_px)
+    is_valid = is_plausible & np.isfinite(score) & (boxes.class_id >= 0) & (frame >= 0)
     if np.any(frame > MAX_FRAME):
         raise LabelFileError(f"{path}: expected frame numbers up to {MAX_FRAME}, got {frame.max()}.")
     order = np.flatnonzero(is_valid)[np.argsort(frame[is_valid], kind="stable")]
@@ -105,13 +111,7 @@ def read_detections(
 def _format_of(path: Path) -> str:
     if path.is_dir():
         return "kitti"
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            first = next((line for line in file if line.strip()), "")
-    except OSError as error:
-        raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except UnicodeDecodeError as error:
-        raise LabelFileError(f"{path}: expected detections, got a file that is not text.") from error
+    first = first_line(path, LabelFileError, "detections")
     if not first:
         raise LabelFileError(f"{path}: expected detections, got an empty file.")
     if "," not in first:
@@ -133,13 +133,7 @@ def _read_kitti(path: Path, _: int) -> tuple[str, IntArray, Detections]:
 
 
 def _read_comma(path: Path, default_class_id: int) -> tuple[str, IntArray, Detections]:
-    try:
-        table = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
-    except ValueError as error:
-        raise LabelFileError(f"{path}: expected rows of comma-separated numbers, all of the same length.") from error
-    number = table[:, 0]
-    if not np.all((np.abs(number) <= MAX_FRAME + 1) & (np.rint(number) == number)):  # NaN fails too; MOT counts from 1
-        raise LabelFileError(f"{path}: expected integers up to {MAX_FRAME} as frame numbers.")
+    table = _comma_table(path)
     class_id = np.full(len(table), default_class_id)
     name = ROAD_CLASSES[default_class_id]
     if table.shape[1] == _PLAIN_COLUMNS:
@@ -156,6 +150,36 @@ def _read_comma(path: Path, default_class_id: int) -> tuple[str, IntArray, Detec
     return f"MOTChallenge rows of class {name}{with_embeddings}", table[:, 0].astype(np.int64) - 1, boxes
 
 
+def _comma_table(path: Path) -> FloatArray:
+    """(N, C) numbers of a file with commas between them and frame numbers in its first column; `#` starts a comment."""
+    lines = read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES).split("\n")
+    if not any(line.partition("#")[0].strip() for line in lines):
+        raise LabelFileError(f"{path}: expected detections, got only comments.")
+    try:
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise _fault(path, lines) from error
+    frame = table[:, 0]
+    if not are_integers(frame, -MAX_FRAME - 1, MAX_FRAME + 1):  # MOTChallenge counts from 1
+        raise LabelFileError(f"{path}: expected integers up to {MAX_FRAME} as frame numbers.")
+    return table
+
+
+def _fault(path: Path, lines: list[str]) -> LabelFileError:
+    """An error about the first line that is not as many numbers as the first one has."""
+    n_cells = 0
+    for line, text in enumerate(lines, start=1):
+        cells = text.partition("#")[0].split(",")
+        if not any(map(str.strip, cells)):
+            continue
+        n_cells = n_cells or len(cells)
+        invalid = next((cell for cell in cells if math.isnan(number(cell)) and "nan" not in cell.lower()), None)
+        found = f"{len(cells)} cells" if invalid is None else quoted(invalid.strip())
+        if invalid is not None or len(cells) != n_cells:
+            return LabelFileError(f"{path}, line {line}: expected {n_cells} numbers between commas, got {found}.")
+    return LabelFileError(f"{path}: expected rows of comma-separated numbers, all of the same length.")
+
+
 def _descriptors(path: Path, table: FloatArray) -> Descriptors:
     """(N, D) float32 embeddings from the feat.npy in the folder of `path`; D = 0 if there is no such file.
 
@@ -163,20 +187,19 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors:
         LabelFileError: feat.npy cannot be read, or its rows differ from those of `path`.
     """
     features_path = path.with_name(_FEATURES_NAME)
-    if not features_path.is_file():
+    if not os.path.lexists(features_path):
         return np.zeros((len(table), 0), np.float32)
-    try:
-        features = np.asarray(np.load(features_path, allow_pickle=False), np.float64)
-    except (OSError, ValueError, EOFError) as error:
-        raise LabelFileError(f"{features_path}: expected an array of numbers ({type(error).__name__}).") from error
+    features = np.asarray(read_array(features_path, LabelFileError, f"embeddings of {path.name}"), np.float64)
     n_columns = table.shape[1]
     if features.ndim != 2 or features.shape[0] != len(table) or features.shape[1] <= n_columns:
         raise LabelFileError(
             f"{features_path}: expected {len(table)} rows as in {path.name}, each with {n_columns} numbers and an "
             f"embedding, got shape {features.shape}."
         )
-    if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not np.isfinite(features).all():
-        raise LabelFileError(f"{features_path}: expected finite numbers and the same boxes as in {path.name}.")
+    if not np.allclose(features[:, :6], table[:, :6], atol=0.01) or not (np.abs(features) <= _MAX_FEATURE).all():
+        raise LabelFileError(
+            f"{features_path}: expected finite numbers up to {_MAX_FEATURE:g} and the same boxes as in {path.name}."
+        )
     return features[:, n_columns:].astype(np.float32)
 
 
@@ -191,6 +214,8 @@ def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:
     table = read_csv_table(path, LabelFileError, f"columns {', '.join(expected)}, class")
     table.require((*expected, "class"))
     cells = np.stack([table.finite(name) for name in expected], axis=1)
+    is_frame = (np.abs(cells[:, 0]) <= MAX_FRAME) & (np.rint(cells[:, 0]) == cells[:, 0])
+    table.check("frame", cells[:, 0], is_frame, f"an integer from 0 to {MAX_FRAME}")
     class_id = map_to_road_classes(table.texts("class"))
     observed = cells[:, 6] == 1
     return (

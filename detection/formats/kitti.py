@@ -17,14 +17,33 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.errors import UserError
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.numeric_text import numbers
 
 _TRACKING_COLUMNS = 17
 """Number of columns of tracking labels, without the score."""
 
 _OBJECT_COLUMNS = 15
 """Number of columns of object labels, without the score."""
+
+_MAX_VALUE = 1e6
+"""Largest absolute value in metres, radians, or of a score; -1000 = unknown."""
+
+_LIMITS = {
+    0: (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
+    1: (-MAX_ID, MAX_ID, "an integer as the track id"),
+    3: (-100, 100, "an integer as the occlusion"),
+    **dict.fromkeys(
+        range(5, 9), (-MAX_COORDINATE_PX, MAX_COORDINATE_PX, f"pixels up to {MAX_COORDINATE_PX:g} as the box")
+    ),
+}
+"""Smallest and largest value by column without the type, and the expected value for messages."""
+
+_INTEGERS = (0, 1, 3)
+"""Columns without the type that are integers: frame, track id, occlusion."""
 
 
 class LabelFileError(UserError):
@@ -76,7 +95,8 @@ def read_kitti(path: Path) -> KittiLabels:
     """The rows of a tracking file, or of a folder of object files (000000.txt, ...; the number is the frame).
 
     Raises:
-        LabelFileError: the file or folder cannot be read, is empty, or has an invalid row.
+        LabelFileError: the file or folder cannot be read, is empty, or has a row of the wrong length or an
+            implausible number.
     """
     if path.is_dir():
         return _read_folder(path)
@@ -87,7 +107,7 @@ def read_kitti(path: Path) -> KittiLabels:
 
 
 def _read_folder(folder: Path) -> KittiLabels:
-    files = sorted(file for file in folder.glob("*.txt") if file.stem.isdigit())
+    files = sorted(file for file in folder.glob("*.txt") if file.stem.isdecimal())
     if not files:
         raise LabelFileError(f"{folder}: expected label files such as 000000.txt, found none.")
     return _labels([row for file in files for row in _object_rows(file, frame=file.stem)])
@@ -109,13 +129,8 @@ def _object_rows(path: Path, *, frame: str) -> list[tuple[str, list[float]]]:
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line numbers from 1 and cells of each line."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except UnicodeDecodeError as error:
-        raise LabelFileError(f"{path}: expected KITTI labels, got a file that is not text.") from error
-    return [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
+    text = read_text(path, LabelFileError, "KITTI labels", max_bytes=MAX_TABLE_BYTES)
+    return [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
 
 
 def _parsed(path: Path, line: int, cells: list[str], *, n_columns: int) -> tuple[str, list[float]]:
@@ -125,13 +140,13 @@ def _parsed(path: Path, line: int, cells: list[str], *, n_columns: int) -> tuple
             f"{path}, line {line}: expected {_TRACKING_COLUMNS} columns (18 with a score) of KITTI tracking labels, "
             f"or {_OBJECT_COLUMNS} (16) of object labels in a folder with one file per image; got {n_columns}."
         )
-    try:
-        numbers = [float(cell) for cell in (*cells[:2], *cells[3:])]
-    except ValueError as error:
-        raise LabelFileError(f"{path}, line {line}: expected numbers ({error}).") from error
-    if not np.isfinite(numbers).all() or numbers[0] < 0:
-        raise LabelFileError(f"{path}, line {line}: expected finite numbers and a frame number from 0.")
-    return cells[2], numbers if len(numbers) == _TRACKING_COLUMNS else [*numbers, np.nan]
+    texts = [*cells[:2], *cells[3:]]
+    values = numbers(texts)
+    for column, value in enumerate(values):
+        low, high, expected = _LIMITS.get(column, (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"))
+        if not low <= value <= high or (column in _INTEGERS and value % 1):
+            raise LabelFileError(f"{path}, line {line}: expected {expected}, got {quoted(texts[column])}.")
+    return cells[2], values if len(values) == _TRACKING_COLUMNS else [*values, np.nan]
 
 
 def _labels(rows: list[tuple[str, list[float]]]) -> KittiLabels:

@@ -27,6 +27,7 @@ from track_range.foundation.arrays import BoolArray, Image
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
 from track_range.foundation.images import IMAGE_SUFFIXES
+from track_range.foundation.input_files import quoted
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 
@@ -147,7 +148,7 @@ def read_manifest(path: Path) -> dict[str, ManifestRow]:
     columns = (table.texts("file"), table.texts("split"), table.texts("labels_complete"))
     for row, (file, split, flags) in enumerate(zip(*columns, strict=True)):
         if len(flags) != len(ROAD_CLASSES) or set(flags) - {"0", "1"}:
-            raise table.fault(row, f"labels_complete: expected {len(ROAD_CLASSES)} flags 0 or 1, got '{flags}'.")
+            raise table.fault(row, f"labels_complete: expected {len(ROAD_CLASSES)} flags 0 or 1, got {quoted(flags)}.")
         manifest[file] = ManifestRow(split, np.array([flag == "1" for flag in flags]))
     return manifest
 
@@ -164,7 +165,7 @@ def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestR
 
 def _number(path: Path) -> int | None:
     """The last number in a file name; None if there is none."""
-    digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
+    digits = "".join(c if c.isdecimal() else " " for c in path.stem).split()
     return int(digits[-1]) if digits else None
 
 

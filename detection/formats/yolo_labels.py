@@ -18,12 +18,14 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.models.metadata import names_of
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.numeric_text import numbers
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
 """Files that may have the class names, in the order in which they are tried."""
 
-_MAX_CLASS = 100_000
-"""Largest class number accepted."""
+_MAX_VALUE = 100_000
+"""Largest class number, fraction or score accepted."""
 
 _TOLERANCE = 2e-3
 """Distance outside the image, as a fraction of its size, up to which boxes are clipped without a note (rounding)."""
@@ -109,18 +111,15 @@ def names_for_folder(folder: Path) -> tuple[str, ...]:
 
 def _rows(file: Path) -> tuple[FloatArray, IntArray]:
     """(N, 6) class, centre, size and score of the objects in a file, and (N,) their line numbers from 1."""
-    try:
-        text = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{file}: not a readable text file ({error}).") from error
+    text = read_text(file, LabelFileError, "YOLO labels", max_bytes=MAX_TABLE_BYTES).split("\n")
     rows, lines = [], []
     for number, line in enumerate(text, start=1):
         if cells := line.split():
             row = _row(cells)
-            if not np.isfinite(row).all() or min(row[3:5]) < 0 or row[0] % 1 or abs(row[0]) > _MAX_CLASS:
+            if not (np.abs(row) <= _MAX_VALUE).all() or min(row[3:5]) < 0 or row[0] % 1:
                 raise LabelFileError(
                     f"{file}, line {number}: expected 'class cx cy w h', an integer and fractions of the image size, "
-                    f"got '{line.strip()[:40]}'."
+                    f"got {quoted(line.strip())}."
                 )
             rows.append(row)
             lines.append(number)
@@ -129,14 +128,13 @@ def _rows(file: Path) -> tuple[FloatArray, IntArray]:
 
 def _row(cells: Sequence[str]) -> list[float]:
     """Class, centre, size and score of one line; NaN if the line is invalid."""
-    try:
-        numbers = [float(cell) for cell in cells]
-    except ValueError:
-        numbers = []
-    if len(numbers) in (5, 6):
-        return numbers if len(numbers) == 6 else [*numbers, 1.0]
-    if len(numbers) < 7 or len(numbers) % 2 == 0:
+    values = numbers(cells)
+    if len(values) in (5, 6):
+        return values if len(values) == 6 else [*values, 1.0]
+    if len(values) < 7 or len(values) % 2 == 0:
         return [np.nan] * 6
-    points = np.array(numbers[1:]).reshape(-1, 2)
+    points = np.array(values[1:]).reshape(-1, 2)
+    if not (np.abs(points) <= _MAX_VALUE).all():
+        return [np.nan] * 6
     first, last = points.min(axis=0), points.max(axis=0)
-    return [numbers[0], *((first + last) / 2).tolist(), *(last - first).tolist(), 1.0]
+    return [values[0], *((first + last) / 2).tolist(), *(last - first).tolist(), 1.0]

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import KITTI_IGNORED, map_to_road_classes
 from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
@@ -120,6 +121,7 @@ def _of_kitti(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArr
     if not labels.has_3d_box.any():
         raise LabelFileError(f"{path}: expected KITTI tracking labels with 3-D boxes, found no label with a 3-D box.")
     _check_identities(labels, path)
+    _check_boxes(labels, path)
     scored = labels.has_3d_box & (labels.truncated == 0) & (labels.occluded >= 0) & (labels.occluded <= MAX_OCCLUDED)
     distance_m = np.where(scored, surface_of_labels_m(labels, camera, left_from_reference_m), np.nan)
     road = map_to_road_classes([str(name) for name in labels.kitti_type])
@@ -145,6 +147,16 @@ def _check_identities(labels: KittiLabels, path: Path) -> None:
         frame, track_id = pairs[:, counts > 1][:, 0]
         raise LabelFileError(
             f"{path}: expected each track id at most once per frame, got id {track_id} twice in frame {frame}."
+        )
+
+
+def _check_boxes(labels: KittiLabels, path: Path) -> None:
+    """Raise LabelFileError for an object with an empty box."""
+    is_object = ~np.isin(labels.kitti_type, KITTI_IGNORED)
+    for row in np.flatnonzero(is_object & ~are_valid_boxes(labels.xyxy_px))[:1].tolist():
+        raise LabelFileError(
+            f"{path}: expected boxes with x1 < x2 and y1 < y2, got {labels.xyxy_px[row].tolist()} in frame "
+            f"{labels.frame[row]}."
         )
 
 

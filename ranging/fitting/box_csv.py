@@ -15,8 +15,10 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.input_files import quoted
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
 COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")
@@ -24,6 +26,7 @@ COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy"
 
 _REQUIRED = COLUMNS[:6]
 _NUMERIC = (*COLUMNS[1:10],)
+_POSITIVE = ("distance_m", "fx", "fy")
 
 
 def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, tuple[str, ...]]:
@@ -56,9 +59,12 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
 
 def _numbers(table: CsvTable, name: str) -> FloatArray:
     values = table.numbers(name)
-    is_positive = name in ("distance_m", "fx", "fy")
-    is_valid = np.isfinite(values) & (values > (0.0 if is_positive else -np.inf))
-    table.check(name, values, is_valid, "a positive number" if is_positive else "a finite number")
+    low, high = (0.0, MAX_DISTANCE_M) if name == "distance_m" else (-MAX_COORDINATE_PX, MAX_COORDINATE_PX)
+    is_valid = (values >= low) & (values <= high)
+    if name in _POSITIVE:
+        is_valid &= values > 0
+    kind = "a positive number" if name in _POSITIVE else "a finite number"
+    table.check(name, values, is_valid, f"{kind} up to {high:,.0f}")
     return values
 
 
@@ -103,5 +109,5 @@ def _box_set(
 def _class_name(table: CsvTable, row: int, text: str) -> str:
     name = "van" if text.lower() == "van" else ROAD_CLASS_OF.get(text.lower())
     if name is None:
-        raise table.fault(row, f"expected a class among {', '.join(sorted(ROAD_CLASS_OF))}, got '{text}'.")
+        raise table.fault(row, f"expected a class among {', '.join(sorted(ROAD_CLASS_OF))}, got {quoted(text)}.")
     return name

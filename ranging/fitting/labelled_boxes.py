@@ -8,6 +8,7 @@ labels, with noise added, or those of a detector; the true distance is always th
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.input_files import first_line
 from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU
 from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -188,11 +190,7 @@ def _sequence(file: Path, calib: Path, boxes: str) -> tuple[BoxSet, bool]:
 
 def _labels_in(file: Path) -> KittiLabels:
     """The labels of a tracking file, or the object labels of one image."""
-    try:
-        with file.open(encoding="utf-8-sig") as lines:
-            n_columns = len(next((line.split() for line in lines if line.strip()), []))
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{file}: cannot be read as text ({type(error).__name__}).") from error
+    n_columns = len(first_line(file, LabelFileError, "KITTI labels").split())
     return read_kitti_image(file) if n_columns in (0, *_OBJECT_COLUMNS) else read_kitti(file)
 
 
@@ -233,7 +231,7 @@ def _detected(box_set: BoxSet, labels: KittiLabels, name: str, boxes: str) -> Bo
         path = Path(folder) / subfolder / name
         if not path.parent.is_dir():
             raise LabelFileError(f"{path.parent}: no such folder; rrc:DIR requires DIR/Car and DIR/Pedestrian.")
-        if not path.is_file() or not path.read_text(encoding="utf-8-sig").strip():
+        if not os.path.lexists(path) or not first_line(path, LabelFileError, "detections"):
             continue  # a sequence without detections
         recorded = read_detections(path, form="rrc")
         is_confident = recorded.detections.score >= MIN_SCORE

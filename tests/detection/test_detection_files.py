@@ -58,7 +58,7 @@ def test_margins_become_probabilities_with_note(tmp_path):
         (b"", "empty"),
         (b"\xff\xfe\xfd\n", "text"),
         (b"1,2,3\n", "got 3"),
-        (b"1,a,3,4,5,6\n", "comma-separated"),
+        (b"1,a,3,4,5,6\n", "between commas"),
         (b"frame,class\n1,car\n", "x1_px"),
         (b"hello world\n", "17 columns"),
     ],
@@ -71,7 +71,7 @@ def test_invalid_detection_files(tmp_path, content, message):
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(LabelFileError, match=r"none\.txt: cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.txt: no such file"):
         read_detections(tmp_path / "none.txt")
 
 

@@ -48,7 +48,7 @@ def test_invalid_label_files(tmp_path, content, message):
 
 
 def test_missing_file_and_empty_folder(tmp_path):
-    with pytest.raises(LabelFileError, match=r"none\.txt: cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.txt: no such file"):
         read_kitti(tmp_path / "none.txt")
     with pytest.raises(LabelFileError, match="label files"):
         read_kitti(tmp_path)

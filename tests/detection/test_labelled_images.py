@@ -180,7 +180,7 @@ def test_invalid_manifests(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(LabelFileError, match=rf"manifest\.csv.*{message}"):
         read_manifest(file)
-    with pytest.raises(LabelFileError, match=r"none\.csv: cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.csv: no such file"):
         read_manifest(tmp_path / "none.csv")
 
 

@@ -78,5 +78,5 @@ def test_not_a_table(tmp_path: Path, content: str | bytes, word: str) -> None:
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(TableError, match=r"none.csv: .*read"):
+    with pytest.raises(TableError, match=r"none.csv: .*file"):
         read_csv_table(tmp_path / "none.csv", TableError, "columns a and b")

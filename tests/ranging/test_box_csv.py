@@ -53,9 +53,9 @@ def test_focal_length_as_an_argument(file):
         ("class,x1,y1,x2,y2,distance_m\ncar,1,2,3,4,5\n", "--focal-px"),
         (HEADER + "car,1,2,3,4,five,700\n", "line 2: .*for distance_m"),
         (HEADER + "car,1,2,3,4,5\n", "line 2: .*for fx"),
-        (HEADER + "car,1,2,3,4,5,700\ncar,1,2,3,4,-5,700\n", "line 3: .*positive number for distance_m"),
+        (HEADER + "car,1,2,3,4,5,700\ncar,1,2,3,4,-5,700\n", "line 3: .*positive number .*for distance_m"),
         (HEADER + "car,1,2,3,nan,5,700\n", "line 2: .*for y2"),
-        (HEADER + "car,1,2,3,4,5,0\n", "positive number for fx"),
+        (HEADER + "car,1,2,3,4,5,0\n", "positive number .*for fx"),
         (HEADER + "car,3,2,1,4,5,700\n", "line 2: .*x1 < x2"),
         (HEADER + "ufo,1,2,3,4,5,700\n", "line 2: .*'ufo'"),
         (HEADER, "row"),
@@ -67,10 +67,10 @@ def test_invalid_files(file, text, message):
 
 
 def test_missing_and_binary_files(tmp_path):
-    with pytest.raises(LabelFileError, match="cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.csv: no such file"):
         read_box_csv(tmp_path / "none.csv")
     (tmp_path / "x.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(LabelFileError, match="cannot be read"):
+    with pytest.raises(LabelFileError, match=r"x\.csv: .*UTF-8"):
         read_box_csv(tmp_path / "x.csv")
 
 

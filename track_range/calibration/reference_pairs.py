@@ -18,8 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive
+from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.csv_labels import has_label_columns
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.errors import UsageError
@@ -32,9 +34,6 @@ _BOX = ("x1", "y1", "x2", "y2")
 _KNOWN = ("distance_m", "disparity_px")
 _PLAUSIBLE = {"distance_m": (0.1, 10_000.0), "disparity_px": (0.01, 10_000.0)}
 """Accepted range of each kind of value."""
-
-_LARGEST_NUMBER = 2**53
-"""Largest frame number or object id; float64 cannot represent all larger integers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,16 +129,18 @@ def _of_table(path: Path, rig: StereoRig) -> _KnownObjects:
     box = np.stack([table.finite(name) for name in _BOX], axis=1)
     low, high = _PLAUSIBLE[given[0]]
     table.check(given[0], value, (value >= low) & (value <= high), f"{low:g} .. {high:g}")
-    _check_integers(table, "frame", minimum=0)
+    for row in np.flatnonzero(~(are_valid_boxes(box) & are_plausible_boxes(box)))[:1].tolist():
+        raise table.fault(row, f"expected a box with x1 < x2, y1 < y2 and edges up to {MAX_COORDINATE_PX:,.0f} px.")
+    _check_integers(table, "frame", 0, MAX_FRAME)
     ids = np.full(len(table), -1)
     if "id" in table:
-        _check_integers(table, "id", minimum=-1)
+        _check_integers(table, "id", -1, MAX_ID)
         ids = table.numbers("id").astype(np.int64)
     true_px = value if given[0] == "disparity_px" else rig.left.fx_px * rig.baseline_m / value
     return _KnownObjects(frame.astype(np.int64), ids, box, true_px)
 
 
-def _check_integers(table: CsvTable, name: str, *, minimum: int) -> None:
-    numbers = table.numbers(name)
-    is_valid = (numbers >= minimum) & (numbers <= _LARGEST_NUMBER) & (np.rint(numbers) == numbers)
-    table.check(name, numbers, is_valid, f"an integer >= {minimum}")
+def _check_integers(table: CsvTable, name: str, low: int, high: int) -> None:
+    values = table.numbers(name)
+    is_valid = (values >= low) & (values <= high) & (np.rint(values) == values)
+    table.check(name, values, is_valid, f"an integer from {low} to {high}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.numeric_text import number
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+
+_MAX_NUMBER = 30
+"""Largest number of characters of a cell that is searched for a decimal comma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +88,8 @@ class CsvTable:
         """Raise `error` for the first invalid row; `values` (N,) are the numbers of column `name`."""
         for row in np.flatnonzero(~is_valid).tolist():
             cell = self.texts(name)[row] if name in self.header else f"{values[row]:g}"
-            raise self.fault(row, f"expected {expected} for {name}, got '{cell}'.")
+            advice = "; write decimals with a point" if _DECIMAL_COMMA.fullmatch(cell[:_MAX_NUMBER]) else ""
+            raise self.fault(row, f"expected {expected} for {name}, got {quoted(cell)}{advice}.")
 
 
 def read_csv_table(
@@ -94,43 +103,51 @@ def read_csv_table(
         expected: expected content of the file, for messages, such as "columns time_s and speed_mps".
         default_header: names of the columns, in order, of a file without a header: one with none of them in its first
             line.
-        exact: reject rows that are shorter than the header, instead of filling them with empty cells.
+        exact: reject rows with another number of cells than the header. Otherwise, missing cells are empty, and one
+            comma at the end of a row is ignored.
 
     Raises:
-        error: the file is unreadable or empty, or a row has more cells than the header.
+        error: the file is unreadable or empty, is not CSV with commas, or a row has more cells than the header, or a
+            value in a column without a name.
     """
+    text = read_text(path, error, "CSV", max_bytes=MAX_TABLE_BYTES)
+    reader = csv.reader(text.split("\n"), strict=True)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            numbered = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
-    except OSError as reason:
+        numbered = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if any(map(str.strip, row))]
+    except csv.Error as reason:
         raise error(
-            f"{path}: cannot be read ({reason.strerror or reason}); check the path and permissions."
-        ) from reason
-    except (UnicodeDecodeError, csv.Error) as reason:
-        raise error(
-            f"{path}: cannot be read as CSV in UTF-8 ({type(reason).__name__}); expected {expected}."
+            f"{path}, line {reader.line_num}: expected {expected} as CSV; check the quotation marks ({reason})."
         ) from reason
     if not numbered:
         raise error(f"{path}: the file is empty; expected {expected}.")
     lines, rows = [line for line, _ in numbered], [row for _, row in numbered]
     header = tuple(cell.lower() for cell in rows[0])
+    if len(header) == 1 and (separator := next((mark for mark in ";\t" if mark in header[0]), "")):
+        raise error(
+            f"{path}, line {lines[0]}: expected columns separated by commas and decimals with a point, found "
+            f"{quoted(separator)} in the header."
+        )
     if default_header and not set(header) & set(default_header):
         header = tuple(default_header[: len(rows[0])])
     else:
         rows, lines = rows[1:], lines[1:]
     table = CsvTable(path, header, rows, lines, error, expected)
-    for index, row in enumerate(rows):
-        if len(row) < len(header) and not exact:
-            row.extend([""] * (len(header) - len(row)))
-        if len(row) != len(header) and (exact or any(row[len(header) :])):
-            raise table.fault(index, f"expected {len(header)} cells as in the header, got {len(row)}.")
+    _check_cells(table, exact=exact)
     return table
 
 
-def number(cell: str) -> float:
-    """The number in a cell; NaN if it is not a number."""
-    try:
-        return float("nan") if "_" in cell else float(cell)  # float() accepts 1_000
-    except ValueError:
-        return float("nan")
+def _check_cells(table: CsvTable, *, exact: bool) -> None:
+    """Raise the table's error for a row with too many cells, or too few if `exact`; fill short rows otherwise."""
+    n_columns = len(table.header)
+    unnamed = [column for column, name in enumerate(table.header) if not name]
+    for index, row in enumerate(table.rows):
+        if len(row) < n_columns and not exact:
+            row.extend([""] * (n_columns - len(row)))
+        if len(row) != n_columns and (exact or len(row) > n_columns + 1 or row[-1]):
+            raise table.fault(
+                index,
+                f"expected {n_columns} cells as in the header, got {len(row)}; write decimals with a point, and put "
+                "texts with commas in double quotes.",
+            )
+        if any(row[column] for column in unnamed):
+            raise table.fault(index, "expected a name in the header for each column with values.")

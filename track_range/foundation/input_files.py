@@ -5,6 +5,7 @@ Pipes, devices and folders are refused before they are read: a named pipe would 
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import stat
@@ -21,6 +22,12 @@ MAX_TABLE_BYTES = 2_000_000_000
 
 _MAX_QUOTED = 60
 """Largest number of characters of a value in a message."""
+
+_START_BYTES = 65_536
+"""Number of bytes that `first_line` reads."""
+
+_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+"""Byte order marks of text in UTF-16 and UTF-32, which spreadsheets and Windows' editors write."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -83,17 +90,25 @@ def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: i
     See `open_regular` for the arguments.
 
     Raises:
-        error: as in `open_regular`, or the file is not UTF-8.
+        error: as in `open_regular`, or the file is not UTF-8, or has null characters.
     """
+    first_line(path, error, expected)  # rejects a large binary file before all of it is read
     content = read_bytes(path, error, expected, max_bytes=max_bytes)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as reason:
-        line = content.count(b"\n", 0, reason.start) + 1
-        raise error(
-            f"{path}, line {line}: expected {expected} as text in UTF-8, found a binary file or another encoding."
-        ) from reason
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return _decoded(content, path, error, expected).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def first_line(path: Path, error: type[Exception], expected: str) -> str:
+    """The first line that is not blank in the first 64 kB of a text file; "" if there is none.
+
+    See `read_text` for the arguments and errors.
+    """
+    with open_regular(path, error, expected) as file:
+        try:
+            start = file.read(_START_BYTES)
+        except OSError as reason:
+            raise _unreadable(path, reason, error, expected) from reason
+    lines = _decoded(start, path, error, expected, is_complete=len(start) < _START_BYTES).splitlines()
+    return next((line for line in lines if line.strip()), "")
 
 
 def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
@@ -106,6 +121,22 @@ def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
 def shortened(text: str, max_characters: int = _MAX_QUOTED) -> str:
     """A text, cut off after a number of characters, for messages."""
     return text if len(text) <= max_characters else f"{text[: max_characters - 3]}..."
+
+
+def _decoded(content: bytes, path: Path, error: type[Exception], expected: str, *, is_complete: bool = True) -> str:
+    """Text of a file's content in UTF-8; the last character may be incomplete unless `is_complete`."""
+    if content.startswith(_UTF_16_MARKS):
+        raise error(f"{path}: expected {expected} as text in UTF-8, found UTF-16; save the file as UTF-8.")
+    try:
+        text = codecs.getincrementaldecoder("utf-8-sig")().decode(content, final=is_complete)
+        index = content.find(b"\0")
+        if index < 0:
+            return text
+        found = "a null character"
+    except UnicodeDecodeError as reason:
+        index, found = reason.start, "a binary file or another encoding"
+    line = content.count(b"\n", 0, index) + 1
+    raise error(f"{path}, line {line}: expected {expected} as text in UTF-8, found {found}.")
 
 
 def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception], expected: str) -> Exception:

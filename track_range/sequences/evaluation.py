@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, roa
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
+from track_range.foundation.input_files import first_line
 from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,
     SequenceFile,
     find_sequences,
-    first_line,
     ignored_files_note,
     no_truth_note,
     paired,
@@ -45,7 +45,9 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     """
     truth, results = settings.truth, settings.results
     labelled = find_sequences(truth, "gt")
-    form: TruthFormat = settings.truth_format or ("mot" if "," in first_line(labelled[0].path) else "kitti")
+    form: TruthFormat = settings.truth_format or (
+        "mot" if "," in first_line(labelled[0].path, LabelFileError, "ground truth") else "kitti"
+    )
     # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
     folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
     results_folder = next((folder for folder in folders if folder.is_dir()), results)
@@ -65,6 +67,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *ignored_files_note(truth, labelled),
             *ignored_files_note(results_folder, tracked),
             *no_truth_note(labelled, tracked),
+            *_empty_truth_notes(labels for labels, _ in pairs),
         ],
     }
     if settings.compare == "motmetrics":
@@ -74,6 +77,19 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             "sequences": {key: _without_nan(row) for key, row in reference.sequences.items()},
         }
     return figures
+
+
+def _first_line(path: Path) -> str:
+    return first_line(path, LabelFileError, "tracks or ground truth")
+
+
+def _empty_truth_notes(truth: Iterable[SequenceFile]) -> tuple[str, ...]:
+    """A note on each file of ground truth without objects."""
+    return tuple(
+        f"{file.path}: the file is empty, so all tracks of {file.name} are false positives."
+        for file in truth
+        if not _first_line(file.path)
+    )
 
 
 def _class_of(form: TruthFormat, road_class: str | None) -> str:
@@ -106,7 +122,7 @@ def _cleaned(
 def _read_results(path: Path, road_class: str) -> TrackedBoxes:
     """Tracks of one class with frames from 0, read from MOT rows (frames from 1, no class) or KITTI rows."""
     class_id = ROAD_CLASSES.index(road_class)
-    first = first_line(path)
+    first = _first_line(path)
     if not first:
         return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
     if "," in first:

@@ -8,13 +8,17 @@ DIR/NAME/det/det.txt        layout of MOTChallenge (gt/gt.txt for ground truth),
 from __future__ import annotations
 
 import configparser
-from collections.abc import Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from track_range.detection.formats.detection_files import MAX_FRAME
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.limits import MAX_FRAME
+from track_range.foundation.atomic_files import describe
+from track_range.foundation.input_files import quoted, read_text
+from track_range.foundation.numeric_text import number
 
 Kind = Literal["det", "gt"]
 """Detections or ground truth, as in MOTChallenge's file names."""
@@ -68,7 +72,11 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     if not path.is_dir():
         raise LabelFileError(f"{path}: no such file or folder; check the name.")
     inner = Path(kind) / f"{kind}.txt"
-    mot_files = [folder / inner for folder in (path, *sorted(path.iterdir())) if (folder / inner).is_file()]
+    try:
+        folders = [path, *sorted(path.iterdir())]
+    except OSError as error:
+        raise LabelFileError(f"{path}: the folder cannot be read ({describe(error)}).") from error
+    mot_files = [folder / inner for folder in folders if (folder / inner).is_file()]
     sequences = [_sequence(file) for file in mot_files or _text_files(path)]
     names = [sequence.name for sequence in sequences]
     if duplicate := next((name for name in names if names.count(name) > 1), None):
@@ -117,19 +125,6 @@ def listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}"
 
 
-def first_line(path: Path) -> str:
-    """The first non-blank line of a file; an empty text if there is none.
-
-    Raises:
-        LabelFileError: the file is not text.
-    """
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            return next((line for line in file if line.strip()), "")
-    except (OSError, UnicodeDecodeError) as error:
-        raise LabelFileError(f"{path}: expected a text file, got {type(error).__name__}; check the path.") from error
-
-
 def _text_files(folder: Path) -> list[Path]:
     return sorted(file for file in folder.glob("*.txt") if file.is_file() and not file.name.startswith("."))
 
@@ -145,28 +140,45 @@ def _read_info(file: Path) -> SequenceInfo:
     """Contents of seqinfo.ini.
 
     Raises:
-        LabelFileError: it cannot be parsed.
+        LabelFileError: it cannot be read or parsed, or a number is implausible.
     """
-    if not file.is_file():
+    if not os.path.lexists(file):
         return SequenceInfo()
-    parser = configparser.ConfigParser()
+    text = read_text(file, LabelFileError, "MOTChallenge's seqinfo.ini")
+    parser = configparser.ConfigParser(interpolation=None)
     try:
-        parser.read_string(file.read_text(encoding="utf-8-sig"))
+        parser.read_string(text)
         section = parser["Sequence"]
-        width, height = section.getint("imWidth"), section.getint("imHeight")
-        info = SequenceInfo(section.getfloat("frameRate"), section.getint("seqLength"), _pair(width, height))
-    except (OSError, UnicodeDecodeError, configparser.Error, KeyError, ValueError) as error:
+    except (configparser.Error, KeyError, ValueError) as error:
         raise LabelFileError(
-            f"{file}: expected a section [Sequence] with numbers as in MOTChallenge ({type(error).__name__})."
+            f"{file}: expected a section [Sequence] as in MOTChallenge ({type(error).__name__})."
         ) from error
-    if (info.fps is not None and not 0 < info.fps < 10_000) or (
-        info.n_frames is not None and not 0 < info.n_frames <= MAX_FRAME
-    ):
+    values = {key: _value_of(section, key, limits, file) for key, limits in _INFO_LIMITS.items()}
+    fps, n_frames, *size_px = (values[key] for key in _INFO_LIMITS)
+    width, height = (None if side is None else int(side) for side in size_px)
+    return SequenceInfo(fps, None if n_frames is None else int(n_frames), _pair(width, height))
+
+
+def _value_of(section: Mapping[str, str], key: str, limits: tuple[float, float], file: Path) -> float | None:
+    """A number of seqinfo.ini; None if it is not given."""
+    if key not in section:
+        return None
+    value, (low, high) = number(section[key]), limits
+    if not low <= value <= high or (key != "frameRate" and value % 1):
+        kind = "a number" if key == "frameRate" else "an integer"
         raise LabelFileError(
-            f"{file}: expected 0 < frameRate < 10000 and 0 < seqLength <= {MAX_FRAME}, got {info.fps} and "
-            f"{info.n_frames}."
+            f"{file}: expected {kind} from {low:g} to {high:.10g} as {key}, got {quoted(section[key])}."
         )
-    return info
+    return value
+
+
+_INFO_LIMITS = {
+    "frameRate": (0.001, 10_000.0),
+    "seqLength": (1.0, float(MAX_FRAME)),
+    "imWidth": (1.0, 65535.0),
+    "imHeight": (1.0, 65535.0),
+}
+"""Smallest and largest value of each key of seqinfo.ini."""
 
 
 def _pair(width: int | None, height: int | None) -> tuple[int, int] | None:

@@ -1,0 +1,24 @@
+"""Limits of the numbers in label and detection files; larger ones are in another unit or damaged."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+
+MAX_FRAME = 1_000_000
+"""Largest frame number, from 0: nine hours at 30 Hz."""
+
+MAX_ID = 2**53 - 1
+"""Largest identity: float64 represents all integers up to it exactly."""
+
+MAX_COORDINATE_PX = 1e5
+"""Largest absolute pixel coordinate of a box; images have at most 65,535 pixels a side."""
+
+MAX_DISTANCE_M = 1e5
+"""Largest absolute position, distance or size of an object."""
+
+
+def are_plausible_boxes(xyxy_px: FloatArray) -> BoolArray:
+    """(N,) mask of the boxes (N, 4) with finite edges of at most `MAX_COORDINATE_PX`."""
+    return np.asarray((np.abs(xyxy_px) <= MAX_COORDINATE_PX).all(axis=1))  # NaN fails, too
