@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,42 +84,6 @@ def check_same_run(path: Path, saved: Mapping[str, Any], expected: Mapping[str, 
                 f"{path}: expected {_OPTION.get(key, key)} {new}, got a run with {old}; use the options of that run "
                 "or another --out (with --weights to start from its weights)."
             )
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Context in which no other run can write to the folder; locks of runs that were killed are ignored.
-
-    Raises:
-        CheckpointError: another run is writing to the folder.
-    """
-    lock = folder / ".running"
-    with suppress(OSError, ValueError):
-        other = int(lock.read_text())
-        if other != os.getpid() and _is_alive(other):
-            raise CheckpointError(
-                f"{folder}: another run (process {other}) is writing to this folder; wait, or use another --out."
-            )
-    with suppress(OSError):
-        lock.write_text(str(os.getpid()))
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            lock.unlink(missing_ok=True)
-
-
-def _is_alive(process: int) -> bool:
-    """Whether a process with this id is running; always False on Windows, where the check would end it."""
-    if os.name != "posix":
-        return False
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 def write_results(path: Path, history: Sequence[Mapping[str, float]]) -> None:

@@ -14,11 +14,15 @@ from pathlib import Path
 
 
 @contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, *, is_flushed: bool = True) -> Iterator[Path]:
     """A temporary path next to `path`, for libraries that write files themselves; renamed to `path` at the end.
 
     The temporary file is hidden, has the same suffix, and is removed if the block raises. Devices, pipes and symbolic
     links are not replaced but written in place: the result is then `path` itself.
+
+    Args:
+        path: the file.
+        is_flushed: whether the content is on the disk before the file is renamed, which matters after a power failure.
 
     Raises:
         OSError: `path` is a folder, or the file cannot be written or renamed.
@@ -29,7 +33,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{os.getpid()}.{path.name}")
     try:
         yield partial
-        _replace(partial, path)
+        _replace(partial, path, is_flushed=is_flushed)
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -47,23 +51,23 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         _replace(Path(folder) / path.name, path)
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file atomically.
+def write_bytes(path: Path, content: bytes, *, is_flushed: bool = True) -> None:
+    """Write a binary file atomically; `is_flushed`: see `atomic_path`.
 
     Raises:
         OSError: it cannot be written.
     """
-    with atomic_path(path) as partial:
+    with atomic_path(path, is_flushed=is_flushed) as partial:
         partial.write_bytes(content)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8 with the line endings of `text`.
+def write_text(path: Path, text: str, *, is_flushed: bool = True) -> None:
+    """Write a text file atomically, in UTF-8 with the line endings of `text`; `is_flushed`: see `atomic_path`.
 
     Raises:
         OSError: it cannot be written.
     """
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8"), is_flushed=is_flushed)
 
 
 def describe(error: OSError) -> str:
@@ -71,8 +75,9 @@ def describe(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _replace(partial: Path, path: Path) -> None:
-    """Flush a finished file to the disk and rename it."""
-    with partial.open("r+b") as file:
-        os.fsync(file.fileno())
+def _replace(partial: Path, path: Path, *, is_flushed: bool = True) -> None:
+    """Rename a finished file."""
+    if is_flushed:
+        with partial.open("r+b") as file:
+            os.fsync(file.fileno())
     partial.replace(path)

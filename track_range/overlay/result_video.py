@@ -14,13 +14,13 @@ from track_range.foundation.arrays import Image
 from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import lower_thread_priority
 from track_range.run.stage_clock import StageClock
-from track_range.video.writer import VideoWriter
+from track_range.video.writer import MAX_HELD_FRAMES, VideoWriter
 
 _QUANTIZER = 28
 """Constant quantizer of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)."""
 
-_MAX_QUEUED = 4
-"""Maximum number of frames that may wait to be drawn; then `write` blocks."""
+_MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5
+"""What a video may lack of the frames in the rows if the program is killed, whichever is less; at least one frame."""
 
 Draw = Callable[[FrameResult], Image]
 """Draws a result as (H, W, 3) uint8 BGR; called from one thread."""
@@ -35,7 +35,12 @@ class VideoFormat:
 
 
 class ResultVideo:
-    """Draws and encodes results in a thread; an error is raised by a later call of `write`."""
+    """Draws and encodes results in a thread; an error is raised by a later call of `wait` or `write`.
+
+    Attributes:
+        precedes_rows: whether frames must be written before their rows, since the video would otherwise lag too much;
+            `write` then returns after the frame is encoded.
+    """
 
     def __init__(self, path: Path, draw: Draw, *, form: VideoFormat, clock: StageClock) -> None:
         """Create the video; its time is added to the stage "write" of `clock`.
@@ -48,24 +53,53 @@ class ResultVideo:
         self._picture = draw
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=lower_thread_priority)
-        self._waiting: deque[Future[None]] = deque()
+        self._queue: deque[Future[None]] = deque()
+        max_lag = min(_MAX_LAG_FRAMES, max(1, int(_MAX_LAG_S * form.fps)))
+        # The rows of the next frame are written while these frames wait, and the muxer holds others.
+        self._max_queued = max(0, max_lag - MAX_HELD_FRAMES - 1)
+        self.precedes_rows = max_lag <= MAX_HELD_FRAMES
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         try:
-            while self._waiting:
-                self._waiting.popleft().result()
+            self._finish(0)
         finally:
             self._thread.shutdown()
             self._writer.close()
 
+    def wait(self) -> None:
+        """Wait until so few frames are queued that the rows of the next frame may be written.
+
+        Raises:
+            VideoError: writing failed for an earlier frame.
+        """
+        self.raise_error()
+        self._finish(self._max_queued)
+
     def write(self, result: FrameResult) -> None:
-        """Queue one frame; blocks only if `_MAX_QUEUED` frames are waiting."""
-        self._waiting.append(self._thread.submit(self._draw, result))
-        if len(self._waiting) > _MAX_QUEUED:
-            self._waiting.popleft().result()
+        """Queue one frame; with `precedes_rows`, write it.
+
+        Raises:
+            VideoError: writing failed for this or an earlier frame.
+        """
+        self._queue.append(self._thread.submit(self._draw, result))
+        if self.precedes_rows:
+            self._finish(0)
+
+    def raise_error(self) -> None:
+        """Raise the error of a frame that was drawn, if there is one.
+
+        Raises:
+            VideoError: writing failed for an earlier frame.
+        """
+        while self._queue and self._queue[0].done():
+            self._queue.popleft().result()
+
+    def _finish(self, max_queued: int) -> None:
+        while len(self._queue) > max_queued:
+            self._queue.popleft().result()
 
     def _draw(self, result: FrameResult) -> None:
         with self._clock.stage("write"):

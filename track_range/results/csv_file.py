@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+import io
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +12,38 @@ import numpy as np
 
 from track_range.results.columns import Columns, result_columns
 from track_range.results.output_files import OutputError
+from track_range.results.row_file import RowFile
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 
 
 class CsvWriter:
-    """Writer of tracks.csv, flushed after every frame. An empty cell = not measured."""
+    """Writer of tracks.csv, frame by frame (see `RowFile`). An empty cell = not measured."""
 
     files = ("tracks.csv",)
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create the file with its header."""
         self._columns = result_columns()
-        self._file = (folder / "tracks.csv").open("w", encoding="utf-8", newline="")
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._rows.writerow([column.name for column in self._columns])
+        self._file = RowFile(folder / "tracks.csv", _csv_text([[column.name for column in self._columns]]))
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame."""
-        self._rows.writerows(zip(*(column.text(result) for column in self._columns), strict=True))
-        self._file.flush()
+        self._file.write(_csv_text(zip(*(column.text(result) for column in self._columns), strict=True)))
+
+    def discard_last(self) -> None:
+        """Remove the rows of the last frame."""
+        self._file.discard_last()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Close the file."""
         self._file.close()
+
+
+def _csv_text(rows: Iterable[Iterable[str]]) -> str:
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def read_tracks_csv(path: Path) -> Columns:

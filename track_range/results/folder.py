@@ -22,6 +22,7 @@ from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.results.columns import Columns, column_names, methods_measured, no_rows
 from track_range.results.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
+from track_range.results.progress_note import describe_progress
 from track_range.results.summary import range_scores, track_scores
 from track_range.results.summary_shape import valid_summary
 from track_range.results.truth import MatchedTruth, matched_truth, with_truth
@@ -75,6 +76,8 @@ def read_run_folder(folder: Path) -> RunFolder:
     summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
     columns = _columns_of(folder, missing)
     if summary is None and columns is None:
+        if (progress := describe_progress(folder)) is not None:
+            raise OutputError(f"{folder}: no frames yet: {progress}.")
         raise OutputError(
             f"{folder}: expected the result folder of a run, found neither tracks.csv nor summary.json in it."
         )

@@ -6,24 +6,28 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from track_range.results.row_file import RowFile
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 from track_range.tracking.mot_format import mot_lines
 
 
 class MotWriter:
-    """Writer of mot.txt, flushed after every frame."""
+    """Writer of mot.txt, frame by frame (see `RowFile`)."""
 
     files = ("mot.txt",)
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create the file."""
-        self._file = (folder / "mot.txt").open("w", encoding="utf-8", newline="\n")
+        self._file = RowFile(folder / "mot.txt")
 
     def write(self, result: FrameResult) -> None:
         """Add the tracks of a frame."""
-        self._file.writelines(mot_lines(result.tracks, result.index))
-        self._file.flush()
+        self._file.write("".join(mot_lines(result.tracks, result.index)))
+
+    def discard_last(self) -> None:
+        """Remove the tracks of the last frame."""
+        self._file.discard_last()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Close the file."""

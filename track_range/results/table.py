@@ -12,6 +12,7 @@ import shutil
 import tempfile
 import weakref
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -56,17 +57,25 @@ class RunTable:
         """Add the rows of one frame.
 
         Raises:
-            OutputError: a batch cannot be written to the temporary folder.
+            OutputError: a batch cannot be written to the temporary folder; the table is as before.
         """
-        if len(result.tracks):
-            self._buffer.append([np.asarray(column.read(result)) for column in self.columns])
-            self._n_buffered += len(result.tracks)
+        if not len(result.tracks):
+            return
+        self._buffer.append([np.asarray(column.read(result)) for column in self.columns])
+        self._n_buffered += len(result.tracks)
         if self._n_buffered >= self._rows_per_batch:
-            batch = self._buffered()
-            if self._file is None:
-                self._file = _BatchFile(batch.schema)
-            self._file.write(batch)
+            try:
+                self._store(self._buffered())
+            except BaseException:
+                self._buffer.pop()  # the caller discards this frame
+                self._n_buffered -= len(result.tracks)
+                raise
             self._buffer, self._n_buffered = [], 0
+
+    def _store(self, batch: pa.RecordBatch) -> None:
+        if self._file is None:
+            self._file = _BatchFile(batch.schema)
+        self._file.write(batch)
 
     def to_arrow(self) -> pa.Table:
         """Rows so far as a `pyarrow.Table`, memory-mapped from the temporary file if there is one.
@@ -148,6 +157,7 @@ class _BatchFile:
             self._path = Path(folder) / "rows.arrows"
             self._file = pa.OSFile(str(self._path), "wb")
             self._writer = pa.ipc.new_stream(self._file, schema)
+            self._n_batches = 0
         except OSError as error:
             raise _not_stored(Path(tempfile.gettempdir()), error) from error
 
@@ -161,13 +171,14 @@ class _BatchFile:
             self._writer.write_batch(batch)
         except OSError as error:
             raise _not_stored(self._path, error) from error
+        self._n_batches += 1
 
     def batches(self) -> list[pa.RecordBatch]:
-        """All batches, memory-mapped."""
+        """All batches, memory-mapped; without one that could not be written completely."""
         import pyarrow as pa
 
         with pa.ipc.open_stream(pa.memory_map(str(self._path))) as reader:
-            return list(reader)
+            return list(islice(reader, self._n_batches))
 
     def close(self) -> None:
         """Delete the file."""

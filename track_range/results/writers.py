@@ -6,7 +6,7 @@ group `track_range.result_writers` in another package, or by a call of `register
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -30,7 +30,7 @@ ENTRY_POINT_GROUP = "track_range.result_writers"
 DEFAULT_WRITERS = ("csv", "mot")
 """Writers of a run without `--write`."""
 
-_RUN_FILES = ("summary.json", "settings.yaml", "overlay.mp4", "disparity.mp4", "report.html")
+_RUN_FILES = ("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html")
 """Files that a run writes besides those of its writers."""
 
 
@@ -59,7 +59,11 @@ class ResultWriter(Protocol):
     """Writer of one format; created without arguments, used for one run.
 
     `open` is called once, `write` for each frame, `close` once. An OSError is reported with the names of the files.
-    Files should be readable after the program is killed: flush after each frame if the format allows it.
+    Files should be readable after the program is killed: flush after each frame if the format allows it. If `write`
+    raises, the files should be as before; `track_range.results.row_file.RowFile` does both for text.
+
+    A method `discard_last()` is optional: it removes the last frame from the files. It is called if a later writer of
+    the run, or the run itself, fails in the same frame, so that all files of a run end with the same frame.
 
     Attributes:
         files: names, without folder, of the files that it writes to the output folder; they must differ from the files
@@ -239,14 +243,29 @@ class OpenWriters:
         self.close(None)
 
     def write(self, result: FrameResult) -> None:
-        """Add one frame to all files.
+        """Add one frame to all files; if one of them fails, the others are cut back to the frame before.
 
         Raises:
             OutputError: a file cannot be written; the message names the file.
         """
-        for writer in self._open:
-            with self._errors_of(writer, "writing failed"):
-                writer.write(result)
+        for number, writer in enumerate(self._open):
+            try:
+                with self._errors_of(writer, "writing failed"):
+                    writer.write(result)
+            except BaseException:
+                self._discard_last(self._open[:number])
+                raise
+
+    def discard_last(self) -> None:
+        """Remove the last frame from all files that can be cut back."""
+        self._discard_last(self._open)
+
+    def _discard_last(self, written: Iterable[ResultWriter]) -> None:
+        for writer in written:
+            discard_last = getattr(writer, "discard_last", None)
+            if callable(discard_last):
+                with suppress(OSError):  # the error that made this necessary is the one to report
+                    discard_last()
 
     def close(self, summary: Mapping[str, Any] | None) -> None:
         """Finish all files; a second call does nothing.

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from track_range.foundation.errors import UserError
 from track_range.overlay.outputs import pictures, video_format
 from track_range.overlay.result_video import ResultVideo
 from track_range.report.page import write_report
 from track_range.report.tables import markdown
 from track_range.results.columns import Columns
-from track_range.results.output_files import check_outputs, clear_results, make_folder, write_text
+from track_range.results.output_files import check_outputs, clear_results, write_text
+from track_range.results.progress_note import PROCESSING, PROGRESS_FILE
 from track_range.results.summary import write_summary
 from track_range.results.writers import OpenWriters, create_writers, result_names
 from track_range.run.frame_result import FrameResult
+from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, absolute_settings, save_settings
 
@@ -52,22 +56,26 @@ class RunFolder:
         files: names of all files that the run writes.
     """
 
-    def __init__(self, session: RunSession, folder: Path, *, has_videos: bool = True) -> None:
-        """Create the folder, remove the files of an earlier run, and open those of this run.
+    def __init__(self, session: RunSession, prepared: PreparedFolder, *, has_videos: bool = True) -> None:
+        """Remove the files of an earlier run from the folder, and open those of this run.
 
         Args:
             session: the opened run.
-            folder: the output folder.
+            prepared: the output folder.
             has_videos: whether videos are written; False if the images are no longer available.
 
         Raises:
             OutputError, VideoError, WriterError: a file cannot be written.
         """
-        self.folder, self._session = folder, session
+        folder = prepared.folder
+        self.folder, self._prepared, self._session = folder, prepared, session
         settings, recording, clock = session.settings, session.source, session.pipeline.clock
-        make_folder(folder)
-        clear_results(folder, result_names(), except_for=input_files(settings))
+        earlier = [name for name in result_names() if name != PROGRESS_FILE]
+        clear_results(folder, earlier, except_for=input_files(settings))
+        prepared.keep()
+        prepared.report(PROCESSING)
         save_settings(settings, folder / "settings.yaml", detected=session.detected())
+        self._n_frames = 0
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
         self.videos = {name: f"{name}.mp4" for name in drawn}
         with ExitStack() as opening:
@@ -86,18 +94,42 @@ class RunFolder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._open.__exit__(kind, error, at)
+        try:
+            self._open.__exit__(kind, error, at)
+        except UserError:
+            if error is None:  # the first error is the one to report
+                raise
 
     def write(self, result: FrameResult) -> None:
         """Write the rows of a frame, and pass it to the threads that write the videos.
 
+        The rows are written only if the videos of the earlier frames did not fail; if the rows of one file fail, those
+        of the others are removed.
+
         Raises:
-            OutputError, VideoError: writing failed for this or an earlier frame.
+            OutputError, VideoError: writing failed for this or an earlier frame; the first error, if there are several.
         """
-        with self._session.pipeline.clock.stage("write"):
-            self._writers.write(result)
         for video in self._videos:
-            video.write(result)
+            video.wait()
+        for video in self._videos:
+            if video.precedes_rows:
+                video.write(result)
+        try:
+            with self._session.pipeline.clock.stage("write"):
+                self._writers.write(result)
+        except UserError:
+            for video in self._videos:
+                video.raise_error()
+            raise
+        for video in self._videos:
+            if not video.precedes_rows:
+                video.write(result)
+        self._n_frames += 1
+        self._prepared.report_frames(self._n_frames)
+
+    def discard_last(self) -> None:
+        """Remove the rows of the last frame."""
+        self._writers.discard_last()
 
     def finish_videos(self) -> None:
         """Draw and encode the queued frames, and close the videos.
@@ -110,19 +142,29 @@ class RunFolder:
     def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
         """Write summary.json, report.html and the Markdown tables, and close the files of the rows.
 
+        If a file cannot be written, the others are.
+
         Args:
             summary: the results of the run.
             columns: rows of the run, with the ground truth if there is one.
 
         Raises:
-            OutputError: a file cannot be written.
+            OutputError: a file cannot be written; the first one, if there are several.
         """
         settings = self._session.settings
-        try:
-            write_summary(self.folder / "summary.json", summary)
-            if settings.table is not None:
-                write_text(settings.table, markdown(summary))
-            shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
-            write_report(self.folder / "report.html", {**summary, "settings": shown}, columns)
-        finally:
-            self._writers.close(summary)
+        shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
+        steps = [
+            partial(write_summary, self.folder / "summary.json", summary),
+            partial(write_report, self.folder / "report.html", {**summary, "settings": shown}, columns),
+            partial(self._writers.close, summary),
+        ]
+        if settings.table is not None:
+            steps.append(partial(write_text, settings.table, markdown(summary)))
+        errors = []
+        for step in steps:
+            try:
+                step()
+            except UserError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]

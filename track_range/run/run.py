@@ -12,9 +12,8 @@ from __future__ import annotations
 import html
 import time
 import weakref
-from collections.abc import Generator, Iterator, Mapping
-from contextlib import ExitStack, closing, suppress
-from functools import partial
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, cast
@@ -27,6 +26,7 @@ from track_range.overlay.outputs import overlay_picture
 from track_range.overlay.result_video import Draw
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.size_models.curve import load_curves
+from track_range.results.progress_note import LOADING
 from track_range.results.replay import frames_of_rows
 from track_range.results.truth import matched_truth, with_truth
 from track_range.run.box_source import BoxSource, boxes_of, open_box_source
@@ -35,6 +35,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.outputs import RunFolder, check_folder
 from track_range.run.prefetch import short_switch_interval
+from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.progress import frame_progress, step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.session import RunSession
@@ -98,6 +99,7 @@ class Run:
         self._detector, self._tracker = detector, tracker
         self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
         self._folder: Path | None = settings.out
+        self._prepared: PreparedFolder | None = None
         self._session: RunSession | None = None
         self._frames: weakref.ref[Generator[FrameResult, None, None]] | None = None
         self._is_closed = False
@@ -150,20 +152,45 @@ class Run:
         """
         if self._session is None:
             if self._folder is not None:
-                check_folder(self.settings, self._folder)
-            self._session = self._opened()
+                self._prepare(self._folder)
+            try:
+                self._session = self._opened()
+            except BaseException:
+                self._close_folder()
+                raise
         return self
+
+    def _prepare(self, folder: Path) -> PreparedFolder:
+        """The output folder, locked for this run."""
+        if self._prepared is None or self._prepared.folder != folder:
+            self._close_folder()
+            check_folder(self.settings, folder)
+            self._prepared = PreparedFolder(self.settings, folder)
+        return self._prepared
+
+    def _close_folder(self) -> None:
+        if self._prepared is not None:
+            self._prepared.close()
+            self._prepared = None
+
+    def _step_progress(self, task: str) -> AbstractContextManager[Callable[[int, int | None], None]]:
+        """Progress bar of a task of the opening, which is also noted in progress.json."""
+        if self._prepared is not None:
+            self._prepared.report(task)
+        return step_progress(self._console, task)
 
     def _opened(self) -> RunSession:
         settings = self.settings
         curves = load_curves(settings.curves)
         start_s = time.perf_counter()
-        recording = open_input(settings, partial(step_progress, self._console))
+        recording = open_input(settings, self._step_progress)
         opened_s = time.perf_counter() - start_s  # includes decoding of the first frames
         calibration = recording.calibration
         opened_s -= calibration.alignment.estimation_s if calibration.alignment else 0.0
         with ExitStack() as on_error:
             on_error.callback(recording.close)
+            if self._prepared is not None:
+                self._prepared.report(LOADING)
             boxes = self._boxes(recording)
             truth = None
             if settings.truth is not None:
@@ -196,6 +223,7 @@ class Run:
             frames.close()
         if self._session is not None:
             self._session.source.close()
+        self._close_folder()
 
     def __enter__(self) -> Self:
         return self.open()
@@ -224,7 +252,10 @@ class Run:
         session = self.session
         with ExitStack() as stack:
             stack.enter_context(closing(session.source))
-            files = None if self._folder is None else stack.enter_context(RunFolder(session, self._folder))
+            files = None
+            if self._folder is not None:
+                stack.callback(self._close_folder)
+                files = stack.enter_context(RunFolder(session, self._prepare(self._folder)))
             start_s = time.perf_counter()
             try:
                 yield from self._frame_results(session, files)
@@ -239,7 +270,8 @@ class Run:
                         files.finish_videos()
             session.wall_s = time.perf_counter() - start_s + session.opened_s
             session.pipeline.clock.busy_s["read"] = session.source.inputs.busy_s
-            with ignore_interrupts():
+            # after an error, that is the one to report
+            with ignore_interrupts(), suppress(*(UserError,) if session.stopped_by else ()):
                 self._finish(files)
         if session.stopped_by is not None:
             raise session.stopped_by
@@ -255,7 +287,12 @@ class Run:
                 with defer_interrupts():
                     if files is not None:
                         files.write(result)
-                    session.add(result)
+                    try:
+                        session.add(result)
+                    except BaseException:
+                        if files is not None:
+                            files.discard_last()
+                        raise
                 advance()
                 yield result
 
@@ -291,11 +328,13 @@ class Run:
         if self._folder is not None and folder.resolve() == self._folder.resolve():
             return folder  # already written while iterating, including videos
         session = self.session
-        check_folder(self.settings, folder)
-        with RunFolder(session, folder, has_videos=False) as files:
-            for result in frames_of_rows(session.table.to_columns(), session.frame_index, session.methods):
-                files.write(result)
-            self._finish(files)
+        try:
+            with RunFolder(session, self._prepare(folder), has_videos=False) as files:
+                for result in frames_of_rows(session.table.to_columns(), session.frame_index, session.methods):
+                    files.write(result)
+                self._finish(files)
+        finally:
+            self._close_folder()
         return folder
 
     # -- results --------------------------------------------------------------------------------------------------

@@ -376,12 +376,20 @@ def settings_from(options: dict[str, Any], file: Path | None = None) -> RunSetti
         raise UsageError(RunSettings.problem(error)) from error
 
 
-def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]) -> None:
-    """Write settings.yaml: the settings with absolute paths under `run`, the detected properties under `found`."""
+def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None) -> None:
+    """Write settings.yaml: the settings with absolute paths under `run`, the detected properties under `found`.
+
+    Args:
+        settings: settings of the run.
+        path: the file.
+        detected: properties of the opened inputs; None = not known yet.
+    """
     import yaml
 
-    run = absolute_settings(settings)
-    write_text(path, yaml.safe_dump({"track_range_settings": 1, "run": run, "found": detected}, sort_keys=False))
+    content = {"track_range_settings": 1, "run": absolute_settings(settings)}
+    if detected is not None:
+        content["found"] = detected
+    write_text(path, yaml.safe_dump(content, sort_keys=False))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:

@@ -21,11 +21,12 @@ from track_range.detection.training.errors import TrainingError
 from track_range.detection.training.losses.detection_loss import Losses
 from track_range.detection.training.networks.export import export_onnx
 from track_range.detection.training.networks.registry import NETWORKS, make_network
-from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint, locked
+from track_range.detection.training.run_folder import BEST, LAST, RESULTS, load_checkpoint
 from track_range.detection.training.schedule import SGD, ScheduleSettings
 from track_range.detection.training.settings import TrainingSettings, best_precision, usable_device
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, prepare_torch
+from track_range.foundation.folder_lock import locked_folder
 from track_range.report.detection_tables import class_grid
 from track_range.report.figures import training_chart
 from track_range.results.output_files import OutputError, make_folder
@@ -42,6 +43,7 @@ def train(options: TrainOptions) -> None:
     Raises:
         LabelFileError, ImageFileError: the data cannot be used.
         CheckpointError, TrainingError, ModelError, OutputError: see the modules of `detection.training`.
+        FolderLockError: another run is writing to the folder.
     """
     settings = _settings(options)
     data = read_data_yaml(options.data)
@@ -53,7 +55,7 @@ def train(options: TrainOptions) -> None:
     teacher = _teacher(options, data, settings)
     make_folder(options.out)
     curves = options.out / CURVES
-    with locked(options.out), stop_on_interrupt():
+    with locked_folder(options.out), stop_on_interrupt():
         try:
             training = _prepared(options, settings, data, teacher)
             with _Display(settings.n_epochs, lambda: training_chart(training.history, curves)) as display:

@@ -1,0 +1,75 @@
+"""progress.json: state of a run in progress; it remains in the folder only if the run is killed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from track_range.foundation.atomic_files import describe, write_text
+from track_range.foundation.errors import UserError
+from track_range.foundation.folder_lock import is_locked
+from track_range.foundation.structured_text import read_json
+from track_range.results.output_files import OutputError
+
+PROGRESS_FILE = "progress.json"
+
+OPENING, LOADING, PROCESSING = "opening the inputs", "loading the networks", "processing frames"
+"""States of a run, besides "estimating the alignment"."""
+
+_MAX_STATE_LENGTH = 60
+"""Maximum number of characters of a state that is read from a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgressNote:
+    """State of a run in progress.
+
+    Attributes:
+        state: activity of the run, such as "opening the inputs".
+        pid: process id.
+        started: local time at which the run was started, ISO 8601.
+        frames: number of frames in the files of the rows.
+    """
+
+    state: str
+    pid: int
+    started: str
+    frames: int = 0
+
+    def write(self, folder: Path) -> None:
+        """Write progress.json so that a reader sees the complete old or new note.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        path = folder / PROGRESS_FILE
+        try:
+            # Not flushed to the disk: the note is of use after a kill, not after a power failure.
+            write_text(path, json.dumps(asdict(self)) + "\n", is_flushed=False)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
+
+    def with_state(self, state: str, *, frames: int = 0) -> ProgressNote:
+        """This note with another state."""
+        return replace(self, state=state, frames=frames)
+
+
+def read_progress(folder: Path) -> ProgressNote | None:
+    """The note in the folder of a run; None without one that can be read."""
+    try:
+        content: Any = read_json(folder / PROGRESS_FILE, UserError, "the progress note of a run")
+        state, started = (str(content[key])[:_MAX_STATE_LENGTH] for key in ("state", "started"))
+        return ProgressNote(state, int(content["pid"]), started, int(content["frames"]))
+    except (UserError, KeyError, TypeError, ValueError, OverflowError):
+        return None
+
+
+def describe_progress(folder: Path) -> str | None:
+    """Clause on an unfinished run, such as "the run ... was killed while processing frames"; None without a note."""
+    note = read_progress(folder)
+    if note is None:
+        return None
+    verb = "is" if is_locked(folder) else "was killed while"
+    return f"the run (process {note.pid}, started {note.started}) {verb} {note.state}"
