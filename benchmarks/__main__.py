@@ -19,6 +19,7 @@ from benchmarks import (
     pipeline,
     ranging,
     recall,
+    server,
     startup,
     stereo,
     tracking,
@@ -38,6 +39,7 @@ WORKLOADS = {
     "tracking": tracking,
     "ranging": ranging,
     "recall": recall,
+    "server": server,
     "startup": startup,
     "stereo": stereo,
 }

@@ -75,7 +75,7 @@ def tracker_names() -> tuple[str, ...]:
 def find_tracker(name: str) -> RegisteredTracker:
     """The tracker with a name or `package.module:Class`, checked as far as possible without creating one.
 
-    Modules are also searched for in the current folder.
+    The module of a `package.module:Class` is also searched for in the current folder, after the installed ones.
 
     Raises:
         TrackerError: there is no such tracker, or it does not take `TrackerOptions`.
@@ -86,6 +86,8 @@ def find_tracker(name: str) -> RegisteredTracker:
     if not points and ":" not in name:
         known = ", ".join(tracker_names())
         raise TrackerError(f"unknown tracker '{name}': expected {known}, or package.module:Class.")
+    if not points and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # an installed command does not search the current folder by itself
     factory = _imported(points[0].value if points else name)
     try:
         inspect.signature(factory).bind(TrackerOptions())
@@ -134,8 +136,6 @@ def _imported(path: str) -> TrackerFactory:
         TrackerError: the module cannot be imported, or has no such class or function.
     """
     module_name, _, attribute = path.partition(":")
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # an installed command does not search the current folder by itself
     try:
         target = import_module(module_name)
         for part in attribute.split("."):

@@ -23,15 +23,16 @@ BOXES = "class,x1,y1,x2,y2,distance_m,fx\n" + "".join(
 )
 
 COMMANDS = [
-    pytest.param(["demo", "--seconds", "0.5"], set(), id="demo"),
+    pytest.param(["demo", "--seconds", "0.5", "--out", "results"], {"results"}, set(), id="demo"),
     # matplotlib stores its list of fonts
     pytest.param(
         ["fit", "--csv", "boxes.csv", "--out", "curves.json", "--compare", "--picture", "curves.png"],
+        {"curves.json", "curves.png"},
         {".cache/track-range/matplotlib"},
         id="fit",
     ),
 ]
-"""Commands that import all third-party packages between them, and the folders that they may create in the home folder.
+"""Commands that import all third-party packages between them, their results, and folders of the home folder with files.
 
 A command of an optional package is added with `marks=pytest.mark.skipif(not is_installed(...))`.
 """
@@ -54,24 +55,30 @@ def fresh_environment(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arguments", "folders"), COMMANDS)
-def test_commands_stay_on_the_machine(tmp_path, fresh_environment, arguments, folders):
-    work = tmp_path / "work"
+@pytest.mark.parametrize(("arguments", "results", "folders"), COMMANDS)
+def test_commands_stay_on_the_machine(tmp_path, fresh_environment, arguments, results, folders):
+    """No socket, no file outside of the results and the cache, and no import from the current folder."""
+    work, temporary = tmp_path / "work", tmp_path / "temporary"
     work.mkdir()
-    (work / "boxes.csv").write_text(BOXES, encoding="utf-8")
+    temporary.mkdir()
+    inputs = {"boxes.csv": BOXES} | {f"{name}.py": "raise SystemExit(9)" for name in ("json", "numpy", "detection")}
+    for name, text in inputs.items():
+        (work / name).write_text(text, encoding="utf-8")
     strace, trace = shutil.which("strace"), tmp_path / "trace.txt"
     tracing = [] if strace is None else [strace, "-f", "-qq", "-e", "trace=network", "-o", trace]
     done = subprocess.run(
         [*tracing, TRACK_RANGE, *arguments],
         capture_output=True,
         text=True,
-        env=fresh_environment,
+        env=fresh_environment | {"TMPDIR": str(temporary)},
         cwd=work,
         check=False,
     )
     if tracing and (not trace.is_file() or "ptrace" in done.stderr):
         pytest.skip("strace may not trace processes here")
     assert done.returncode == 0, done.stderr
+    assert {path.name for path in work.iterdir()} == results | set(inputs)
+    assert list(temporary.iterdir()) == []
     home = tmp_path / "home"
     assert {path.parent.relative_to(home).as_posix() for path in home.rglob("*") if path.is_file()} <= folders
     if not tracing:
