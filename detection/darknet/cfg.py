@@ -9,18 +9,25 @@ If an option occurs twice in a section, the first one is used, as in Darknet (`o
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.detection.models.onnx_session import ModelError
+from track_range.foundation.input_files import MAX_TEXT_BYTES, read_bytes
+from track_range.foundation.numeric_text import number, numbers
 
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
 """Short and alternative names of sections."""
 
 _MAX_INTEGER = 65535
 """Largest integer accepted: numbers of pixels, channels and layers are smaller."""
+
+_MAX_NUMBER = 1e10
+"""Largest absolute number accepted; Darknet's default of share_index is -1,000,000,000."""
+
+_INTEGER = re.compile(r"[+-]?[0-9]+")
 
 _MAX_SHOWN = 40
 """Longest excerpt of a line in messages, in characters."""
@@ -43,7 +50,7 @@ class Section:
 
     def error(self, reason: str) -> ModelError:
         """An error that names the file, the line and the section."""
-        return ModelError(f"{self.path}, line {self.line}, [{self.kind}]: {reason}.")
+        return ModelError(f"{self.path}, line {self.line}, [{_short(self.kind)}]: {reason}.")
 
     def integer(self, key: str, default: int | None = None, *, minimum: int = 0) -> int:
         """The integer under `key`.
@@ -69,12 +76,9 @@ class Section:
         """
         if default is not None and key not in self.options:
             return (default,)
-        try:
-            values = tuple(float(text) for text in self._list(key))
-        except ValueError as error:
-            raise self._invalid(key, "numbers") from error
-        if not all(math.isfinite(value) for value in values):
-            raise self._invalid(key, "finite numbers")
+        values = tuple(numbers(self._list(key)))
+        if not all(abs(value) <= _MAX_NUMBER for value in values):  # NaN fails, too
+            raise self._invalid(key, f"finite numbers up to {_MAX_NUMBER:,.0f}")
         return values
 
     def word(self, key: str, default: str, known: Collection[str]) -> str:
@@ -110,13 +114,10 @@ class Section:
         return texts
 
     def _bounded(self, key: str, text: str, minimum: int) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = _MAX_INTEGER + 1
-        if not minimum <= value <= _MAX_INTEGER:
+        value = number(text)
+        if not minimum <= value <= _MAX_INTEGER or value % 1 or not _INTEGER.fullmatch(text):
             raise self._invalid(key, f"integers from {minimum} to {_MAX_INTEGER}")
-        return value
+        return int(value)
 
     def _invalid(self, key: str, expected: str) -> ModelError:
         """An error on the value of `key`."""
@@ -135,7 +136,7 @@ def read_sections(path: Path, known: Collection[str]) -> list[Section]:
     """
     sections = list(_sections(path, _text_of(path)))
     if not sections or sections[0].kind != "net":
-        first = f"[{sections[0].kind}]" if sections else "no section"
+        first = f"[{_short(sections[0].kind)}]" if sections else "no section"
         raise ModelError(f"{path}: expected a Darknet cfg whose first section is [net], got {first}.")
     for section in sections[1:]:
         if section.kind not in known:
@@ -145,33 +146,31 @@ def read_sections(path: Path, known: Collection[str]) -> list[Section]:
 
 
 def _text_of(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig", errors="replace")  # comments may have any encoding
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror}).") from error
+    content = read_bytes(path, ModelError, "a Darknet cfg", max_bytes=MAX_TEXT_BYTES)
+    return content.decode("utf-8-sig", errors="replace")  # comments may have any encoding
 
 
 def _sections(path: Path, text: str) -> Iterator[Section]:
     options: dict[str, str] = {}
     is_open = False
-    for number, line in _lines(text):
+    for line_number, line in _lines(text):
         if line.startswith("["):
             kind = line.strip("[]")
             options, is_open = {}, True
-            yield Section(path, number, _ALIASES.get(kind, kind), options)
+            yield Section(path, line_number, _ALIASES.get(kind, kind), options)
             continue
         key, equals, value = line.partition("=")
         if not (equals and key and is_open):
-            raise ModelError(f"{path}, line {number}: expected [section] or key=value, got '{_short(line)}'.")
+            raise ModelError(f"{path}, line {line_number}: expected [section] or key=value, got '{_short(line)}'.")
         options.setdefault(key, value)
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
     """Line numbers and lines without blanks and comments; empty lines are left out."""
-    for number, raw in enumerate(text.split("\n"), start=1):
+    for line_number, raw in enumerate(text.split("\n"), start=1):
         line = "".join(raw.partition("#")[0].split())
         if line and not line.startswith(";"):
-            yield number, line
+            yield line_number, line
 
 
 def _short(text: str) -> str:

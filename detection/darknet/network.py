@@ -5,6 +5,7 @@ Layers count from 0 at the section after [net]; `layers=-1` is the previous laye
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from track_range.detection.darknet.layers import (
     Upsample,
     YoloHead,
 )
+from track_range.foundation.input_files import quoted, shortened
 
 
 def read_network(path: Path) -> Network:
@@ -36,8 +38,14 @@ def read_network(path: Path) -> Network:
     if n_channels != 3:
         raise net.error(f"expected channels=3, got channels={n_channels}")
     trunk = _Trunk((n_channels, height, width))
+    for side in (height, width):
+        if side > _MAX_SIDE_PX:
+            raise net.error(f"expected an input of at most {_MAX_SIDE_PX} pixels a side, got {side}")
     for section in sections:
-        trunk.layers.append(_READERS[section.kind](section, trunk))
+        layer = _READERS[section.kind](section, trunk)
+        if math.prod(layer.shape) > _MAX_VALUES:
+            raise section.error(f"expected an output of at most {_MAX_VALUES:,} values, got {_sizes([layer.shape])}")
+        trunk.layers.append(layer)
     network = Network(
         trunk.image, net.integer("letter_box") if "letter_box" in net.options else None, tuple(trunk.layers)
     )
@@ -54,6 +62,15 @@ def _check_heads(net: Section, heads: Sequence[YoloHead]) -> None:
 
 _NET_SIZES: Mapping[str, int | None] = {"channels": 3, "height": None, "width": None}
 """Options of [net] with the input's shape, and their defaults; None = no default."""
+
+_MAX_SIDE_PX = 8192
+"""Largest width and height of the input, as for ONNX models."""
+
+_MAX_VALUES = 2**28
+"""Largest number of values of a layer's output: 1 GB."""
+
+_MAX_ANCHOR_PX = 65535
+"""Largest width and height of an anchor."""
 
 
 class _Trunk:
@@ -81,7 +98,9 @@ class _Trunk:
         current = len(self.layers)
         indices = tuple(index + current if index < 0 else index for index in section.integers(key))
         if not all(0 <= index < current for index in indices):
-            raise section.error(f"expected earlier layers than layer {current}, got '{key}={section.options[key]}'")
+            raise section.error(
+                f"expected earlier layers than layer {current}, got {quoted(f'{key}={section.options[key]}')}"
+            )
         return tuple(self.source(section, index) for index in indices)
 
 
@@ -149,7 +168,7 @@ def _route(section: Section, trunk: _Trunk) -> Layer:
     shapes = [trunk.shape(source) for source in sources]
     groups, group_id = section.integer("groups", 1, minimum=1), section.integer("group_id", 0)
     if group_id >= groups or any(shape[0] % groups for shape in shapes):
-        counts = ", ".join(str(shape[0]) for shape in shapes)
+        counts = shortened(", ".join(str(shape[0]) for shape in shapes))
         raise section.error(f"groups={groups}, group_id={group_id} is not a valid part of {counts} channels")
     if len({shape[1:] for shape in shapes}) != 1:
         raise section.error(f"its layers differ in size: {_sizes(shapes)}; check width and height of [net]")
@@ -175,12 +194,15 @@ def _yolo(section: Section, trunk: _Trunk) -> Layer:
     section.require_defaults({"new_coords": 0})
     source = trunk.before(section)
     numbers = section.numbers("anchors")
-    if len(numbers) % 2 or min(numbers) <= 0:
-        raise section.error("expected anchors as pairs of a positive width and height")
+    if len(numbers) % 2 or min(numbers) <= 0 or max(numbers) > _MAX_ANCHOR_PX:
+        raise section.error(f"expected anchors as pairs of a positive width and height up to {_MAX_ANCHOR_PX} pixels")
     anchors = tuple(zip(numbers[::2], numbers[1::2], strict=True))
-    mask = section.integers("mask") if "mask" in section.options else tuple(range(section.integer("num", 1, minimum=1)))
+    n_anchors = section.integer("num", 1, minimum=1)
+    if n_anchors > len(anchors):
+        raise section.error(f"expected num={len(anchors)}, the number of anchors, got num={n_anchors}")
+    mask = section.integers("mask") if "mask" in section.options else tuple(range(n_anchors))
     if not all(0 <= index < len(anchors) for index in mask):
-        raise section.error(f"expected mask indices below {len(anchors)}, got {', '.join(map(str, mask))}")
+        raise section.error(f"expected mask indices below {len(anchors)}, got {shortened(', '.join(map(str, mask)))}")
     scale = section.numbers("scale_x_y", 1.0)[0]
     if not 1 <= scale <= 2:
         raise section.error(f"expected scale_x_y from 1 to 2, got {scale:g}")
@@ -195,7 +217,7 @@ def _yolo(section: Section, trunk: _Trunk) -> Layer:
 
 
 def _sizes(shapes: Sequence[Shape]) -> str:
-    return " and ".join(f"{columns}x{rows}x{channels}" for channels, rows, columns in shapes)
+    return shortened(" and ".join(f"{columns}x{rows}x{channels}" for channels, rows, columns in shapes))
 
 
 _PLAIN_CONVOLUTION = {

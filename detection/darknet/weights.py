@@ -14,6 +14,7 @@ with a tiny variance.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +24,7 @@ import numpy.typing as npt
 from track_range.detection.darknet.layers import Convolution, Network
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.arrays import FloatArray32
+from track_range.foundation.input_files import open_regular
 
 _EPSILON = 0.00001
 """Number added to the variance of batch norm, as in AlexeyAB's Darknet."""
@@ -59,25 +61,23 @@ def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray
 
 def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
     """(n_expected,) the values after the header."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror}).") from error
-    version = np.frombuffer(content[:_VERSION_BYTES].ljust(_VERSION_BYTES, b"\0"), "<i4")
-    header_bytes = _VERSION_BYTES + (8 if version[0] * 10 + version[1] >= 2 else 4)
-    n_values, rest_bytes = divmod(len(content) - header_bytes, _BYTES_PER_VALUE)
-    if len(content) < header_bytes:
-        raise ModelError(
-            f"{path}: expected Darknet weights with a header of {header_bytes} bytes, got a file of {len(content)} "
-            "bytes."
-        )
-    if n_values != n_expected or rest_bytes:
-        rest = f" and {rest_bytes} bytes" if rest_bytes else ""
-        raise ModelError(
-            f"{path}: expected {n_expected:,} values for this cfg, got {n_values:,}{rest}; download or copy the file "
-            "again, or specify the cfg that it was trained with."
-        )
-    return np.frombuffer(content, "<f4", offset=header_bytes)
+    with open_regular(path, ModelError, "Darknet weights") as file:
+        n_bytes = os.fstat(file.fileno()).st_size
+        version = np.frombuffer(file.read(_VERSION_BYTES).ljust(_VERSION_BYTES, b"\0"), "<i4").tolist()
+        header_bytes = _VERSION_BYTES + (8 if version[0] * 10 + version[1] >= 2 else 4)
+        if n_bytes < header_bytes:
+            raise ModelError(
+                f"{path}: expected Darknet weights with a header of {header_bytes} bytes, got {n_bytes} bytes."
+            )
+        n_values, rest_bytes = divmod(n_bytes - header_bytes, _BYTES_PER_VALUE)
+        if n_values != n_expected or rest_bytes:
+            rest = f" and {rest_bytes} bytes" if rest_bytes else ""
+            raise ModelError(
+                f"{path}: expected {n_expected:,} values for this cfg, got {n_values:,}{rest}; download or copy the "
+                "file again, or specify the cfg that it was trained with."
+            )
+        file.seek(header_bytes)
+        return np.frombuffer(file.read(n_values * _BYTES_PER_VALUE), "<f4")
 
 
 def _folded(operation: Convolution, values: npt.NDArray[np.float64]) -> tuple[FloatArray32, FloatArray32]:

@@ -20,12 +20,16 @@ from urllib.parse import urlparse
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
 from track_range.foundation.errors import UserError
+from track_range.foundation.input_files import shortened
 
 Progress = Callable[[int, int | None], None]
 """Called with the number of bytes downloaded so far, and the total if the server reports it."""
 
 _CHUNK_BYTES = 1 << 18
 """Bytes per read; progress is reported after each."""
+
+_MAX_UNPUBLISHED_BYTES = 1_000_000
+"""Size limit of files of unpublished size, which are text of a few kB."""
 
 _TIMEOUT_S = 30.0
 """Longest wait for the server."""
@@ -79,13 +83,15 @@ def fetch(file: ModelFile, target: Path, progress: Progress | None = None) -> Pa
     part = target.with_name(target.name + ".part")
     advice = f"try again later to resume the download, or save the file as {target} by other means."
     try:
-        _append(file.url, part, progress or _no_progress)
+        _append(file, part, progress or _no_progress)
     except urllib.error.HTTPError as error:
-        raise DownloadError(f"{file.url}: the server responded {error.code} {error.reason}; {advice}") from error
+        raise DownloadError(
+            f"{file.url}: the server responded {error.code} {shortened(str(error.reason))}; {advice}"
+        ) from error
     except urllib.error.URLError as error:
-        raise DownloadError(f"{file.url}: cannot connect ({error.reason}); {advice}") from error
+        raise DownloadError(f"{file.url}: cannot connect ({shortened(str(error.reason))}); {advice}") from error
     except (http.client.HTTPException, ConnectionError, TimeoutError) as error:
-        reason = str(error) or type(error).__name__
+        reason = shortened(str(error) or type(error).__name__)
         raise DownloadError(f"{file.url}: connection lost ({reason}); {advice}") from error
     except OSError as error:
         raise DownloadError(f"{part}: cannot be written ({error.strerror or error}).") from error
@@ -104,10 +110,13 @@ def _no_progress(done_bytes: int, total_bytes: int | None) -> None:
     """Progress callback that does nothing."""
 
 
-def _append(url: str, part: Path, progress: Progress) -> None:
-    """Append the missing bytes to `part`; restart the download if the server cannot resume it."""
+def _append(model_file: ModelFile, part: Path, progress: Progress) -> None:
+    """Append the missing bytes to `part`; restart the download if the server cannot resume it.
+
+    If there are more bytes than published, some are left out: the checksum is wrong in any case.
+    """
     present_bytes = part.stat().st_size if part.is_file() else 0
-    request = urllib.request.Request(url, headers={"User-Agent": "track-range"})  # noqa: S310 (http or https: checked)
+    request = urllib.request.Request(model_file.url, headers={"User-Agent": "track-range"})  # noqa: S310 (http or https: checked)
     if present_bytes:
         request.add_header("Range", f"bytes={present_bytes}-")
     try:
@@ -120,14 +129,19 @@ def _append(url: str, part: Path, progress: Progress) -> None:
     with response:
         is_resumed = response.status == _PARTIAL_CONTENT
         done_bytes = present_bytes if is_resumed else 0
-        length = response.headers.get("Content-Length")
-        total_bytes = done_bytes + int(length) if length else None
+        length = response.headers.get("Content-Length") or ""
+        total_bytes = done_bytes + int(length) if length.isascii() and length.isdecimal() else None
+        max_bytes = max(model_file.size_bytes or 0, _MAX_UNPUBLISHED_BYTES)
         with part.open("ab" if is_resumed else "wb") as file:
-            _copy(response, file, done_bytes, total_bytes, progress)
+            _copy(response, file, done_bytes, total_bytes, progress, max_bytes=max_bytes)
 
 
-def _copy(response: Any, file: Any, done_bytes: int, total_bytes: int | None, progress: Progress) -> None:
+def _copy(
+    response: Any, file: Any, done_bytes: int, total_bytes: int | None, progress: Progress, *, max_bytes: int
+) -> None:
     while chunk := response.read(_CHUNK_BYTES):
+        if done_bytes > max_bytes:
+            return
         file.write(chunk)
         done_bytes += len(chunk)
         progress(done_bytes, total_bytes)

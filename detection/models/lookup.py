@@ -13,6 +13,7 @@ from typing import Literal
 from track_range.detection.models.catalogue import CATALOGUE, CatalogueEntry, entry_named
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.cache_folder import cache_folder
+from track_range.foundation.input_files import shortened
 
 PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"
 """Folder of the models that are part of track-range."""
@@ -79,7 +80,7 @@ def find_model(
         ModelError: there is no such model; the message suggests similar names.
     """
     text, path = str(name_or_path), Path(name_or_path)
-    if path.is_file():
+    if os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
         return ModelLocation(path, "file", None)
     if path.name != text or path.suffix.lower() in _FILE_SUFFIXES:
         raise ModelError(_no_such_file(path))
@@ -127,6 +128,6 @@ def _no_such_file(path: Path) -> str:
 
 def _no_such_name(text: str, local_names: Sequence[str]) -> str:
     names = list(dict.fromkeys([*local_names, *(entry.name for entry in CATALOGUE)]))
-    near = difflib.get_close_matches(text.lower(), names, n=2, cutoff=0.5)
+    near = difflib.get_close_matches(text[:60].lower(), names, n=2, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}?" if near else f"known models: {', '.join(names)}."
-    return f"{text}: no model file or model of this name; {hint} See `track-range models list`."
+    return f"{shortened(text)}: no model file or model of this name; {hint} See `track-range models list`."

@@ -23,6 +23,10 @@ import yaml
 
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.input_format import placement_and_grey
+from track_range.foundation.input_files import MAX_TEXT_BYTES, shortened
+
+_MAX_REASON = 160
+"""Longest description of an invalid value, in characters."""
 
 Anchors = tuple[tuple[tuple[float, float], ...], ...]
 """For each output head, usually the coarsest grid first, (width, height) of its anchors in input pixels."""
@@ -90,7 +94,7 @@ def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
     try:
         return parse(value)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise ModelError(f"{place}: {error}.") from error
+        raise ModelError(f"{place}: {shortened(str(error), _MAX_REASON)}.") from error
 
 
 def _read_yaml(sidecar: Path) -> dict[str, Any]:
@@ -105,7 +109,7 @@ def _read_yaml(sidecar: Path) -> dict[str, Any]:
 
 def _literal(text: str) -> object:
     """The value of a metadata text: JSON, a Python literal (Ultralytics' format of names), else the text itself."""
-    for read in (json.loads, ast.literal_eval):
+    for read in (json.loads, ast.literal_eval) if len(text) <= MAX_TEXT_BYTES else ():
         try:
             return read(text)
         except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):

@@ -6,7 +6,9 @@ Thread spinning is disabled because it slows down other work on a shared machine
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import math
+import mmap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -16,11 +18,30 @@ import onnxruntime as ort
 
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
+from track_range.foundation.input_files import check_regular, quoted, shortened
 
 Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 
 _CUDA, _TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
 _PROVIDERS: Mapping[str, tuple[str, ...]] = {"cpu": (), "cuda": (_CUDA,), "tensorrt": (_TENSORRT, _CUDA)}
+
+_MAX_MODEL_BYTES = 2**31
+"""Size limit of a model file: protobuf's."""
+
+_MAX_SIDE = 8192
+"""Largest length of the input in any dimension."""
+
+_MAX_VALUES = 2**28
+"""Largest number of values of the input: 1 GB of float32."""
+
+_INPUT_TYPES = ("tensor(float)", "tensor(float16)")
+"""Number types of image inputs."""
+
+_LOCATION_KEY = b"location"
+"""Key of the path of external data in ONNX files."""
+
+_MAX_REASON = 160
+"""Longest excerpt of a library's message, in characters."""
 
 
 class ModelError(UserError):
@@ -76,16 +97,13 @@ class OnnxSession:
                 f"are missing); using {self.device}.",
             )
         inputs = self._session.get_inputs()
-        if len(inputs) != 1 or len(inputs[0].shape) != 4:
-            shapes = ", ".join(f"{i.name} {i.shape}" for i in inputs)
-            raise ModelError(f"{path}: expected one input [batch, 3, height, width], got {shapes}.")
+        _check_input(path, inputs)
         self._input = inputs[0]
         self.input_shape = tuple(d if isinstance(d, int) else None for d in self._input.shape)
         self.metadata: Mapping[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
 
     def _load(self, runtime: Runtime) -> Any:
-        if not self.path.is_file():
-            raise ModelError(f"{self.path}: no such model file.")
+        check_model_file(self.path)
         options = ort.SessionOptions()
         options.intra_op_num_threads = runtime.n_threads
         options.inter_op_num_threads = 1
@@ -94,8 +112,7 @@ class OnnxSession:
         try:
             return ort.InferenceSession(str(self.path), options, providers=_providers(runtime))
         except Exception as error:  # onnxruntime raises a dozen unrelated types for a broken file
-            reason = str(error).splitlines()[0]
-            raise ModelError(f"{self.path}: not a usable ONNX model ({reason}).") from error
+            raise ModelError(f"{self.path}: not a usable ONNX model ({_reason(error, self.path)}).") from error
 
     @property
     def input_dtype(self) -> type[np.floating[Any]]:
@@ -123,12 +140,63 @@ class OnnxSession:
         return BoundNetwork(self, input_hw)
 
     def _failure(self, error: Exception) -> ModelError:
-        return ModelError(f"{self.path}: running the network failed ({str(error).splitlines()[0]}).")
+        return ModelError(f"{self.path}: running the network failed ({_reason(error, self.path)}).")
 
     def sha256(self) -> str:
         """SHA-256 of the model file in hexadecimal, so that a run can be repeated with the same weights."""
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_model_file(path: Path) -> None:
+    """Check an ONNX file, and that its external data are in its folder.
+
+    Raises:
+        ModelError: it is not a regular file of at most 2 GB, or refers to files elsewhere.
+    """
+    check_regular(path, ModelError, "an ONNX model", max_bytes=_MAX_MODEL_BYTES)
+    if path.stat().st_size == 0:
+        raise ModelError(f"{path}: expected an ONNX model, got an empty file.")
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        if content.find(_LOCATION_KEY) < 0:
+            return
+    import onnx
+    from onnx.external_data_helper import _get_all_tensors, uses_external_data  # not part of onnxruntime
+
+    try:
+        model = onnx.load(str(path), load_external_data=False)
+        external = [tensor for tensor in _get_all_tensors(model) if uses_external_data(tensor)]
+        locations = {entry.value for tensor in external for entry in tensor.external_data if entry.key == "location"}
+    except Exception as error:  # onnx and protobuf raise unrelated types
+        raise ModelError(f"{path}: not a readable ONNX model ({_reason(error, path)}).") from error
+    folder = path.resolve().parent
+    for location in sorted(locations):
+        if folder not in (folder / location).resolve().parents:
+            raise ModelError(
+                f"{path}: expected its weights in the same folder, found a reference to {quoted(location)}."
+            )
+        check_regular(folder / location, ModelError, f"weights of {path.name}")
+
+
+def _check_input(path: Path, inputs: Sequence[Any]) -> None:
+    """Raise ModelError unless there is one image input of a plausible size with float values."""
+    if len(inputs) != 1 or len(inputs[0].shape) != 4:
+        shapes = shortened(", ".join(f"{i.name} {i.shape}" for i in inputs), 120)
+        raise ModelError(f"{path}: expected one input [batch, 3, height, width], got {shapes}.")
+    sizes = [size for size in inputs[0].shape if isinstance(size, int)]
+    if min(sizes, default=1) < 1 or max(sizes, default=1) > _MAX_SIDE or math.prod(sizes) > _MAX_VALUES:
+        raise ModelError(
+            f"{path}: expected an input [batch, 3, height, width] of 1 to {_MAX_SIDE} pixels a side and at most "
+            f"{_MAX_VALUES:,} values, got {shortened(str(inputs[0].shape))}."
+        )
+    if inputs[0].type not in _INPUT_TYPES:
+        raise ModelError(f"{path}: expected an input of the type {' or '.join(_INPUT_TYPES)}, got {inputs[0].type}.")
+
+
+def _reason(error: Exception, path: Path) -> str:
+    """First line of the message of a library, without the path and shortened."""
+    lines = str(error).replace(str(path), path.name).splitlines() or [type(error).__name__]
+    return shortened(lines[0], _MAX_REASON)
 
 
 class BoundNetwork:

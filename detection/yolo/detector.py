@@ -20,6 +20,7 @@ from track_range.detection.models.onnx_session import BoundNetwork, ModelError, 
 from track_range.detection.yolo.layouts import YoloModel, identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
+from track_range.foundation.input_files import quoted, shortened
 
 _MAX_BOUND = 8
 """Largest number of input sizes whose buffers are cached; binding a new size costs one run of the network."""
@@ -102,8 +103,9 @@ class YoloDetector:
         thresholds = np.append(self._settings.min_score_by_class(), _UNREACHABLE_SCORE)  # index -1: no road class
         self._min_score: FloatArray = thresholds[self._road_class]
         if (self._min_score >= _UNREACHABLE_SCORE).all():
+            first_names = shortened(", ".join(names[:8]))
             raise ModelError(
-                f"{path}: none of its classes ({', '.join(names[:8])}, ...) is one of the road classes to detect; "
+                f"{path}: none of its classes ({first_names}, ...) is one of the road classes to detect; "
                 "choose other classes or another model."
             )
 
@@ -201,4 +203,4 @@ class YoloDetector:
 def _check_is_detector(session: OnnxSession) -> None:
     task = session.metadata.get("task", "detect")  # written by Ultralytics' exporter
     if task != "detect":
-        raise ModelError(f"{session.path}: expected a network for the task 'detect', got one for '{task}'.")
+        raise ModelError(f"{session.path}: expected a network for the task 'detect', got one for {quoted(task)}.")

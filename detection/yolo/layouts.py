@@ -34,8 +34,9 @@ from track_range.detection.yolo.decoders import (
     RowDecoder,
 )
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
+from track_range.foundation.input_files import shortened
 
-_EXPORT_HINT = "n = number of cells of strides 8, 16, 32; export with batch size 1 and without NMS"
+_EXPORT_HINT = "n = number of cells; export with batch size 1 and without NMS"
 """Advice at the end of the message on unknown outputs."""
 
 _STRIDES_PX = (8, 16, 32)
@@ -162,9 +163,9 @@ def identify_layout(
     matches = (layout.match(network) for layout in DETECTOR_LAYOUTS)
     matched = next((match for match in matches if match is not None), None)
     if matched is None:
-        shapes = ", ".join(f"{name} {list(shape)}" for name, shape in outputs.items())
+        shapes = shortened(", ".join(f"{name} {list(shape)}" for name, shape in outputs.items()))
         known = ", ".join(layout.name for layout in DETECTOR_LAYOUTS)
-        raise ModelError(f"{path}: unknown outputs {shapes}; known layouts: {known}; {_EXPORT_HINT}.")
+        raise ModelError(f"{path}: unknown outputs {shapes}; expected {known}; {_EXPORT_HINT}.")
     used = {"family": metadata.get("family", matched.family, "from its outputs")}
     used["names"] = _names(path, matched.n_classes, metadata)
     input_format = _input_format(matched.input_format, matched.family, metadata, used)
@@ -265,7 +266,8 @@ def _raw_heads(network: NetworkOutputs) -> MatchedLayout | None:
     scales = used["scale_x_y"].value
     if len(scales) not in (1, len(shapes)):
         raise ModelError(
-            f"{network.path}: expected one scale_x_y for each of {len(shapes)} output heads, got {list(scales)} "
+            f"{network.path}: expected one scale_x_y for each of {len(shapes)} output heads, got "
+            f"{shortened(str(list(scales)))} "
             f"({used['scale_x_y'].source})."
         )
     height, width = network.input_hw
@@ -289,7 +291,7 @@ def _check_anchors(path: Path, anchors: Attribute, n_heads: int) -> None:
     if len(anchors.value) != n_heads or len({len(head) for head in anchors.value}) != 1:
         raise ModelError(
             f"{path}: expected the same number of anchors for each of {n_heads} output heads, got "
-            f"{', '.join(str(len(head)) for head in anchors.value)} ({anchors.source}); "
+            f"{shortened(', '.join(str(len(head)) for head in anchors.value))} ({anchors.source}); "
             "give --anchors 'w,h w,h w,h / w,h w,h w,h' in the order of the outputs."
         )
 
@@ -331,10 +333,10 @@ def _input_format(
 
 
 DETECTOR_LAYOUTS: tuple[DetectorLayout, ...] = (
-    DetectorLayout("decoded YOLOv4 boxes [1, N, 1, 4] with scores [1, N, classes]", _boxes_and_scores),
+    DetectorLayout("YOLOv4 [1, N, 1, 4] and [1, N, classes]", _boxes_and_scores),
     DetectorLayout("YOLOv5 [1, 3 n, 5 + classes]", _anchor_rows),
     DetectorLayout("YOLOX [1, n, 5 + classes]", _cell_rows),
     DetectorLayout("YOLOv8/YOLO11 [1, 4 + classes, n]", _cell_columns),
-    DetectorLayout("raw Darknet heads [1, anchors x (5 + classes), rows, columns] (two or three)", _raw_heads),
+    DetectorLayout("Darknet heads [1, A (5 + classes), rows, columns]", _raw_heads),
 )
 """The known layouts, in the order in which they are tried; n = number of cells of strides 8, 16, 32."""

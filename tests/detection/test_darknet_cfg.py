@@ -182,5 +182,5 @@ def test_valid_cfg_has_no_errors():
 
 
 def test_missing_cfg(tmp_path):
-    with pytest.raises(ModelError, match=r"none\.cfg: cannot be read"):
+    with pytest.raises(ModelError, match=r"none\.cfg: no such file"):
         read_network(tmp_path / "none.cfg")

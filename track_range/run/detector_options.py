@@ -13,6 +13,11 @@ from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.errors import ConfigError, UsageError
+from track_range.foundation.input_files import quoted, read_text, shortened
+from track_range.foundation.numeric_text import number
+
+_MAX_NAME = 200
+"""Largest number of characters of a class name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,12 +94,10 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
     if "," in option or not path.suffix:
         names = tuple(name.strip() for name in option.split(","))
     else:
-        try:
-            names = tuple(line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip())
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"--names {option}: expected a text file with one class name per line.") from error
-    if not all(names) or not names:
-        raise ConfigError(f"--names {option}: expected class names, a,b,c or a file with one name per line.")
+        text = read_text(path, ConfigError, "a text file with one class name per line (--names)")
+        names = tuple(line.strip() for line in text.split("\n") if line.strip())
+    if not all(names) or not names or max(map(len, names)) > _MAX_NAME:
+        raise ConfigError(f"--names {shortened(option)}: expected class names, a,b,c or a file with one name per line.")
     return names
 
 
@@ -115,18 +118,16 @@ def thresholds(option: str | None, *, otherwise: float) -> tuple[float, tuple[tu
             min_score = score
         else:
             raise UsageError(
-                f"--min-score {option}: expected one number for all classes, then class=number, separated by commas."
+                f"--min-score {shortened(option or '')}: expected one number for all classes, then class=number, "
+                "separated by commas."
             )
     return (otherwise if min_score is None else min_score), tuple(by_class)
 
 
 def _score(text: str) -> float:
-    try:
-        score = float(text)
-    except ValueError:
-        score = -1.0
+    score = number(text)
     if not 0 <= score <= 1:
         raise UsageError(
-            f"--min-score: expected confidences from 0 to 1, such as 0.25 or 0.1,car=0.3, got '{text.strip()}'."
+            f"--min-score: expected confidences from 0 to 1, such as 0.25 or 0.1,car=0.3, got {quoted(text.strip())}."
         )
     return score

@@ -10,7 +10,7 @@ import torch
 from onnx import numpy_helper
 from torch import nn
 
-from track_range.detection.models.onnx_session import ModelError
+from track_range.detection.models.onnx_session import ModelError, check_model_file
 from track_range.detection.training.networks.yolov5 import COCO_ANCHORS_PX, SCALES, YoloV5
 
 
@@ -38,6 +38,7 @@ def yolov5_of_export(path: Path) -> YoloV5:
 
 def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     """Weights and biases of the convolutions, in the order of the graph."""
+    check_model_file(path)
     try:
         graph = onnx.load(str(path)).graph
     except Exception as error:  # onnx and protobuf raise unrelated types
@@ -49,7 +50,10 @@ def _convolutions(path: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     nodes = [node for node in graph.node if node.op_type == "Conv"]
     if not nodes or any(len(node.input) != 3 or not set(node.input[1:]) <= values.keys() for node in nodes):
         raise ModelError(f"{path}: expected a float32 export with folded batch norms as the teacher.")
-    arrays = [[numpy_helper.to_array(values[name]) for name in node.input[1:]] for node in nodes]
+    try:
+        arrays = [[numpy_helper.to_array(values[name]) for name in node.input[1:]] for node in nodes]
+    except Exception as error:  # as above
+        raise ModelError(f"{path}: expected weights of the announced sizes ({type(error).__name__}).") from error
     return [(weight, bias) for weight, bias in arrays]
 
 
