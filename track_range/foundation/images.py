@@ -69,8 +69,8 @@ def read_image(
             size_px = header_size_px(file)
             n_bytes = file.seek(0, os.SEEK_END)
             if size_px is None or 0 in size_px:
-                found = "a file of another format or a damaged one" if n_bytes else "an empty or damaged file"
-                raise error(f"{path}: expected {expected} (PNG, JPEG, BMP, TIFF, WebP, PGM or PPM), found {found}.")
+                content = "a file of another format or a damaged one" if n_bytes else "an empty or damaged file"
+                raise error(f"{path}: expected {expected} (PNG, JPEG, BMP, TIFF, WebP, PGM or PPM), found {content}.")
             check_size(path, size_px, error)
             max_bytes = _MAX_PIXEL_BYTES * size_px[0] * size_px[1] + _MAX_EXTRA_BYTES
             if n_bytes > max_bytes:
@@ -142,13 +142,11 @@ def _pair(layout: str, content: bytes, offset: int) -> tuple[int, int]:
 def _jpeg_size_px(file: BinaryIO) -> tuple[int, int] | None:
     file.seek(2)
     for _ in range(_MAX_HEADER_FIELDS):
-        segment = file.tell()
-        byte = file.read(1)
-        is_marker = False
+        byte, is_marker, n_read = file.read(1), False, 1
         while byte and (byte == b"\xff" or not is_marker):  # decoders skip bytes between segments
             is_marker = byte == b"\xff"
-            byte = file.read(1)
-            if file.tell() - segment > _MAX_SKIPPED_BYTES:
+            byte, n_read = file.read(1), n_read + 1
+            if n_read > _MAX_SKIPPED_BYTES:
                 return None
         if not byte:
             return None

@@ -47,12 +47,6 @@ _UPRIGHT = (1, 0, 0, 1)
 _MIN_RATE_HZ, _MAX_RATE_HZ = 1e-4, 1e5
 """Range of frame rates; the rate of another header is ignored."""
 
-_MIN_SIDE_PX = 2
-"""Smallest width and height of a video; YUV 4:2:0 has no smaller images."""
-
-_MAX_TIME_S = 1e10
-"""Largest time stamp, s; stamps that count from 1970 are below. Larger ones are damaged."""
-
 _FORMATS = (
     "apng,apv,asf,av1,avi,avs2,avs3,cavsvideo,cine,dhav,dirac,dnxhd,dv,evc,flic,flv,gif,gxf,h261,h263,h264,hevc,ivf,"
     "ivr,kux,lmlm4,m4v,matroska,mjpeg,mjpeg_2000,mov,mpeg,mpegts,mpegvideo,mpjpeg,mxf,nsv,nut,obu,ogg,rm,ser,ty,vc1,"
@@ -96,7 +90,10 @@ class VideoFile:
 
         self._first = next(self._reading, None)
         if self._first is None:
-            raise VideoError(f"{path}: no frame can be decoded; the video is damaged or truncated, record it again.")
+            raise VideoError(
+                f"{path}: no frame can be decoded; the video is damaged or truncated, or its images have more than "
+                f"{MAX_PIXELS // 10**6} megapixels."
+            )
         self.first_time_s = self._first.time_s
 
         declared_s, is_end = _declared_duration_s(container, stream)

@@ -17,6 +17,10 @@ from track_range.video.threads import DECODER_THREADS
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
 
+_MIN_SIDE_PX = 8
+"""Smallest width and height of a video; smaller ones show no road users, and their headers are usually damaged."""
+
+
 class VideoReader:
     """The frames of a video file, or of a folder of numbered images.
 
@@ -40,9 +44,9 @@ class VideoReader:
             several threads.
 
     Raises:
-        VideoError: the path does not exist, is no video, or nothing can be decoded. While iterating: no frame in the
-            part to read, an image of a folder cannot be decoded, an image has another size, or the file or folder was
-            replaced, shortened or overwritten in the meantime.
+        VideoError: the path does not exist, is no video, nothing can be decoded, or the images are too small. While
+            iterating: no frame in the part to read, an image of a folder cannot be decoded, an image has another size,
+            or the file or folder was replaced, shortened or overwritten in the meantime.
     """
 
     def __init__(
@@ -57,6 +61,12 @@ class VideoReader:
         self.path = path
         self._source = _source(path, folder_fps)
         self.width_px, self.height_px = self._source.width_px, self._source.height_px
+        if min(self.width_px, self.height_px) < _MIN_SIDE_PX:
+            self._source.close()
+            raise VideoError(
+                f"{path}: expected images of at least {_MIN_SIDE_PX}x{_MIN_SIDE_PX} px, found "
+                f"{self.width_px}x{self.height_px} px; check the video."
+            )
         self.is_grey, self.fps = self._source.is_grey, self._source.fps
         self.first_time_s = self._source.first_time_s
         self._from_s = (self.first_time_s if origin_s is None else origin_s) + start_s

@@ -16,6 +16,7 @@ import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
+from track_range.foundation.images import MAX_PIXELS
 from track_range.run.prefetch import lower_thread_priority
 from track_range.video.frame import VideoError, VideoFrame, counted, is_neutral
 from track_range.video.live.address import LiveAddress
@@ -27,6 +28,9 @@ _OPEN_S = 10.0
 
 SILENCE_S = 5.0
 """Timeout for the next frame of a stream, s."""
+
+_SIZE_LIMIT = {"max_pixels": str(MAX_PIXELS)}
+"""FFmpeg's option for the largest size of an image."""
 
 _FALLBACK_RATE_HZ = 25.0
 """Frame rate of a stream that does not declare one."""
@@ -146,6 +150,7 @@ class LiveStream:
         self._set_events()
 
     def _receive(self, container: InputContainer, stream: VideoStream) -> None:
+        stream.codec_context.options = {**stream.codec_context.options, **_SIZE_LIMIT}
         stream.thread_type = "SLICE"  # frame threading would delay frames
         for packet in container.demux(stream):
             if self._is_closing.is_set():
@@ -172,7 +177,11 @@ class LiveStream:
 def _opened(address: LiveAddress) -> InputContainer:
     try:
         container = av.open(
-            address.url, mode="r", format=address.format, options=address.options, timeout=(_OPEN_S, SILENCE_S)
+            address.url,
+            mode="r",
+            format=address.format,
+            options={**address.options, **_SIZE_LIMIT},
+            timeout=(_OPEN_S, SILENCE_S),
         )
     except (av.FFmpegError, ValueError) as error:
         kind = "camera" if address.is_camera else "stream"
