@@ -10,7 +10,6 @@ centres are at integers. KITTI labels are used without change (`detection.format
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,8 @@ from track_range.foundation.arrays import BoolArray, Image
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
 from track_range.foundation.images import IMAGE_SUFFIXES
-from track_range.foundation.input_files import quoted
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, shortened
+from track_range.foundation.structured_text import read_json
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 
@@ -186,8 +186,8 @@ def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, P
 
 def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
     """The images that a COCO file has labels for, by file name."""
+    document = read_json(file, LabelFileError, "COCO's labels", max_bytes=MAX_TABLE_BYTES)
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
         road_of = _road_of_categories(document["categories"])
         labels: dict[Any, list[dict[str, Any]]] = {image["id"]: [] for image in document["images"]}
         for label in document["annotations"]:
@@ -199,11 +199,10 @@ def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
             for path in paths
             if path.name in by_name
         ]
-    except OSError as error:
-        raise LabelFileError(f"{file}: cannot be read ({error.strerror or error}).") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise LabelFileError(
-            f"{file}: expected COCO's images, annotations and categories ({type(error).__name__}: {error})."
+            f"{file}: expected COCO's images, annotations and categories, found other content "
+            f"({shortened(f'{type(error).__name__}: {error}')})."
         ) from error
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
@@ -20,6 +19,7 @@ from track_range.detection.models.metadata import names_of
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.numeric_text import numbers
+from track_range.foundation.structured_text import read_yaml
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
 """Files that may have the class names, in the order in which they are tried."""
@@ -99,14 +99,25 @@ def names_for_folder(folder: Path) -> tuple[str, ...]:
     for file in (parent / name for parent in (folder, folder.parent) for name in _NAME_FILES):
         if not file.is_file():
             continue
-        try:
-            text = file.read_text(encoding="utf-8-sig")
-            if file.suffix == ".txt":
-                return tuple(line.strip() for line in text.splitlines() if line.strip())
-            return names_of(yaml.safe_load(text)["names"])
-        except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-            raise LabelFileError(f"{file}: expected a list of class names ({type(error).__name__}).") from error
+        if file.suffix == ".txt":
+            text = read_text(file, LabelFileError, "class names, one per line")
+            return tuple(line.strip() for line in text.splitlines() if line.strip())
+        return names_in(read_yaml(file, LabelFileError, "the class names of labels"), file)
     return ()
+
+
+def names_in(document: object, file: Path) -> tuple[str, ...]:
+    """Class names in the content of a data.yaml.
+
+    Raises:
+        LabelFileError: there are no names, or they are not a list of texts or numbered from 0.
+    """
+    if not isinstance(document, dict) or document.get("names") is None:
+        raise LabelFileError(f"{file}: expected 'names', the class names in the order of their numbers, found none.")
+    try:
+        return names_of(document["names"])
+    except ValueError as error:
+        raise LabelFileError(f"{file}: 'names': {error}.") from error
 
 
 def _rows(file: Path) -> tuple[FloatArray, IntArray]:

@@ -13,17 +13,16 @@ family's default is used. All sources use the same keys:
 from __future__ import annotations
 
 import ast
-import json
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.input_format import placement_and_grey
-from track_range.foundation.input_files import MAX_TEXT_BYTES, shortened
+from track_range.foundation.input_files import MAX_TEXT_BYTES, quoted, shortened
+from track_range.foundation.structured_text import parse_json, read_yaml
 
 _MAX_REASON = 160
 """Longest description of an invalid value, in characters."""
@@ -93,15 +92,14 @@ def _parsed(parse: Callable[[Any], Any], value: object, place: str) -> Any:
     """`parse(value)`; errors name the `place` of the value."""
     try:
         return parse(value)
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
+    except ValueError as error:
         raise ModelError(f"{place}: {shortened(str(error), _MAX_REASON)}.") from error
+    except (TypeError, KeyError, OverflowError) as error:
+        raise ModelError(f"{place}: expected other values, found {quoted(value)}.") from error
 
 
 def _read_yaml(sidecar: Path) -> dict[str, Any]:
-    try:
-        document = yaml.safe_load(sidecar.read_text(encoding="utf-8-sig"))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ModelError(f"{sidecar}: not a readable YAML file ({type(error).__name__}).") from error
+    document = read_yaml(sidecar, ModelError, "the attributes of a model")
     if not isinstance(document, dict) or not document.keys() & _PARSERS.keys():
         raise ModelError(f"{sidecar}: expected one of the keys {', '.join(_PARSERS)}; add them or remove the file.")
     return document
@@ -109,12 +107,22 @@ def _read_yaml(sidecar: Path) -> dict[str, Any]:
 
 def _literal(text: str) -> object:
     """The value of a metadata text: JSON, a Python literal (Ultralytics' format of names), else the text itself."""
-    for read in (json.loads, ast.literal_eval) if len(text) <= MAX_TEXT_BYTES else ():
-        try:
-            return read(text)
-        except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
-            continue
-    return text
+    if len(text) > MAX_TEXT_BYTES:
+        return text
+    try:
+        return parse_json(text, "", ValueError, "a value")
+    except ValueError:
+        pass
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # texts such as 'a\d' are valid, with a SyntaxWarning
+            return ast.literal_eval(text)
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+        return text
+
+
+_MAX_NAME = 100
+"""Largest number of characters of a class name."""
 
 
 def names_of(value: object) -> tuple[str, ...]:
@@ -124,16 +132,23 @@ def names_of(value: object) -> tuple[str, ...]:
         ValueError: another type, an empty list, or numbers with gaps.
     """
     if isinstance(value, Mapping):
-        numbers = {int(key): name for key, name in value.items()}
+        try:
+            numbers = {int(key): name for key, name in value.items()}
+        except (ValueError, TypeError, OverflowError) as error:
+            raise ValueError(f"expected names numbered from 0, got {quoted(list(value))}") from error
         if sorted(numbers) != list(range(len(numbers))):
-            raise ValueError(
-                f"expected names numbered from 0 without gaps, got {', '.join(map(str, sorted(numbers)))[:40]}"
-            )
+            raise ValueError(f"expected names numbered from 0 without gaps, got {quoted(sorted(numbers))}")
         value = [numbers[key] for key in sorted(numbers)]
-    if isinstance(value, Sequence) and not isinstance(value, str) and value:
-        return tuple(str(name) for name in value)
-    raise ValueError(f"expected a list of names, got {str(value)[:40]!r}; specify them with --names")
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes) or not value:
+        raise ValueError(f"expected a list of names, got {quoted(value)}; specify them with --names")
+    for name in value:
+        if not isinstance(name, str | int | float) or len(str(name)) > _MAX_NAME:
+            raise ValueError(f"expected names of at most {_MAX_NAME} characters, got {quoted(name)}")
+    return tuple(str(name) for name in value)
 
+
+_MAX_HEADS, _MAX_ANCHORS = 16, 64
+"""Largest numbers of output heads, and of anchors in a head; YOLO networks have 1 to 5 of each."""
 
 _ANCHORS_EXPECTED = "expected positive width,height pairs for every head, such as '81,82 135,169 / 23,27 37,58'"
 
@@ -144,8 +159,10 @@ def _anchors(value: Any) -> Anchors:
         value = [[pair.split(",") for pair in head.split()] for head in value.split("/")]
     try:
         anchors = tuple(tuple((float(w), float(h)) for w, h in head) for head in value)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(_ANCHORS_EXPECTED) from error
+    if len(anchors) > _MAX_HEADS or any(len(head) > _MAX_ANCHORS for head in anchors):
+        raise ValueError(f"expected at most {_MAX_HEADS} heads of {_MAX_ANCHORS} anchors")
     if not anchors or not all(head and all(0 < side < 1e5 for pair in head for side in pair) for head in anchors):
         raise ValueError(_ANCHORS_EXPECTED)
     return anchors
@@ -153,10 +170,24 @@ def _anchors(value: Any) -> Anchors:
 
 def _scales(value: Any) -> tuple[float, ...]:
     values: Sequence[Any] = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-    scales = tuple(float(scale) for scale in values)
+    scales = tuple(_number(scale) for scale in values)
     if not all(1 <= scale <= 2 for scale in scales):
-        raise ValueError(f"expected numbers from 1 to 2, got {list(scales)}")
+        raise ValueError(f"expected numbers from 1 to 2, got {quoted(list(scales))}")
     return scales
+
+
+def _number(value: Any) -> float:
+    """A number from a number or text; NaN for other values."""
+    try:
+        return float("nan") if isinstance(value, bool) else float(value)
+    except (ValueError, TypeError, OverflowError):
+        return float("nan")
+
+
+def _family(value: object) -> str:
+    if not isinstance(value, str | int | float) or not 0 < len(str(value)) <= _MAX_NAME:
+        raise ValueError(f"expected the name of a family of networks, got {quoted(value)}")
+    return str(value)
 
 
 def _letterbox(value: object) -> str:
@@ -166,24 +197,24 @@ def _letterbox(value: object) -> str:
 
 def _colours(value: object) -> str:
     if str(value).lower() not in ("rgb", "bgr"):
-        raise ValueError(f"expected rgb or bgr, got {value!r}")
+        raise ValueError(f"expected rgb or bgr, got {quoted(value)}")
     return str(value).lower()
 
 
 def _divisor(value: Any) -> float:
-    if not 0 < float(value) <= 65535:
-        raise ValueError(f"expected a positive number such as 255, got {value!r}")
+    if not 0 < _number(value) <= 65535:
+        raise ValueError(f"expected a positive number such as 255, got {quoted(value)}")
     return float(value)
 
 
 def _size(value: Any) -> int:
-    if not 32 <= int(value) <= 4096:
-        raise ValueError(f"expected 32 to 4096 pixels, got {value!r}")
-    return int(value)
+    if not 32 <= _number(value) <= 4096:
+        raise ValueError(f"expected 32 to 4096 pixels, got {quoted(value)}")
+    return int(float(value))
 
 
 _PARSERS: Mapping[str, Callable[[Any], Any]] = {
-    "family": str,
+    "family": _family,
     "names": names_of,
     "anchors": _anchors,
     "scale_x_y": _scales,

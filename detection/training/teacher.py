@@ -9,7 +9,6 @@ objectness.)
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,8 @@ from track_range.detection.training.losses.assignment import Cells
 from track_range.detection.training.networks.network import AnchorNetwork, placed
 from track_range.detection.training.networks.onnx_weights import yolov5_of_export
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.input_files import quoted
+from track_range.foundation.structured_text import parse_json
 
 MIN_OBJECTNESS = 0.1
 """Smallest objectness of a teacher's cell that is a positive."""
@@ -74,7 +75,7 @@ class Teacher:
         metadata = OnnxSession(path).metadata
         names = read_metadata(path, metadata, ModelOptions()).get("names", COCO_CLASSES, "default").value
         if "trained_anchors" in metadata:
-            network.anchors_px.copy_(torch.tensor(json.loads(metadata["trained_anchors"])))
+            network.anchors_px.copy_(_anchors(metadata["trained_anchors"], path, network.anchors_px))
         class_id = map_to_road_classes(names)
         if network.n_classes != len(names) or not np.isin(class_id, road_class_id).any():
             raise ModelError(
@@ -123,6 +124,23 @@ class Teacher:
         is_confident = objectness[where] > MIN_OBJECTNESS
         cells = Cells(image, anchor, row, column, torch.zeros_like(image)).select(is_confident)
         return TeacherOutputs(objectness, cells, boxes[is_confident], student_scores[is_confident])
+
+
+def _anchors(text: str, path: Path, default_px: Tensor) -> Tensor:
+    """Anchors in pixels from a model's metadata, in the shape of the network's default anchors.
+
+    Raises:
+        ModelError: they are not positive numbers, or their number differs.
+    """
+    place = f"{path}: metadata 'trained_anchors'"
+    try:
+        anchors_px = torch.tensor(parse_json(text, place, ModelError, "anchors"), dtype=default_px.dtype)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ModelError(f"{place}: expected lists of numbers, found {quoted(text)}.") from error
+    if anchors_px.shape != default_px.shape or not ((anchors_px > 0) & (anchors_px < 1e5)).all():
+        expected = " x ".join(str(size) for size in default_px.shape)
+        raise ModelError(f"{place}: expected {expected} positive numbers, found {quoted(text)}.")
+    return anchors_px
 
 
 def _best(scores: Tensor, columns: Sequence[int] | IntArray) -> Tensor:

@@ -11,12 +11,13 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.ranging.size_models.posterior import IMPOSSIBLE, ground_likelihood, mixture_by_size, on_grid
 from track_range.ranging.size_models.prior import ShapeTables, SizePrior
 from track_range.ranging.size_models.shared_ground import GroundContacts, GroundPrior
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
 
 KIND = "cuboids"
 """Value of "kind" in curve files of this model."""
@@ -36,6 +37,14 @@ _IS_RELATIVE = np.array([[False], [True], [False]])
 
 _MIN_SIGMA = 0.01
 """Smallest relative standard deviation of a distance."""
+
+
+class CuboidFile(BaseModel):
+    """Content of a curve file with priors over cuboids, by size class."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    ground: GroundPrior
+    classes: dict[SizeClass, SizePrior]
 
 
 class CuboidSizes:
@@ -93,27 +102,16 @@ class CuboidSizes:
         return {"kind": KIND, "ground": asdict(self.ground), "classes": classes}
 
 
-def cuboids_in(document: Mapping[str, Any]) -> CuboidSizes:
+def cuboids_in(content: CuboidFile) -> CuboidSizes:
     """The model in the content of a curve file.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: an unknown class, or a missing or invalid value.
+        ValueError: a prior has an impossible value.
     """
-    ground = GroundPrior(**{key: _tuples(value) for key, value in document["ground"].items()})
-    priors = {}
-    for name, numbers in document["classes"].items():
-        if name not in SIZE_CLASSES:
-            raise ValueError(f"unknown size class {name}")
-        priors[name] = SizePrior(**{key: _tuples(value) for key, value in numbers.items()})
-        if faults := priors[name].faults():
-            raise ValueError(f"{name}: {faults}")
-    if faults := ground.faults():
-        raise ValueError(faults)
-    return CuboidSizes(priors, ground)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+    all_faults = {"ground": content.ground.faults()} | {name: of.faults() for name, of in content.classes.items()}
+    if invalid := [f"{name}: {faults}" for name, faults in all_faults.items() if faults]:
+        raise ValueError(invalid[0])
+    return CuboidSizes(content.classes, content.ground)
 
 
 def _class_mixture(priors: Mapping[str, SizePrior]) -> tuple[IntArray, FloatArray]:

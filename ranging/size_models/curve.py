@@ -10,10 +10,14 @@ import json
 from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel
 
 from track_range.foundation.atomic_files import describe, write_text
 from track_range.foundation.errors import UserError
+from track_range.foundation.structured_text import read_json
+from track_range.foundation.validation import Integer, validated
 from track_range.ranging.size_models import cuboid_sizes, log_linear, tables
 from track_range.ranging.size_models.size_model import StoredSizeModel
 
@@ -28,12 +32,19 @@ class CurveError(UserError):
     """A curve file that cannot be used, or labels to which no curve can be fitted; the message gives the reason."""
 
 
-_READERS: Mapping[str, Callable[[Mapping[str, Any]], StoredSizeModel]] = {
-    cuboid_sizes.KIND: cuboid_sizes.cuboids_in,
-    log_linear.KIND: log_linear.log_linear_in,
-    tables.KIND: tables.tables_in,
+_MODELS: Mapping[str, tuple[type[BaseModel], Callable[[Any], StoredSizeModel]]] = {
+    cuboid_sizes.KIND: (cuboid_sizes.CuboidFile, cuboid_sizes.cuboids_in),
+    log_linear.KIND: (log_linear.LogLinearFile, log_linear.log_linear_in),
+    tables.KIND: (tables.TableFile, tables.tables_in),
 }
-"""Reader of each kind of curve file."""
+"""Content of each kind of curve file, and the function from the content to the size model."""
+
+
+class _CurveFile(BaseModel):
+    """Keys of all curve files."""
+
+    track_range_size_curves: Integer
+    kind: Literal["cuboids", "log-linear", "table"]
 
 
 def load_curves(path: Path | None = None) -> StoredSizeModel:
@@ -42,14 +53,22 @@ def load_curves(path: Path | None = None) -> StoredSizeModel:
     Raises:
         CurveError: no such file, another format or version, an unknown kind or class, or an invalid value.
     """
-    name, document = _read_document(path)
-    kind = str(document.get("kind"))
-    if kind not in _READERS:
-        raise CurveError(f"{name}: expected a curve file of kind {', '.join(_READERS)}, got {kind}.")
+    if path is None:
+        with resources.as_file(resources.files("track_range.ranging").joinpath("curves/cuboids.json")) as packaged:
+            return load_curves(packaged)
+    document = read_json(path, CurveError, "a curve file written by `track-range fit`")
+    head = validated(_CurveFile, document, path, CurveError)
+    if head.track_range_size_curves != CURVE_VERSION:
+        raise CurveError(
+            f"{path}: expected curve file version {CURVE_VERSION}, got {head.track_range_size_curves}; fit it again "
+            "with `track-range fit`."
+        )
+    model, model_of = _MODELS[head.kind]
+    content = validated(model, document, path, CurveError)
     try:
-        return _READERS[kind](document)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise CurveError(f"{name}: expected a track-range curve file ({error!r}).") from error
+        return model_of(content)
+    except ValueError as error:
+        raise CurveError(f"{path}: {error}.") from error
 
 
 def save_curves(model: StoredSizeModel, path: Path) -> None:
@@ -63,25 +82,3 @@ def save_curves(model: StoredSizeModel, path: Path) -> None:
         write_text(path, json.dumps(document, indent=2) + "\n")
     except OSError as error:
         raise CurveError(f"{path}: cannot be written ({describe(error)}).") from error
-
-
-def _read_document(path: Path | None) -> tuple[str, Mapping[str, Any]]:
-    """Name and content of a curve file; None = the packaged file.
-
-    Raises:
-        CurveError: no such file, or another format or version.
-    """
-    packaged = resources.files("track_range.ranging").joinpath("curves/cuboids.json")
-    name = str(path or packaged)
-    try:
-        document = json.loads((path or packaged).read_text(encoding="utf-8"))
-        version = document[_VERSION_KEY]
-    except OSError as error:
-        raise CurveError(f"{name}: cannot be read ({error.strerror or error}).") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise CurveError(f"{name}: expected a track-range curve file ({error!r}).") from error
-    if version != CURVE_VERSION:
-        raise CurveError(
-            f"{name}: expected curve file version {CURVE_VERSION}, got {version}; fit it again with `track-range fit`."
-        )
-    return name, document

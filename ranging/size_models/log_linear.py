@@ -15,12 +15,17 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
 
 KIND = "log-linear"
 """Value of "kind" in curve files of this model."""
+
+
+_MAX_COEFFICIENT = 100.0
+"""Largest plausible magnitude of a coefficient; exp(100) m is far beyond any distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +54,14 @@ class SizeCurve:
     def coefficients(self) -> tuple[float, ...]:
         """The four coefficients in the order of the equation."""
         return self.intercept, self.per_log_height, self.per_log_width, self.per_bearing
+
+
+class LogLinearFile(BaseModel):
+    """Content of a curve file with log-linear curves, by size class."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    whole: dict[SizeClass, SizeCurve]
+    height_only: dict[SizeClass, SizeCurve]
 
 
 class SizeCurves:
@@ -86,23 +99,19 @@ class SizeCurves:
         return {"kind": KIND, "equation": equation, **sections}
 
 
-def log_linear_in(document: Mapping[str, Any]) -> SizeCurves:
+def log_linear_in(content: LogLinearFile) -> SizeCurves:
     """The model in the content of a curve file.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: an unknown class, a missing value, or an increasing curve.
+        ValueError: a distance increases with the size, or a sigma is not positive.
     """
-    return SizeCurves(_curves_in(document["whole"]), _curves_in(document["height_only"]))
-
-
-def _curves_in(section: Mapping[str, Mapping[str, Any]]) -> dict[str, SizeCurve]:
-    curves = {name: SizeCurve(**fields) for name, fields in section.items()}
-    for name, curve in curves.items():
-        if name not in SIZE_CLASSES:
-            raise ValueError(f"unknown size class {name}")
-        if not (curve.per_log_height < 0 and curve.per_log_width <= 0 and curve.sigma_relative > 0):
-            raise ValueError(f"{name}: distance must decrease with size, sigma_relative must be positive")
-    return curves
+    for section in (content.whole, content.height_only):
+        for name, curve in section.items():
+            if not (curve.per_log_height < 0 and curve.per_log_width <= 0 and curve.sigma_relative > 0):
+                raise ValueError(f"{name}: distance must decrease with size, sigma_relative must be positive")
+            if max(abs(value) for value in (*curve.coefficients, curve.sigma_relative)) > _MAX_COEFFICIENT:
+                raise ValueError(f"{name}: coefficients must be at most {_MAX_COEFFICIENT:g}")
+    return SizeCurves(content.whole, content.height_only)
 
 
 def _table(curves: Mapping[str, SizeCurve]) -> FloatArray:

@@ -52,6 +52,10 @@ _SIZE_STEP = 0.02
 """Step of the numerical derivatives in log size."""
 
 
+_MAX_VALUE = 100.0
+"""Largest plausible size in metres, or magnitude of a logarithm or weight; larger values overflow."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SizePrior:
     """Prior of one class; the names of the attributes are keys of curve files.
@@ -95,8 +99,9 @@ class SizePrior:
             return f"expected {len(YAW_DEG)} turn_weights, none of them negative, not all 0"
         if min(*self.hwl_m, *self.log_sigma, *self.scatter, self.log_distance[1]) <= 0:
             return "sizes and standard deviations must be positive"
-        if not np.isfinite([*self.offset, self.log_distance[0]]).all():
-            return "offsets and distances must be finite"
+        values = (*self.hwl_m, *self.log_sigma, *self.log_distance, *self.offset, *self.scatter, *self.turn_weights)
+        if not np.abs(values).max() <= _MAX_VALUE:  # also NaN
+            return f"all values must be finite, at most {_MAX_VALUE:g}"
         if not np.linalg.eigvalsh(self.covariance).min() > 0:
             return "the correlation matrix must be positive definite"
         return ""

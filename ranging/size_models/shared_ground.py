@@ -24,6 +24,12 @@ _N_ITERATIONS = 3
 _CAUCHY_SIGMA = 2.0
 """Scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations."""
 
+_MAX_HORIZON = 10.0
+"""Largest plausible tangent of a horizon below or above the camera's axis."""
+
+_MAX_M = 100.0
+"""Largest plausible camera height or standard deviation of a height, metres."""
+
 _Real = TypeVar("_Real", float, FloatArray)
 
 
@@ -52,8 +58,10 @@ class GroundPrior:
         """Description of the first invalid value; empty = all are valid."""
         if min(self.camera_height_m, self.camera_height_sigma_m, self.horizon_sigma, *self.kerb_m) <= 0:
             return "camera height and the standard deviations of the ground prior must be positive"
-        if not (0 <= self.rough_share < 1 and np.isfinite(self.horizon)):
-            return "rough_share must be between 0 and 1, the horizon must be finite"
+        if not (0 <= self.rough_share < 1 and abs(self.horizon) <= _MAX_HORIZON):
+            return f"rough_share must be between 0 and 1, the horizon between -{_MAX_HORIZON:g} and {_MAX_HORIZON:g}"
+        if not max(self.camera_height_m, self.camera_height_sigma_m, self.horizon_sigma, *self.kerb_m) <= _MAX_M:
+            return f"heights and standard deviations must be at most {_MAX_M:g} m"
         return ""
 
 

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
+from pydantic import AfterValidator
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")
 """Names of the size classes by index: the road classes, and vans, which differ in size from their road classes."""
+
+
+def _known(name: str) -> str:
+    if name not in SIZE_CLASSES:
+        raise ValueError(f"expected one of the size classes {', '.join(SIZE_CLASSES)}, found {quoted(name)}")
+    return name
+
+
+SizeClass = Annotated[str, AfterValidator(_known)]
+"""Name of a size class in a file."""
 
 _HAS_PERSON = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
 """(size classes,) whether the box of an object contains a person's limbs."""

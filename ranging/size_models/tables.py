@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.validation import Integer, Number, PositiveNumber
 from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeRanges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
 
 KIND = "table"
 """Value of "kind" in curve files of this model."""
@@ -34,6 +36,26 @@ class TableCurve:
     sigma_relative: float
     n: int
     source: str
+
+
+_Nodes = Annotated[list[Annotated[Number, Field(ge=-100, le=100)]], Field(min_length=2, max_length=10_000)]
+"""Logarithms of the nodes of a table; those of box sizes and distances are within +-10."""
+
+
+class _ClassTable(BaseModel):
+    log_size: _Nodes
+    log_distance: _Nodes
+    sigma_relative: PositiveNumber
+    n: Integer
+    source: str
+
+
+class TableFile(BaseModel):
+    """Content of a curve file with tables, by size class."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    measure: Literal["height", "diagonal"]
+    classes: dict[SizeClass, _ClassTable]
 
 
 class TableSizes:
@@ -86,23 +108,20 @@ class TableSizes:
         return {"kind": KIND, "measure": self.box_measure, "classes": classes}
 
 
-def tables_in(document: Mapping[str, Any]) -> TableSizes:
+def tables_in(content: TableFile) -> TableSizes:
     """The model in the content of a curve file.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: an unknown class or box measure, or a table that increases.
+        ValueError: a table increases, or has lists of different lengths.
     """
     curves = {}
-    for name, numbers in document["classes"].items():
-        if name not in SIZE_CLASSES:
-            raise ValueError(f"unknown size class {name}")
-        log_size, log_distance = (np.array(numbers[key], np.float64) for key in ("log_size", "log_distance"))
-        is_table = log_size.shape == log_distance.shape == (len(log_size),) and len(log_size) >= 2
+    for name, numbers in content.classes.items():
+        log_size, log_distance = np.array(numbers.log_size), np.array(numbers.log_distance)
+        is_table = log_size.shape == log_distance.shape
         if not (is_table and (np.diff(log_size) > 0).all() and (np.diff(log_distance) <= 0).all()):
             raise ValueError(f"{name}: log_size must increase and log_distance must not")
-        sigma = float(numbers["sigma_relative"])
-        if not sigma > 0:
-            raise ValueError(f"{name}: sigma_relative must be positive")
-        table = FittedTable(MEASURES[document["measure"]], log_size, log_distance)
-        curves[name] = TableCurve(table=table, sigma_relative=sigma, n=int(numbers["n"]), source=str(numbers["source"]))
-    return TableSizes(document["measure"], curves)
+        table = FittedTable(MEASURES[content.measure], log_size, log_distance)
+        curves[name] = TableCurve(
+            table=table, sigma_relative=numbers.sigma_relative, n=numbers.n, source=numbers.source
+        )
+    return TableSizes(content.measure, curves)

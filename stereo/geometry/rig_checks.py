@@ -5,17 +5,26 @@ A wrong calibration silently gives wrong distances, so implausible values are er
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.input_files import quoted, shortened
+from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 
 BASELINE_M = (0.01, 5.0)
 """Plausible range of the baseline, metres."""
+
+MAX_SIDE_PX = 32768
+"""Largest plausible width or height of an image, pixels; four times that of 8K video."""
+
+ImageSide = Annotated[Integer, Field(ge=1, le=MAX_SIDE_PX)]
+"""Width or height of an image in a calibration file, pixels."""
 
 _FOCAL_PER_WIDTH = (0.1, 20.0)
 """Plausible focal length as a multiple of the image width: fields of view from 157 to 3 degrees."""
@@ -28,6 +37,12 @@ _CROPPED_PX = 2
 
 _ASPECT_TOLERANCE = 0.01
 """Largest relative difference of aspect ratios at which a calibration is scaled to another image size."""
+
+_MAX_DISTORTION = 1e6
+"""Largest plausible magnitude of a distortion coefficient; badly conditioned fits reach thousands."""
+
+_MAX_PRINCIPAL_POINT_PX = 1e6
+"""Largest plausible magnitude of a principal point in a file without an image size, pixels."""
 
 _N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Possible numbers of distortion coefficients in OpenCV's model."""
@@ -98,10 +113,16 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
     """Raise an error for an implausible camera; the message begins with `source`.
 
     Raises:
-        RigError: focal length, principal point or distortion are not plausible.
+        RigError: image size, focal length, principal point or distortion are not plausible.
     """
+    size_px = (camera.width_px, camera.height_px)
+    if size_px != (0, 0) and not all(1 <= side <= MAX_SIDE_PX for side in size_px):
+        raise RigError(
+            f"{source}: expected an image size of 1 to {MAX_SIDE_PX} px, found "
+            f"{shortened(f'{size_px[0]}x{size_px[1]}')} px; correct the file."
+        )
     for name, focal_px in (("fx_px", camera.fx_px), ("fy_px", camera.fy_px)):
-        if not (math.isfinite(focal_px) and focal_px > 0):
+        if not 0 < focal_px <= _FOCAL_PER_WIDTH[1] * MAX_SIDE_PX:
             raise RigError(f"{source}: expected a positive focal length {name} in pixels, found {focal_px:g}.")
         low, high = (share * max(camera.width_px, 1) for share in _FOCAL_PER_WIDTH)
         if camera.width_px and not low <= focal_px <= high:
@@ -109,7 +130,7 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
                 f"{source}: expected a focal length {name} between {low:g} and {high:g} px for images "
                 f"{camera.width_px} px wide, found {focal_px:g}; give it in pixels, not in millimetres."
             )
-    if not (math.isfinite(camera.cx_px) and math.isfinite(camera.cy_px)):
+    if not max(abs(camera.cx_px), abs(camera.cy_px)) <= _MAX_PRINCIPAL_POINT_PX:  # also NaN
         raise RigError(
             f"{source}: expected a finite principal point in pixels, found ({camera.cx_px:g}, {camera.cy_px:g})."
         )
@@ -119,9 +140,11 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
             f"({camera.cx_px:g}, {camera.cy_px:g}); calibrate again."
         )
     coefficients = camera.distortion
-    if len(coefficients) not in _N_DISTORTION_COEFFICIENTS or not all(math.isfinite(value) for value in coefficients):
+    is_plausible = all(abs(value) <= _MAX_DISTORTION for value in coefficients)  # not NaN
+    if len(coefficients) not in _N_DISTORTION_COEFFICIENTS or not is_plausible:
         raise RigError(
-            f"{source}: expected 0, 4, 5, 8, 12 or 14 finite distortion coefficients, found {list(coefficients)}."
+            f"{source}: expected 0, 4, 5, 8, 12 or 14 finite distortion coefficients, found {len(coefficients)}: "
+            f"{quoted(list(coefficients))}; calibrate again."
         )
 
 

@@ -10,20 +10,35 @@ Kalibr's radtan coefficients are OpenCV's first four. (github.com/ethz-asl/kalib
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import yaml
+from pydantic import BaseModel
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.input_files import quoted
+from track_range.foundation.structured_text import parse_yaml
+from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import Calibration
+from track_range.stereo.geometry.rig_checks import Calibration, ImageSide
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _CAMERA = re.compile(r"^cam\d+\s*:", re.MULTILINE)
 _HINT = "give Kalibr's camchain.yaml unchanged"
+
+_Row = tuple[Number, Number, Number, Number]
+
+
+class _CameraBlock(BaseModel):
+    """Block of one camera; other keys are ignored."""
+
+    camera_model: Any = None
+    distortion_model: Any = None
+    intrinsics: tuple[PositiveNumber, PositiveNumber, Number, Number]
+    resolution: tuple[ImageSide, ImageSide]
+    distortion_coeffs: _Row = (0.0, 0.0, 0.0, 0.0)
+    T_cn_cnm1: tuple[_Row, _Row, _Row, _Row] | None = None
 
 
 def _has_cameras(text: str) -> bool:
@@ -37,27 +52,21 @@ def _read(text: str, source: object) -> Calibration:
     Raises:
         RigError: the file is not YAML, a value is missing or wrong, or a camera model is not supported.
     """
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise RigError(f"{source}: expected YAML, found a syntax error; {_HINT}.") from error
+    content = parse_yaml(text, source, RigError, "Kalibr's camchain.yaml")
     if not isinstance(content, dict) or not isinstance(content.get("cam0"), dict):
         raise RigError(f"{source}: expected a block cam0, found none; {_HINT}.")
-    first = _camera(content["cam0"], f"{source}: cam0")
-    second = content.get("cam1")
-    if not isinstance(second, dict):
+    first, _ = _camera(content["cam0"], f"{source}: cam0")
+    if not isinstance(content.get("cam1"), dict):
         return Calibration(first, None, None)
     notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
-    second_from_first = _numbers(second, "T_cn_cnm1", (4, 4), f"{source}: cam1")
-    if not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
-        raise RigError(
-            f"{source}: cam1: expected 0, 0, 0, 1 in the last row of 'T_cn_cnm1', found other numbers; {_HINT}."
-        )
-    second_camera = _camera(second, f"{source}: cam1")
+    second, second_from_first = _camera(content["cam1"], f"{source}: cam1")
+    if second_from_first is None or not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
+        found = "none" if second_from_first is None else "another last row"
+        raise RigError(f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found {found}; {_HINT}.")
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")
-        return Calibration(second_camera, first, _inverse(second_from_first), notes=tuple(notes))
-    return Calibration(first, second_camera, second_from_first, notes=tuple(notes))
+        return Calibration(second, first, _inverse(second_from_first), notes=tuple(notes))
+    return Calibration(first, second, second_from_first, notes=tuple(notes))
 
 
 def _inverse(transform: FloatArray) -> FloatArray:
@@ -68,34 +77,28 @@ def _inverse(transform: FloatArray) -> FloatArray:
     return inverse
 
 
-def _camera(block: Mapping[str, Any], name: str) -> PinholeCamera:
-    model, distortion_model = block.get("camera_model"), block.get("distortion_model", "none")
-    if model != "pinhole":
-        raise RigError(f"{name}: expected the camera model pinhole, found '{model}'; calibrate with pinhole-radtan.")
-    if distortion_model not in ("radtan", "none", None):
+def _camera(content: object, name: str) -> tuple[PinholeCamera, FloatArray | None]:
+    """The camera of a block, and the (4, 4) transform from the previous camera's frame; None without one.
+
+    Raises:
+        RigError: a value is missing or wrong, or the camera model is not supported.
+    """
+    block = validated(_CameraBlock, content, name, RigError)
+    if block.camera_model != "pinhole":
         raise RigError(
-            f"{name}: expected the distortion model radtan or none, found '{distortion_model}'; calibrate with "
-            "pinhole-radtan, or undistort the videos first."
+            f"{name}: expected the camera_model pinhole, found {quoted(block.camera_model)}; calibrate with "
+            "pinhole-radtan."
         )
-    fx, fy, cx, cy = _numbers(block, "intrinsics", (4,), name).tolist()
-    width, height = (round(side) for side in _numbers(block, "resolution", (2,), name).tolist())
-    if min(width, height) < 1:
-        raise RigError(f"{name}: expected a resolution [width, height] in pixels, found {width}x{height}; {_HINT}.")
-    distortion = _numbers(block, "distortion_coeffs", (4,), name).tolist() if distortion_model == "radtan" else []
-    return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion))
-
-
-def _numbers(block: Mapping[str, Any], key: str, shape: tuple[int, ...], name: str) -> FloatArray:
-    if key not in block:
-        raise RigError(f"{name}: expected the key '{key}', found none; {_HINT}.")
-    try:
-        values = np.array(block[key], np.float64)
-    except (TypeError, ValueError) as error:
-        raise RigError(f"{name}: expected numbers in '{key}', found {block[key]!r}; {_HINT}.") from error
-    if values.shape != shape or not np.isfinite(values).all():
-        expected = " x ".join(str(side) for side in shape)
-        raise RigError(f"{name}: expected {expected} finite numbers in '{key}', found {block[key]!r}; {_HINT}.")
-    return values
+    if block.distortion_model not in ("radtan", "none", None):
+        raise RigError(
+            f"{name}: expected the distortion_model radtan or none, found {quoted(block.distortion_model)}; calibrate "
+            "with pinhole-radtan, or undistort the videos first."
+        )
+    is_distorted = block.distortion_model == "radtan"
+    if is_distorted and "distortion_coeffs" not in block.model_fields_set:
+        raise RigError(f"{name}: expected the key 'distortion_coeffs', found none; {_HINT}.")
+    camera = PinholeCamera(*block.intrinsics, *block.resolution, block.distortion_coeffs if is_distorted else ())
+    return camera, None if block.T_cn_cnm1 is None else np.array(block.T_cn_cnm1)
 
 
 KALIBR = RigFormat(

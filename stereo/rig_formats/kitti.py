@@ -15,9 +15,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
-from track_range.stereo.geometry.rig_checks import Calibration
+from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, Calibration
 from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
@@ -37,7 +38,7 @@ def _read(text: str, source: object, is_grey: bool) -> Calibration:
     Raises:
         RigError: a matrix is not 12 numbers of the form K [I | t], or the left camera's is missing.
     """
-    matrix, size = _matrices(text, source), _sizes(text)
+    matrix, size = _matrices(text, source), _sizes(text, source)
     pairs = (_GREY, _COLOUR) if is_grey else (_COLOUR, _GREY)
     left, right = next((pair for pair in pairs if pair[0] in matrix or pair[1] in matrix), pairs[0])
     if left not in matrix:
@@ -75,7 +76,7 @@ def _matrix(values: str, name: str) -> FloatArray:
     try:
         matrix = np.array([float(word) for word in words])
     except ValueError as error:
-        raise RigError(f"{name}: expected 12 numbers, found '{values.strip()[:40]}'; correct the line.") from error
+        raise RigError(f"{name}: expected 12 numbers, found {quoted(values.strip())}; correct the line.") from error
     if len(words) != 12:
         raise RigError(f"{name}: expected 12 numbers, found {len(words)}; give the complete file.")
     matrix = matrix.reshape(3, 4)
@@ -94,13 +95,25 @@ def _camera(matrix: FloatArray, size_px: tuple[int, int]) -> PinholeCamera:
     )
 
 
-def _sizes(text: str) -> Mapping[int, tuple[int, int]]:
-    """(width, height) by camera number, from the raw set's S_rect lines."""
+def _sizes(text: str, source: object) -> Mapping[int, tuple[int, int]]:
+    """(width, height) by camera number, from the raw set's S_rect lines.
+
+    Raises:
+        RigError: a line is not a plausible image size.
+    """
     sizes = {}
     for kind, number, values in _LINE.findall(text):
-        if kind == "S" and re.fullmatch(r"\s*[\d.e+]+\s+[\d.e+]+\s*", values):
-            width, height = (round(float(word)) for word in values.split())
-            sizes[int(number)] = (width, height)
+        if kind == "S":
+            try:
+                width, height = (float(word) for word in values.split())
+            except ValueError:
+                width = height = 0.0
+            if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+                raise RigError(
+                    f"{source}: S_rect_0{number}: expected a width and height of 1 to {MAX_SIDE_PX} px, found "
+                    f"{quoted(values.strip())}; correct the line."
+                )
+            sizes[int(number)] = (round(width), round(height))
     return sizes
 
 

@@ -4,11 +4,16 @@
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
 
 T has the unit of the chessboard's square size, so that size must have been given in metres. OpenCV's YAML tags are
-not standard YAML, so the files are read with OpenCV.
+not standard YAML, so the files are read with OpenCV, after a check of the text: OpenCV's parser overflows the stack on
+deeply nested lists, and does not return from some base64 data.
+
+A camera without distortion coefficients is refused: stereo_calib always writes them (zeros for undistorted images), and
+distances would be wrong if a distorted camera were treated as an ideal one.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,17 +22,40 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.input_files import quoted, read_text
+from track_range.foundation.structured_text import MAX_DEPTH
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig
+from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, Calibration, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
+
+_NONE: FloatArray = np.zeros(0)
+"""The numbers of a missing key."""
 
 _EXTRINSIC = ("R", "T")
 """Keys of the extrinsics."""
 
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 """Suffixes of the file with the other half of a calibration."""
+
+_BASE64 = re.compile(r"\$base64\$|!!binary|type_id\s*=\s*[\"']binary")
+"""Marks of base64 data in JSON, YAML and XML."""
+
+_NESTING = re.compile(r"(?P<start>[\[{]|<[A-Za-z_])|[]}]|</|/>")
+"""Starts and ends of lists, keys with values, and XML's elements."""
+
+_HYPHENS = re.compile(rf"(?:-[ ]+){{{MAX_DEPTH}}}")
+"""Nested lists in one line of YAML."""
+
+_KEYS = (
+    *("M1", "D1", "M2", "D2", *_EXTRINSIC, "camera_matrix", "distortion_coefficients"),
+    *("image_width", "image_height", "imageSize"),
+)
+"""Keys that are read."""
+
+_MAX_LIST = 14
+"""Largest number of values of a list; OpenCV has at most 14 distortion coefficients."""
 
 
 def _is_file_storage(text: str) -> bool:
@@ -44,10 +72,10 @@ def _read(text: str, path: Path) -> Calibration:
     values = dict(_matrices(text, path))
     sibling = _sibling(path, values)
     if sibling is not None:
-        values = {**_matrices(_text(sibling), sibling), **values}
+        values = {**_matrices(read_text(sibling, RigError, "a calibration of OpenCV"), sibling), **values}
     if "camera_matrix" in values:
         values.setdefault("M1", values["camera_matrix"])
-        values.setdefault("D1", values.get("distortion_coefficients", np.zeros(0)))
+        values.setdefault("D1", values.get("distortion_coefficients", _NONE))
     if "M1" not in values:
         raise RigError(
             f"{path}: expected the matrix M1 in this file or in an intrinsics file in its folder, found none; give "
@@ -64,17 +92,20 @@ def _read(text: str, path: Path) -> Calibration:
     return Calibration(left, _camera(values, "2", path), right_from_left, notes=(note,))
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}).") from error
-
-
 def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> PinholeCamera:
     matrix = _shaped(values[f"M{number}"], (3, 3), f"M{number}", path)
-    distortion = values.get(f"D{number}", np.zeros(0)).ravel()
-    width, height = (int(side) for side in values.get("size", np.zeros(2)).ravel()[:2])
+    if not np.array_equal(matrix[2], (0.0, 0.0, 1.0)):
+        raise RigError(
+            f"{path}: expected 0, 0, 1 in the last row of M{number}, found {quoted(matrix[2].tolist())}; give the "
+            "camera matrix."
+        )
+    distortion = values.get(f"D{number}", _NONE).ravel()
+    if not len(distortion):
+        raise RigError(
+            f"{path}: expected the distortion coefficients D{number} of the camera M{number}, found none; write zeros "
+            "for undistorted images."
+        )
+    width, height = (round(side) for side in values.get("size", np.zeros(2)).tolist())
     fx, fy, cx, cy = (float(matrix[index]) for index in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return PinholeCamera(fx, fy, cx, cy, width, height, tuple(distortion.tolist()))
 
@@ -100,21 +131,51 @@ def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
 
 
 def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
-    """All numbers, sequences of numbers and matrices at the file's top level, and "size" for the image size, if any."""
+    """Matrices and numbers by key, those of `_KEYS` that the file has, and "size" for the image size, if any.
+
+    Raises:
+        RigError: the text is damaged, or a value is not a matrix or number.
+    """
+    _check_text(text, path)
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()
-        nodes = {key: _numbers(root.getNode(key)) for key in root.keys()}  # noqa: SIM118 (a FileNode is no mapping)
+        names = list(root.keys())  # an error if the root is not a mapping
+        nodes = {key: _numbers(root.getNode(key)) for key in _KEYS if key in names}
     except (cv2.error, SystemError) as error:
         raise RigError(
             f"{path}: cannot be read with OpenCV, probably because the file is damaged; calibrate again."
         ) from error
+    if duplicate := next((key for key in _KEYS if names.count(key) > 1), None):
+        raise RigError(f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times.")
+    if unusable := [key for key, value in nodes.items() if value is None]:
+        raise RigError(f"{path}: expected numbers in {unusable[0]}, found text or too many values; calibrate again.")
     numbers = {key: value for key, value in nodes.items() if value is not None}
-    if "image_width" in numbers and "image_height" in numbers:
-        numbers["size"] = np.concatenate([numbers["image_width"], numbers["image_height"]])
-    elif numbers.get("imageSize", np.zeros(0)).size == 2:
-        numbers["size"] = numbers["imageSize"]
-    return numbers
+    size_px = np.concatenate([numbers.get(key, _NONE).ravel() for key in ("image_width", "image_height")])
+    size_px = size_px if size_px.size else numbers.get("imageSize", _NONE).ravel()
+    if size_px.size and not (size_px.size == 2 and ((size_px >= 1) & (size_px <= MAX_SIDE_PX)).all()):
+        raise RigError(
+            f"{path}: expected an image_width and image_height of 1 to {MAX_SIDE_PX} px, found "
+            f"{quoted(size_px.tolist())}; correct the file."
+        )
+    return numbers | ({"size": size_px} if size_px.size else {})
+
+
+def _check_text(text: str, path: Path) -> None:
+    """Check the depth of a text, and that it has no base64 data; strings in it are not distinguished.
+
+    Raises:
+        RigError: OpenCV's parser may not return from the text.
+    """
+    if _BASE64.search(text):
+        raise RigError(f"{path}: expected matrices as numbers, found base64 data; write the file without it.")
+    depth = 0
+    for match in _NESTING.finditer(text):
+        depth += 1 if match["start"] else -1
+        if depth > MAX_DEPTH:
+            break
+    if depth > MAX_DEPTH or _HYPHENS.search(text):
+        raise RigError(f"{path}: expected matrices, found more than {MAX_DEPTH} nested lists; calibrate again.")
 
 
 def _numbers(node: cv2.FileNode) -> FloatArray | None:
@@ -124,7 +185,11 @@ def _numbers(node: cv2.FileNode) -> FloatArray | None:
     if node.isMap():
         matrix = node.mat()
         return None if matrix is None else np.asarray(matrix, np.float64)
-    if node.isSeq() and all(node.at(i).isInt() or node.at(i).isReal() for i in range(node.size())):
+    if (
+        node.isSeq()
+        and node.size() <= _MAX_LIST
+        and all(node.at(i).isInt() or node.at(i).isReal() for i in range(node.size()))
+    ):
         return np.array([node.at(i).real() for i in range(node.size())])
     return None
 

@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.input_files import read_text
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig, fitted_to_size
 from track_range.stereo.rig_formats.registry import FORMAT_TITLES, RIG_FORMATS
 from track_range.stereo.rig_formats.rig_format import RigFormat
-
-_MAX_BYTES = 1_000_000
-"""Largest size of a calibration file; prevents reading a video given by mistake."""
 
 
 def load_rig(path: Path, *, size_px: tuple[int, int], is_grey: bool = False) -> tuple[StereoRig, tuple[str, ...]]:
@@ -106,16 +104,7 @@ def find_rig(left_video: Path) -> Path | None:
 
 
 def _text_of(path: Path) -> str:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise RigError(f"{path}: expected a rig file of at most 1 MB, found a larger file; give {FORMAT_TITLES}.")
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise RigError(f"{path}: no such file; give the rig.yaml or calib.txt of the cameras.") from error
-    except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); give {FORMAT_TITLES}.") from error
-    except UnicodeDecodeError as error:
-        raise RigError(f"{path}: expected a rig file, found a binary file; give {FORMAT_TITLES}.") from error
+    return read_text(path, RigError, f"a rig ({FORMAT_TITLES})")
 
 
 def _format_of(text: str, path: Path) -> RigFormat:

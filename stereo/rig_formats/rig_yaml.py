@@ -12,37 +12,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.structured_text import parse_yaml
+from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import Calibration, check_camera, check_rig
+from track_range.stereo.geometry.rig_checks import Calibration, ImageSide, check_camera, check_rig
 from track_range.stereo.rig_formats.rig_format import RigFormat, write_rig_text
 
 VERSION = 1
 """Version of the format, the value of its key `track_range_rig`."""
 
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Positive = Annotated[float, Field(allow_inf_nan=False, gt=0)]
-_Row = Annotated[list[_Finite], Field(min_length=3, max_length=3)]
+_Row = Annotated[list[Number], Field(min_length=3, max_length=3)]
 _Strict = ConfigDict(extra="forbid", frozen=True)
 
 
 class _CameraFile(BaseModel):
     model_config = _Strict
-    fx_px: _Positive
-    fy_px: _Positive
-    cx_px: _Finite
-    cy_px: _Finite
-    width_px: Annotated[int, Field(gt=0)]
-    height_px: Annotated[int, Field(gt=0)]
-    distortion: list[_Finite] = []
+    fx_px: PositiveNumber
+    fy_px: PositiveNumber
+    cx_px: Number
+    cy_px: Number
+    width_px: ImageSide
+    height_px: ImageSide
+    distortion: list[Number] = []
 
     def camera(self) -> PinholeCamera:
         size = (self.width_px, self.height_px)
@@ -62,7 +62,7 @@ class _MotionFile(BaseModel):
 
 class _RigFile(BaseModel):
     model_config = _Strict
-    track_range_rig: Literal[1]
+    track_range_rig: Version1
     left: _CameraFile
     right: _CameraFile | None = None
     right_from_left: _MotionFile | None = None
@@ -126,39 +126,11 @@ def _commented(lines: Sequence[str]) -> str:
 
 
 def _read(text: str, path: Path, _is_grey: bool) -> Calibration:
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise RigError(f"{path}: expected YAML, found a syntax error{_line_of(error)}; correct the file.") from error
-    if not isinstance(content, dict) or "track_range_rig" not in content:
-        raise RigError(f"{path}: expected the key 'track_range_rig' at the top level, found none; correct the file.")
-    version = content["track_range_rig"]
-    if type(version) is not int or version != VERSION:
-        raise RigError(f"{path}: expected version {VERSION} of the rig format, found version {version!r}.")
-    try:
-        rig = _RigFile.model_validate(content)
-    except ValidationError as error:
-        raise RigError(f"{path}: {_first_fault(error)}; correct the file.") from error
+    rig = validated(_RigFile, parse_yaml(text, path, RigError, "a rig"), path, RigError)
     left = rig.left.camera()
     if rig.right is None or rig.right_from_left is None:
         return Calibration(left, None, None)
     return Calibration(left, rig.right.camera(), rig.right_from_left.matrix())
-
-
-def _first_fault(error: ValidationError) -> str:
-    """The first wrong key and its value, with the reason."""
-    fault = error.errors()[0]
-    key = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "missing":
-        return f"the key '{key}' is missing"
-    if fault["type"] == "extra_forbidden":
-        return f"the key '{key}' is unknown"
-    return f"'{key}' is {fault['input']!r}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _line_of(error: yaml.YAMLError) -> str:
-    mark = getattr(error, "problem_mark", None)
-    return "" if mark is None else f" in line {mark.line + 1}"
 
 
 RIG_YAML = RigFormat(

@@ -148,9 +148,9 @@ def test_coco(folder):
 def test_invalid_coco_file(folder, text, message):
     file = folder / "instances.json"
     file.write_text(text)
-    with pytest.raises(LabelFileError, match=rf"instances\.json: .*{message}"):
+    with pytest.raises(LabelFileError, match=rf"instances\.json.*: .*{message}"):
         read_labelled(folder / "images", file, "coco")
-    with pytest.raises(LabelFileError, match=r"none\.json: cannot be read"):
+    with pytest.raises(LabelFileError, match=r"none\.json"):
         read_labelled(folder / "images", folder / "none.json", "coco")
 
 

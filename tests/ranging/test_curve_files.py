@@ -71,7 +71,12 @@ def changed(file, path, value):
         (["track_range_size_curves"], 1, f"version {CURVE_VERSION}"),
         (["kind"], "spline", "spline"),
         (["classes"], {"ufo": {}}, "ufo"),
-        (["classes"], None, "curve file"),
+        (["classes"], None, "classes"),
+        (["classes", "car", "hwl_m"], [1.5, None, 4.0], "hwl_m"),
+        (["classes", "car", "hwl_m"], [1.5, 1e300, 4.0], "100"),
+        (["classes", "car"], None, "car"),
+        (["classes", "car", "stands"], 7, "stands"),
+        (["ground", "kerb_m"], [1e300, 1e300], "ground"),
         (["classes", "car", "turn_weights"], [1.0], "turn_weights"),
         (["classes", "car", "hwl_m"], [1.5, 1.6, -4.0], "positive"),
         (["classes", "car", "correlation"], [0.99, 0.99, -0.99], "correlation"),
@@ -112,12 +117,12 @@ def test_other_invalid_files(tmp_path):
         load_curves(file)
     save_curves(log_linear(), file)
     changed(file, ["whole"], {"ufo": {}})
-    with pytest.raises(CurveError, match=r"c\.json: .*curve file"):
+    with pytest.raises(CurveError, match=r"c\.json: .*ufo"):
         load_curves(file)
     file.write_text("[1, 2]")
-    with pytest.raises(CurveError, match=r"c\.json: .*curve file"):
+    with pytest.raises(CurveError, match=r"c\.json: .*keys"):
         load_curves(file)
-    with pytest.raises(CurveError, match=r"none\.json: cannot be read"):
+    with pytest.raises(CurveError, match=r"none\.json: no such file"):
         load_curves(tmp_path / "none.json")
     with pytest.raises(CurveError, match=r"c\.json: cannot be written"):
         save_curves(log_linear(), tmp_path / "none" / "c.json")

@@ -72,18 +72,18 @@ def test_settings_file_and_overriding_options(tmp_path, monkeypatch):
         ),
         (
             yaml.safe_dump({"track_range_settings": 1, "run": {"sgbm_options": {"block_size": 4}}}),
-            "sgbm_options: .*block_size",
+            "sgbm_options.*block_size",
         ),
         (
             yaml.safe_dump({"track_range_settings": 1, "run": {"sgbm_options": {"blocks": 5}}}),
-            "sgbm_options: .*blocks",
+            "sgbm_options.*blocks",
         ),
     ],
 )
 def test_unusable_settings_files(tmp_path, content, word):
     file = tmp_path / "settings.yaml"
     file.write_text(content)
-    with pytest.raises(ConfigError, match=rf"settings\.yaml: .*{word}") as raised:
+    with pytest.raises(ConfigError, match=rf"settings\.yaml.*: .*{word}") as raised:
         settings_from({}, file)
     assert not isinstance(raised.value, UsageError)
 

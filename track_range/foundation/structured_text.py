@@ -8,7 +8,9 @@ Aliases are refused because a file of 500 bytes with nested aliases expands to g
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,20 @@ from track_range.foundation.input_files import MAX_TEXT_BYTES, quoted, read_text
 MAX_DEPTH = 32
 """Largest depth of nested lists and mappings."""
 
+MAX_YAML_VALUES = 50_000
+"""Largest number of keys and values of a YAML file, which takes a second to read; the names of 21,000 classes fit."""
+
+_MAX_DIGITS = 400
+"""Largest number of characters of a number; float64 has at most 309 digits before the decimal point."""
+
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
+"""Escape in JSON of half a character, which can be in a text that cannot be encoded."""
+
 _TAGS = frozenset(f"tag:yaml.org,2002:{name}" for name in ("null", "bool", "int", "float", "str", "seq", "map"))
 """Tags of the values that JSON has, too; other tags are refused."""
+
+_KINDS = {"int": "an integer of at most 64 bits", "float": "a number", "bool": "true or false", "str": "text"}
+"""Noun phrases for messages by the last part of a tag."""
 
 _BaseLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -29,26 +43,26 @@ class _Loader(_BaseLoader):  # type: ignore[misc]
     """YAML's safe loader, with the line number in every error; dates are texts, and duplicate keys are errors."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's way to set them
-        first: [(tag, pattern) for tag, pattern in resolvers if tag in _TAGS or tag.endswith(":merge")]
+        first: [(tag, pattern) for tag, pattern in resolvers if tag in _TAGS]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """The value of a node."""
+        kind = str(node.tag).rpartition(":")[2]
         try:
+            if kind in ("int", "float") and len(node.value) > _MAX_DIGITS:
+                raise ValueError("too many digits")
             return _checked(super().construct_object(node, deep=deep))
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as reason:
-            kind = str(node.tag).rpartition(":")[2]
-            problem = f"{quoted(node.value)} is no {kind}"
+            problem = f"expected {_KINDS.get(kind, kind)}, got {quoted(node.value, 20)}"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from reason
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """The mapping of a node."""
         mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(mapping) < len(node.value):
-            keys = [key.value for key, _ in node.value]
-            duplicate = next((key for key in keys if keys.count(key) > 1), keys[0])
-            problem = f"the key {quoted(duplicate)} is given twice"
+            problem = f"the key {quoted(_first_duplicate(key.value for key, _ in node.value))} is given twice"
             raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
         return mapping
 
@@ -85,7 +99,8 @@ def parse_yaml(text: str, source: object, error: type[Exception], expected: str)
     except yaml.YAMLError as reason:
         mark = getattr(reason, "problem_mark", None)
         line = "" if mark is None else f", line {mark.line + 1}"
-        problem = shortened(str(getattr(reason, "problem", None) or "characters that YAML does not allow"))
+        problem = str(getattr(reason, "problem", None) or "characters that YAML does not allow")
+        problem = shortened(problem.removeprefix("but ").removeprefix("found "), 100)
         raise error(f"{source}{line}: expected {expected} in YAML, found an error: {problem}.") from reason
     except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as reason:  # of the parser itself
         raise error(f"{source}: expected {expected} in YAML, found text that is not YAML.") from reason
@@ -99,20 +114,19 @@ def parse_json(text: str, source: object, error: type[Exception], expected: str)
     """
     try:
         value = json.loads(
-            text,
-            object_pairs_hook=_unique,
-            parse_constant=_refused_constant,
-            parse_int=lambda digits: _checked(int(digits)),
+            text, object_pairs_hook=_unique, parse_constant=_finite, parse_float=_finite, parse_int=_integer
         )
-        json.dumps(value, ensure_ascii=False).encode()  # escapes such as \\ud800 make texts that cannot be encoded
+        if _SURROGATE.search(text):
+            json.dumps(value, ensure_ascii=False).encode()
         is_deep = _is_deeper(value, MAX_DEPTH)
     except json.JSONDecodeError as reason:
         raise error(
             f"{source}, line {reason.lineno}: expected {expected} in JSON, found an error: {reason.msg}."
         ) from reason
-    except ValueError as reason:  # of `_unique` and `_refused_constant`, and integers of thousands of digits
-        problem = shortened(str(reason).partition(";")[0])
-        raise error(f"{source}: expected {expected} in JSON, found an error: {problem}.") from reason
+    except UnicodeEncodeError as reason:
+        raise error(f"{source}: expected {expected} in JSON, found a text that is not Unicode.") from reason
+    except ValueError as reason:  # of the hooks
+        raise error(f"{source}: expected {expected} in JSON, found {reason}.") from reason
     except RecursionError:
         is_deep = True
     if is_deep:
@@ -126,9 +140,10 @@ def _check_events(text: str) -> None:
     Raises:
         yaml.YAMLError: one of them is wrong; `problem` and `problem_mark` say what and where.
     """
-    depth = 0
+    depth = n_values = 0
     for event in yaml.parse(text, _BaseLoader):
         problem = ""
+        n_values += isinstance(event, yaml.NodeEvent)
         if isinstance(event, yaml.AliasEvent):
             problem = f"the alias '*{shortened(str(event.anchor))}'; write the value itself"
         elif isinstance(event, yaml.CollectionStartEvent):
@@ -138,6 +153,8 @@ def _check_events(text: str) -> None:
             depth -= 1
         if (tag := getattr(event, "tag", None)) not in (None, "!", *_TAGS):
             problem = f"the tag {quoted(tag)}; write plain values"
+        if n_values > MAX_YAML_VALUES:
+            problem = f"more than {MAX_YAML_VALUES} values"
         if problem:
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)  # type: ignore[arg-type]
 
@@ -161,13 +178,40 @@ def _is_deeper(value: object, depth: int) -> bool:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the key {quoted(next(name for name in names if names.count(name) > 1))} is given twice")
+        raise ValueError(f"the key {quoted(_first_duplicate(name for name, _ in pairs))} twice")
     return values
 
 
-def _refused_constant(name: str) -> float:
-    raise ValueError(f"the number {name}")
+def _first_duplicate(names: Iterable[str]) -> str:
+    """The first name that occurs a second time; empty if there is none."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return ""
+
+
+def _finite(text: str) -> float:
+    """The number of a JSON text.
+
+    Raises:
+        ValueError: it is NaN or infinite.
+    """
+    if not math.isfinite(value := float(text)):
+        raise ValueError(f"the number {shortened(text, 20)}, which is not finite")
+    return value
+
+
+def _integer(digits: str) -> int:
+    """The integer of a JSON text.
+
+    Raises:
+        ValueError: it has more than 64 bits.
+    """
+    if len(digits) > _MAX_DIGITS:
+        raise ValueError("an integer of more than 64 bits")
+    return int(_checked(int(digits)))
 
 
 def _checked(value: Any) -> Any:

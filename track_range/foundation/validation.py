@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
-from track_range.foundation.input_files import quoted
+from track_range.foundation.input_files import quoted, shortened
 
 _Model = TypeVar("_Model", bound=BaseModel)
+
+
+def _not_boolean(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError(f"expected a number, found {value}")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_not_boolean), Field(allow_inf_nan=False)]
+"""Finite number; true and false, which Python treats as 1 and 0, are errors."""
+
+PositiveNumber = Annotated[Number, Field(gt=0)]
+"""Finite number above 0."""
+
+Integer = Annotated[int, BeforeValidator(_not_boolean)]
+"""Integer; true and false are errors."""
+
+Version1 = Annotated[Literal[1], BeforeValidator(_not_boolean)]
+"""Version 1 of a file format; true is an error."""
 
 
 def validated(model: type[_Model], content: Any, source: object, error: type[Exception]) -> _Model:
@@ -33,21 +52,24 @@ def validated(model: type[_Model], content: Any, source: object, error: type[Exc
 
 def first_problem(error: ValidationError) -> tuple[str, str]:
     """Key of the first invalid value, such as "left.fx_px", and what was expected and found."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
+    first = error.errors(include_url=False)[0]
+    key = shortened(".".join(str(part) for part in first["loc"] if part != "[key]"))
     kind, limits = first["type"], first.get("ctx", {})
     if kind == "missing":
         return key, "expected a value, found none"
     if kind == "extra_forbidden":
         return key, "this key is unknown"
     if kind in ("value_error", "assertion_error"):
-        return key, first["msg"].partition(", ")[2]
+        return key, shortened(first["msg"].partition(", ")[2].removesuffix("."), _MAX_PROBLEM)
     if kind in _EXPECTED:
         expected = _EXPECTED[kind].format_map(_Limits(limits))
     else:
         expected = first["msg"].removeprefix("Input should be ").removeprefix("a valid ")
-    return key, f"expected {expected}, found {quoted(first['input'])}"
+    return key, f"expected {shortened(expected, _MAX_PROBLEM)}, found {quoted(first['input'])}"
 
+
+_MAX_PROBLEM = 200
+"""Largest number of characters of the description of a problem."""
 
 _EXPECTED = {
     "greater_than": "a number above {gt}",
@@ -58,6 +80,7 @@ _EXPECTED = {
     "int_type": "an integer",
     "int_parsing": "an integer",
     "int_from_float": "an integer",
+    "int_parsing_size": "an integer of at most 64 bits",
     "float_type": "a number",
     "float_parsing": "a number",
     "string_type": "text",
@@ -67,6 +90,9 @@ _EXPECTED = {
     "tuple_type": "a list",
     "dict_type": "keys with values",
     "model_type": "keys with values",
+    "dataclass_type": "keys with values",
+    "mapping_type": "keys with values",
+    "path_type": "a path",
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }

@@ -6,7 +6,6 @@ and tracking metrics are then computed from the rows, with the ground truth if i
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
+from pydantic import BaseModel
 
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.arrays import BoolArray
+from track_range.foundation.structured_text import read_json, read_yaml
+from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.results.columns import Columns, column_names, methods_measured, no_rows
 from track_range.results.csv_file import read_tracks_csv
@@ -28,6 +29,7 @@ from track_range.results.summary_shape import valid_summary
 from track_range.results.truth import MatchedTruth, matched_truth, with_truth
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
+from track_range.stereo.geometry.rig_checks import ImageSide
 from track_range.stereo.rig_formats.reading import left_from_reference_m
 
 Sections = Mapping[str, Any]
@@ -37,6 +39,9 @@ _NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y
 
 _LARGEST = 2.0**53
 """Largest integer up to which all integers are exact in float64."""
+
+_MAX_SUMMARY_BYTES = 50_000_000
+"""Size limit of a summary.json, bytes; that of a long run has less than 1 MB."""
 
 _MOST_NAMED = 5
 """Maximum number of values of wrong types that a note names."""
@@ -98,15 +103,16 @@ def _section(document: Sections, name: str) -> dict[str, Any]:
 
 
 def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
-    try:
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    file = folder / "summary.json"
+    if not file.exists():
         missing.append(
             "summary.json is missing: the run was killed or is still in progress. Stage times, alignment and notes are "
             "unknown; the other results are computed from tracks.csv."
         )
         return None
-    except (OSError, ValueError, RecursionError):
+    try:
+        summary = read_json(file, OutputError, "the summary of a run", max_bytes=_MAX_SUMMARY_BYTES)
+    except OutputError:
         summary = None
     if not isinstance(summary, dict):
         missing.append("summary.json cannot be read: results are computed from tracks.csv.")
@@ -116,8 +122,8 @@ def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
 
 def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
     try:
-        settings = yaml.safe_load((folder / "settings.yaml").read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
+    except OutputError:
         missing.append("settings.yaml is missing or cannot be read: the settings of the run are unknown.")
         return {}
     return settings if isinstance(settings, dict) else {}
@@ -136,25 +142,27 @@ def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | 
     if not run.get("truth"):
         return None
     try:
-        camera = _camera(detected)
-        rig = detected.get("rig")
-        shift_m = left_from_reference_m(Path(rig), is_grey=False) if rig else np.zeros(3)
-        return read_truth(Path(run["truth"]), camera, shift_m)
-    except (LabelFileError, RigError, KeyError, TypeError, ValueError) as error:
-        reason = f"settings.yaml has no {error.args[0]}" if isinstance(error, KeyError) else error
-        missing.append(f"The ground truth cannot be read, so charts do not show it ({str(reason).rstrip('.')}).")
+        facts = validated(_Detected, detected, "settings.yaml, found", OutputError)
+        shift_m = left_from_reference_m(facts.rig, is_grey=False) if facts.rig else np.zeros(3)
+        return read_truth(Path(str(run["truth"])), facts.camera(), shift_m)
+    except (LabelFileError, RigError, OutputError) as error:
+        missing.append(f"The ground truth cannot be read, so charts do not show it ({str(error).rstrip('.')}).")
         return None
 
 
-def _camera(detected: Sections) -> PinholeCamera:
-    """Left camera of the run, from the section `found` of settings.yaml.
+class _Detected(BaseModel):
+    """Section `found` of settings.yaml: the left camera of the run and its calibration file."""
 
-    Raises:
-        KeyError: the section lacks a property of the camera.
-    """
-    (width_px, height_px), (cx_px, cy_px) = detected["image_size_px"], detected["principal_point_px"]
-    focal_px = float(detected["focal_px"])
-    return PinholeCamera(focal_px, float(detected.get("focal_y_px", focal_px)), cx_px, cy_px, width_px, height_px)
+    image_size_px: tuple[ImageSide, ImageSide]
+    principal_point_px: tuple[Number, Number]
+    focal_px: PositiveNumber
+    focal_y_px: PositiveNumber | None = None
+    rig: Path | None = None
+
+    def camera(self) -> PinholeCamera:
+        """Left camera of the run."""
+        focal_y_px = self.focal_px if self.focal_y_px is None else self.focal_y_px
+        return PinholeCamera(self.focal_px, focal_y_px, *self.principal_point_px, *self.image_size_px)
 
 
 def _summary_from_rows(columns: Columns, matched: MatchedTruth | None, run: Sections) -> dict[str, Any]:
@@ -183,7 +191,7 @@ def _checked_summary(folder: Path, summary: Sections, settings: Sections, missin
     Values of wrong types are omitted; missing files and omitted values are added to the notes.
     """
     files = _section(summary, "files")
-    absent = [name for name in files.values() if not (folder / str(name)).is_file()]
+    absent = [name for name in files.values() if not _is_file(folder / str(name))]
     missing += [f"{name} is missing and cannot be shown." for name in absent]
     detected = _section(settings, "found")
     camera = {key: detected[key] for key in ("focal_px", "baseline_m", "versions") if detected.get(key) is not None}
@@ -198,6 +206,14 @@ def _checked_summary(folder: Path, summary: Sections, settings: Sections, missin
             f"{', '.join(invalid[:_MOST_NAMED])}{more}."
         )
     return {**checked, "notes": [*missing, *(checked.get("notes") or [])]}
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a file exists; False for names that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or contains a null character
+        return False
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, field_serializer, field_validator, 
 
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.options import Options, option
+from track_range.foundation.validation import first_problem
 from track_range.results.output_files import write_text
 from track_range.run.detector_fields import (
     Device,
@@ -369,11 +370,28 @@ def settings_from(options: dict[str, Any], file: Path | None = None) -> RunSetti
                 base.pop(alternative, None)
     try:
         return RunSettings(**{**base, **given})
-    except ValidationError as error:
-        place = error.errors()[0]["loc"]
-        if place and str(place[0]) not in given and file is not None:
-            raise ConfigError(f"{file}: {RunSettings.problem(error)}") from error
-        raise UsageError(RunSettings.problem(error)) from error
+    except (ValidationError, UsageError) as error:
+        raise _error_of(error, given, base, file) from error
+
+
+def _error_of(
+    error: ValidationError | UsageError, given: dict[str, Any], base: dict[str, Any], file: Path | None
+) -> ConfigError:
+    """The error of invalid settings: of the file if a value in it or a contradiction within it is the reason."""
+    sentence = RunSettings.problem(error) if isinstance(error, ValidationError) else str(error)
+    if file is None:
+        return UsageError(sentence)
+    if isinstance(error, ValidationError) and (place := error.errors(include_url=False)[0]["loc"]):
+        if str(place[0]) in given:
+            return UsageError(sentence)
+        key, problem = first_problem(error)
+        is_unknown = error.errors()[0]["type"] == "extra_forbidden"
+        return ConfigError(f"{file}: {sentence}" if is_unknown else f"{file}: 'run.{key}': {problem}.")
+    try:
+        RunSettings(**base)
+    except (ValidationError, UsageError):
+        return ConfigError(f"{file}: {sentence}")
+    return UsageError(f"{sentence.removesuffix('.')} (with the settings of {file}).")
 
 
 def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any] | None = None) -> None:
@@ -413,14 +431,9 @@ def _absolute(video: VideoName) -> str:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    import yaml
+    from track_range.foundation.structured_text import read_yaml
 
-    try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read ({error.strerror or error}).") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: expected a YAML file, such as the settings.yaml of an earlier run.") from error
+    document = read_yaml(file, ConfigError, "the settings.yaml of a run")
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")
     run = document.get("run")

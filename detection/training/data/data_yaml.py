@@ -18,13 +18,13 @@ ignored, so that a detection there is neither a true nor a false positive.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
@@ -37,12 +37,42 @@ from track_range.detection.formats.labelled_images import (
     read_labelled,
     read_manifest,
 )
-from track_range.detection.formats.yolo_labels import YoloLabelReader
-from track_range.detection.models.metadata import names_of
+from track_range.detection.formats.yolo_labels import YoloLabelReader, names_in
 from track_range.foundation.arrays import IntArray
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.validation import validated
 
-_KEYS = frozenset("path train val test names nc format labels manifest labels_pseudo download".split())
-"""Keys of a data.yaml; some are accepted for compatibility with Ultralytics' files and not used."""
+
+def _listed(entry: object) -> object:
+    """The entries of a split as a list."""
+    entries = entry if isinstance(entry, list) else [entry]
+    if not entries or not all(isinstance(part, str) and part for part in entries):
+        raise ValueError(
+            f"expected a folder, a list of folders, a .txt file or another data.yaml, found {quoted(entry)}"
+        )
+    return entries
+
+
+_Entries = Annotated[list[str], BeforeValidator(_listed)]
+
+
+class _DataYaml(BaseModel):
+    """Content of a data.yaml; test, nc and download are accepted for Ultralytics' files and not used."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    path: str = "."
+    train: _Entries
+    val: _Entries
+    names: Any = None
+    format: Literal["yolo", "kitti"] = "yolo"
+    labels: str | None = None
+    manifest: str | None = None
+    labels_pseudo: str | None = None
+    test: Any = None
+    nc: Any = None
+    download: Any = None
+
 
 _KITTI_NAMES = ("person", "bicycle", "car", "truck")
 """Road classes that KITTI labels."""
@@ -92,17 +122,14 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
     """
     if path.resolve() in within:
         raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
-    document = _document(path)
-    form = document.get("format", "yolo")
-    if form not in ("yolo", "kitti"):
-        raise LabelFileError(f"{path}: format: expected yolo or kitti, got {form!r}.")
-    names = _KITTI_NAMES if form == "kitti" else _names(path, document)
+    content = _content(path)
+    document = validated(_DataYaml, content, path, LabelFileError)
+    names = _KITTI_NAMES if document.format == "kitti" else names_in(content, path)
     road = map_to_road_classes(names)
     classes: IntArray = np.array(list(dict.fromkeys(road[road >= 0].tolist())), np.int64)
     if not len(classes):
         raise LabelFileError(f"{path}: names: expected at least one road class ({', '.join(ROAD_CLASSES)}).")
-    root = path.parent / str(document.get("path", "."))
-    reader = _Reader(path, root, document, form, names, within | {path.resolve()})
+    reader = _Reader(path, path.parent / document.path, document, names, within | {path.resolve()})
     train, val = reader.split("train"), reader.split("val")
     unknown = [name for name, class_id in zip(names, road, strict=True) if class_id < 0]
     notes = [f"Ignored classes that are not road classes: {', '.join(unknown)}."] if unknown else []
@@ -115,25 +142,17 @@ class _Reader:
 
     path: Path
     root: Path
-    document: Mapping[str, Any]
-    form: str
+    document: _DataYaml
     names: Sequence[str]
     within: frozenset[Path]
     notes: list[str] = field(default_factory=list)
 
     def split(self, key: str) -> list[LabelledImage]:
         """The images of one split with their labels."""
-        if key not in self.document:
-            raise LabelFileError(f"{self.path}: expected the keys train and val, found no '{key}'.")
-        entry = self.document[key]
-        if not entry or not isinstance(entry, str | list) or not all(isinstance(part, str) for part in entry):
-            raise LabelFileError(
-                f"{self.path}: '{key}': expected a folder, a list of folders, a .txt file or another data.yaml."
-            )
-        entries = entry if isinstance(entry, list) else [entry]
-        items = [item for part in entries for item in self._of(str(part), key)]
+        entries = self.document.train if key == "train" else self.document.val
+        items = [item for part in entries for item in self._of(part, key)]
         if not items:
-            split = f" (the manifest has no images of the split '{key}')" if "manifest" in self.document else ""
+            split = f" (the manifest has no images of the split '{key}')" if self.document.manifest else ""
             raise LabelFileError(f"{self.path}: no labelled images for '{key}'{split}.")
         return items
 
@@ -146,8 +165,8 @@ class _Reader:
             return self._nested(path, split)
         images = self._folder(entry)
         labels = self._labels_of(images)
-        labelled = read_labelled(images, labels, "kitti" if self.form == "kitti" else "yolo", names=self.names)
-        if self.form == "kitti":
+        labelled = read_labelled(images, labels, self.document.format, names=self.names)
+        if self.document.format == "kitti":
             n_unlabelled = len(images_in(images)) - len(labelled)
             if n_unlabelled:
                 self.notes.append(f"{images}: ignored {n_unlabelled} images without a label file.")
@@ -165,24 +184,22 @@ class _Reader:
 
     def _completed(self, items: list[LabelledImage], split: str) -> list[LabelledImage]:
         """The images of the split in the manifest, with pseudo-labels if the split is train."""
-        if "manifest" in self.document:
-            manifest = read_manifest(self.root / str(self.document["manifest"]))
+        if self.document.manifest:
+            manifest = read_manifest(self.root / self.document.manifest)
             n_unlisted = sum(item.path.name not in manifest for item in items)
             if n_unlisted:
                 self.notes.append(f"Ignored {n_unlisted} images for '{split}' that are not in the manifest.")
             items = of_split(items, manifest, split)
-        if "labels_pseudo" in self.document and split == "train":
-            folder = self._folder(str(self.document["labels_pseudo"]))
+        if self.document.labels_pseudo and split == "train":
+            folder = self._folder(self.document.labels_pseudo)
             reader = YoloLabelReader(self.names)
             items = [_with_pseudo_labels(item, folder / f"{item.path.stem}.txt", reader) for item in items]
         return items
 
     def _listed(self, file: Path, split: str) -> list[LabelledImage]:
         """The images listed in a text file, with paths relative to the file or to the root."""
-        try:
-            lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
-        except (OSError, UnicodeDecodeError, ValueError) as error:
-            raise LabelFileError(f"{file}: not a readable list of images ({error}).") from error
+        text = read_text(file, LabelFileError, "a list of images", max_bytes=MAX_TABLE_BYTES)
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
         paths = [file.parent / line if (file.parent / line).is_file() else self.root / line for line in lines]
         missing = [line for line, path in zip(lines, paths, strict=True) if not path.is_file()]
         if missing:
@@ -194,8 +211,8 @@ class _Reader:
 
     def _labels_of(self, images: Path) -> Path:
         """Folder of the label files for a folder of images."""
-        if "labels" in self.document:
-            return self._folder(str(self.document["labels"]))
+        if self.document.labels:
+            return self._folder(self.document.labels)
         parts = list(images.parts)
         if "images" in parts:
             last = len(parts) - 1 - parts[::-1].index("images")
@@ -214,28 +231,16 @@ class _Reader:
         return folder
 
 
-def _document(path: Path) -> Mapping[str, Any]:
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise LabelFileError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        raise LabelFileError(f"{path}: not a readable YAML file ({type(error).__name__}).") from error
-    if not isinstance(document, dict) or document.get("train") is None:
-        raise LabelFileError(f"{path}: expected the keys train, val and names.")
-    if unknown := sorted(str(key) for key in document.keys() - _KEYS):
-        raise LabelFileError(f"{path}: unknown key '{unknown[0]}'; known keys are {', '.join(sorted(_KEYS))}.")
-    return {key: value for key, value in document.items() if value is not None}
+def _content(path: Path) -> dict[Any, Any]:
+    """Keys of a data.yaml with values; keys without a value are left out.
 
-
-def _names(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
-    try:
-        return names_of(document["names"])
-    except (KeyError, ValueError, TypeError) as error:
-        reason = "" if isinstance(error, KeyError) else f" ({error})"
-        raise LabelFileError(
-            f"{path}: expected 'names', the class names in the order of their numbers{reason}."
-        ) from error
+    Raises:
+        LabelFileError: the file cannot be read, or has no keys.
+    """
+    content = read_yaml(path, LabelFileError, "a data.yaml with the keys train, val and names")
+    if not isinstance(content, dict):
+        raise LabelFileError(f"{path}: expected the keys train, val and names, found {quoted(content)}.")
+    return {key: value for key, value in content.items() if value is not None}
 
 
 def _with_sitting_persons(item: LabelledImage) -> LabelledImage:
