@@ -178,7 +178,10 @@ def _calibration(root: Path, name: str) -> Path:
 
 
 def _read(path: Path) -> npt.NDArray[np.integer]:
-    return read_image(path, PairFileError, "one of the four images of a pair", flags=cv2.IMREAD_UNCHANGED)
+    image = read_image(path, PairFileError, "one of the four images of a pair", flags=cv2.IMREAD_UNCHANGED)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise PairFileError(f"{path}: expected pixels of 8 or 16 bits, found {image.dtype}; convert the image.")
+    return image
 
 
 def _in_colour(image: npt.NDArray[np.integer]) -> Image:

@@ -126,6 +126,16 @@ def test_pipes_folders_and_loops(tmp_path: Path) -> None:
             read_image(tmp_path / f"{name}.png", UserError)
 
 
+def test_jpeg_with_many_scans(tmp_path: Path) -> None:
+    path, jpeg = tmp_path / "slow.jpg", encoded("progressive jpeg")
+    path.write_bytes(jpeg)
+    assert read_image(path, UserError).shape == IMAGE.shape
+    last_scan = jpeg[jpeg.rindex(b"\xff\xda") : -2]
+    path.write_bytes(jpeg[:-2] + 100 * last_scan + jpeg[-2:])
+    with pytest.raises(UserError, match=r"slow\.jpg: .*scans"):
+        read_image(path, UserError)
+
+
 def test_file_too_long_for_its_image(tmp_path: Path) -> None:
     path = tmp_path / "long.png"
     path.write_bytes(encoded("png"))

@@ -146,7 +146,7 @@ def board_images(sources: Sequence[str]) -> BoardImages:
 
 def _is_video(source: str) -> bool:
     path = Path(source)
-    return path.is_file() and path.suffix.lower() not in IMAGE_SUFFIXES
+    return path.exists() and not path.is_dir() and path.suffix.lower() not in IMAGE_SUFFIXES
 
 
 def _files(source: str) -> list[Path]:

@@ -41,6 +41,14 @@ _MAX_SKIPPED_BYTES = 65_536
 _JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """JPEG's start-of-frame markers."""
 
+_MAX_SCANS = 64
+"""Largest number of scans of a progressive JPEG file, about 12 in practice; a scan of 100 bytes may take 0.6 s."""
+
+_JPEG_START = b"\xff\xd8"
+_JPEG_END, _JPEG_SCAN = 0xD9, 0xDA
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])")
+"""Start of a JPEG segment; between the bytes of pixels it does not occur."""
+
 _JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})
 """JPEG markers without a length."""
 
@@ -79,11 +87,13 @@ def read_image(
                     f"{n_bytes / 1e6:.0f} MB; the file is damaged."
                 )
             file.seek(0)
-            stored = np.frombuffer(file.read(n_bytes), np.uint8)
+            stored = file.read(n_bytes)
         except OSError as reason:
             raise error(f"{path}: cannot be read ({reason.strerror or reason}); expected {expected}.") from reason
+    if stored.startswith(_JPEG_START) and _n_scans(stored) > _MAX_SCANS:
+        raise error(f"{path}: expected a JPEG file of at most {_MAX_SCANS} scans, found more; save it again.")
     try:
-        image = cv2.imdecode(stored, flags) if stored.size else None
+        image = cv2.imdecode(np.frombuffer(stored, np.uint8), flags) if stored else None
     except cv2.error:  # inconsistent sizes, and formats that this build cannot decode
         image = None
     if image is None:
@@ -118,7 +128,7 @@ def header_size_px(file: BinaryIO) -> tuple[int, int] | None:
     try:
         if start.startswith(b"\x89PNG\r\n\x1a\n"):
             return _pair(">II", start, 16) if start[12:16] == b"IHDR" else None
-        if start.startswith(b"\xff\xd8"):
+        if start.startswith(_JPEG_START):
             return _jpeg_size_px(file)
         if start.startswith(b"BM"):
             (n_header,) = struct.unpack_from("<I", start, 14)
@@ -158,6 +168,18 @@ def _jpeg_size_px(file: BinaryIO) -> tuple[int, int] | None:
             return width_px, height_px
         file.seek(max(0, n_bytes - 2), os.SEEK_CUR)
     return None
+
+
+def _n_scans(jpeg: bytes) -> int:
+    """Number of scans of a JPEG file, counted up to the first one above the limit."""
+    at = n_scans = 0
+    for _ in range(_MAX_HEADER_FIELDS):
+        segment = _JPEG_MARKER.search(jpeg, max(at, len(_JPEG_START)))
+        if segment is None or segment[1][0] == _JPEG_END or n_scans > _MAX_SCANS:
+            return n_scans
+        n_scans += segment[1][0] == _JPEG_SCAN
+        at = segment.end() + max(2, int.from_bytes(jpeg[segment.end() : segment.end() + 2], "big"))
+    return _MAX_SCANS + 1
 
 
 def _tiff_size_px(file: BinaryIO, order: str, *, is_big: bool) -> tuple[int, int] | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from track_range.detection.formats.detection_files import RecordedDetections
 from track_range.foundation.arrays import FloatArray, Image
+from track_range.foundation.atomic_files import describe
 from track_range.sequences.find import SequenceFile
 from track_range.tracking.offline_refinement import OfflineRefinement
 from track_range.tracking.registry import checked_tracks
@@ -69,7 +70,10 @@ def images_of(sequence: SequenceFile, path: Path | None, *, is_single: bool) -> 
 
 def _videos(folder: Path, name: str) -> list[Path]:
     """Videos with this stem in a folder, by preference of the suffix, which may be in upper case."""
-    files = [file for file in folder.iterdir() if file.stem == name] if folder.is_dir() else []
+    try:
+        files = [file for file in folder.iterdir() if file.stem == name] if folder.is_dir() else []
+    except OSError as error:
+        raise VideoError(f"{folder}: the folder cannot be read ({describe(error)}); check its permissions.") from error
     return [file for suffix in _VIDEO_SUFFIXES for file in sorted(files) if file.suffix.lower() == suffix]
 
 
