@@ -17,10 +17,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import Number, Version1, validated
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError
@@ -55,7 +54,7 @@ def save_alignment(alignment: Alignment, path: Path) -> None:
         RigError: the file cannot be written.
     """
     content = {_VERSION_KEY: _VERSION, **alignment.to_dict()}
-    write_rig_text(path, yaml.safe_dump(content, sort_keys=False, width=120, allow_unicode=True))
+    write_rig_text(path, yaml_text(content, width=120, allow_unicode=True))
 
 
 def load_alignment(path: Path) -> Alignment:

@@ -3,9 +3,9 @@
     stereo_calib.cpp   intrinsics.yml  M1 D1 M2 D2     extrinsics.yml  R T (R1 R2 P1 P2 Q are not needed)
     calibration.cpp    camera_matrix distortion_coefficients image_width image_height        one camera
 
-T has the unit of the chessboard's square size, so that size must have been given in metres. OpenCV's YAML tags are
-not standard YAML, so the files are read with OpenCV, after a check of the text: OpenCV's parser overflows the stack on
-deeply nested lists, and does not return from some base64 data.
+T has the unit of the chessboard's square size, so that size must have been given in metres. The files are read without
+OpenCV: its parser overflows the stack on nested lists, writes outside its memory on damaged JSON, and does not return
+from some base64 data. Only the keys needed are read; base64 data are refused.
 
 A camera without distortion coefficients is refused: stereo_calib always writes them (zeros for undistorted images), and
 distances would be wrong if a distorted camera were treated as an ideal one.
@@ -16,14 +16,18 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated, Any, Literal
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.input_files import quoted, read_text
-from track_range.foundation.structured_text import MAX_DEPTH
+from track_range.foundation.input_files import quoted, read_text, shortened
+from track_range.foundation.structured_text import parse_json, parse_yaml
+from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -39,14 +43,8 @@ _EXTRINSIC = ("R", "T")
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 """Suffixes of the file with the other half of a calibration."""
 
-_BASE64 = re.compile(r"\$base64\$|!!binary|type_id\s*=\s*[\"']binary")
-"""Marks of base64 data in JSON, YAML and XML."""
-
-_NESTING = re.compile(r"(?P<start>[\[{]|<[A-Za-z_])|[]}]|</|/>")
-"""Starts and ends of lists, keys with values, and XML's elements."""
-
-_HYPHENS = re.compile(rf"(?:-[ ]+){{{MAX_DEPTH}}}")
-"""Nested lists in one line of YAML."""
+_YAML_HEAD = re.compile(r"\A\s*%YAML[^\n]*\n|!!opencv-[a-z-]+")
+"""What OpenCV's YAML has and YAML has not: its first line `%YAML:1.0`, and tags."""
 
 _KEYS = (
     *("M1", "D1", "M2", "D2", *_EXTRINSIC, "camera_matrix", "distortion_coefficients"),
@@ -54,8 +52,26 @@ _KEYS = (
 )
 """Keys that are read."""
 
-_MAX_LIST = 14
-"""Largest number of values of a list; OpenCV has at most 14 distortion coefficients."""
+_MAX_SIDE = 14
+"""Largest number of rows or columns; OpenCV has at most 14 distortion coefficients."""
+
+_Side = Annotated[Integer, Field(ge=1, le=_MAX_SIDE)]
+
+
+class _Matrix(BaseModel):
+    """A matrix in FileStorage, row by row; dt is the type of the numbers: d and f are float64 and float32."""
+
+    rows: _Side
+    cols: _Side
+    dt: Literal["d", "f", "i", "u", "w", "s", "c"]
+    data: Annotated[list[Number], Field(max_length=_MAX_SIDE**2)]
+
+    def values(self) -> FloatArray:
+        """(N,) the numbers, rounded as OpenCV rounds them."""
+        return np.array(self.data, np.float32 if self.dt == "f" else np.float64).astype(np.float64)
+
+
+_NUMBERS: TypeAdapter[list[float]] = TypeAdapter(Annotated[list[Number], Field(max_length=_MAX_SIDE)])
 
 
 def _is_file_storage(text: str) -> bool:
@@ -99,7 +115,7 @@ def _camera(values: Mapping[str, FloatArray], number: str, path: Path) -> Pinhol
             f"{path}: expected 0, 0, 1 in the last row of M{number}, found {quoted(matrix[2].tolist())}; give the "
             "camera matrix."
         )
-    distortion = values.get(f"D{number}", _NONE).ravel()
+    distortion = values.get(f"D{number}", _NONE)
     if not len(distortion):
         raise RigError(
             f"{path}: expected the distortion coefficients D{number} of the camera M{number}, found none; write zeros "
@@ -131,28 +147,15 @@ def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
 
 
 def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
-    """Matrices and numbers by key, those of `_KEYS` that the file has, and "size" for the image size, if any.
+    """Numbers (N,) by key, those of `_KEYS` that the file has, and "size" for the image size, if any.
 
     Raises:
         RigError: the text is damaged, or a value is not a matrix or number.
     """
-    _check_text(text, path)
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        names = list(root.keys())  # an error if the root is not a mapping
-        nodes = {key: _numbers(root.getNode(key)) for key in _KEYS if key in names}
-    except (cv2.error, SystemError) as error:
-        raise RigError(
-            f"{path}: cannot be read with OpenCV, probably because the file is damaged; calibrate again."
-        ) from error
-    if duplicate := next((key for key in _KEYS if names.count(key) > 1), None):
-        raise RigError(f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times.")
-    if unusable := [key for key, value in nodes.items() if value is None]:
-        raise RigError(f"{path}: expected numbers in {unusable[0]}, found text or too many values; calibrate again.")
-    numbers = {key: value for key, value in nodes.items() if value is not None}
-    size_px = np.concatenate([numbers.get(key, _NONE).ravel() for key in ("image_width", "image_height")])
-    size_px = size_px if size_px.size else numbers.get("imageSize", _NONE).ravel()
+    content = _content(text, path)
+    numbers = {key: _numbers(content[key], key, path) for key in _KEYS if key in content}
+    size_px = np.concatenate([numbers.get(key, _NONE) for key in ("image_width", "image_height")])
+    size_px = size_px if size_px.size else numbers.get("imageSize", _NONE)
     if size_px.size and not (size_px.size == 2 and ((size_px >= 1) & (size_px <= MAX_SIDE_PX)).all()):
         raise RigError(
             f"{path}: expected an image_width and image_height of 1 to {MAX_SIDE_PX} px, found "
@@ -161,37 +164,69 @@ def _matrices(text: str, path: Path) -> dict[str, FloatArray]:
     return numbers | ({"size": size_px} if size_px.size else {})
 
 
-def _check_text(text: str, path: Path) -> None:
-    """Check the depth of a text, and that it has no base64 data; strings in it are not distinguished.
+def _content(text: str, path: Path) -> dict[str, Any]:
+    """Values by key of a FileStorage in YAML, XML or JSON; numbers in XML are texts with spaces between them.
 
     Raises:
-        RigError: OpenCV's parser may not return from the text.
+        RigError: the text is damaged.
     """
-    if _BASE64.search(text):
-        raise RigError(f"{path}: expected matrices as numbers, found base64 data; write the file without it.")
-    depth = 0
-    for match in _NESTING.finditer(text):
-        depth += 1 if match["start"] else -1
-        if depth > MAX_DEPTH:
-            break
-    if depth > MAX_DEPTH or _HYPHENS.search(text):
-        raise RigError(f"{path}: expected matrices, found more than {MAX_DEPTH} nested lists; calibrate again.")
+    expected = "a calibration of OpenCV"
+    start = text.lstrip()[:1]
+    if start == "<":
+        return _xml_content(text, path)
+    content = (
+        parse_json(text, path, RigError, expected)
+        if start == "{"
+        else parse_yaml(_YAML_HEAD.sub("", text), path, RigError, expected)
+    )
+    if not isinstance(content, dict):
+        raise RigError(f"{path}: expected {expected}, found {quoted(content)}; calibrate again.")
+    return content
 
 
-def _numbers(node: cv2.FileNode) -> FloatArray | None:
-    """The numbers of a node; None for text and other types."""
-    if node.isInt() or node.isReal():
-        return np.array([node.real()])
-    if node.isMap():
-        matrix = node.mat()
-        return None if matrix is None else np.asarray(matrix, np.float64)
-    if (
-        node.isSeq()
-        and node.size() <= _MAX_LIST
-        and all(node.at(i).isInt() or node.at(i).isReal() for i in range(node.size()))
-    ):
-        return np.array([node.at(i).real() for i in range(node.size())])
-    return None
+def _xml_content(text: str, path: Path) -> dict[str, Any]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise RigError(f"{path}: expected a calibration of OpenCV, found a document type; remove it.")
+    try:
+        root = ElementTree.fromstring(text)  # noqa: S314 - without entities, the size is limited by that of the file
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise RigError(
+            f"{path}: expected a calibration of OpenCV in XML, found an error: {shortened(str(error))}."
+        ) from error
+    names = [node.tag for node in root]
+    if duplicate := next((key for key in _KEYS if names.count(key) > 1), None):
+        raise RigError(f"{path}: expected the key {duplicate} once, found it {names.count(duplicate)} times.")
+    return {
+        node.tag: {part.tag: _words(part) for part in node} if len(node) else _words(node)
+        for node in root
+        if node.tag in _KEYS
+    }
+
+
+def _words(node: ElementTree.Element) -> str | list[str]:
+    """The words of an element: a list for data and sizes."""
+    words = (node.text or "").split()
+    return words[0] if len(words) == 1 and node.tag != "data" else words
+
+
+def _numbers(value: object, key: str, path: Path) -> FloatArray:
+    """(N,) numbers of a matrix, a list or a number.
+
+    Raises:
+        RigError: it is none of them.
+    """
+    if isinstance(value, dict):
+        matrix = validated(_Matrix, value, f"{path}: {key}", RigError)
+        if len(matrix.data) != matrix.rows * matrix.cols:
+            raise RigError(
+                f"{path}: {key}: expected {matrix.rows} x {matrix.cols} numbers, found {len(matrix.data)}; calibrate "
+                "again."
+            )
+        return matrix.values()
+    try:
+        return np.array(_NUMBERS.validate_python(value if isinstance(value, list) else [value]))
+    except ValidationError as error:
+        raise RigError(f"{path}: {key}: expected numbers, found {quoted(value)}; calibrate again.") from error
 
 
 def save_opencv(cameras: StereoRig | PinholeCamera, path: Path) -> None:

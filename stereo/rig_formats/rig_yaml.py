@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.structured_text import parse_yaml
+from track_range.foundation.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
@@ -118,7 +117,7 @@ def _camera_content(camera: PinholeCamera) -> dict[str, float | list[float]]:
 
 
 def _yaml(content: Mapping[str, object]) -> str:
-    return yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=120)
+    return yaml_text(content, default_flow_style=None, width=120)
 
 
 def _commented(lines: Sequence[str]) -> str:

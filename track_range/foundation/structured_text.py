@@ -134,6 +134,24 @@ def parse_json(text: str, source: object, error: type[Exception], expected: str)
     return value
 
 
+class _Dumper(yaml.SafeDumper):
+    """YAML's safe writer, without aliases for lists that occur twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Whether to write a value again each time it occurs."""
+        return True
+
+
+def yaml_text(content: Mapping[str, Any], **style: Any) -> str:
+    """A YAML text of plain values in their order, without aliases, which `parse_yaml` refuses.
+
+    Args:
+        content: plain values; not recursive.
+        style: arguments of `yaml.dump`, such as width.
+    """
+    return str(yaml.dump(dict(content), Dumper=_Dumper, sort_keys=False, **style))
+
+
 def _check_events(text: str) -> None:
     """Check the syntax, the depth, and that there are no aliases and no tags of other types.
 

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, field_serializer, field_validator, 
 
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.options import Options, option
+from track_range.foundation.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import first_problem
 from track_range.results.output_files import write_text
 from track_range.run.detector_fields import (
@@ -402,12 +403,10 @@ def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]
         path: the file.
         detected: properties of the opened inputs; None = not known yet.
     """
-    import yaml
-
     content = {"track_range_settings": 1, "run": absolute_settings(settings)}
     if detected is not None:
         content["found"] = detected
-    write_text(path, yaml.safe_dump(content, sort_keys=False))
+    write_text(path, yaml_text(content))
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:
@@ -431,8 +430,6 @@ def _absolute(video: VideoName) -> str:
 
 
 def _read(file: Path) -> dict[str, Any]:
-    from track_range.foundation.structured_text import read_yaml
-
     document = read_yaml(file, ConfigError, "the settings.yaml of a run")
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")

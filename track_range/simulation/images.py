@@ -11,11 +11,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import Image
+from track_range.foundation.structured_text import yaml_text
 from track_range.results.output_files import OutputError, make_folder, write_bytes, write_text
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.world.scene import make_scene
@@ -75,7 +75,7 @@ def write_image_set(
         "labels_pseudo": "ignored",
     }
     path = folder / "data.yaml"
-    write_text(path, yaml.safe_dump(document, sort_keys=False))
+    write_text(path, yaml_text(document))
     return path
 
 
