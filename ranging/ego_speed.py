@@ -102,7 +102,7 @@ def open_ego_speed(text: str) -> EgoSpeed:
 
 
 def _from_path(path: Path) -> EgoSpeed:
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         return _from_oxts(path)
     if not os.path.lexists(path):
         is_decimal = math.isfinite(number(str(path).replace(",", ".")))
@@ -191,6 +191,6 @@ def _plausible(speed_mps: FloatArray, where: str) -> FloatArray:
     if len(implausible):
         raise EgoSpeedError(
             f"{where}: expected a speed of at most {_MAX_SPEED_MPS * 3.6:.0f} km/h, got "
-            f"{implausible[0] * 3.6:.6g} km/h; check the unit."
+            f"{float(implausible[0]) * 3.6:.6g} km/h; check the unit."
         )
     return speed_mps

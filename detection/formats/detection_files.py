@@ -109,7 +109,7 @@ def read_detections(
 
 
 def _format_of(path: Path) -> str:
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         return "kitti"
     first = first_line(path, LabelFileError, "detections")
     if not first:

@@ -11,6 +11,7 @@ rectified reference camera (camera 0). Detection files have -1 or -1000 for unkn
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -31,6 +32,9 @@ _OBJECT_COLUMNS = 15
 
 _MAX_VALUE = 1e6
 """Largest absolute value in metres, radians, or of a score; -1000 = unknown."""
+
+_MAX_TYPE = 64
+"""Largest number of characters of a type."""
 
 _LIMITS = {
     0: (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
@@ -98,7 +102,7 @@ def read_kitti(path: Path) -> KittiLabels:
         LabelFileError: the file or folder cannot be read, is empty, or has a row of the wrong length or an
             implausible number.
     """
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         return _read_folder(path)
     rows = [row for row in _rows(path) if row[1]]
     if not rows:
@@ -140,6 +144,8 @@ def _parsed(path: Path, line: int, cells: list[str], *, n_columns: int) -> tuple
             f"{path}, line {line}: expected {_TRACKING_COLUMNS} columns (18 with a score) of KITTI tracking labels, "
             f"or {_OBJECT_COLUMNS} (16) of object labels in a folder with one file per image; got {n_columns}."
         )
+    if len(cells[2]) > _MAX_TYPE:
+        raise LabelFileError(f"{path}, line {line}: expected a type such as Car, got {quoted(cells[2])}.")
     texts = [*cells[:2], *cells[3:]]
     values = numbers(texts)
     for column, value in enumerate(values):

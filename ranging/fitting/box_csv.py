@@ -26,6 +26,9 @@ COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy"
 
 _REQUIRED = COLUMNS[:6]
 _NUMERIC = (*COLUMNS[1:10],)
+_MAX_TEXT = 200
+"""Largest number of characters of the name of a track or sequence."""
+
 _POSITIVE = ("distance_m", "fx", "fy")
 
 
@@ -50,6 +53,9 @@ def read_box_csv(path: Path, *, focal_px: float | None = None) -> tuple[BoxSet, 
         )
     if not len(table):
         raise LabelFileError(f"{path}: expected at least one row below the header, got none.")
+    for name in ("track", "sequence"):
+        for row in [row for row, text in enumerate(table.texts(name)) if len(text) > _MAX_TEXT][:1]:
+            raise table.fault(row, f"expected at most {_MAX_TEXT} characters for {name}.")
     numbers = {name: _numbers(table, name) for name in _NUMERIC if name in table}
     xyxy_px = np.stack([numbers[name] for name in ("x1", "y1", "x2", "y2")], axis=1)
     for row in np.flatnonzero(~are_valid_boxes(xyxy_px)).tolist():

@@ -119,8 +119,9 @@ def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
 
 
 def shortened(text: str, max_characters: int = _MAX_QUOTED) -> str:
-    """A text, cut off after a number of characters, for messages."""
-    return text if len(text) <= max_characters else f"{text[: max_characters - 3]}..."
+    """A text in printable characters, cut off after a number of them, for messages."""
+    shown = text if len(text) <= max_characters else f"{text[: max_characters - 3]}..."
+    return shown if shown.isprintable() else "".join(c if c.isprintable() else "?" for c in shown)
 
 
 def _decoded(content: bytes, path: Path, error: type[Exception], expected: str, *, is_complete: bool = True) -> str:

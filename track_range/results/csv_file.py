@@ -10,11 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from track_range.foundation.input_files import MAX_TABLE_BYTES, read_text
 from track_range.results.columns import Columns, result_columns
 from track_range.results.output_files import OutputError
 from track_range.results.row_file import RowFile
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
+
+_MAX_CLASS = 200
+"""Largest number of characters of a class name."""
 
 
 class CsvWriter:
@@ -58,22 +62,24 @@ def read_tracks_csv(path: Path) -> Columns:
     from pyarrow import ArrowException
     from pyarrow import csv as arrow_csv
 
+    text = read_text(path, OutputError, "the tracks.csv of a run", max_bytes=MAX_TABLE_BYTES)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            header = next(csv.reader(file))
+        header = next(csv.reader([text.partition("\n")[0]]))
         if len(set(header)) < len(header):
             raise ValueError("duplicate column")
         table = arrow_csv.read_csv(
-            pa.BufferReader(path.read_bytes()),
+            pa.BufferReader(text.encode()),
             read_options=arrow_csv.ReadOptions(use_threads=False),
             parse_options=arrow_csv.ParseOptions(invalid_row_handler=lambda row: "skip"),
             convert_options=arrow_csv.ConvertOptions(
                 column_types={name: "string" if name == "class" else "float64" for name in header}, null_values=[""]
             ),
         )
-    except (OSError, ValueError, StopIteration, csv.Error, ArrowException) as error:
+        columns = {name: table.column(name) for name in header}
+        if "class" in columns and max(map(len, columns["class"].to_pylist()), default=0) > _MAX_CLASS:
+            raise ValueError("class name too long")
+    except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
         raise OutputError(f"{path}: cannot be read as the tracks.csv of a run.") from error
-    columns = {name: table.column(name) for name in header}
     return {
         name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()

@@ -37,6 +37,15 @@ Sections = Mapping[str, Any]
 _NEEDED_COLUMNS = frozenset(("frame", "time_s", "track_id", "class", "x1_px", "y1_px", "x2_px", "y2_px"))
 """Required columns; files of earlier versions may lack others."""
 
+_MAX_FRAME = 1e9
+"""Largest plausible frame number: a year at 30 Hz."""
+
+_MAX_VALUE = 1e10
+"""Largest plausible absolute value of a time, distance, speed or score; seconds since 1970 are smaller."""
+
+_MAX_EDGE_PX = 1e6
+"""Largest plausible pixel coordinate."""
+
 _LARGEST = 2.0**53
 """Largest integer up to which all integers are exact in float64."""
 
@@ -251,8 +260,11 @@ def valid_rows(columns: Columns) -> BoolArray:
     frame, track_id = columns["frame"], columns["track_id"]
     edges = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
     is_valid: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
-    for number, lowest in ((frame, 0), (track_id, 1)):
-        is_valid &= (number >= lowest) & (number <= _LARGEST) & (number == np.floor(number))
+    is_valid &= (np.abs(edges) <= _MAX_EDGE_PX).all(axis=1)
+    for name in columns.keys() - {"frame", "track_id", "class"}:
+        is_valid &= ~np.isfinite(columns[name]) | (np.abs(columns[name]) <= _MAX_VALUE)
+    for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _LARGEST)):
+        is_valid &= (number >= lowest) & (number <= highest) & (number == np.floor(number))
     rows = np.flatnonzero(is_valid)
     _, first = np.unique(np.stack([frame, track_id], axis=1)[rows], axis=0, return_index=True)
     is_first = np.zeros(len(frame), np.bool_)

@@ -67,9 +67,9 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     Raises:
         LabelFileError: there is no sequence, or two have the same name.
     """
-    if path.is_file():
+    if os.path.isfile(path):
         return [_sequence(path)]
-    if not path.is_dir():
+    if not os.path.isdir(path):
         raise LabelFileError(f"{path}: no such file or folder; check the name.")
     inner = Path(kind) / f"{kind}.txt"
     try:
