@@ -16,7 +16,7 @@ from track_range.cli.run import run_and_print
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.options import Options, option
 from track_range.report.tables import NOTHING, Column, Grid, figure, grid_of
-from track_range.results.output_files import make_folder
+from track_range.results.output_files import locked_output
 from track_range.run.progress import step_progress
 from track_range.run.settings import RunSettings
 from track_range.simulation.drive import DriveOptions, write_drive
@@ -48,7 +48,11 @@ class DemoOptions(Options):
 
 
 def _demo(options: DemoOptions) -> None:
-    make_folder(options.out / "drive")
+    with locked_output(options.out / "drive"):
+        _run_demo(options)
+
+
+def _run_demo(options: DemoOptions) -> None:
     boxes = "the simulation: true boxes with noise" if options.playback else "the packaged detector"
     print_line(console, f"Simulated stereo drive of {options.seconds:g} s; detections from {boxes}.")
     with step_progress(console, "rendering") as progress:

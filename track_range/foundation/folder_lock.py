@@ -121,7 +121,7 @@ def read_owner(folder: Path) -> LockOwner | None:
         with (folder / LOCK_FILE).open("rb") as file:
             content = json.loads(file.read(_MAX_OWNER_BYTES))
         return LockOwner(int(content["pid"]), str(content["started"])[:40], str(content["host"])[:60])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from track_range.foundation import atomic_files
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.errors import UserError
+from track_range.foundation.folder_lock import locked_folder
 
 
 class OutputError(UserError):
@@ -51,6 +53,19 @@ def make_folder(folder: Path) -> None:
         raise OutputError(
             f"{folder}: results cannot be written to this folder ({describe(error)}); choose another one."
         ) from error
+
+
+@contextmanager
+def locked_output(folder: Path) -> Iterator[None]:
+    """Context in which this process alone writes to a folder, which is created if necessary.
+
+    Raises:
+        FolderLockError: another run is writing to the folder.
+        OutputError: the folder cannot be created or written to.
+    """
+    make_folder(folder)
+    with locked_folder(folder):
+        yield
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Iterable[Path]) -> None:

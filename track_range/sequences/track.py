@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.errors import UsageError
 from track_range.foundation.input_files import first_line
 from track_range.foundation.progress import FrameProgress, no_frame_progress
-from track_range.results.output_files import OutputError, make_folder
+from track_range.results.output_files import OutputError, locked_output, make_folder
 from track_range.run.settings import check_tracker
 from track_range.run.tracker_options import open_tracker_options
 from track_range.sequences.files import write_kitti, write_mot
@@ -89,6 +90,7 @@ def track(
         ModelError: `reid` is not a re-identification network.
         ClassNameError, UsageError: the class is unknown, or several are given.
         OutputError: `out` cannot be written.
+        FolderLockError: another run is writing to `out`.
     """
     check_tracker(settings.tracker, settings.reid)
     sequences = find_sequences(settings.detections, "det")
@@ -102,29 +104,33 @@ def track(
     reid_notes = () if tracker_options.reid is None else tracker_options.reid.notes
     for sentence in (*ignored_files_note(settings.detections, sequences), *reid_notes):
         note(sentence)
-    _make_folders(settings)
     done, failed = [], {}
-    for sequence, images in zip(sequences, all_images, strict=True):
-        try:
-            recorded = _read(sequence.path, class_id, settings)
-            tracker = create_tracker(settings.tracker, tracker_options)
-            tracked, notes = _track_one(sequence, recorded, images, tracker, settings, progress)
-        except (LabelFileError, VideoError) as error:
-            if is_single:
-                raise
-            failed[sequence.name] = str(error)
-            note(f"{sequence.name}: {error}")
-        else:
-            done.append(tracked)
-            for sentence in notes:
-                note(f"{sequence.name}: {sentence}")
+    with _locked_folders(settings):
+        for sequence, images in zip(sequences, all_images, strict=True):
+            try:
+                recorded = _read(sequence.path, class_id, settings)
+                tracker = create_tracker(settings.tracker, tracker_options)
+                tracked, notes = _track_one(sequence, recorded, images, tracker, settings, progress)
+            except (LabelFileError, VideoError) as error:
+                if is_single:
+                    raise
+                failed[sequence.name] = str(error)
+                note(f"{sequence.name}: {error}")
+            else:
+                done.append(tracked)
+                for sentence in notes:
+                    note(f"{sequence.name}: {sentence}")
     return TrackedFiles(tuple(done), failed)
 
 
-def _make_folders(settings: TrackSettings) -> None:
-    make_folder(settings.out / MOT_FOLDER)
-    if settings.kitti:
-        make_folder(settings.out / KITTI_FOLDER)
+@contextmanager
+def _locked_folders(settings: TrackSettings) -> Iterator[None]:
+    """Context in which the folders of the results exist, and this process alone writes to them."""
+    with locked_output(settings.out):
+        make_folder(settings.out / MOT_FOLDER)
+        if settings.kitti:
+            make_folder(settings.out / KITTI_FOLDER)
+        yield
 
 
 def _check_overwriting(sequences: Sequence[SequenceFile], settings: TrackSettings) -> None:

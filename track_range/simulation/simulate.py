@@ -11,6 +11,7 @@ import numpy as np
 
 from track_range.foundation.errors import UsageError
 from track_range.foundation.progress import StepProgress, no_progress
+from track_range.results.output_files import locked_output
 from track_range.simulation.camera.drive_files import with_even_size
 from track_range.simulation.camera.faults import Faults, WrongRig
 from track_range.simulation.drive import Drive, DriveOptions, write_drive
@@ -50,6 +51,7 @@ def simulate(settings: SimulationSettings, progress: StepProgress = no_progress)
         UsageError: settings that contradict each other or are out of range.
         RigError: the rig cannot be used.
         OutputError, VideoError: the folder cannot be written.
+        FolderLockError: another run is writing to the folder.
     """
     if settings.images is None:
         return _drive(settings, progress)
@@ -62,7 +64,7 @@ def _images(settings: SimulationSettings, n_images: int, progress: StepProgress)
     n_frames = min(settings.frames, n_images)
     seed = FIRST_IMAGE_SCENE if settings.seed is None else settings.seed
     n_scenes = -(-n_images // n_frames)
-    with progress("rendering") as advance:
+    with locked_output(settings.out), progress("rendering") as advance:
         path = write_image_set(settings.out, range(seed, seed + n_scenes), n_frames=n_frames, progress=advance)
     return Simulated(data_yaml=path, n_images=n_scenes * n_frames)
 
@@ -83,7 +85,7 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
         has_disparity=settings.disparity,
     )
     rig, notes = (None, ()) if settings.rig is None else _rig(settings.rig)
-    with progress("rendering") as advance:
+    with locked_output(settings.out), progress("rendering") as advance:
         drive = write_drive(
             settings.out,
             seed=settings.seed or 0,
