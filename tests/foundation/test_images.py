@@ -126,6 +126,18 @@ def test_pipes_folders_and_loops(tmp_path: Path) -> None:
             read_image(tmp_path / f"{name}.png", UserError)
 
 
+def test_png_with_an_endless_chunk(tmp_path: Path) -> None:
+    path, content = tmp_path / "chunk.png", bytearray(encoded("png"))
+    at = content.index(b"IDAT")
+    content[at - 4 : at] = struct.pack(">I", 2**31 - 1)
+    path.write_bytes(content)
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(UserError, match=r"chunk\.png: .*damaged"):
+        read_image(path, UserError)
+    if sys.platform == "linux":
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 50_000
+
+
 def test_jpeg_with_many_scans(tmp_path: Path) -> None:
     path, jpeg = tmp_path / "slow.jpg", encoded("progressive jpeg")
     path.write_bytes(jpeg)

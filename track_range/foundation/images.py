@@ -38,6 +38,8 @@ _MAX_HEADER_FIELDS = 4096
 _MAX_SKIPPED_BYTES = 65_536
 """Largest number of bytes between two segments of a JPEG file."""
 
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+
 _JPEG_SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """JPEG's start-of-frame markers."""
 
@@ -93,7 +95,8 @@ def read_image(
     if stored.startswith(_JPEG_START) and _n_scans(stored) > _MAX_SCANS:
         raise error(f"{path}: expected a JPEG file of at most {_MAX_SCANS} scans, found more; save it again.")
     try:
-        image = cv2.imdecode(np.frombuffer(stored, np.uint8), flags) if stored else None
+        is_cut = not stored or (stored.startswith(_PNG_START) and not _is_complete_png(stored))
+        image = None if is_cut else cv2.imdecode(np.frombuffer(stored, np.uint8), flags)
     except cv2.error:  # inconsistent sizes, and formats that this build cannot decode
         image = None
     if image is None:
@@ -126,7 +129,7 @@ def header_size_px(file: BinaryIO) -> tuple[int, int] | None:
     file.seek(0)
     start = file.read(1024)
     try:
-        if start.startswith(b"\x89PNG\r\n\x1a\n"):
+        if start.startswith(_PNG_START):
             return _pair(">II", start, 16) if start[12:16] == b"IHDR" else None
         if start.startswith(_JPEG_START):
             return _jpeg_size_px(file)
@@ -168,6 +171,17 @@ def _jpeg_size_px(file: BinaryIO) -> tuple[int, int] | None:
             return width_px, height_px
         file.seek(max(0, n_bytes - 2), os.SEEK_CUR)
     return None
+
+
+def _is_complete_png(png: bytes) -> bool:
+    """Whether all chunks of a PNG file are in it; OpenCV takes seconds and gigabytes to refuse a chunk of 2 GB."""
+    at = len(_PNG_START)
+    while at + 12 <= len(png):
+        kind = png[at + 4 : at + 8]
+        at += 12 + int.from_bytes(png[at : at + 4], "big")  # length, kind, data, checksum
+        if kind == b"IEND":
+            return at <= len(png)
+    return False
 
 
 def _n_scans(jpeg: bytes) -> int:
