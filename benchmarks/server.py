@@ -43,6 +43,7 @@ def measure(options: Namespace) -> dict[str, Any]:
             port = _free_port()
             with _slow_readers(port, options.readers):
                 times["slow readers"].append(_times_s([*command, "--serve", str(port)]))
+            print({kind: [round(time_s, 1) for time_s in measured[-1]] for kind, measured in times.items()}, flush=True)
     pairs = list(zip(times["no viewer"], times["slow readers"], strict=True))
     ratios = {
         kind: statistics.median(loaded[k] / alone[k] for alone, loaded in pairs)
