@@ -92,12 +92,12 @@ def class_names(option: str | None) -> tuple[str, ...] | None:
         return None
     path = Path(option)
     if "," in option or not path.suffix:
-        names = tuple(name.strip() for name in option.split(","))
+        source, names = shortened(option), tuple(name.strip() for name in option.split(","))
     else:
         text = read_text(path, ConfigError, "a text file with one class name per line (--names)")
-        names = tuple(line.strip() for line in text.split("\n") if line.strip())
+        source, names = option, tuple(line.strip() for line in text.split("\n") if line.strip())
     if not all(names) or not names or max(map(len, names)) > _MAX_NAME:
-        raise ConfigError(f"--names {shortened(option)}: expected class names, a,b,c or a file with one name per line.")
+        raise ConfigError(f"--names {source}: expected class names, a,b,c or a file with one name per line.")
     return names
 
 

@@ -416,7 +416,7 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
         if key in run:
             run[key] = os.path.realpath(run[key])
     for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file or a name
-        if key in run and Path(run[key]).exists():
+        if key in run and os.path.exists(run[key]):  # False for a name that is too long
             run[key] = os.path.realpath(run[key])
     if settings.stereo:
         run["stereo"] = [_absolute(video) for video in settings.stereo]

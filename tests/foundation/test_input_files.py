@@ -1,0 +1,93 @@
+"""Reading of regular files: what is refused before it is read, encodings, and lengths of values in messages."""
+
+import os
+
+import pytest
+
+from track_range.foundation.input_files import check_regular, first_line, quoted, read_bytes, read_text, shortened
+
+
+class FileError(Exception):
+    """Error class passed to the readers in these tests."""
+
+
+def fifo(path):
+    os.mkfifo(path)
+
+
+def loop(path):
+    path.symlink_to(path.name)
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (fifo, "named pipe"),
+        (loop, "loop"),
+        (lambda path: path.mkdir(), "folder"),
+        (lambda path: path.symlink_to("/dev/zero"), "device"),
+        (lambda path: None, "no such file"),
+        (lambda path: path.write_bytes(b"123456"), "at most 5 bytes"),
+    ],
+)
+def test_what_is_not_a_small_regular_file(tmp_path, make, word):
+    path = tmp_path / "in.txt"
+    make(path)
+    for read in (check_regular, read_bytes, read_text):
+        with pytest.raises(FileError, match=rf"in\.txt: .*{word}") as error:
+            read(path, FileError, "rows", max_bytes=5)
+        assert len(str(error.value).replace(str(path), "")) < 200
+
+
+def test_links_are_followed(tmp_path):
+    (tmp_path / "file").write_text("text")
+    (tmp_path / "link").symlink_to("file")
+    assert read_text(tmp_path / "link", FileError, "rows") == "text"
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        ("a,b\n".encode("utf-16"), "UTF-8, found UTF-16"),
+        ("a,b\n".encode("utf-16-le"), "line 1: .*null"),
+        (b"a\nb\n\xff", "line 3: .*encoding"),
+        (b"a\n\0", "line 2: .*null"),
+    ],
+)
+def test_other_encodings(tmp_path, content, word):
+    path = tmp_path / "in.txt"
+    path.write_bytes(content)
+    for read in (first_line, read_text):
+        with pytest.raises(FileError, match=rf"in\.txt.*{word}"):
+            read(path, FileError, "rows")
+
+
+def test_a_huge_binary_file_is_not_read(tmp_path):
+    path = tmp_path / "zeros"
+    with path.open("wb") as file:
+        file.truncate(10**12)  # a sparse file: no memory of this size exists
+    with pytest.raises(FileError, match="null"):
+        read_text(path, FileError, "rows", max_bytes=2 * 10**12)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_line_ends_and_byte_order_mark(tmp_path, end):
+    path = tmp_path / "in.txt"
+    path.write_bytes(f"\ufeff{end}  {end}ä{end}b".encode())
+    assert read_text(path, FileError, "rows") == "\n  \nä\nb"
+    assert first_line(path, FileError, "rows") == "ä"
+
+
+def test_first_line_of_a_long_file(tmp_path):
+    path = tmp_path / "in.txt"
+    path.write_bytes(b"x" + "ä".encode() * 50_000)  # the limit of 65536 bytes cuts a character in two
+    assert first_line(path, FileError, "rows") == "x" + "ä" * 32_767
+    path.write_bytes(b"")
+    assert first_line(path, FileError, "rows") == ""
+
+
+def test_values_in_messages_are_short_and_printable():
+    assert quoted("a\nb") == r"'a\nb'"
+    assert len(quoted("x" * 100)) == len(quoted(["x"] * 100)) == 60
+    assert shortened("a\x07b") == "a?b"
+    assert shortened("x" * 61) == "x" * 57 + "..."
