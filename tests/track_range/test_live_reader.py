@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import socket
 import threading
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -229,3 +231,10 @@ def test_streams_without_a_common_time() -> None:
         with pytest.raises(VideoError, match=r"expected pairs"):
             list(pair)
         pair.close()
+
+
+def test_playlist_of_a_server_opens_no_file(tmp_path: Path, film: Callable[..., Path]) -> None:
+    segment = film(tmp_path / "segment.ts", [number / 10 for number in range(10)])
+    playlist = f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfile://{segment}\n#EXT-X-ENDLIST\n"
+    with served(playlist.encode()) as address, pytest.raises(VideoError, match="opened"):
+        LiveStream(LiveAddress(address))

@@ -14,6 +14,12 @@ _NUMBER = re.compile(r"\d{1,3}")
 _LOW_LATENCY = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "2000000", "fpsprobesize": "2"}
 """FFmpeg options that disable buffering and limit the probing of a stream to 2 s."""
 
+_NETWORK = {
+    "protocol_whitelist": "crypto,http,httpproxy,https,mmsh,mmst,rtmp,rtmpe,rtmps,rtmpt,rtmpte,rtmpts,ffrtmpcrypt,"
+    "ffrtmphttp,rtp,srt,srtp,tcp,tls,udp"
+}
+"""FFmpeg's option for the protocols of a stream: without files, which a playlist of the server may name."""
+
 
 @dataclass(frozen=True, slots=True)
 class LiveAddress:
@@ -51,7 +57,7 @@ class LiveAddress:
             return {}
         # With UDP, RTSP's default, lost packets leave parts of an image grey.
         is_rtsp = self.url.lower().startswith("rtsp")
-        return {**_LOW_LATENCY, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
+        return {**_LOW_LATENCY, **_NETWORK, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
 
 
 VideoName = Path | LiveAddress
