@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,35 @@ def test_real_files(shared_data):
     assert 0 <= regionlets.detections.score.min() <= regionlets.detections.score.max() <= 1
     assert len(read_detections(shared_data / "kitti_labels/rrc/Car/0000.txt").at(0)) > 0
     assert len(read_detections(shared_data / "mot/MOT15/TUD-Campus/det/det.txt").at(0)) > 0
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "1e400", "-4", "200000"])
+def test_implausible_boxes_are_ignored_with_a_note(tmp_path, cell):
+    file = tmp_path / "det.txt"
+    file.write_text(f"1,-1,11,21,5,6,0.5,-1,-1,-1\n2,-1,11,21,5,{cell},0.5,-1,-1,-1\n")
+    recorded = read_detections(file)
+    assert recorded.frame.tolist() == [0]
+    assert any("ignored 1 row" in note for note in recorded.notes)
+
+
+@pytest.mark.parametrize("frame", ["1000000000000000000", "1e18", "nan", "1.5", "1e400"])
+def test_implausible_frame_numbers(tmp_path, frame):
+    file = tmp_path / "det.txt"
+    file.write_text(f"1,-1,11,21,5,6,0.5\n{frame},-1,11,21,5,6,0.5\n")
+    with pytest.raises(LabelFileError, match=r"det\.txt: .*frame numbers"):
+        read_detections(file)
+
+
+def test_embeddings_that_are_no_array_of_numbers(tmp_path):
+    (tmp_path / "det.txt").write_text("1,-1,11,21,5,6,0.5\n")
+    for make in (
+        lambda path: path.write_bytes(b"PK\x03\x04" + bytes(99)),
+        lambda path: path.write_bytes(b""),
+        lambda path: np.save(path, np.array([[1, -1, 11, 21, 5, 6, 0.5, 1e300]])),
+        lambda path: path.symlink_to("/dev/zero"),
+        os.mkfifo,
+    ):
+        (tmp_path / "feat.npy").unlink(missing_ok=True)
+        make(tmp_path / "feat.npy")
+        with pytest.raises(LabelFileError, match=r"feat\.npy: "):
+            read_detections(tmp_path / "det.txt")

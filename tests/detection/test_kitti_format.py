@@ -38,6 +38,10 @@ def test_folder_of_kitti_object_files(tmp_path):
         (b"1 2 Car 0\n", "line 1: .*17 columns.*got 4"),
         (CAR.replace("12.0", "far").encode(), "line 1: .*numbers"),
         (CAR.replace("12.0", "nan").encode(), "line 1: .*finite"),
+        (CAR.replace("12.0", "1_2").encode(), "line 1: .*'1_2'"),
+        (CAR.replace("12.0", "1e18").encode(), "line 1: .*'1e18'"),
+        (f"1e18 {CAR.partition(' ')[2]}".encode(), "line 1: .*frame number"),
+        (CAR.replace("Car", "x" * 99).encode(), "line 1: .*type"),
     ],
 )
 def test_invalid_label_files(tmp_path, content, message):

@@ -1,8 +1,11 @@
 """ONNX sessions: bound buffers, devices and their options, errors."""
 
+import os
+
 import numpy as np
 import onnxruntime as ort
 import pytest
+from onnx import TensorProto, helper
 
 from tests.detection.onnx_models import write_model, write_rectangle_finder
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
@@ -66,3 +69,72 @@ def test_only_available_providers_are_requested(tmp_path, monkeypatch):
     options = requested["providers"][0][1]
     assert options["trt_fp16_enable"]
     assert options["trt_engine_cache_path"] == str(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("shape", "word"),
+    [
+        ((1, 3, 65536, 65536), "8192 pixels"),
+        ((1, 3, 8192, 8193), "8192 pixels"),
+        ((100_000, 3, 64, 64), "8192 pixels"),
+        ((8, 3, 8192, 8192), "values"),
+        ((1, 3, 0, 64), "pixels"),
+        ((1, 3 * 64 * 64), "one input"),
+    ],
+)
+def test_implausible_inputs(tmp_path, shape, word):
+    path = write_model(tmp_path / "m.onnx", np.zeros((1, 2, 3)), input_shape=shape)
+    with pytest.raises(ModelError, match=rf"m\.onnx: .*{word}") as error:
+        OnnxSession(path)
+    assert len(str(error.value).replace(str(path), "")) <= 300
+
+
+def test_input_of_integers(tmp_path):
+    image, out = (helper.make_tensor_value_info(name, TensorProto.UINT8, (1, 3, 8, 8)) for name in ("a", "b"))
+    graph = helper.make_graph([helper.make_node("Identity", ["a"], ["b"])], "g", [image], [out])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    (tmp_path / "m.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(ModelError, match=r"m\.onnx: .*uint8"):
+        OnnxSession(tmp_path / "m.onnx")
+
+
+def with_external_weights(path, location):
+    tensor = TensorProto(name="c", data_type=TensorProto.FLOAT, dims=[1, 2, 3], data_location=TensorProto.EXTERNAL)
+    for key, value in (("location", location), ("offset", "0"), ("length", "24")):
+        tensor.external_data.add(key=key, value=value)
+    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, 8, 8))
+    out = helper.make_tensor_value_info("out", TensorProto.FLOAT, (1, 2, 3))
+    graph = helper.make_graph([helper.make_node("Identity", ["c"], ["out"])], "g", [image], [out], [tensor])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+
+
+def test_external_weights_are_read_from_the_folder_only(tmp_path):
+    folder = tmp_path / "models"
+    folder.mkdir()
+    for file in (tmp_path / "secret.bin", folder / "weights.bin"):
+        np.arange(6, dtype=np.float32).tofile(file)
+    (folder / "link.bin").symlink_to("../secret.bin")
+    os.mkfifo(folder / "pipe.bin")
+    path = folder / "m.onnx"
+    with_external_weights(path, "weights.bin")
+    (values,) = OnnxSession(path, Runtime(device="cpu")).run(np.zeros((1, 3, 8, 8), np.float32))
+    assert values.ravel().tolist() == [0, 1, 2, 3, 4, 5]
+    for location in ("../secret.bin", str(tmp_path / "secret.bin"), "link.bin", "pipe.bin", "none.bin", "/dev/zero"):
+        with_external_weights(path, location)
+        with pytest.raises(ModelError, match=r"folder|pipe|no such file"):
+            OnnxSession(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"\0" * 100, b"location", bytes(range(256)) * 4])
+def test_damaged_models(tmp_path, content):
+    (tmp_path / "m.onnx").write_bytes(content)
+    with pytest.raises(ModelError, match=r"m\.onnx: ") as error:
+        OnnxSession(tmp_path / "m.onnx")
+    assert len(str(error.value).replace(str(tmp_path), "")) <= 300
+
+
+def test_a_model_that_is_a_named_pipe(tmp_path):
+    os.mkfifo(tmp_path / "m.onnx")
+    with pytest.raises(ModelError, match=r"m\.onnx: .*pipe"):
+        OnnxSession(tmp_path / "m.onnx")

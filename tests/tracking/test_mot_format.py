@@ -77,6 +77,15 @@ def test_an_empty_file_has_no_rows(tmp_path: Path) -> None:
         ("1.5,1,2,3,4,5,1", "frame"),
         ("1,1.5,2,3,4,5,1", "id"),
         ("1,1,2,3,-4,5,1", "width"),
+        ("1,2,2,3,4,nan,1", "'nan'"),
+        ("1,2,2,3,1e400,5,1", "finite"),
+        ("1,2,2,3,200000,5,1", "100000 pixels"),
+        ("1,2,-2e5,3,4,5,1", "100000 pixels"),
+        ("1000000000000000000,2,2,3,4,5,1", "frame"),
+        ("1,1e300,2,3,4,5,1", "id"),
+        ("1,2,2_0,3,4,5,1", "2_0"),
+        ("1,2,2,3,4,5,1,1e300,1", "class"),
+        ("1,1,2,3,4,5,1", "duplicate of id 1 in frame 1"),
     ],
 )
 def test_bad_lines(line: str, key_word: str, tmp_path: Path) -> None:
