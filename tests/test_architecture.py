@@ -104,3 +104,28 @@ def test_packages_neither_assert_nor_swallow_everything():
             if isinstance(node, ast.ExceptHandler) and node.type is None:
                 wrong.append(f"{path}:{node.lineno} bare except")
     assert wrong == []
+
+
+READS_YAML_OR_JSON = {
+    "track_range/foundation/structured_text.py": "the reader of all YAML and JSON files",
+    "track_range/foundation/folder_lock.py": "lock files of at most a few hundred bytes, which are ignored if damaged",
+    "detection/models/metadata.py": "Ultralytics writes class names as a Python literal; the size is limited",
+}
+"""Files that call a parser of YAML, JSON or Python literals, and the reason."""
+
+_PARSERS = {"yaml": {"load", "safe_load", "load_all", "parse"}, "json": {"load", "loads"}, "ast": {"literal_eval"}}
+
+
+def calls_parser(path):
+    """Whether a file calls a parser of YAML, JSON or Python literals."""
+    return any(
+        isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.attr in _PARSERS.get(node.value.id, ())
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    )
+
+
+def test_one_reader_of_yaml_and_json():
+    users = {str(path.relative_to(PROJECT)) for path in sources(*PACKAGES) if calls_parser(path)}
+    assert users == set(READS_YAML_OR_JSON)

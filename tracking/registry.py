@@ -17,6 +17,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from track_range.foundation.errors import UserError
+from track_range.foundation.input_files import quoted
 from track_range.tracking.tracker import Tracker, TrackerOptions
 from track_range.tracking.tracks import Tracks
 
@@ -85,7 +86,7 @@ def find_tracker(name: str) -> RegisteredTracker:
     points = [point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name == name]
     if not points and ":" not in name:
         known = ", ".join(tracker_names())
-        raise TrackerError(f"unknown tracker '{name}': expected {known}, or package.module:Class.")
+        raise TrackerError(f"unknown tracker {quoted(name)}: expected {known}, or package.module:Class.")
     if not points and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # an installed command does not search the current folder by itself
     factory = _imported(points[0].value if points else name)

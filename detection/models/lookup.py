@@ -88,7 +88,7 @@ def find_model(
     name = text.strip() if entry is None else entry.name
     folders: tuple[tuple[Path, Origin], ...] = ((packaged, "packaged"), (cache or models_folder(), "cached"))
     for folder, origin in folders:
-        if (model := folder / f"{name}.onnx").is_file():
+        if os.path.isfile(model := folder / f"{name}.onnx"):
             return ModelLocation(model, origin, entry)
     if entry is None:
         raise ModelError(_no_such_name(text, _names_in(folder for folder, _ in folders)))

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from track_range.detection.yolo.letterbox import Letterbox, Placement
 from track_range.foundation.arrays import Image
+from track_range.foundation.input_files import quoted
 
 Colours = Literal["rgb", "bgr"]
 
@@ -75,6 +76,8 @@ def placement_and_grey(text: object) -> tuple[Placement, int]:
     match = _LETTERBOX.fullmatch(str(text).strip().lower())
     grey = int(match[2] or 114) if match else 256
     if match is None or grey > 255:
-        raise ValueError(f"expected a letterbox such as {LETTERBOXES} (the number is the grey level), got '{text}'")
+        raise ValueError(
+            f"expected a letterbox such as {LETTERBOXES} (the number is the grey level), got {quoted(text)}"
+        )
     placement: Placement = next(value for value in get_args(Placement) if value == match[1])
     return placement, grey

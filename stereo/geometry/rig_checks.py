@@ -32,6 +32,9 @@ _FOCAL_PER_WIDTH = (0.1, 20.0)
 _ROTATION_TOLERANCE = 1e-3
 """Largest deviation of R^T R from the identity; calibration files have six digits or more."""
 
+_MAX_TRANSFORM = 1e6
+"""Largest magnitude of a number in a transform that is compared with the limits; larger ones overflow."""
+
 _CROPPED_PX = 2
 """Largest number of rows or columns that video codecs crop."""
 
@@ -76,8 +79,11 @@ def check_rig(rig: StereoRig, source: object) -> None:
     """
     check_camera(rig.left, f"{source}: left")
     check_camera(rig.right, f"{source}: right")
-    if not np.isfinite(rig.right_from_left).all():
-        raise RigError(f"{source}: expected finite numbers in right_from_left, found NaN or inf; calibrate again.")
+    if not np.abs(rig.right_from_left).max() <= _MAX_TRANSFORM:
+        raise RigError(
+            f"{source}: expected finite numbers up to {_MAX_TRANSFORM:g} in right_from_left, found others; calibrate "
+            "again."
+        )
     rotation = rig.right_from_left[:3, :3]
     deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if deviation > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:

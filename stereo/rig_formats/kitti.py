@@ -23,6 +23,9 @@ from track_range.stereo.rig_formats.rig_format import RigFormat
 
 _LINE = re.compile(r"^[ \t]*(P|S)(?:_rect_0)?([0-3])[ \t]*[: \t][ \t]*(.*)$", re.MULTILINE)
 
+_MAX_VALUE = 1e7
+"""Largest plausible magnitude of a number in a projection; NaN and larger numbers are rejected."""
+
 _COLOUR, _GREY = (2, 3), (0, 1)
 """Numbers of the left and right camera of each pair."""
 
@@ -81,7 +84,7 @@ def _matrix(values: str, name: str) -> FloatArray:
         raise RigError(f"{name}: expected 12 numbers, found {len(words)}; give the complete file.")
     matrix = matrix.reshape(3, 4)
     is_upper = matrix[1, 0] == matrix[2, 0] == matrix[2, 1] == 0 and matrix[2, 2] == 1
-    if not (is_upper and np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
+    if not (is_upper and np.abs(matrix).max() <= _MAX_VALUE and matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise RigError(
             f"{name}: expected a projection matrix K [I | t], found focal lengths of {matrix[0, 0]:g} and "
             f"{matrix[1, 1]:g} or another form; give the calibration of the rectified images."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +44,7 @@ def write_rig_text(path: Path, text: str) -> None:
     Raises:
         RigError: the path is a folder, or cannot be written.
     """
-    if path.is_dir():
+    if os.path.isdir(path):
         raise RigError(f"{path}: expected a file to write, found a folder; give a file name.")
     try:
         write_text(path, text)

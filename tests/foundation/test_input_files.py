@@ -1,6 +1,8 @@
 """Reading of regular files: what is refused before it is read, encodings, and lengths of values in messages."""
 
 import os
+import socket
+from pathlib import Path
 
 import pytest
 
@@ -91,3 +93,24 @@ def test_values_in_messages_are_short_and_printable():
     assert len(quoted("x" * 100)) == len(quoted(["x"] * 100)) == 60
     assert shortened("a\x07b") == "a?b"
     assert shortened("x" * 61) == "x" * 57 + "..."
+
+
+def test_names_that_no_file_can_have(tmp_path):
+    with pytest.raises(FileError, match="no file can have"):
+        read_text(tmp_path / "a\0b", FileError, "rows")
+    with pytest.raises(FileError, match="long"):
+        read_text(tmp_path / ("x" * 300), FileError, "rows")
+
+
+def test_socket(tmp_path):
+    path = Path(os.path.relpath(tmp_path / "s"))  # names of sockets have at most 108 characters
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+        with pytest.raises(FileError, match="socket"):
+            read_text(path, FileError, "rows")
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="no /proc")
+def test_size_limit_of_file_without_size():
+    with pytest.raises(FileError, match="at most 5"):
+        read_bytes(Path("/proc/self/stat"), FileError, "rows", max_bytes=5)

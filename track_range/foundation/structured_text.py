@@ -21,8 +21,8 @@ from track_range.foundation.input_files import MAX_TEXT_BYTES, quoted, read_text
 MAX_DEPTH = 32
 """Largest depth of nested lists and mappings."""
 
-MAX_YAML_VALUES = 50_000
-"""Largest number of keys and values of a YAML file, which takes a second to read; the names of 21,000 classes fit."""
+MAX_YAML_VALUES = 25_000
+"""Largest number of keys and values of a YAML file, which take half a second; 21,000 class names fit."""
 
 _MAX_DIGITS = 400
 """Largest number of characters of a number; float64 has at most 309 digits before the decimal point."""
@@ -180,7 +180,7 @@ def _check_events(text: str) -> None:
 def _is_deeper(value: object, depth: int) -> bool:
     """Whether lists and dicts are nested more than `depth` deep."""
     level = [value]
-    for _ in range(depth + 1):
+    for _ in range(depth):
         level = [
             part
             for item in level

@@ -53,7 +53,7 @@ def validated(model: type[_Model], content: Any, source: object, error: type[Exc
 def first_problem(error: ValidationError) -> tuple[str, str]:
     """Key of the first invalid value, such as "left.fx_px", and what was expected and found."""
     first = error.errors(include_url=False)[0]
-    key = shortened(".".join(str(part) for part in first["loc"] if part != "[key]"))
+    key = shortened(repr(".".join(str(part) for part in first["loc"] if part != "[key]"))[1:-1])
     kind, limits = first["type"], first.get("ctx", {})
     if kind == "missing":
         return key, "expected a value, found none"

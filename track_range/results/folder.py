@@ -200,7 +200,7 @@ def _checked_summary(folder: Path, summary: Sections, settings: Sections, missin
     Values of wrong types are omitted; missing files and omitted values are added to the notes.
     """
     files = _section(summary, "files")
-    absent = [name for name in files.values() if not _is_file(folder / str(name))]
+    absent = [name for name in files.values() if not os.path.isfile(folder / str(name))]
     missing += [f"{name} is missing and cannot be shown." for name in absent]
     detected = _section(settings, "found")
     camera = {key: detected[key] for key in ("focal_px", "baseline_m", "versions") if detected.get(key) is not None}
@@ -215,14 +215,6 @@ def _checked_summary(folder: Path, summary: Sections, settings: Sections, missin
             f"{', '.join(invalid[:_MOST_NAMED])}{more}."
         )
     return {**checked, "notes": [*missing, *(checked.get("notes") or [])]}
-
-
-def _is_file(path: Path) -> bool:
-    """Whether a file exists; False for names that no file can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or contains a null character
-        return False
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:

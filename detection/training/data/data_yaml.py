@@ -17,6 +17,7 @@ ignored, so that a detection there is neither a true nor a false positive.
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +25,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 
 from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
@@ -39,9 +40,24 @@ from track_range.detection.formats.labelled_images import (
 )
 from track_range.detection.formats.yolo_labels import YoloLabelReader, names_in
 from track_range.foundation.arrays import IntArray
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.structured_text import read_yaml
 from track_range.foundation.validation import validated
+
+_MAX_PATH = 1000
+"""Largest number of characters of a path in a data.yaml."""
+
+_MAX_SHOWN = 200
+"""Largest number of characters of a path in a message."""
+
+
+def _printable(path: str) -> str:
+    if not path.isprintable() or len(path) > _MAX_PATH:
+        raise ValueError(f"expected a path of at most {_MAX_PATH} printable characters, found {quoted(path)}")
+    return path
+
+
+_Path = Annotated[str, AfterValidator(_printable)]
 
 
 def _listed(entry: object) -> object:
@@ -54,21 +70,21 @@ def _listed(entry: object) -> object:
     return entries
 
 
-_Entries = Annotated[list[str], BeforeValidator(_listed)]
+_Entries = Annotated[list[_Path], BeforeValidator(_listed)]
 
 
 class _DataYaml(BaseModel):
     """Content of a data.yaml; test, nc and download are accepted for Ultralytics' files and not used."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    path: str = "."
+    path: _Path = "."
     train: _Entries
     val: _Entries
     names: Any = None
     format: Literal["yolo", "kitti"] = "yolo"
-    labels: str | None = None
-    manifest: str | None = None
-    labels_pseudo: str | None = None
+    labels: _Path | None = None
+    manifest: _Path | None = None
+    labels_pseudo: _Path | None = None
     test: Any = None
     nc: Any = None
     download: Any = None
@@ -200,10 +216,10 @@ class _Reader:
         """The images listed in a text file, with paths relative to the file or to the root."""
         text = read_text(file, LabelFileError, "a list of images", max_bytes=MAX_TABLE_BYTES)
         lines = [line.strip() for line in text.splitlines() if line.strip()]
-        paths = [file.parent / line if (file.parent / line).is_file() else self.root / line for line in lines]
-        missing = [line for line, path in zip(lines, paths, strict=True) if not path.is_file()]
+        paths = [file.parent / line if os.path.isfile(file.parent / line) else self.root / line for line in lines]
+        missing = [line for line, path in zip(lines, paths, strict=True) if not os.path.isfile(path)]
         if missing:
-            raise LabelFileError(f"{file}: {len(missing)} images do not exist; the first: {missing[0]}.")
+            raise LabelFileError(f"{file}: {len(missing)} images do not exist; the first: {shortened(missing[0])}.")
         listed = {path.resolve() for path in paths}
         folders = list(dict.fromkeys(path.parent for path in paths))
         items = [item for folder in folders for item in self._of(str(folder.absolute()), split)]
@@ -218,7 +234,7 @@ class _Reader:
             last = len(parts) - 1 - parts[::-1].index("images")
             parts[last] = "labels"
         folder = Path(*parts)
-        if not folder.is_dir():
+        if not os.path.isdir(folder):
             raise LabelFileError(
                 f"{folder}: expected a folder of labels, found none; specify it with 'labels:' in {self.path.name}."
             )
@@ -226,8 +242,8 @@ class _Reader:
 
     def _folder(self, entry: str) -> Path:
         folder = self.root / entry
-        if not folder.is_dir():
-            raise LabelFileError(f"{self.path}: expected a folder {folder}, found none.")
+        if not os.path.isdir(folder):
+            raise LabelFileError(f"{self.path}: expected a folder {shortened(str(folder), _MAX_SHOWN)}, found none.")
         return folder
 
 
