@@ -22,6 +22,7 @@ from benchmarks import (
     server,
     startup,
     stereo,
+    torture,
     tracking,
 )
 
@@ -41,6 +42,7 @@ WORKLOADS = {
     "recall": recall,
     "server": server,
     "startup": startup,
+    "torture": torture,
     "stereo": stereo,
 }
 """Module of each workload, with `add_options(parser)` and `measure(options) -> figures`, which prints its tables."""
