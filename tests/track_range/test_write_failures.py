@@ -336,9 +336,13 @@ def test_run_that_is_opened_only(tmp_path: Path, inputs: Callable[..., tr.Run]) 
 def test_folder_of_a_run_killed_while_opening(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
     ProgressNote("estimating the alignment", 4711, "2026-01-01 12:00:00+00:00").write(tmp_path)
     (tmp_path / "settings.yaml").write_text("of the killed run")
+    (tmp_path / ".4711.progress.json").write_text("{}")
+    (tmp_path / ".4711.notes.txt").write_text("precious")
     with pytest.raises(OutputError, match=r"4711.*killed while estimating the alignment"):
         report([tmp_path], None)
     run = inputs(tmp_path, overlay=False).open()
     assert "film.mp4" in (tmp_path / "settings.yaml").read_text()
     list(run)
     check_folder(tmp_path, N_FRAMES)
+    assert not (tmp_path / ".4711.progress.json").exists()
+    assert (tmp_path / ".4711.notes.txt").exists()
