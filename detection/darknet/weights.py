@@ -24,7 +24,7 @@ import numpy.typing as npt
 from track_range.detection.darknet.layers import Convolution, Network
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.arrays import FloatArray32
-from track_range.foundation.input_files import open_regular
+from track_range.foundation.input_files import open_regular, readable
 
 _EPSILON = 0.00001
 """Number added to the variance of batch norm, as in AlexeyAB's Darknet."""
@@ -61,7 +61,7 @@ def read_convolutions(path: Path, network: Network) -> Iterator[tuple[FloatArray
 
 def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
     """(n_expected,) the values after the header."""
-    with open_regular(path, ModelError, "Darknet weights") as file:
+    with open_regular(path, ModelError, "Darknet weights") as file, readable(path, ModelError):
         n_bytes = os.fstat(file.fileno()).st_size
         version = np.frombuffer(file.read(_VERSION_BYTES).ljust(_VERSION_BYTES, b"\0"), "<i4").tolist()
         header_bytes = _VERSION_BYTES + (8 if version[0] * 10 + version[1] >= 2 else 4)

@@ -174,9 +174,9 @@ def _fault(path: Path, lines: list[str]) -> LabelFileError:
             continue
         n_cells = n_cells or len(cells)
         invalid = next((cell for cell in cells if math.isnan(number(cell)) and "nan" not in cell.lower()), None)
-        found = f"{len(cells)} cells" if invalid is None else quoted(invalid.strip())
+        given = f"{len(cells)} cells" if invalid is None else quoted(invalid.strip())
         if invalid is not None or len(cells) != n_cells:
-            return LabelFileError(f"{path}, line {line}: expected {n_cells} numbers between commas, got {found}.")
+            return LabelFileError(f"{path}, line {line}: expected {n_cells} numbers between commas, got {given}.")
     return LabelFileError(f"{path}: expected rows of comma-separated numbers, all of the same length.")
 
 

@@ -37,7 +37,8 @@ def read_array(path: Path, error: type[Exception], expected: str) -> npt.NDArray
     with open_regular(path, error, expected, max_bytes=MAX_ARRAY_BYTES) as file:
         try:
             shape, dtype = _header(file)
-            n_announced, n_bytes = math.prod(shape) * dtype.itemsize, os.fstat(file.fileno()).st_size - file.tell()
+            n_announced = math.prod(shape) * dtype.itemsize
+            n_bytes = os.fstat(file.fileno()).st_size - file.seek(0, os.SEEK_CUR)
             if n_announced != n_bytes:
                 raise ValueError(f"the header announces {_count(n_announced)} bytes, found {n_bytes}")
             file.seek(0)

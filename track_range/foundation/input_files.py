@@ -9,6 +9,8 @@ import codecs
 import errno
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -65,6 +67,15 @@ def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes
     except BaseException:
         os.close(descriptor)
         raise
+
+
+@contextmanager
+def readable(path: Path, error: type[Exception]) -> Iterator[None]:
+    """Context in which the operating system's errors become an `error` that names the file."""
+    try:
+        yield
+    except OSError as reason:
+        raise error(f"{path}: cannot be read ({describe(reason)}).") from reason
 
 
 def check_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> None:
@@ -133,11 +144,11 @@ def _decoded(content: bytes, path: Path, error: type[Exception], expected: str, 
         index = content.find(b"\0")
         if index < 0:
             return text
-        found = "a null character"
+        problem = "a null character"
     except UnicodeDecodeError as reason:
-        index, found = reason.start, "a binary file or another encoding"
+        index, problem = reason.start, "a binary file or another encoding"
     line = content.count(b"\n", 0, index) + 1
-    raise error(f"{path}, line {line}: expected {expected} as text in UTF-8, found {found}.")
+    raise error(f"{path}, line {line}: expected {expected} as text in UTF-8, found {problem}.")
 
 
 def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception], expected: str) -> Exception:
