@@ -61,8 +61,9 @@ def _read(text: str, source: object) -> Calibration:
     notes = [f"{source}: using cam0 and cam1 of {len(content)} cameras."] if "cam2" in content else []
     second, second_from_first = _camera(content["cam1"], f"{source}: cam1")
     if second_from_first is None or not np.allclose(second_from_first[3], [0.0, 0.0, 0.0, 1.0]):
-        found = "none" if second_from_first is None else "another last row"
-        raise RigError(f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found {found}; {_HINT}.")
+        raise RigError(
+            f"{source}: cam1: expected 'T_cn_cnm1' with 0, 0, 0, 1 in the last row, found none or others; {_HINT}."
+        )
     if second_from_first[0, 3] > abs(second_from_first[1, 3]):
         notes.append(f"{source}: cam1 is to the left of cam0, so cam1 is used as the left camera.")
         return Calibration(second, first, _inverse(second_from_first), notes=tuple(notes))

@@ -156,7 +156,7 @@ def _check_events(text: str) -> None:
     """Check the syntax, the depth, and that there are no aliases and no tags of other types.
 
     Raises:
-        yaml.YAMLError: one of them is wrong; `problem` and `problem_mark` say what and where.
+        yaml.YAMLError: one of them is wrong; `problem` and `problem_mark` are the description and the place.
     """
     depth = n_values = 0
     for event in yaml.parse(text, _BaseLoader):
