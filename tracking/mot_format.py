@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.formats.detection_files import xyxy_from_mot
-from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
+from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
@@ -114,7 +114,7 @@ def _row(line: str, where: str) -> list[float]:
     if not 7 <= len(cells) <= 10:
         raise MotFormatError(f"{where}: expected 7 to 10 numbers between commas, found {len(cells)}.")
     row = numbers(cells)
-    if not np.isfinite(row).all():
+    if not all(map(math.isfinite, row)):
         cell = next(cell for cell, value in zip(cells, row, strict=True) if not math.isfinite(value))
         raise MotFormatError(f"{where}: expected finite numbers, found {quoted(cell)}.")
     if not _FIRST_FRAME <= row[0] <= MAX_FRAME + _FIRST_FRAME or row[0] % 1 or row[1] % 1 or abs(row[1]) > MAX_ID:
@@ -126,7 +126,7 @@ def _row(line: str, where: str) -> list[float]:
         raise MotFormatError(
             f"{where}: expected width and height >= 0, found {quoted(cells[4])} and {quoted(cells[5])}."
         )
-    if not are_plausible_boxes(np.array([row[2:6]])).all():
+    if max(map(abs, row[2:6])) > MAX_COORDINATE_PX:
         raise MotFormatError(
             f"{where}: expected a box of at most {MAX_COORDINATE_PX:g} pixels, found {shortened(','.join(cells[2:6]))}."
         )
