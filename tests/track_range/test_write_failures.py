@@ -16,7 +16,7 @@ import pytest
 import track_range as tr
 from tests.track_range.test_results import result, writing
 from track_range.foundation.errors import UserError
-from track_range.foundation.folder_lock import FolderLockError
+from track_range.foundation.folder_lock import FolderLockError, locked_folder
 from track_range.overlay.result_video import ResultVideo, VideoFormat
 from track_range.report.run_folders import report
 from track_range.results.csv_file import read_tracks_csv
@@ -298,7 +298,7 @@ def test_second_run_is_refused(tmp_path: Path, inputs: Callable[..., tr.Run]) ->
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
     list(frames)
     check_folder(tmp_path / "out", N_FRAMES)
-    list(second)
+    second.open().close()
     finished.write(tmp_path / "out")
     check_folder(tmp_path / "out", N_FRAMES)
 
@@ -346,3 +346,19 @@ def test_folder_of_a_run_killed_while_opening(tmp_path: Path, inputs: Callable[.
     check_folder(tmp_path, N_FRAMES)
     assert not (tmp_path / ".4711.progress.json").exists()
     assert (tmp_path / ".4711.notes.txt").exists()
+
+
+@pytest.mark.parametrize("command", ["simulate", "demo", "track"])
+def test_other_commands_lock_their_folder(tmp_path: Path, cli: Callable[..., Any], command: str) -> None:
+    out = tmp_path / "drive" if command == "demo" else tmp_path
+    out.mkdir(exist_ok=True)
+    options: tuple[Any, ...] = ("--out", tmp_path)
+    if command == "track":
+        boxes = tmp_path / "det.txt"
+        boxes.write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
+        options = (*options, boxes)
+    before = set(out.iterdir())
+    with locked_folder(out):
+        status, _, complaint = cli(command, *options)
+    assert (status, f"process {os.getpid()}" in complaint, complaint.count("\n")) == (1, True, 1), complaint
+    assert set(out.iterdir()) == before

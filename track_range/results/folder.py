@@ -115,8 +115,8 @@ def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     file = folder / "summary.json"
     if not file.exists():
         missing.append(
-            "summary.json is missing: the run was killed or is still in progress. Stage times, alignment and notes are "
-            "unknown; the other results are computed from tracks.csv."
+            f"summary.json is missing: {describe_progress(folder) or 'the run was killed'}. Stage times, alignment and "
+            "notes are unknown; the other results are computed from tracks.csv."
         )
         return None
     try:
