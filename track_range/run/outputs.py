@@ -72,7 +72,7 @@ class RunFolder:
         settings, recording, clock = session.settings, session.source, session.pipeline.clock
         earlier = [name for name in result_names() if name != PROGRESS_FILE]
         clear_results(folder, earlier, except_for=input_files(settings))
-        prepared.keep()
+        prepared.confirm()
         prepared.report(PROCESSING)
         save_settings(settings, folder / "settings.yaml", detected=session.detected())
         self._n_frames = 0

@@ -27,7 +27,7 @@ class PreparedFolder:
     """Output folder of a run, from the start of the run to its end.
 
     The folder is locked, and contains progress.json and, unless the folder has one of an earlier run, settings.yaml.
-    Results of an earlier run remain until `keep`, so that a run with unusable inputs does not remove them; such a run
+    Results of an earlier run remain until `confirm`, so that a run with unusable inputs does not remove them; such a run
     also removes what it created.
 
     Args:
@@ -82,7 +82,7 @@ class PreparedFolder:
             with suppress(OutputError):  # the note is not a result
                 self._note.with_state(PROCESSING, frames=n_frames).write(self.folder)
 
-    def keep(self) -> None:
+    def confirm(self) -> None:
         """Keep the folder and its files, except progress.json, after `close`: the inputs proved usable.
 
         Temporary files of runs that were killed are removed.
@@ -94,7 +94,7 @@ class PreparedFolder:
         self._files[:] = [self.folder / PROGRESS_FILE]
 
     def close(self) -> None:
-        """Remove the note and the lock and, without `keep`, all that was created; a second call does nothing."""
+        """Remove the note and the lock and, without `confirm`, all that was created; a second call does nothing."""
         self._close()
 
     def _is_of_killed_run(self) -> bool:
