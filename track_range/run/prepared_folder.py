@@ -27,8 +27,8 @@ class PreparedFolder:
     """Output folder of a run, from the start of the run to its end.
 
     The folder is locked, and contains progress.json and, unless the folder has one of an earlier run, settings.yaml.
-    Results of an earlier run remain until `confirm`, so that a run with unusable inputs does not remove them; such a run
-    also removes what it created.
+    Results of an earlier run remain until `confirm`, so that a run with unusable inputs does not remove them; such a
+    run also removes what it created.
 
     Args:
         settings: settings of the run.
