@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from tests.track_range.live_servers import cameras
-from track_range.results.csv_file import read_tracks_csv
+from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.rig_yaml import save_rig

@@ -14,7 +14,7 @@ from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods, registered
 from track_range.results.columns import column_names, methods_with_sigma
-from track_range.results.csv_file import read_tracks_csv
+from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, RunInfo

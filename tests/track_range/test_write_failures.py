@@ -19,10 +19,10 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.folder_lock import FolderLockError, locked_folder
 from track_range.overlay.result_video import ResultVideo, VideoFormat
 from track_range.report.run_folders import report
-from track_range.results.csv_file import read_tracks_csv
+from track_range.results.formats.csv_file import read_tracks_csv
+from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError
 from track_range.results.progress_note import ProgressNote, read_progress
-from track_range.results.row_file import RowFile
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, registered_writer
 from track_range.run.stage_clock import StageClock

@@ -21,7 +21,7 @@ from track_range.foundation.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.results.columns import Columns, column_names, methods_measured, no_rows
-from track_range.results.csv_file import read_tracks_csv
+from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
 from track_range.results.progress_note import describe_progress
 from track_range.results.summary import range_scores, track_scores

@@ -60,7 +60,7 @@ class ResultWriter(Protocol):
 
     `open` is called once, `write` for each frame, `close` once. An OSError is reported with the names of the files.
     Files should be readable after the program is killed: flush after each frame if the format allows it. If `write`
-    raises, the files should be as before; `track_range.results.row_file.RowFile` does both for text.
+    raises, the files should be as before; `track_range.results.formats.row_file.RowFile` does both for text.
 
     A method `discard_last()` is optional: it removes the last frame from the files. It is called if a later writer of
     the run, or the run itself, fails in the same frame, so that all files of a run end with the same frame.
@@ -89,8 +89,8 @@ WriterFactory = Callable[[], ResultWriter]
 """Function without arguments that returns a writer, usually its class."""
 
 _registered: dict[str, WriterFactory | str] = {
-    "csv": "track_range.results.csv_file:CsvWriter",
-    "mot": "track_range.results.mot_file:MotWriter",
+    "csv": "track_range.results.formats.csv_file:CsvWriter",
+    "mot": "track_range.results.formats.mot_file:MotWriter",
 }
 """Writers by name; a string "package.module:Class" is imported on first use."""
 

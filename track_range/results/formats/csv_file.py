@@ -12,8 +12,8 @@ import numpy as np
 
 from track_range.foundation.input_files import MAX_TABLE_BYTES, read_text
 from track_range.results.columns import Columns, result_columns
+from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError
-from track_range.results.row_file import RowFile
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 

@@ -1,0 +1,1 @@
+"""Result writers, one module per format, and the readers of their files."""
