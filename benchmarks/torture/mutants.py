@@ -57,7 +57,7 @@ def run_mutant(mutant: Mutant, *, seeds: Path, folder: Path) -> Case:
     end = run(kind.command, place)
     # a damaged file may be blamed on the file beside it that no longer fits, or on the folder of both
     names = (path.name, *(Path(file).name for file in kind.files), f"{path.parent.name}/", f"{path.parent.name}:")
-    faults = problems(end, names=names)
+    faults = problems(end, names=() if kind.has_paths else names)
     if not end.status and (place / "out/tracks.csv").exists():
         faults += result_problems(place / "out")
     case = Case(

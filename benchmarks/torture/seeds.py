@@ -43,12 +43,14 @@ class Kind:
         files: the files that are damaged, one in each case, from the folder of the seeds.
         mutations: what is done to their content.
         command: arguments of track-range that read the file, run in the folder of the seeds.
+        has_paths: whether the files contain paths of other files, which a message may name instead.
     """
 
     name: str
     files: tuple[str, ...]
     mutations: tuple[Mutation, ...]
     command: tuple[str, ...]
+    has_paths: bool = False
 
 
 _CHEAP = ("--no-overlay", "--lanes", "off", "--out", "out")
@@ -99,12 +101,14 @@ KINDS = (
     ),
     Kind(
         name="settings.yaml",
+        has_paths=True,
         files=("run/settings.yaml",),
         mutations=mutations.YAML,
         command=("--settings", "run/settings.yaml", "--out", "out"),
     ),
     Kind(
         name="data.yaml",
+        has_paths=True,
         files=("images/data.yaml",),
         mutations=mutations.YAML,
         command=("anchors", "--data", "images/data.yaml", "--clusters", "2", "--size", "64"),
@@ -123,6 +127,7 @@ KINDS = (
     ),
     Kind(
         name="manifest",
+        has_paths=True,
         files=("images/manifest.csv",),
         mutations=mutations.TABLE,
         command=(*_EVALUATION, "images/labels", "--manifest", "images/manifest.csv"),
@@ -210,14 +215,27 @@ KINDS = (
             "out.onnx",
         ),
     ),
-    Kind(name="ONNX", files=("net/net.onnx",), mutations=_ONNX, command=("models", "info", "net/net.onnx")),
+    Kind(
+        name="ONNX",
+        has_paths=True,
+        files=("net/net.onnx",),
+        mutations=_ONNX,
+        command=("models", "info", "net/net.onnx"),
+    ),
     Kind(
         name="ONNX of a run",
+        has_paths=True,
         files=("net/net.onnx",),
         mutations=_ONNX,
         command=(*_VIDEO, "--detector", "net/net.onnx", *_CHEAP),
     ),
-    Kind(name="--reid", files=("net/reid.onnx",), mutations=_ONNX, command=(*_MONO, "--reid", "net/reid.onnx")),
+    Kind(
+        name="--reid",
+        has_paths=True,
+        files=("net/reid.onnx",),
+        mutations=_ONNX,
+        command=(*_MONO, "--reid", "net/reid.onnx"),
+    ),
     Kind(name="mp4", files=("drive/left.mp4", "drive/right.mp4"), mutations=_BINARY, command=_STEREO),
     *(
         Kind(

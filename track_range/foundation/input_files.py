@@ -22,6 +22,9 @@ MAX_TEXT_BYTES = 1_000_000
 MAX_TABLE_BYTES = 2_000_000_000
 """Size limit, bytes, of tables with a row per object: labels, detections, tracks."""
 
+_BLOCK_BYTES = 1 << 20
+"""Size of the blocks in which files are read, bytes."""
+
 _MAX_QUOTED = 60
 """Largest number of characters of a value in a message."""
 
@@ -87,12 +90,23 @@ def read_bytes(path: Path, error: type[Exception], expected: str, *, max_bytes: 
     """Content of a regular file; see `open_regular` for the arguments and errors."""
     with open_regular(path, error, expected, max_bytes=max_bytes) as file:
         try:
-            content = file.read(max_bytes + 1)  # files in /proc have no size, and a file may grow
+            content = b"".join(_blocks(file, max_bytes))
         except OSError as reason:
             raise _unreadable(path, reason, error, expected) from reason
     if len(content) > max_bytes:
         raise _too_large(path, max_bytes, len(content), error, expected)
     return content
+
+
+def _blocks(file: BinaryIO, max_bytes: int) -> Iterator[bytes]:
+    """Blocks of a file up to more than `max_bytes`: files in /proc have no size, and a file may grow.
+
+    A single read of `max_bytes` would allocate as much, however small the file is.
+    """
+    n_bytes = 0
+    while n_bytes <= max_bytes and (block := file.read(_BLOCK_BYTES)):
+        n_bytes += len(block)
+        yield block
 
 
 def read_text(path: Path, error: type[Exception], expected: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
