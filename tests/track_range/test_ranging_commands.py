@@ -104,7 +104,7 @@ def test_packaged_curves_and_chosen_methods(cli, folders, tmp_path):
         (("--boxes", "rrc:nowhere"), 1, "DIR/Car"),
         (("--cross-validate", "--curves", "c.json"), 2, "--curves: "),
         (("--same-drive", "--cross-validate"), 2, "--same-drive"),
-        (("--curves", "none.json"), 1, "cannot be read"),
+        (("--curves", "none.json"), 1, "none.json: no such file"),
         (("--json", "no/such/folder/f.json"), 1, "cannot be written"),
     ],
 )
@@ -212,7 +212,7 @@ def test_only_classes_with_enough_boxes_are_fitted(cli, folders, tmp_path):
         (("--csv", "x"), 2, "--out"),
         (("--csv", "x", "--compare", "--curve", "spline"), 2, "--curve spline: "),
         (("--csv", "x", "--out", "c.json", "--curve", "cuboids"), 2, "3-D boxes"),
-        (("--csv", "none.csv", "--compare"), 1, "none.csv: cannot be read"),
+        (("--csv", "none.csv", "--compare"), 1, "none.csv: no such file"),
     ],
 )
 def test_invalid_usage_of_fit(cli, options, status, message):
