@@ -19,7 +19,12 @@ PROJECT = Path(__file__).resolve().parents[1]
 
 SOURCES = (
     *("track_range/simulation", "track_range/foundation", "track_range/video", "track_range/results/output_files.py"),
-    *("detection/classes.py", "detection/formats", "ranging/evaluation/box_surface.py"),
+    *(
+        "detection/classes.py",
+        "detection/formats/kitti.py",
+        "detection/formats/limits.py",
+        "ranging/evaluation/box_surface.py",
+    ),
     *("stereo/geometry", "stereo/rig_formats", "stereo/evaluation/kitti_2015.py"),
 )
 """What decides how a drive looks."""

@@ -14,6 +14,7 @@ from track_range.detection.formats.csv_labels import read_csv_labels
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.kitti import read_kitti, read_kitti_image
 from track_range.detection.formats.labelled_images import read_manifest
+from track_range.detection.formats.mot import read_mot
 from track_range.detection.formats.yolo_labels import YoloLabelReader
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.evaluation.truth import read_truth
@@ -23,7 +24,6 @@ from track_range.results.folder import read_run_rows
 from track_range.run.detector_options import class_names
 from track_range.sequences.find import find_sequences
 from track_range.stereo.geometry.camera import PinholeCamera
-from track_range.tracking.mot_format import read_mot
 
 KITTI = """\
 0 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1

@@ -21,8 +21,8 @@ from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou, share_inside
 from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.mot import MotRows
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.tracking.mot_format import MotRows
 from track_range.tracking.tracked_boxes import TrackedBoxes
 
 _MIN_IOU = 0.5

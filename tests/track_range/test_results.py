@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from track_range.detection.formats.mot import read_mot
 from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods, registered
@@ -21,7 +22,6 @@ from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
-from track_range.tracking.mot_format import read_mot
 from track_range.tracking.tracks import Tracks
 
 CONTRACT = (

@@ -15,6 +15,7 @@ import pytest
 
 import track_range as tr
 from tests.track_range.test_results import result, writing
+from track_range.detection.formats.mot import read_mot
 from track_range.foundation.errors import UserError
 from track_range.foundation.folder_lock import FolderLockError, locked_folder
 from track_range.overlay.result_video import ResultVideo, VideoFormat
@@ -26,7 +27,6 @@ from track_range.results.progress_note import ProgressNote, read_progress
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, registered_writer
 from track_range.run.stage_clock import StageClock
-from track_range.tracking.mot_format import read_mot
 from track_range.video.fragment_file import FragmentFile
 from track_range.video.frame import VideoError
 from track_range.video.reader import VideoReader

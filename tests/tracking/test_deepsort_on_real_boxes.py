@@ -8,11 +8,11 @@ import pytest
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.kitti import read_kitti
+from track_range.detection.formats.mot import MotRows, read_mot
 from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingScores, evaluate_tracks
 from track_range.tracking.history import PredictionGates
-from track_range.tracking.mot_format import MotRows, read_mot
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")

@@ -9,8 +9,8 @@ import motmetrics
 import numpy as np
 import pytest
 
+from track_range.detection.formats.mot import read_mot
 from track_range.tracking.evaluation import TrackingCounts
-from track_range.tracking.mot_format import read_mot
 from track_range.tracking.motmetrics_comparison import REASONS, motmetrics_figures
 from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import TrackedBoxes

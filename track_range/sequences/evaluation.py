@@ -12,6 +12,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.mot import read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.input_files import first_line
@@ -27,7 +28,6 @@ from track_range.sequences.find import (
 from track_range.sequences.settings import TrackEvaluationSettings, TruthFormat
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation import TrackingCounts
-from track_range.tracking.mot_format import read_mot
 from track_range.tracking.motmetrics_comparison import motmetrics_figures
 from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import TrackedBoxes

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.mot import mot_lines
 from track_range.results.output_files import write_text
 from track_range.sequences.find import KITTI_FOLDER, MOT_FOLDER
-from track_range.tracking.mot_format import mot_lines
 from track_range.tracking.tracks import Tracks
 
 _KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.numeric_text import numbers
-from track_range.tracking.tracks import Tracks
 
 _FIRST_PIXEL = 1  # `detection.formats.detection_files.xyxy_from_mot` is the inverse
 _FIRST_FRAME = 1
@@ -66,7 +66,26 @@ class MotRows:
         return len(self.frame)
 
 
-def mot_lines(tracks: Tracks, frame: int) -> list[str]:
+class TrackedBoxesOfFrame(Protocol):
+    """Boxes of one frame with identities, such as `tracking.tracks.Tracks`; see there for the attributes."""
+
+    @property
+    def track_id(self) -> IntArray:
+        """(N,) identity."""
+        ...
+
+    @property
+    def xyxy_px(self) -> FloatArray:
+        """(N, 4) box."""
+        ...
+
+    @property
+    def score(self) -> FloatArray:
+        """(N,) confidence."""
+        ...
+
+
+def mot_lines(tracks: TrackedBoxesOfFrame, frame: int) -> list[str]:
     """One line per track, with its newline: frame + 1,id,x,y,w,h,score,-1,-1,-1.
 
     `frame` counts from 0. Predicted boxes are written like observed ones: the format cannot distinguish them.

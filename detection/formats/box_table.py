@@ -1,0 +1,146 @@
+"""BoxTable: the boxes of one video with classes, identities and distances, for label files of every format.
+
+Boxes have track-range's convention: frames from 0, pixel centres at integers, outer edges of the box. The corner
+convention of COCO, CVAT and YOLO, where the left edge of the image is 0, is larger by half a pixel (`HALF_PIXEL_PX`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+
+HALF_PIXEL_PX = 0.5
+"""Coordinate in the corner convention minus the coordinate with pixel centres at integers."""
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFacts:
+    """Properties of the video that a label file belongs to; None = unknown.
+
+    Attributes:
+        name: name of the video or sequence; "" = unknown.
+        n_frames: number of frames.
+        size_px: (width, height) of its images.
+        fps: frame rate.
+        is_rectified: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
+        provenance: program version, model and so on of the boxes, by name, for the metadata of written files.
+    """
+
+    name: str = ""
+    n_frames: int | None = None
+    size_px: tuple[int, int] | None = None
+    fps: float | None = None
+    is_rectified: bool = False
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+
+NO_FACTS = VideoFacts()
+"""Facts about an unknown video."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoxTable:
+    """The N boxes of one video, sorted by frame, then by identity.
+
+    Attributes:
+        frame: (N,) int64 frame number from 0.
+        track_id: (N,) int64 identity from 0; -1 = no identity.
+        class_name: (N,) str class in the file, in lower case; "" = the format has no classes.
+        class_id: (N,) int64 road class; -1 = not a road class, or a region that is not evaluated.
+        xyxy_px: (N, 4) float64 box.
+        score: (N,) float64 confidence; NaN = unknown.
+        observed: (N,) bool, False where the box is predicted or interpolated.
+        distance_m: (N,) float64 z of the visible surface in the camera's frame; NaN = unknown.
+        sigma_m: (N,) float64 standard deviation of the distance; NaN = unknown.
+        location_m: (N, 3) float64 bottom centre of the object in the camera's frame; NaN = unknown.
+        video: the video.
+        notes: notes for the user about the file.
+    """
+
+    frame: IntArray
+    track_id: IntArray
+    class_name: npt.NDArray[np.str_]
+    class_id: IntArray
+    xyxy_px: FloatArray
+    score: FloatArray
+    observed: BoolArray
+    distance_m: FloatArray
+    sigma_m: FloatArray
+    location_m: FloatArray
+    video: VideoFacts = NO_FACTS
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.frame)
+        for name in _COLUMNS:
+            shape = {"xyxy_px": (n, 4), "location_m": (n, 3)}.get(name, (n,))
+            check_shape(name, getattr(self, name), shape)
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @classmethod
+    def of(
+        cls,
+        frame: npt.ArrayLike,
+        track_id: npt.ArrayLike,
+        class_name: Sequence[str],
+        xyxy_px: npt.ArrayLike,
+        *,
+        is_region: npt.ArrayLike | None = None,
+        score: npt.ArrayLike | None = None,
+        observed: npt.ArrayLike | None = None,
+        distance_m: npt.ArrayLike | None = None,
+        sigma_m: npt.ArrayLike | None = None,
+        location_m: npt.ArrayLike | None = None,
+        video: VideoFacts = NO_FACTS,
+        notes: Sequence[str] = (),
+    ) -> BoxTable:
+        """A table of arrays or lists with rows in any order; None = unknown, or True for `observed`.
+
+        Rows of `is_region` (N,) are regions that are not evaluated: they have neither a road class nor an identity.
+        """
+        frames = np.asarray(frame, np.int64).reshape(-1)
+        n = len(frames)
+        names = [name.strip().lower() for name in class_name]
+        region = np.zeros(n, np.bool_) if is_region is None else np.asarray(is_region, np.bool_).reshape(-1)
+        table = cls(
+            frame=frames,
+            track_id=np.where(region, -1, np.asarray(track_id, np.int64).reshape(-1)),
+            class_name=np.array(names, np.str_) if names else np.zeros(0, np.str_),
+            class_id=np.where(region, -1, map_to_road_classes(names)),
+            xyxy_px=np.asarray(xyxy_px, np.float64).reshape(-1, 4),
+            score=_floats(score, (n,)),
+            observed=np.ones(n, np.bool_) if observed is None else np.asarray(observed, np.bool_).reshape(-1),
+            distance_m=_floats(distance_m, (n,)),
+            sigma_m=_floats(sigma_m, (n,)),
+            location_m=_floats(location_m, (n, 3)),
+            video=video,
+            notes=tuple(notes),
+        )
+        return table.select(np.lexsort((table.track_id, table.frame)))
+
+    def select(self, rows: BoolArray | IntArray) -> BoxTable:
+        """The rows that a mask or an index array selects, in its order."""
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return replace(self, **columns)
+
+    def with_class(self, class_id: int) -> BoxTable:
+        """The table with a road class for the rows without a class name."""
+        is_empty = self.class_name == ""
+        names = np.where(is_empty, ROAD_CLASSES[class_id], self.class_name)
+        return replace(self, class_name=names, class_id=np.where(is_empty, class_id, self.class_id))
+
+
+_COLUMNS = tuple(column.name for column in fields(BoxTable) if column.name not in ("video", "notes"))
+
+
+def _floats(values: npt.ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
+    return np.full(shape, np.nan) if values is None else np.asarray(values, np.float64).reshape(shape)

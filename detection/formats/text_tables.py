@@ -1,0 +1,191 @@
+"""MOTChallenge, KITTI, label CSV, tracks.csv and tracks.parquet as `BoxTable`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from track_range.detection.boxes import are_valid_boxes
+from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.csv_labels import DONT_CARE, read_csv_labels
+from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
+from track_range.detection.formats.mot import read_mot
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.foundation.csv_tables import read_csv_table
+from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular, quoted
+
+# fmt: off
+_MOT_CLASSES: Mapping[int, str] = {
+    0: "", 1: "pedestrian", 2: "person on vehicle", 3: "car", 4: "bicycle", 5: "motorbike", 6: "non motorized vehicle",
+    7: "static person", 8: "distractor", 9: "occluder", 10: "occluder on the ground", 11: "occluder full",
+    12: "reflection", 13: "crowd",
+}
+# fmt: on
+"""Names of MOT16's and MOT20's class numbers (Milan et al., "MOT16", 2016, table 3); 0 = the file has no classes."""
+
+_UNKNOWN_M = -999.0
+"""KITTI's coordinates up to this value (-1000) are unknown."""
+
+_COLUMNS = ("frame", "track_id", "score", "observed", "x1_px", "y1_px", "x2_px", "y2_px")
+_DISTANCES = ("fused_m", "fused_sigma_m")
+
+
+def read_mot_table(path: Path, video: VideoFacts) -> BoxTable:
+    """The rows of a gt.txt, det.txt or result file of MOTChallenge; only ground truth since MOT16 has classes.
+
+    Rows of ground truth that are flagged as not evaluated (score 0) are regions.
+
+    Raises:
+        MotFormatError: the file cannot be read, or has an invalid row.
+    """
+    rows = read_mot(path)
+    is_truth = rows.mot_class > 0
+    return BoxTable.of(
+        rows.frame,
+        np.maximum(rows.track_id, -1),
+        [_MOT_CLASSES.get(number, f"class {number}") for number in rows.mot_class.tolist()],
+        rows.xyxy_px,
+        is_region=is_truth & (rows.score == 0),
+        score=np.where(is_truth | (rows.score == -1), np.nan, rows.score),
+        video=video,
+    )
+
+
+def read_kitti_table(path: Path, video: VideoFacts) -> BoxTable:
+    """The rows of KITTI tracking labels, of a result file, or of a folder of object files.
+
+    The distance is the z of the location where there is no 3-D box, as in result files of track-range; the surface of
+    a 3-D box has another distance (`ranging.evaluation.truth`).
+
+    Raises:
+        LabelFileError: the file or folder cannot be read, or has an invalid row.
+    """
+    labels = read_kitti(path)
+    is_region = labels.kitti_type == "DontCare"
+    is_known = labels.location_m > _UNKNOWN_M
+    location_m = np.where(is_known.all(axis=1, keepdims=True), labels.location_m, np.nan)
+    is_surface = is_known[:, 2] & ~labels.has_3d_box & ~is_region
+    return BoxTable.of(
+        labels.frame,
+        np.maximum(labels.track_id, -1),
+        [str(name) for name in labels.kitti_type],
+        labels.xyxy_px,
+        is_region=is_region,
+        score=labels.score,
+        distance_m=np.where(is_surface, labels.location_m[:, 2], np.nan),
+        location_m=location_m,
+        video=video,
+    )
+
+
+def read_csv_table_of_labels(path: Path, video: VideoFacts) -> BoxTable:
+    """The rows of a CSV of labels with distances (`csv_labels`).
+
+    Raises:
+        LabelFileError: the file cannot be read, or has an invalid row.
+    """
+    labels = read_csv_labels(path)
+    return BoxTable.of(
+        labels.frame,
+        labels.track_id,
+        [str(name) for name in labels.class_name],
+        labels.xyxy_px,
+        is_region=labels.class_name == DONT_CARE,
+        distance_m=labels.distance_m,
+        video=replace(video, is_rectified=True),
+    )
+
+
+def read_tracks_table(path: Path, video: VideoFacts) -> BoxTable:
+    """The rows of a run's tracks.csv; the distance is the fused one.
+
+    Raises:
+        LabelFileError: the file cannot be read, lacks a column, or has an invalid row.
+    """
+    table = read_csv_table(path, LabelFileError, f"columns {', '.join(_COLUMNS)}, class")
+    table.require((*_COLUMNS, "class"))
+    columns = {name: table.finite(name) for name in _COLUMNS}
+    columns |= {name: table.numbers(name) for name in _DISTANCES}
+    return _table_of_rows(path, columns, table.texts("class"), video)
+
+
+def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
+    """The rows of a run's tracks.parquet; the distance is the fused one.
+
+    Raises:
+        LabelFileError: the file cannot be read, lacks a column, or has an invalid row.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    check_regular(path, LabelFileError, "the tracks.parquet of a run", max_bytes=MAX_TABLE_BYTES)
+    try:
+        file = pq.ParquetFile(path)
+        names = file.schema_arrow.names
+        if missing := [name for name in (*_COLUMNS, "class") if name not in names]:
+            raise LabelFileError(
+                f"{path}: expected the tracks.parquet of a run, but columns are missing: {', '.join(missing)}."
+            )
+        table = file.read([name for name in (*_COLUMNS, *_DISTANCES, "class") if name in names])
+        columns = {
+            name: np.asarray(table.column(name).cast(pa.float64()).to_numpy(), np.float64)
+            for name in (*_COLUMNS, *_DISTANCES)
+            if name in table.column_names
+        }
+        classes = [str(name) for name in table.column("class").to_pylist()]
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise LabelFileError(f"{path}: expected the tracks.parquet of a run, found a damaged file.") from error
+    missing_m = {name: np.full(len(classes), np.nan) for name in _DISTANCES}
+    return _table_of_rows(path, missing_m | columns, classes, video)
+
+
+def _table_of_rows(
+    path: Path, columns: Mapping[str, FloatArray], classes: Sequence[str], video: VideoFacts
+) -> BoxTable:
+    boxes = np.stack([columns[name] for name in ("x1_px", "y1_px", "x2_px", "y2_px")], axis=1)
+    is_valid: BoolArray = are_valid_boxes(boxes) & are_plausible_boxes(boxes)
+    for name, lowest, highest in (("frame", 0, MAX_FRAME), ("track_id", 0, MAX_ID)):
+        values = columns[name]
+        is_integer = (values >= lowest) & (values <= highest) & (np.rint(values) == values)
+        for row in np.flatnonzero(~is_integer)[:1].tolist():
+            raise LabelFileError(f"{path}: expected an integer from {lowest} for {name}, got {quoted(values[row])}.")
+    rows = np.flatnonzero(is_valid)
+    n_ignored = len(is_valid) - len(rows)
+    table = BoxTable.of(
+        _integers(columns["frame"], rows),
+        _integers(columns["track_id"], rows),
+        [classes[row] for row in rows.tolist()],
+        boxes[rows],
+        score=columns["score"][rows],
+        observed=columns["observed"][rows] > 0,
+        distance_m=columns["fused_m"][rows],
+        sigma_m=columns["fused_sigma_m"][rows],
+        video=replace(video, is_rectified=True),
+        notes=(f"{path.name}: ignored {n_ignored} rows without a valid box.",) if n_ignored else (),
+    )
+    check_identities(table, path)
+    return table
+
+
+def _integers(values: FloatArray, rows: npt.NDArray[Any]) -> IntArray:
+    return np.asarray(values[rows], np.int64)
+
+
+def check_identities(table: BoxTable, path: Path) -> None:
+    """Check that no identity occurs twice in a frame.
+
+    Raises:
+        LabelFileError: one does.
+    """
+    is_same = (np.diff(table.frame) == 0) & (np.diff(table.track_id) == 0) & (table.track_id[1:] >= 0)
+    for row in np.flatnonzero(is_same)[:1].tolist():
+        raise LabelFileError(
+            f"{path}: expected each track id at most once per frame, got id {table.track_id[row]} twice in frame "
+            f"{table.frame[row]}."
+        )
