@@ -2,7 +2,7 @@
 
 frame results --> buffer --> record batches in one temporary file (Arrow IPC stream) --> pyarrow.Table, memory-mapped
 
-Only the buffer is held in memory, so that memory use does not grow over hours; a run with fewer rows than one batch
+Only the buffer is held in memory, so that memory use does not grow over hours; a run that is shorter than one batch
 writes no file. The file is deleted with the `RunTable`.
 """
 
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 ROWS_PER_BATCH = 8192
 """Rows per batch, a few MB: about a minute of video."""
+
+FRAMES_PER_BATCH = 512
+"""Largest number of frames per batch: the arrays of a frame take 5 kB, however few rows it has."""
 
 
 class RunTable:
@@ -63,7 +66,7 @@ class RunTable:
             return
         self._buffer.append([np.asarray(column.read(result)) for column in self.columns])
         self._n_buffered += len(result.tracks)
-        if self._n_buffered >= self._rows_per_batch:
+        if self._n_buffered >= self._rows_per_batch or len(self._buffer) >= FRAMES_PER_BATCH:
             try:
                 self._store(self._buffered())
             except BaseException:

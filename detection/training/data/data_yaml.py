@@ -136,9 +136,9 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
     Raises:
         LabelFileError, ImageFileError: the file, a folder or labels cannot be read or are invalid.
     """
+    content = _content(path)  # first, since `resolve` fails on a loop of links
     if path.resolve() in within:
         raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
-    content = _content(path)
     document = validated(_DataYaml, content, path, LabelFileError)
     names = _KITTI_NAMES if document.format == "kitti" else names_in(content, path)
     road = map_to_road_classes(names)
