@@ -5,6 +5,7 @@ rig.yaml                the cameras                 truth.txt        KITTI track
 ego_speed.csv           speed at the left frames    truth.csv        exact distances and more (`truth_table.py`)
 detections.txt          simulated detections in KITTI's format (`playback.py`)
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
+masks/, mask_ids/                                   optional: visible heads and number plates (`masks.py`)
 
 Frame numbers are those of the left file: dropped frames have no number and no ground truth.
 """
@@ -21,6 +22,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from track_range.detection.formats.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image
@@ -35,6 +37,7 @@ from track_range.simulation.camera.drive_files import (
 )
 from track_range.simulation.camera.faults import NO_FAULTS, Faults
 from track_range.simulation.camera.kitti_rows import kitti_text
+from track_range.simulation.camera.masks import MaskFolder
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.truth_table import HEADER, ego_speed_text, truth_rows
 from track_range.simulation.render.renderer import NOISE_GREY, Renderer, kitti_like_rig
@@ -66,6 +69,7 @@ class DriveOptions:
         faults: faults of the cameras.
         is_lossless: whether to write folders of PNGs instead of videos.
         has_disparity: whether to write pairs, disparities and objects in KITTI 2015's layout too.
+        has_masks: whether to write masks of heads and number plates too.
     """
 
     scenario: str = DEFAULT_SCENARIO
@@ -73,6 +77,7 @@ class DriveOptions:
     faults: Faults = NO_FAULTS
     is_lossless: bool = False
     has_disparity: bool = False
+    has_masks: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +144,12 @@ def write_drive(
     drive = Drive.in_folder(folder, is_lossless=options.is_lossless)
     save_rig(options.faults.rig_in_file(rig), drive.rig)
     times_s = np.arange(n_frames) / fps
-    recorder = _Recorder(renderer, times_s, folder if options.has_disparity else None)
+    recorder = _Recorder(
+        renderer,
+        times_s,
+        disparity_folder=folder if options.has_disparity else None,
+        masks=MaskFolder(folder, scene) if options.has_masks else None,
+    )
     camera = rig.left
     with (
         closing(image_writer(drive.left, camera, fps)) as left,
@@ -165,6 +175,7 @@ class _Frame:
     time_s: float
     left: Future[tuple[Image, FloatArray]] | None
     right: Future[Image] | None
+    part_labels: Future[npt.NDArray[np.uint16]] | None
 
 
 @dataclass(slots=True)
@@ -174,6 +185,7 @@ class _Recorder:
     renderer: Renderer
     times_s: FloatArray
     disparity_folder: Path | None
+    masks: MaskFolder | None
     labels: list[KittiLabels] = field(default_factory=list)
     rows: list[str] = field(default_factory=list)
 
@@ -197,6 +209,8 @@ class _Recorder:
             waiting.extend(islice(frames, 1))
             if frame.left is not None:
                 self._write_left(left, frame, *frame.left.result())
+            if frame.part_labels is not None and self.masks is not None:
+                self.masks.write(frame.part_labels.result())
             if frame.right is not None:
                 self._write_right(right, frame, frame.right.result())
             if progress is not None:
@@ -211,7 +225,9 @@ class _Recorder:
             left = pool.submit(renderer.render_with_depth, time_s) if number in kept_left else None
             right_s = time_s + faults.late_s
             right = pool.submit(renderer.render, right_s, side="right") if number in kept_right else None
-            yield _Frame(number, time_s, left, right)
+            has_masks = self.masks is not None and left is not None
+            part_labels = pool.submit(renderer.part_labels, time_s) if has_masks else None
+            yield _Frame(number, time_s, left, right, part_labels)
 
     def _write_left(self, writer: ImageWriter, frame: _Frame, image: Image, inverse_depth: FloatArray) -> None:
         writer.write(image, frame.time_s)

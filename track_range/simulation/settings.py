@@ -60,6 +60,14 @@ class SimulationSettings(Options):
             panel=_OUTPUT,
         ),
     ] = False
+    masks: Annotated[
+        bool,
+        option(
+            "Additional output of the visible heads and number plates in the left images, as PNG images (masks/, "
+            "mask_ids/).",
+            panel=_OUTPUT,
+        ),
+    ] = False
     images: Annotated[
         int | None,
         option(
@@ -164,7 +172,13 @@ class SimulationSettings(Options):
     def has_drive_options(self) -> bool:
         """Whether an option is given that applies only to drives."""
         given = (self.scenario, self.seconds, self.fps, self.rig, self.noise_grey)
-        return any(value is not None for value in given) or self.lossless or self.disparity or bool(self.faults)
+        return (
+            any(value is not None for value in given)
+            or self.lossless
+            or self.disparity
+            or self.masks
+            or bool(self.faults)
+        )
 
     @property
     def faults(self) -> dict[str, float | str]:

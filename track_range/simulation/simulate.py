@@ -83,6 +83,7 @@ def _drive(settings: SimulationSettings, progress: StepProgress) -> Simulated:
         faults=_faults(settings.faults),
         is_lossless=settings.lossless,
         has_disparity=settings.disparity,
+        has_masks=settings.masks,
     )
     rig, notes = (None, ()) if settings.rig is None else _rig(settings.rig)
     with locked_output(settings.out), progress("rendering") as advance:

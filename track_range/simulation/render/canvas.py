@@ -40,12 +40,14 @@ class Canvas:
         camera: the camera of the image.
         bgra: (H, W, 4) uint8 colours.
         inverse_depth: (H, W) 1/z in 1/m; 0 = nothing drawn.
+        labels: (H, W) label of the face that each sample shows (`FaceTable.label`); None = not drawn.
     """
 
-    def __init__(self, camera: PinholeCamera, store: TextureStore) -> None:
+    def __init__(self, camera: PinholeCamera, store: TextureStore, *, has_labels: bool = False) -> None:
         self.camera = camera
         self.bgra: Image = np.zeros((camera.height_px, camera.width_px, 4), np.uint8)
         self.inverse_depth: npt.NDArray[np.float32] = np.zeros((camera.height_px, camera.width_px), np.float32)
+        self.labels = np.zeros((camera.height_px, camera.width_px), np.uint16) if has_labels else None
         self._store = store
         self._columns, self._rows = np.arange(camera.width_px), np.arange(camera.height_px)
 
@@ -81,6 +83,7 @@ class Canvas:
         texels, sizes = pieces.texels[part].tolist(), pieces.size[part].tolist()
         windows, nearest = pieces.window_px[part].tolist(), pieces.nearest[part].tolist()
         planes, maps = pieces.inverse_depth[part].tolist(), pieces.texture_from_px[part]
+        labels = table.label[faces].tolist()
         for k, (left, top, right, bottom) in enumerate(windows):
             window = np.s_[top : bottom + 1, left : right + 1]
             if not is_shadow[k] and np.minimum.reduce(self.inverse_depth[window], axis=None) >= nearest[k]:
@@ -91,7 +94,7 @@ class Canvas:
             if is_shadow[k]:
                 self._shade(window, warped, self._plane(window, planes[k]))
             else:
-                self._cover(window, warped, self._plane(window, planes[k]))
+                self._cover(window, warped, self._plane(window, planes[k]), labels[k])
 
     def n_sky_rows(self) -> int:
         """Number of rows from the top down to the lowest pixel on which nothing was drawn."""
@@ -107,12 +110,14 @@ class Canvas:
         rows = (self._rows[window[0]] * plane[1] + plane[2]).astype(np.float32)
         return np.asarray(rows[:, None] + (self._columns[window[1]] * plane[0]).astype(np.float32))
 
-    def _cover(self, window: Slices, warped: Image, inverse_depth: npt.NDArray[np.float32]) -> None:
+    def _cover(self, window: Slices, warped: Image, inverse_depth: npt.NDArray[np.float32], label: int) -> None:
         """Draw the opaque samples that are nearer than those drawn before."""
         is_nearer = cv2.compare(inverse_depth, self.inverse_depth[window], cv2.CMP_GT)
         is_drawn = cv2.bitwise_and(is_nearer, (warped.view(np.uint32)[:, :, 0] >= _OPAQUE_BGRA).view(np.uint8))
         cv2.copyTo(inverse_depth, is_drawn, self.inverse_depth[window])
         cv2.copyTo(warped, is_drawn, self.bgra[window])
+        if self.labels is not None:
+            self.labels[window][is_drawn > 0] = label
 
     def _shade(self, window: Slices, darkness: Image, inverse_depth: npt.NDArray[np.float32]) -> None:
         """Darken the surface under a shadow, by the shadow's alpha."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,14 +17,18 @@ from track_range.simulation.world.faces import Face
 class Crowd:
     """Faces of many bodies, stored in the frame of each body.
 
+    The labels of faces are 2 n + part for body n (`faces.Part`: 1 head, 2 plate), and 0 for other faces.
+
     Args:
         bodies: the faces of each body.
         store: stores their textures.
     """
 
     def __init__(self, bodies: Sequence[Sequence[Face]], store: TextureStore) -> None:
-        self._faces = FaceTable.of([face for body in bodies for face in body], store)
+        faces = FaceTable.of([face for body in bodies for face in body], store)
         self._n_faces = np.array([len(body) for body in bodies], np.int64)
+        owner = np.repeat(np.arange(len(bodies)), self._n_faces)
+        self._faces = replace(faces, label=np.where(faces.label > 0, 2 * owner + faces.label, 0))
         self._first = np.cumsum(self._n_faces) - self._n_faces
 
     def draw(

@@ -22,6 +22,7 @@ class FaceTable:
         texels: (F, 2) rows and columns of the textures.
         two_sided: (F,) whether the back is visible too.
         is_shadow: (F,) whether the face is a shadow.
+        label: (F,) what the masks show at the face: its `Part`, or a number of part and road user (`Crowd`).
     """
 
     corner: FloatArray
@@ -31,6 +32,7 @@ class FaceTable:
     texels: IntArray
     two_sided: BoolArray
     is_shadow: BoolArray
+    label: IntArray
 
     def __len__(self) -> int:
         return len(self.corner)
@@ -47,6 +49,7 @@ class FaceTable:
             np.array([picture.shape[:2] for picture in pictures], np.int64).reshape(-1, 2),
             np.array([face.two_sided for face in faces], np.bool_),
             np.array([face.is_shadow for face in faces], np.bool_),
+            np.array([face.part for face in faces], np.int64),
         )
 
     def select(self, rows: IntArray | BoolArray) -> FaceTable:

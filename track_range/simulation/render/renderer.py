@@ -107,6 +107,11 @@ class Renderer:
         canvas = self._drawn(time_s, "left")
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth)
 
+    def part_labels(self, time_s: float) -> npt.NDArray[np.uint16]:
+        """(2 H, 2 W) visible heads and plates of the left image's samples: 2 n + part for road user n, 0 = neither."""
+        labels = self._drawn(time_s, "left", has_labels=True).labels
+        return np.zeros((0, 0), np.uint16) if labels is None else labels
+
     def depth_m(self, time_s: float, *, side: Side = "left") -> FloatArray:
         """(H, W) exact depth of each pixel, from the mean of 1/z over its samples; NaN = sky."""
         inverse = self._in_pixels(self._drawn(time_s, side))
@@ -142,10 +147,10 @@ class Renderer:
             image = with_rain(image, self.rig, drops_seed, rain=self.faults.rain, is_right=is_right)
         return self._with_noise(self.faults.apply(image, is_right=is_right), time_s, side)
 
-    def _drawn(self, time_s: float, side: Side) -> Canvas:
+    def _drawn(self, time_s: float, side: Side, *, has_labels: bool = False) -> Canvas:
         """The canvas with the street, the road users and the sky."""
         pose = self.scene.pose(time_s)
-        canvas = Canvas(self._cameras[side], self._store)
+        canvas = Canvas(self._cameras[side], self._store, has_labels=has_labels)
         shift_m = np.array([-self.rig.baseline_m if side == "right" else 0.0, 0.0, 0.0])
         rotation = pose.camera_from_world
         street = self._street.faces(self.scene.ego_z_m(time_s))

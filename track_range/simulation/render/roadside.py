@@ -61,7 +61,9 @@ class Roadside:
         along[:, 0] = 1.3 * reach
         one_sided, texels = np.zeros(len(numbers), np.bool_), np.tile(_leaf_shadow().shape, (len(numbers), 1))
         texture = np.full(len(numbers), self._shade)
-        return FaceTable(far - along / 2 + above, along, near - far, texture, texels, one_sided, ~one_sided)
+        return FaceTable(
+            far - along / 2 + above, along, near - far, texture, texels, one_sided, ~one_sided, 0 * texture
+        )
 
     def lamp_heads_m(self, ego_z_m: float) -> FloatArray:
         """(N, 3) positions of the lamp heads in world axes."""
@@ -91,7 +93,16 @@ class Roadside:
         along[:, 0], down[:, 1] = size_m[:, 0], size_m[:, 1]
         flat = np.zeros(len(numbers), np.bool_)
         texels = np.tile(np.array(self._texels[row.kind], np.int64), (len(numbers), 1))
-        return FaceTable(foot - along / 2 - down, along, down, self._numbers[row.kind][which], texels, flat, flat)
+        return FaceTable(
+            foot - along / 2 - down,
+            along,
+            down,
+            self._numbers[row.kind][which],
+            texels,
+            flat,
+            flat,
+            np.zeros(len(foot), np.int64),
+        )
 
 
 def _numbers(row: Row, ego_z_m: float) -> IntArray:

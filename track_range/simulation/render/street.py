@@ -108,6 +108,7 @@ class Street:
             self._texels[rows].reshape(-1, 2),
             np.tile(np.arange(3 + n_rails) >= 3, len(visible)),
             np.zeros((3 + n_rails) * len(visible), np.bool_),
+            np.zeros((3 + n_rails) * len(visible), np.int64),
         )
         return joined_tables([table, *self._roadside.faces(ego_z_m)])
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.simulation.world.faces import Colour, Face, Vector, coloured_face, shaded
-from track_range.simulation.world.painting import SEAM, clip, fill, number_plate, pane, polygon, shade_rows, wheel
+from track_range.simulation.world.painting import SEAM, clip, fill, pane, polygon, shade_rows, wheel
+from track_range.simulation.world.plates import with_plate
 from track_range.simulation.world.shadows import shadow
 
 PAINTS: tuple[Colour, ...] = (
@@ -52,6 +53,10 @@ WHEEL_M = 0.32
 
 BACK_CHAMFER_M, FRONT_CHAMFER_M = (0.18, 0.15), (0.34, 0.25)
 """Size of the chamfers of the corners, seen from above: along, across."""
+
+
+BACK_PLATE, FRONT_PLATE = (0.33, 0.27, 0.67, 0.39), (0.34, 0.42, 0.66, 0.54)
+"""Number plates, as fractions of the flat part of the back and front."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +100,8 @@ def _hull(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], buil
         end, sign = (x, 1) if is_front else (-x, -1)
         inner = z - wide
         flat: tuple[Vector, Vector] = ((end, -top, -sign * inner), (0, 0, sign * 2 * inner))
-        faces.append(_end_face(rng, flat, top, shaded(paint, 0.88 if is_front else 0.94), is_front=is_front))
+        end_face = _end_face(rng, flat, top, shaded(paint, 0.88 if is_front else 0.94), is_front=is_front)
+        faces += with_plate(end_face, FRONT_PLATE if is_front else BACK_PLATE)
         for side in (1, -1):
             at_end, at_side = (end, -top, side * inner), (end - sign * deep, -top, side * z)
             first, second = (at_end, at_side) if side * sign > 0 else (at_side, at_end)
@@ -118,14 +124,12 @@ def _end_face(
         for row in (0.15, 0.2, 0.25):
             fill(picture, (0.25, row, 0.75, row + 0.012), (120, 122, 122))
         fill(picture, (0.12, 0.60, 0.88, 0.76), TRIM)
-        number_plate(picture, (0.34, 0.42, 0.66, 0.54))
         for left in (0.0, 0.82):
             polygon(picture, [(left, 0.12), (left + 0.18, 0.12), (left + 0.18, 0.30), (left, 0.30)], LAMP_WHITE)
             fill(picture, (left + 0.05, 0.16, left + 0.13, 0.27), (150, 156, 158))
     else:
         fill(picture, (0.0, 0.035, 1.0, 0.055), SEAM)
         fill(picture, (0.0, 0.50, 1.0, 0.515), SEAM)
-        number_plate(picture, (0.33, 0.27, 0.67, 0.39))
         for left in (0.0, 0.83):
             fill(picture, (left, 0.10, left + 0.17, 0.36), LAMP_RED)
             fill(picture, (left + 0.04, 0.26, left + 0.13, 0.31), (200, 205, 215))

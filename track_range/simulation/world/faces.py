@@ -8,7 +8,8 @@ points right and `down` points down, so that along x down points away from the v
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import IntEnum
 from types import MappingProxyType
 
 import numpy as np
@@ -36,6 +37,14 @@ LIGHT_MEAN, LIGHT_ALONG, LIGHT_DOWN, LIGHT_LEFT = 0.92, -0.02, -0.28, -0.2
 """Brightness of a slanted side: the mean, and what its outward normal's x, y and z add; similar to `SUN`."""
 
 
+class Part(IntEnum):
+    """Part of a road user by which a person can be identified; the values are those of the masks."""
+
+    NONE = 0
+    HEAD = 1
+    PLATE = 2
+
+
 @dataclass(frozen=True, slots=True)
 class Face:
     """A textured parallelogram.
@@ -47,6 +56,7 @@ class Face:
         texture: (h, w, 4) uint8 BGRA.
         two_sided: whether the back is visible too.
         is_shadow: whether it only darkens, by its alpha, the surface under it.
+        part: whether it belongs to a head or a number plate.
     """
 
     corner: FloatArray
@@ -55,15 +65,16 @@ class Face:
     texture: Image
     two_sided: bool = False
     is_shadow: bool = False
+    part: Part = Part.NONE
 
     def rotated(self, rotation: FloatArray) -> Face:
         """The face rotated by (3, 3)."""
         corner, along, down = rotation @ self.corner, rotation @ self.along, rotation @ self.down
-        return Face(corner, along, down, self.texture, self.two_sided, self.is_shadow)
+        return replace(self, corner=corner, along=along, down=down)
 
     def moved(self, by_m: FloatArray) -> Face:
         """The face translated by (3,)."""
-        return Face(self.corner + by_m, self.along, self.down, self.texture, self.two_sided, self.is_shadow)
+        return replace(self, corner=self.corner + by_m)
 
 
 def coloured_face(

@@ -12,6 +12,7 @@ from track_range.simulation.world.faces import (
     Colour,
     Extent,
     Face,
+    Part,
     Vector,
     block,
     coloured_face,
@@ -21,6 +22,7 @@ from track_range.simulation.world.faces import (
     ring,
     rings_across,
 )
+from track_range.simulation.world.plates import plate_face
 from track_range.simulation.world.shadows import shadow
 from track_range.simulation.world.textures import RUBBER_BGR, cut_outside, paint_box, paint_wheel
 
@@ -169,11 +171,13 @@ def _head(
     tall, wide = high - low, 1.0 if helmet is None else 1.1
     hair = _random_colour(rng, HAIR) if helmet is None else helmet
     shoulders = ring((x - 0.02, low - 0.03, 0.0), (0.058, 0.058), n_sides=6)
-    faces = loft(rng, shoulders, ring((x - 0.01, low + 0.3 * tall, 0.0), (0.052, 0.052), n_sides=6), skin)
+    neck = loft(rng, shoulders, ring((x - 0.01, low + 0.3 * tall, 0.0), (0.052, 0.052), n_sides=6), skin)
     rings = [ring((x, low + share * tall, 0.0), (wide * rx, wide * rz)) for share, rx, rz in HEAD]
+    head = []
     for (under, over), bare in zip(pairwise(rings), BARE_SIDES, strict=True):
-        faces += loft(rng, under, over, hair, contrast=4.0, others=dict.fromkeys(bare, skin))
-    return [*faces, lid(rng, rings[-1], hair, contrast=4.0)]
+        head += loft(rng, under, over, hair, contrast=4.0, others=dict.fromkeys(bare, skin))
+    head.append(lid(rng, rings[-1], hair, contrast=4.0))
+    return [*neck, *(replace(face, part=Part.HEAD) for face in head)]
 
 
 def _bicycle_wheel(rng: np.random.Generator, centre_x: float, radius: float) -> list[Face]:
@@ -224,8 +228,9 @@ def motorcyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float
         *prism(rng, (0.0, 0.5, 0.62 * height, 0.72 * height, -0.85 * z, -0.6 * z), jacket, contrast=8.0),
         *prism(rng, (-0.15, 0.35, 0.25, seat, 0.3 * z, 0.6 * z), (52, 48, 46), contrast=8.0),
         *prism(rng, (-0.15, 0.35, 0.25, seat, -0.6 * z, -0.3 * z), (52, 48, 46), contrast=8.0),
-        *prism(rng, (-0.05, 0.24, neck, height, -0.14, 0.14), helmet, contrast=6.0),
     ]
+    head = prism(rng, (-0.05, 0.24, neck, height, -0.14, 0.14), helmet, contrast=6.0)
+    faces += [replace(face, part=Part.HEAD) for face in head]
     for centre in (-x + radius, x - radius):
         faces += _wheel(rng, centre, radius, half_width=0.07)
     body = block(rng, (-0.8 * x, 0.7 * x, 0.32, seat, -0.15, 0.15), paint, contrast=6.0)
@@ -233,4 +238,5 @@ def motorcyclist(rng: np.random.Generator, size_hwl_m: tuple[float, float, float
     fairing = block(rng, (0.45 * x, 0.75 * x, 0.55, 0.68 * height, -0.24, 0.24), paint, contrast=6.0)
     paint_box(fairing["front"].texture, (0.2, 0.3, 0.8, 0.8), (235, 240, 240))
     mirrors = block(rng, (0.35, 0.4, 0.66 * height, 0.68 * height, -z, z), (30, 30, 30))
-    return [shadow(size_hwl_m), *faces, *body.values(), *fairing.values(), *mirrors.values()]
+    plate = plate_face(rng, ((-0.95 * x, -0.80, 0.10), (0.0, 0.0, -0.20), (0.0, 0.15, 0.0)))
+    return [shadow(size_hwl_m), *faces, *body.values(), *fairing.values(), *mirrors.values(), plate]

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from track_range.simulation.world.faces import Colour, Extent, Face, block
-from track_range.simulation.world.painting import SEAM, clip, fill, number_plate, pane, shade_rows, wheel
+from track_range.simulation.world.painting import SEAM, clip, fill, pane, shade_rows, wheel
+from track_range.simulation.world.plates import with_plate
 from track_range.simulation.world.shadows import shadow
 
 VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
@@ -36,7 +37,6 @@ def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
     bonnet = _painted(rng, (bonnet_x, x, 0, 0.56 * height, -z, z), paint, sides=("front", "left", "right", "top"))
     _panes(box["back"], (0.09, 0.10, 0.47, 0.40), (0.53, 0.10, 0.91, 0.40))
     fill(box["back"].texture, (0.495, 0.05, 0.505, 0.86), SEAM)
-    number_plate(box["back"].texture, (0.36, 0.62, 0.64, 0.68))
     _panes(box["left"], (0.03, 0.1, 0.28, 0.4))
     _panes(box["right"], (0.72, 0.1, 0.97, 0.4))
     for face, seam in ((box["left"], 0.3), (box["right"], 0.7)):
@@ -45,14 +45,15 @@ def van(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
     _lamps(box["back"], (0.44, 0.66), LAMP_RED, 0.09)
     _lamps(bonnet["front"], (0.16, 0.34), LAMP_WHITE, 0.2)
     fill(bonnet["front"].texture, (0.25, 0.18, 0.75, 0.36), (30, 30, 32))
-    number_plate(bonnet["front"].texture, (0.36, 0.56, 0.64, 0.66))
     _on_wheels(box["left"], 0.34, (0.8,))
     _on_wheels(box["right"], 0.34, (0.2,))
     _on_wheels(bonnet["left"], 0.34, (0.6,))
     _on_wheels(bonnet["right"], 0.34, (0.4,))
     for face in (box["back"], bonnet["front"]):
         _on_tyres(face)
-    return [shadow(size_hwl_m), *box.values(), *bonnet.values()]
+    _, back_plate = with_plate(box["back"], (0.36, 0.62, 0.64, 0.68))
+    _, front_plate = with_plate(bonnet["front"], (0.36, 0.56, 0.64, 0.66))
+    return [shadow(size_hwl_m), *box.values(), *bonnet.values(), back_plate, front_plate]
 
 
 def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
@@ -77,14 +78,15 @@ def truck(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> l
         fill(back, (left, 0.03, left + 0.012, 0.97), (70, 70, 72))
     fill(back, (0.0, 0.96, 1.0, 1.0), (60, 60, 62))
     _lamps(frame["back"], (0.15, 0.34), LAMP_RED, 0.16)
-    number_plate(frame["back"].texture, (0.4, 0.15, 0.6, 0.3))
     _on_tyres(frame["back"], sill_m=0.55)
     fill(cab["front"].texture, (0.06, 0.08, 0.94, 0.44), SEAM)
     _panes(cab["front"], (0.08, 0.1, 0.92, 0.42))
     fill(cab["front"].texture, (0.16, 0.52, 0.84, 0.70), (34, 34, 36))
     _lamps(cab["front"], (0.72, 0.80), LAMP_WHITE, 0.16)
     _on_tyres(cab["front"])
-    return [shadow(size_hwl_m), *cargo.values(), *frame.values(), *cab.values()]
+    _, back_plate = with_plate(frame["back"], (0.4, 0.15, 0.6, 0.3))
+    _, front_plate = with_plate(cab["front"], (0.4, 0.825, 0.6, 0.87))
+    return [shadow(size_hwl_m), *cargo.values(), *frame.values(), *cab.values(), back_plate, front_plate]
 
 
 def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
@@ -106,12 +108,13 @@ def bus(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> lis
         _panes(face, (0.06, 0.15, 0.94, low))
         _on_tyres(face)
     fill(hull["back"].texture, (0.2, 0.55, 0.8, 0.78), tuple(0.8 * channel for channel in paint))
-    number_plate(hull["back"].texture, (0.4, 0.80, 0.6, 0.85))
     _lamps(hull["back"], (0.60, 0.72), LAMP_RED, 0.1)
     _lamps(hull["front"], (0.74, 0.80), LAMP_WHITE, 0.16)
     _on_wheels(hull["left"], 0.48, (0.24, 0.72))
     _on_wheels(hull["right"], 0.48, (0.28, 0.76))
-    return [shadow(size_hwl_m), *hull.values()]
+    _, back_plate = with_plate(hull["back"], (0.4, 0.80, 0.6, 0.85))
+    _, front_plate = with_plate(hull["front"], (0.4, 0.835, 0.6, 0.88))
+    return [shadow(size_hwl_m), *hull.values(), back_plate, front_plate]
 
 
 def _chosen(rng: np.random.Generator, paints: tuple[Colour, ...]) -> Colour:
