@@ -59,7 +59,8 @@ class SimulatedDrive:
 
     def _frame(self, index: int) -> Frame:
         time_s = float(self.times_s[index])
-        return Frame(index, time_s, *(self.renderer.render(time_s, side=side) for side in ("left", "right")))
+        left, right = (self.renderer.render(time_s, side=side) for side in ("left", "right"))
+        return Frame(index, time_s, left, right)
 
     def lane_px(self, y_px: FloatArray) -> FloatArray:
         """(F, 2, K) columns of the left and right edge of the ego lane in rows (K,), by frame; NaN = not visible."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -38,9 +39,11 @@ class Frame:
         left: (H, W, 3) uint8 BGR, rectified (one camera: undistorted).
         right: rectified right image of equal size, in colour or grey, possibly computed only where it is read
             (`whole_image` gives all of it); None for one camera.
+        utc_s: time of the frame in seconds since 1970-01-01 00:00 UTC; NaN = unknown.
     """
 
     index: int
     time_s: float
     left: Image
     right: ImageView | None
+    utc_s: float = math.nan

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
+from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ranges import Ranges
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.truth import boxes_px
@@ -25,6 +27,7 @@ def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterab
         frame_index: numbers of all frames of the run, in order.
         methods: names of the distances that were measured.
     """
+    utc_s = columns.get("utc", np.full(len(columns["frame"]), np.nan))  # files of earlier versions have none
     measured = [name for name in methods_with_sigma() if name in set(methods)]
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
@@ -34,7 +37,7 @@ def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterab
         rows = slice(first, last)
         ids = track_id[rows]
         yield FrameResult(
-            frame=Frame(index, float(columns["time_s"][first]) if last > first else float("nan"), _NO_IMAGE, None),
+            frame=_frame(index, columns["time_s"][rows], utc_s[rows]),
             tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
             ranges={
                 name: Ranges(ids, columns[f"{name}_m"][rows], columns[f"{name}_sigma_m"][rows]) for name in measured
@@ -45,3 +48,10 @@ def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterab
             ttc_sigma_s=columns["ttc_sigma_s"][rows],
             xyz_m=np.stack([columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1),
         )
+
+
+def _frame(index: int, time_s: FloatArray, utc_s: FloatArray) -> Frame:
+    """A frame without image; its times are those of its rows, NaN if there are none."""
+    if not len(time_s):
+        return Frame(index, math.nan, _NO_IMAGE, None)
+    return Frame(index, float(time_s[0]), _NO_IMAGE, None, float(utc_s[0]))

@@ -44,6 +44,12 @@ class _Alignment(_Figures):
     is_applied: Any = None
 
 
+class _Utc(_Section):
+    start: Text = None
+    source: Text = None
+    uncertainty_s: Figure = None
+
+
 class _LearntScale(_Figures):
     n_tracks: Annotated[float, Field(strict=True)]
     baseline_m: Annotated[float, Field(strict=True)]
@@ -54,6 +60,7 @@ class _LearntScale(_Figures):
 class _Summary(_Section):
     frames: Figure = None
     starts_s: Figure = None
+    utc: _Utc | None = None
     wall_s: Figure = None
     frames_per_s: Figure = None
     focal_px: Figure = None

@@ -47,12 +47,14 @@ class RunInfo:
         rig: rectified stereo rig; None = one camera, or an uncalibrated pair.
         fps: nominal frame rate.
         settings: section `run` of settings.yaml.
+        start_utc_s: UTC of time_s = 0, in seconds since 1970; None = unknown.
     """
 
     camera: PinholeCamera
     rig: StereoRig | None
     fps: float
     settings: Mapping[str, Any]
+    start_utc_s: float | None = None
 
 
 class ResultWriter(Protocol):

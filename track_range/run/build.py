@@ -33,6 +33,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> R
         start_s=settings.start_s,
         duration_s=settings.duration_s,
         folder_fps=settings.folder_fps,
+        start_utc=settings.start_utc,
         progress=progress,
     )
 

@@ -59,6 +59,11 @@ class FrameResult:
         """Seconds from the first frame of the video."""
         return self.frame.time_s
 
+    @property
+    def utc_s(self) -> float:
+        """Seconds since 1970-01-01 00:00 UTC; NaN = unknown."""
+        return self.frame.utc_s
+
     def may_hit(self, row: int) -> bool:
         """False if the track in this row is known to pass by the camera without a collision."""
         return self.misses is None or bool(self.misses.may_hit[row])

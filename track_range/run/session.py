@@ -85,6 +85,7 @@ class RunSession:
             rig=self.source.rig,
             fps=self.source.fps,
             settings=absolute_settings(self.settings),
+            start_utc_s=None if self.source.utc is None else self.source.utc.start_s,
         )
 
     @property
@@ -134,6 +135,7 @@ class RunSession:
         return {
             "frames": n_frames,
             "starts_s": round(self.starts_s, 6),
+            "utc": None if source.utc is None else source.utc.summary(),
             "wall_s": round(self.wall_s, 3),
             "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
             "stages_ms": stage_times_ms(self.pipeline.clock.busy_s, n_frames),

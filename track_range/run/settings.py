@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -27,6 +28,7 @@ from track_range.run.detector_fields import (
 )
 from track_range.run.tracker_fields import reid_option, tracker_option
 from track_range.video.live.address import LiveAddress, live_address
+from track_range.video.utc import parsed_utc
 
 VideoName = Path | LiveAddress
 """A video file or folder of images, or a camera or stream."""
@@ -118,6 +120,15 @@ class RunSettings(Options):
             "Frame rate of folders of images, which have no timestamps.", metavar="FPS", panel=_INPUT, ge=0.01, le=1000
         ),
     ] = 10.0
+    start_utc: Annotated[
+        str | None,
+        option(
+            "Date and time (UTC) of the video's first frame, for the column utc (default: from the video's header, its "
+            "name or its timestamps, where they state it).",
+            metavar="2026-01-31T14:25:30Z",
+            panel=_INPUT,
+        ),
+    ] = None
     ego_speed: Annotated[
         str | None,
         option(
@@ -296,6 +307,16 @@ class RunSettings(Options):
     def _named(self, video: VideoName | tuple[VideoName, VideoName] | None) -> Any:
         """Names as text; addresses without passwords."""
         return [str(name) for name in video] if isinstance(video, tuple) else video and str(video)
+
+    @field_validator("start_utc", mode="before")
+    @classmethod
+    def _date_and_time(cls, value: Any) -> Any:
+        """Check the date and time; YAML reads an unquoted one as a datetime."""
+        if isinstance(value, datetime):
+            value = value.isoformat()
+        if isinstance(value, str):
+            parsed_utc(value)
+        return value
 
     @field_validator("align", "lanes", mode="before")
     @classmethod

@@ -34,6 +34,7 @@ from track_range.video.decode_log import DecodeLog
 from track_range.video.file_state import FileState
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 from track_range.video.threads import DECODER_THREADS
+from track_range.video.utc import UtcStart, stamp_in_header, stamp_in_name, start_of
 
 _FALLBACK_RATE_HZ = 25.0
 """Frame rate of a file that does not declare one."""
@@ -95,6 +96,7 @@ class VideoFile:
                 f"{MAX_PIXELS // 10**6} megapixels."
             )
         self.first_time_s = self._first.time_s
+        self._stamps = stamp_in_header({**container.metadata, **stream.metadata}), stamp_in_name(path.name)
 
         declared_s, is_end = _declared_duration_s(container, stream)
         self._declared_end_s = declared_s if is_end else self.first_time_s + declared_s
@@ -108,6 +110,11 @@ class VideoFile:
         image = _YuvImage(self._first.frame, self._axes).to_bgr()
         self.height_px, self.width_px = image.shape[:2]
         self.is_grey = is_neutral(image)
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the first frame; None = unknown."""
+        return start_of(*self._stamps, max(0.0, self._declared_end_s - self.first_time_s))
 
     @property
     def notes(self) -> list[str]:

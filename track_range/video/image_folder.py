@@ -21,6 +21,7 @@ from track_range.foundation.atomic_files import describe
 from track_range.foundation.images import IMAGE_SUFFIXES, read_image
 from track_range.foundation.input_files import check_regular, read_bytes
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
+from track_range.video.utc import ZONE_SPAN_S, UtcStart
 
 _MAX_NUMBER = 2**63 - 1
 """Largest frame number, an int64 like those of results; times in nanoseconds since 1970 fit."""
@@ -55,6 +56,7 @@ class ImageFolder:
         self.n_frames = len(self._images)
         first, last = self._images[0][0], self._images[-1][0]
         stamps_s, self._folder_notes = _stamps_of(path, self.n_frames)
+        self._has_stamps = stamps_s is not None
         self.fps = fps if stamps_s is None else _median_rate_hz(stamps_s, default_hz=fps)
         self._times_s = [number / fps for number, _ in self._images] if stamps_s is None else stamps_s.tolist()
         if n_missing := last - first + 1 - self.n_frames:
@@ -67,6 +69,13 @@ class ImageFolder:
         self.height_px, self.width_px = self._first_image.shape[:2]
         self.is_grey = is_neutral(self._first_image)
         self._n_backward = 0
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the first image, from timestamps.txt; None = unknown."""
+        if not self._has_stamps:
+            return None
+        return UtcStart(self.first_time_s, "timestamps.txt", ZONE_SPAN_S, is_local=True)
 
     @property
     def notes(self) -> list[str]:

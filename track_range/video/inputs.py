@@ -16,6 +16,7 @@ from track_range.video.look_ahead import LookAhead
 from track_range.video.pairing import StereoVideo
 from track_range.video.reader import VideoReader
 from track_range.video.threads import MAX_LOOK_AHEAD_BYTES
+from track_range.video.utc import UtcStart
 
 Reader = VideoReader | LiveReader
 
@@ -113,6 +114,11 @@ class Inputs:
     def n_frames(self) -> int | None:
         """Estimated number of frames; None = unknown."""
         return self.left.n_frames
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the left video's first frame; None = unknown."""
+        return self.left.utc
 
     @property
     def live(self) -> LiveReader | None:

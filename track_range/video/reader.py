@@ -13,6 +13,7 @@ from track_range.video.file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.image_folder import ImageFolder
 from track_range.video.threads import DECODER_THREADS
+from track_range.video.utc import UtcStart
 
 _now_s = time.thread_time if DECODER_THREADS == 1 else time.perf_counter
 
@@ -73,6 +74,11 @@ class VideoReader:
         self._until_s = math.inf if duration_s is None else self._from_s + duration_s
         self.n_frames = self._expected()
         self.busy_s = 0.0
+
+    @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the first frame; None = unknown."""
+        return self._source.utc
 
     @property
     def notes(self) -> tuple[str, ...]:

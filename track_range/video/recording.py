@@ -23,6 +23,7 @@ from track_range.video.calibration import Calibration, find_calibration
 from track_range.video.inputs import Images, Inputs
 from track_range.video.live.address import VideoName, video_name
 from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
+from track_range.video.utc import UtcStart, parsed_utc
 
 _N_ROW_PAIRS = 3
 """Number of conclusive image pairs from which the row offset of an uncalibrated pair is estimated, as their median."""
@@ -37,12 +38,14 @@ class Recording:
         inputs: the opened videos.
         calibration: the camera models.
         monitors: the checks of a pair that continue while its frames are iterated.
+        start_utc: UTC of the first frame as given by the user; None = that of the video.
     """
 
     frames: Generator[Frame, None, None]
     inputs: Inputs
     calibration: Calibration
     monitors: tuple[Monitor, ...]
+    start_utc: UtcStart | None = None
 
     @property
     def camera(self) -> PinholeCamera:
@@ -70,10 +73,16 @@ class Recording:
         return self.inputs.n_frames
 
     @property
+    def utc(self) -> UtcStart | None:
+        """UTC of the left video's first frame; None = unknown."""
+        return self.start_utc or self.inputs.utc
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the user about the recording; complete only after the last frame."""
         checks = (note for monitor in self.monitors for note in monitor.notes)
-        return (*self.calibration.notes, *self.inputs.notes, *checks)
+        utc_note = None if self.utc is None else self.utc.note()
+        return (*self.calibration.notes, *self.inputs.notes, *([utc_note] if utc_note else ()), *checks)
 
     def close(self) -> None:
         """Close the videos."""
@@ -92,6 +101,7 @@ def open_recording(
     duration_s: float | None = None,
     folder_fps: float = 10.0,
     has_checks: bool = True,
+    start_utc: str | None = None,
     progress: StepProgress = no_progress,
 ) -> Recording:
     """Open one video or a pair for one pass over its rectified frames.
@@ -107,9 +117,11 @@ def open_recording(
         duration_s: length of the part to read; None = to the end.
         folder_fps: frame rate of folders of images without timestamps.txt.
         has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos.
+        start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
         progress: shows the progress of the alignment's estimation.
 
     Raises:
+        ValueError: `start_utc` is not a date and time.
         VideoError: a video cannot be used, or the two do not match.
         RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
 
@@ -122,6 +134,7 @@ def open_recording(
         >>> recording.close()
     """
     left, right = video_name(left), None if right is None else video_name(right)
+    utc = None if start_utc is None else parsed_utc(start_utc)
     with ExitStack() as on_error:
         inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
         on_error.callback(inputs.close)
@@ -133,7 +146,7 @@ def open_recording(
             monitors = (PairMonitor(), SyncMonitor()) if has_checks else ()
             calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
         on_error.pop_all()
-    return Recording(_frames(inputs, calibration, monitors), inputs, calibration, monitors)
+    return Recording(_frames(inputs, calibration, monitors, utc), inputs, calibration, monitors, utc)
 
 
 def _aligned(
@@ -186,18 +199,21 @@ def _first_frames(
                 return
 
 
-def _frames(inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, ...]) -> Generator[Frame, None, None]:
+def _frames(
+    inputs: Inputs, calibration: Calibration, monitors: tuple[Monitor, ...], utc: UtcStart | None
+) -> Generator[Frame, None, None]:
     """All frames, each passed to the monitors; closing the generator closes the videos."""
     with closing(inputs), closing(iter(inputs)) as images:
         for left_and_right in images:
-            frame = _frame(left_and_right, calibration, inputs)
+            frame = _frame(left_and_right, calibration, inputs, utc)
             for monitor in monitors:
                 monitor.add(frame)
             yield frame
 
 
-def _frame(images: Images, calibration: Calibration, inputs: Inputs) -> Frame:
+def _frame(images: Images, calibration: Calibration, inputs: Inputs, utc: UtcStart | None = None) -> Frame:
     """The images of one time, cropped to their common size and rectified."""
     left, right = images
     left_image, right_image = calibration.rectified(inputs.cut(left), None if right is None else inputs.cut(right))
-    return Frame(left.index, left.time_s - inputs.left.first_time_s, left_image, right_image)
+    time_s, start = left.time_s - inputs.left.first_time_s, utc or inputs.utc
+    return Frame(left.index, time_s, left_image, right_image, math.nan if start is None else start.start_s + time_s)

@@ -10,6 +10,10 @@ from collections.abc import Generator
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.stream import SILENCE_S, LiveStream
+from track_range.video.utc import UtcStart
+
+_CAMERA_DELAY_S, _STREAM_DELAY_S = 0.1, 2.0
+"""Largest delay, s, between exposure and arrival of the frames of a camera and of a network stream; assumed."""
 
 
 class LiveReader:
@@ -41,8 +45,15 @@ class LiveReader:
         self.is_grey, self.fps = self.stream.is_grey, self.stream.fps
         self._start_s, self._duration_s = start_s, math.inf if duration_s is None else duration_s
         self.busy_s, self.is_closed = 0.0, False
+        self._utc_from_monotonic_s = time.time() - time.monotonic()
         self.first_time_s = self.stream.waiting_s()[0][1]
         self._first_index = 0
+
+    @property
+    def utc(self) -> UtcStart:
+        """Time of this machine's clock at which the reading started."""
+        delay_s = _CAMERA_DELAY_S if self.path.is_camera else _STREAM_DELAY_S
+        return UtcStart(self.first_time_s + self._utc_from_monotonic_s, "clock of this computer", delay_s)
 
     @property
     def notes(self) -> tuple[str, ...]:

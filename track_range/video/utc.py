@@ -1,0 +1,166 @@
+"""UtcStart: the time of day at which a recording starts, from the file's header, its name or a clock.
+
+    header with time zone > header in UTC > name of the file
+
+A header states the start or, on some phones and dashcams, the end of the recording, without saying which. If the name
+contains a time too, it decides: names contain the start in local time, and time zones are multiples of 15 minutes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from track_range.foundation.input_files import quoted
+
+ZONE_SPAN_S = 14 * 3600.0
+"""Largest difference, s, between local time and UTC (Kiribati)."""
+
+STAMP_RESOLUTION_S = 1.0
+"""Resolution, s, of times in headers and names."""
+
+ZONE_STEP_S = 900.0
+"""Time zones differ from UTC by multiples of 15 minutes."""
+
+_AGREEMENT_S = 5.0
+"""Largest difference, s, between the times of a header and of a name that state the same moment; assumed."""
+
+_EARLIEST = datetime(1990, 1, 1, tzinfo=UTC)
+_LATEST = datetime(2100, 1, 1, tzinfo=UTC)
+"""Range of plausible times; headers without a time often state 1904 or 1970."""
+
+_TIME_IN_NAME = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])"
+    r"(?:[-_.T ]{1,3}|[ _]at[ _])?"
+    r"([01]\d|2[0-3])[-_.:h]?([0-5]\d)[-_.:m]?([0-5]\d)(?:\.?(\d{3}))?(?!\d)(?:(Z)|([+-]\d{4})(?!\d))?"
+)
+"""Date and time in the name of a file: 20260131_142530, 2026-01-31_14-25-30, 2026_0131_142530, 20260131T142530Z."""
+
+
+@dataclass(frozen=True, slots=True)
+class UtcStart:
+    """UTC of a recording's first frame.
+
+    Attributes:
+        start_s: seconds since 1970-01-01 00:00 UTC.
+        source: source of the time, for summary.json.
+        uncertainty_s: largest error that the source allows, apart from that of the recorder's clock; None = unknown.
+        is_local: whether the source states no time zone: `start_s` is then the recorder's local time.
+    """
+
+    start_s: float
+    source: str
+    uncertainty_s: float | None
+    is_local: bool = False
+
+    def summary(self) -> dict[str, Any]:
+        """Section `utc` of summary.json."""
+        start = datetime.fromtimestamp(self.start_s, UTC).isoformat(timespec="milliseconds")
+        return {"start": start.replace("+00:00", "Z"), "source": self.source, "uncertainty_s": self.uncertainty_s}
+
+    def note(self) -> str | None:
+        """Message for the user if the time zone is unknown."""
+        if not self.is_local:
+            return None
+        return (
+            f"The times in the column utc come from the {self.source}, which has no time zone: they are local times of "
+            "the recorder; give the time of the first frame with --start-utc."
+        )
+
+    def shifted(self, by_s: float) -> UtcStart:
+        """The time of a moment `by_s` seconds later."""
+        return replace(self, start_s=self.start_s + by_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """A date and time that a header or a name states.
+
+    Attributes:
+        time_s: seconds since 1970, in UTC, or in local time if `is_local`.
+        source: source of the time, for summary.json.
+        is_local: whether no time zone is stated.
+        is_start: whether it is known to be the start of the recording.
+    """
+
+    time_s: float
+    source: str
+    is_local: bool = False
+    is_start: bool = True
+
+
+def parsed_utc(text: str) -> UtcStart:
+    """The time of `--start-utc`, an ISO 8601 date and time; without a time zone it is UTC.
+
+    Raises:
+        ValueError: it is not a date and time.
+    """
+    moment = _parsed(text)
+    if moment is None:
+        raise ValueError(f"expected a date and time such as 2026-01-31T14:25:30.000Z, got {quoted(text)}")
+    return UtcStart(moment.timestamp(), "--start-utc", None)
+
+
+def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:
+    """The date and time in a video file's metadata; None = none, or an implausible one."""
+    apple = _parsed(metadata.get("com.apple.quicktime.creationdate", ""))
+    if apple is not None:
+        return Stamp(apple.timestamp(), "creation date with time zone of the video file")
+    created = _parsed(metadata.get("creation_time", ""))
+    return None if created is None else Stamp(created.timestamp(), "creation time of the video file", is_start=False)
+
+
+def stamp_in_name(name: str) -> Stamp | None:
+    """The last date and time in a file name; None = none."""
+    found = None
+    for match in _TIME_IN_NAME.finditer(name):
+        found = match
+    if found is None:
+        return None
+    *digits, thousandths, zulu, offset = found.groups()
+    try:
+        moment = datetime(*(int(part) for part in digits), tzinfo=UTC)  # type: ignore[misc, arg-type]
+    except ValueError:  # February 30
+        return None
+    time_s = moment.timestamp() + int(thousandths or 0) / 1000
+    if offset:
+        sign = -1 if offset[0] == "-" else 1
+        time_s -= sign * timedelta(hours=int(offset[1:3]), minutes=int(offset[3:5])).total_seconds()
+    return Stamp(time_s, "file name", is_local=not (zulu or offset))
+
+
+def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> UtcStart | None:
+    """The start of a file that lasts `duration_s`, from the times of its header and of its name; None = unknown."""
+    if header is None:
+        if name is None:
+            return None
+        return UtcStart(
+            name.time_s, name.source, ZONE_SPAN_S if name.is_local else STAMP_RESOLUTION_S, is_local=name.is_local
+        )
+    if header.is_start:
+        return UtcStart(header.time_s, header.source, STAMP_RESOLUTION_S)
+    if name is not None:
+        for before_s in (0.0, duration_s):
+            difference_s = name.time_s - (header.time_s - before_s)
+            if name.is_local:
+                difference_s = math.remainder(difference_s, ZONE_STEP_S)
+            if abs(difference_s) <= _AGREEMENT_S:
+                return UtcStart(header.time_s - before_s, header.source, STAMP_RESOLUTION_S)
+    # the header may state the end
+    return UtcStart(header.time_s, header.source, round(STAMP_RESOLUTION_S + duration_s, 3))
+
+
+def _parsed(text: str) -> datetime | None:
+    """A plausible date and time in ISO 8601, UTC if it names no zone; None = none."""
+    try:
+        moment = datetime.fromisoformat(text.strip())
+        if moment.tzinfo is None:
+            moment = moment.replace(tzinfo=UTC)
+        is_plausible = _EARLIEST <= moment <= _LATEST
+    except (ValueError, OverflowError):
+        return None
+    return moment if is_plausible and len(text.strip()) > len("2026-01-31") else None
