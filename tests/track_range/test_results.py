@@ -17,7 +17,7 @@ from track_range.ranging.registry import methods, registered
 from track_range.results.columns import column_names, methods_with_sigma
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.output_files import OutputError
-from track_range.results.table import RunTable
+from track_range.results.table import FRAMES_PER_BATCH, RunTable
 from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -194,6 +194,18 @@ def test_table_of_many_batches():
     assert arrow.column("mono_m").to_pylist()[:2] == [12.346, None]
     assert arrow.column("class").to_pylist()[:2] == ["car", "traffic light"]
     assert arrow.schema.field("closing_mps").metadata == {b"unit": b"m/s"}
+
+
+def test_table_of_sparse_frames(tmp_path, monkeypatch):
+    """Memory stays flat if most frames have few rows: after some hundreds of frames they are stored."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with RunTable() as table:
+        for index in range(FRAMES_PER_BATCH - 1):
+            table.append(result(index))
+        assert list(tmp_path.iterdir()) == []
+        table.append(result(FRAMES_PER_BATCH - 1))
+        assert len(list(tmp_path.iterdir())) == 1
+        assert table.to_arrow().num_rows == 2 * FRAMES_PER_BATCH
 
 
 def test_temporary_file_is_deleted(tmp_path, monkeypatch):

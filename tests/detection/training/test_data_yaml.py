@@ -216,6 +216,12 @@ def test_nested_data_set(tmp_path):
         read_data_yaml(path)
 
 
+def test_loop_of_links(tmp_path):
+    (tmp_path / "data.yaml").symlink_to(tmp_path / "data.yaml")
+    with pytest.raises(LabelFileError, match=r"data\.yaml: .*loop"):
+        read_data_yaml(tmp_path / "data.yaml")
+
+
 def test_missing_images_of_a_list(tmp_path):
     path = changed(write_data_set(tmp_path, n_train=2), train="some.txt")
     (tmp_path / "some.txt").write_text("images/train/000.png\nimages/train/missing.png\n")
