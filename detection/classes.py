@@ -20,6 +20,8 @@ ROAD_CLASS_OF = {
     "trafficsign": "traffic sign",
     "trafficlight": "traffic light",
     "light": "traffic light",
+    "traffic_light": "traffic light",
+    "traffic_sign": "traffic sign",
     "pedestrian": "person",
     "cyclist": "bicycle",
     "motorbike": "motorcycle",

@@ -127,6 +127,12 @@ class BoxTable:
         )
         return table.select(np.lexsort((table.track_id, table.frame)))
 
+    @property
+    def is_region(self) -> BoolArray:
+        """(N,) mask of the regions that are not evaluated: named "dontcare", or a road class without its class id."""
+        named = map_to_road_classes([str(name) for name in self.class_name]) >= 0
+        return np.asarray((self.class_id < 0) & (self.track_id < 0) & (named | (self.class_name == "dontcare")))
+
     def select(self, rows: BoolArray | IntArray) -> BoxTable:
         """The rows that a mask or an index array selects, in its order."""
         columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in _COLUMNS}

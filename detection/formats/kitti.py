@@ -11,7 +11,9 @@ rectified reference camera (camera 0). Detection files have -1 or -1000 for unkn
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -93,6 +95,37 @@ class KittiLabels:
     def has_3d_box(self) -> BoolArray:
         """(N,) mask of the rows that have a 3-D box."""
         return np.asarray((self.size_hwl_m > 0).all(axis=1) & (self.location_m > -999).all(axis=1))
+
+
+KITTI_TYPE_OF: Mapping[str, str] = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
+"""KITTI's type of each road class that it has."""
+
+UNKNOWN_LOCATION_M = -1000.0
+"""Coordinate of an unknown location."""
+
+
+def kitti_line(
+    frame: int, track_id: int, kitti_type: str, xyxy_px: Sequence[float], location_m: Sequence[float], score: float
+) -> str:
+    """Row of a tracking result, with its newline: no size (-1), truncation, occlusion (-1) and angles (-10).
+
+    Args:
+        frame: frame number from 0.
+        track_id: identity.
+        kitti_type: type, without spaces.
+        xyxy_px: box.
+        location_m: bottom centre in the camera's frame; NaN = unknown, written as -1000.
+        score: confidence; NaN = unknown, which leaves the column out.
+    """
+    edges = " ".join(f"{edge:.2f}" for edge in xyxy_px)
+    location = " ".join("-1000" if math.isnan(value) else f"{value:.3f}" for value in location_m)
+    last = "" if math.isnan(score) else f" {score:.4f}"
+    return f"{frame} {track_id} {kitti_type} -1 -1 -10 {edges} -1 -1 -1 {location} -10{last}\n"
+
+
+def kitti_type_of(class_name: str) -> str:
+    """KITTI's type of a class, or its name without spaces (Bus, Traffic_light), which KITTI's evaluation skips."""
+    return KITTI_TYPE_OF.get(class_name) or class_name.replace(" ", "_").capitalize() or "Misc"
 
 
 def read_kitti(path: Path) -> KittiLabels:

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts
+from track_range.detection.formats.coco import read_coco, write_coco
 from track_range.detection.formats.csv_labels import has_label_columns
+from track_range.detection.formats.cvat import read_cvat, write_cvat
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.text_tables import (
     read_csv_table_of_labels,
@@ -19,11 +21,17 @@ from track_range.detection.formats.text_tables import (
     read_mot_table,
     read_parquet_table,
     read_tracks_table,
+    write_kitti_table,
+    write_mot_table,
 )
+from track_range.detection.formats.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.input_files import first_line, open_regular, readable
 
 _PARQUET_MARK = b"PAR1"
 """First bytes of a Parquet file."""
+
+_FIRST_CHARACTERS = {"{": "coco", "[": "coco", "<": "cvat"}
+"""Format by the first character of a file: JSON or XML."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +60,11 @@ class LabelFormat:
 LABEL_FORMATS = {
     label_format.name: label_format
     for label_format in (
-        LabelFormat("mot", "MOTChallenge", read_mot_table, has_classes=False, precision_px=0.01),
-        LabelFormat("kitti", "KITTI", read_kitti_table, precision_px=0.005),
+        LabelFormat("mot", "MOTChallenge", read_mot_table, write_mot_table, has_classes=False, precision_px=0.01),
+        LabelFormat("kitti", "KITTI", read_kitti_table, write_kitti_table, precision_px=0.005),
+        LabelFormat("coco", "COCO", read_coco, write_coco, precision_px=0.0005),
+        LabelFormat("cvat", "CVAT for video 1.1", read_cvat, write_cvat, precision_px=0.0005),
+        LabelFormat("yolo", "YOLO", read_yolo_folder, write_yolo, is_folder=True),
         LabelFormat("csv", "a CSV of labels", read_csv_table_of_labels),
         LabelFormat("tracks", "a tracks.csv", read_tracks_table),
         LabelFormat("parquet", "a tracks.parquet", read_parquet_table),
@@ -91,12 +102,14 @@ def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "la
 
 def _format_name(path: Path, expected: str) -> str:
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return "kitti"
+        return "yolo" if is_yolo_folder(path) else "kitti"
     if _starts_as_parquet(path, expected):
         return "parquet"
     first = first_line(path, LabelFileError, expected).strip()
     if not first:
         raise LabelFileError(f"{path}: expected {expected}, got an empty file.")
+    if first[0] in _FIRST_CHARACTERS:
+        return _FIRST_CHARACTERS[first[0]]
     if "," not in first:
         return "kitti"
     if first.startswith("frame,time_s,"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,10 @@ import numpy.typing as npt
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.csv_labels import DONT_CARE, read_csv_labels
-from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.kitti import LabelFileError, kitti_line, kitti_type_of, read_kitti
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
-from track_range.detection.formats.mot import read_mot
+from track_range.detection.formats.mot import mot_lines, read_mot
+from track_range.detection.formats.table_checks import check_identities, ignored_note
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular, quoted
@@ -167,7 +168,7 @@ def _table_of_rows(
         distance_m=columns["fused_m"][rows],
         sigma_m=columns["fused_sigma_m"][rows],
         video=replace(video, is_rectified=True),
-        notes=(f"{path.name}: ignored {n_ignored} rows without a valid box.",) if n_ignored else (),
+        notes=ignored_note(path, n_ignored, "without width or height"),
     )
     check_identities(table, path)
     return table
@@ -177,15 +178,51 @@ def _integers(values: FloatArray, rows: npt.NDArray[Any]) -> IntArray:
     return np.asarray(values[rows], np.int64)
 
 
-def check_identities(table: BoxTable, path: Path) -> None:
-    """Check that no identity occurs twice in a frame.
+def write_mot_table(table: BoxTable, path: Path) -> tuple[str, ...]:
+    """Write a table as MOTChallenge rows, with the score 1 where it is unknown; returns a note on omitted regions.
 
     Raises:
-        LabelFileError: one does.
+        OSError: the file cannot be written.
     """
-    is_same = (np.diff(table.frame) == 0) & (np.diff(table.track_id) == 0) & (table.track_id[1:] >= 0)
-    for row in np.flatnonzero(is_same)[:1].tolist():
-        raise LabelFileError(
-            f"{path}: expected each track id at most once per frame, got id {table.track_id[row]} twice in frame "
-            f"{table.frame[row]}."
-        )
+    rows, notes = _without_regions(table, "MOTChallenge's results")
+    rows = replace(rows, score=np.where(np.isnan(rows.score), 1.0, rows.score))
+    _write_frames(rows, path, mot_lines)
+    return notes
+
+
+def write_kitti_table(table: BoxTable, path: Path) -> tuple[str, ...]:
+    """Write a table as rows of KITTI tracking results; regions become DontCare.
+
+    The location is written where it is known; where only the distance is, it is the z of a location with unknown x
+    and y.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    _write_frames(table, path, kitti_lines)
+    return ()
+
+
+def kitti_lines(rows: BoxTable, frame: int) -> list[str]:
+    """One line of KITTI tracking results per box of one frame, with its newline."""
+    location_m = rows.location_m.copy()
+    location_m[:, 2] = np.where(np.isnan(location_m[:, 2]), rows.distance_m, location_m[:, 2])
+    columns = (rows.track_id.tolist(), rows.class_name.tolist(), rows.is_region.tolist())
+    numbers = (rows.xyxy_px.tolist(), location_m.tolist(), rows.score.tolist())
+    return [
+        kitti_line(frame, track_id, "DontCare" if region else kitti_type_of(name), box, location, score)
+        for track_id, name, region, box, location, score in zip(*columns, *numbers, strict=True)
+    ]
+
+
+def _write_frames(table: BoxTable, path: Path, lines_of: Callable[[BoxTable, int], list[str]]) -> None:
+    frames, starts = np.unique(table.frame, return_index=True)
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        for frame, rows in zip(frames.tolist(), np.split(np.arange(len(table)), starts[1:]), strict=False):
+            file.writelines(lines_of(table.select(rows), frame))
+
+
+def _without_regions(table: BoxTable, where: str) -> tuple[BoxTable, tuple[str, ...]]:
+    n_regions = int(table.is_region.sum())
+    notes = (f"{n_regions} regions that are not evaluated are not written: {where} have none.",) if n_regions else ()
+    return table.select(~table.is_region), notes

@@ -21,7 +21,7 @@ from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_tex
 from track_range.foundation.numeric_text import numbers
 from track_range.foundation.structured_text import read_yaml
 
-_NAME_FILES = ("classes.txt", "data.yaml", "data.yml")
+_NAME_FILES = ("classes.txt", "data.yaml", "data.yml", "obj.names")
 """Files that may have the class names, in the order in which they are tried."""
 
 _MAX_VALUE = 100_000
@@ -91,7 +91,7 @@ class YoloLabelReader:
 
 
 def names_for_folder(folder: Path) -> tuple[str, ...]:
-    """Class names in classes.txt or data.yaml of a folder of labels or its parent; empty if there is no such file.
+    """Class names in classes.txt, data.yaml or obj.names of a folder of labels or its parent; empty if there are none.
 
     Raises:
         LabelFileError: the file cannot be read, or has no names.
@@ -99,7 +99,7 @@ def names_for_folder(folder: Path) -> tuple[str, ...]:
     for file in (parent / name for parent in (folder, folder.parent) for name in _NAME_FILES):
         if not file.is_file():
             continue
-        if file.suffix == ".txt":
+        if file.suffix in (".txt", ".names"):
             text = read_text(file, LabelFileError, "class names, one per line")
             return tuple(line.strip() for line in text.splitlines() if line.strip())
         return names_in(read_yaml(file, LabelFileError, "the class names of labels"), file)

@@ -6,18 +6,20 @@ KITTI's format has fewer classes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.kitti import KITTI_TYPE_OF, kitti_line
 from track_range.detection.formats.mot import mot_lines
 from track_range.results.output_files import write_text
 from track_range.sequences.find import KITTI_FOLDER, MOT_FOLDER
 from track_range.tracking.tracks import Tracks
 
-_KITTI_TYPE = {"person": "Pedestrian", "bicycle": "Cyclist", "car": "Car", "truck": "Truck"}
+_NO_LOCATION_M = (math.nan, math.nan, math.nan)
 
 
 def write_mot(frames: Sequence[Tracks], out: Path, name: str) -> None:
@@ -39,7 +41,7 @@ def write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ..
     file = Path(KITTI_FOLDER) / f"{name}.txt"
     write_text(out / file, "".join(row for frame, tracks in enumerate(frames) for row in _kitti_rows(tracks, frame)))
     class_id = np.concatenate([np.zeros(0, np.int64), *(tracks.class_id for tracks in frames)])
-    omitted = [i for i in np.unique(class_id) if ROAD_CLASSES[i] not in _KITTI_TYPE]
+    omitted = [i for i in np.unique(class_id) if ROAD_CLASSES[i] not in KITTI_TYPE_OF]
     if not omitted:
         return ()
     n, names = int(np.isin(class_id, omitted).sum()), ", ".join(ROAD_CLASSES[i] for i in omitted)
@@ -47,10 +49,10 @@ def write_kitti(frames: Sequence[Tracks], out: Path, name: str) -> tuple[str, ..
 
 
 def _kitti_rows(tracks: Tracks, frame: int) -> list[str]:
-    rows = []
-    kinds = [_KITTI_TYPE.get(ROAD_CLASSES[i]) for i in tracks.class_id]
-    for kind, track_id, box, score in zip(kinds, tracks.track_id, tracks.xyxy_px, tracks.score, strict=True):
-        if kind is not None:
-            edges = " ".join(f"{edge:.2f}" for edge in box)
-            rows.append(f"{frame} {track_id} {kind} -1 -1 -10 {edges} -1 -1 -1 -1000 -1000 -1000 -10 {score:.4f}\n")
-    return rows
+    kinds = [KITTI_TYPE_OF.get(ROAD_CLASSES[i]) for i in tracks.class_id]
+    boxes, scores = tracks.xyxy_px.tolist(), tracks.score.tolist()
+    return [
+        kitti_line(frame, track_id, kind, box, _NO_LOCATION_M, score)
+        for kind, track_id, box, score in zip(kinds, tracks.track_id.tolist(), boxes, scores, strict=True)
+        if kind is not None
+    ]

@@ -74,7 +74,7 @@ _Entries = Annotated[list[_Path], BeforeValidator(_listed)]
 
 
 class _DataYaml(BaseModel):
-    """Content of a data.yaml; test, nc and download are accepted for Ultralytics' files and not used."""
+    """Content of a data.yaml; test, nc, download (Ultralytics) and video (`formats.yolo_tracks`) are not used."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     path: _Path = "."
@@ -88,6 +88,7 @@ class _DataYaml(BaseModel):
     test: Any = None
     nc: Any = None
     download: Any = None
+    video: Any = None
 
 
 _KITTI_NAMES = ("person", "bicycle", "car", "truck")

@@ -1,0 +1,113 @@
+"""Random tracks through every pair of label formats and back, and recognition of formats by content."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
+
+VIDEO = VideoFacts("drive", n_frames=40, size_px=(1242, 375), fps=10.0)
+WRITTEN = [name for name, label_format in LABEL_FORMATS.items() if label_format.write is not None]
+YOLO_PX = 2e-5
+"""Largest error of an edge in YOLO labels of 8 decimals, for an image of 1242 px."""
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> BoxTable:
+    """Tracks with gaps, of one class each, with boxes inside the image and distances for some of them."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    keys = draw(
+        st.lists(st.tuples(st.integers(0, 39), st.integers(1, 12)), min_size=1, max_size=60, unique=True).map(sorted)
+    )
+    frame, track_id = (np.array(column) for column in zip(*keys, strict=True))
+    n = len(keys)
+    first = rng.uniform([0, 0], [1100, 300], (n, 2))
+    size = rng.uniform(2, 70, (n, 2))
+    distance_m = np.where(rng.random(n) < 0.8, rng.uniform(2, 150, n), np.nan)
+    return BoxTable.of(
+        frame,
+        track_id,
+        [ROAD_CLASSES[number % len(ROAD_CLASSES)] for number in track_id],
+        np.concatenate([first, first + size], axis=1) - 0.5,
+        score=rng.random(n),
+        observed=rng.random(n) < 0.7,
+        distance_m=distance_m,
+        sigma_m=distance_m / 20,
+        video=VIDEO,
+    )
+
+
+def written(table: BoxTable, name: str, folder: Path) -> BoxTable:
+    """A table that was written in a format and read again."""
+    label_format = LABEL_FORMATS[name]
+    path = folder / f"{name}{len(list(folder.iterdir()))}"
+    assert label_format.write is not None
+    label_format.write(table, path)
+    assert label_format_of(path) is label_format
+    return read_labels(path, VIDEO)
+
+
+def by_box(table: BoxTable) -> BoxTable:
+    """A table in an order that does not depend on identities: by frame, then by box."""
+    return table.select(np.lexsort((table.xyxy_px[:, 1], table.xyxy_px[:, 0], table.frame)))
+
+
+@pytest.mark.parametrize(("first", "second"), list(itertools.product(WRITTEN, repeat=2)))
+@given(table=tables())
+@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
+def test_pairs_of_formats_and_back(
+    table: BoxTable, first: str, second: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("formats")
+    back = written(written(table, first, folder), second, folder)
+    used = {first, second}
+    table, back = by_box(table), by_box(back)
+    np.testing.assert_array_equal(back.frame, table.frame)
+    error_px = sum(LABEL_FORMATS[name].precision_px or YOLO_PX for name in (first, second))
+    np.testing.assert_allclose(back.xyxy_px, table.xyxy_px, rtol=0, atol=error_px + 1e-9)
+    if "mot" not in used:
+        np.testing.assert_array_equal(back.class_id, table.class_id)
+    if "yolo" not in used:
+        np.testing.assert_array_equal(back.track_id, table.track_id)
+        np.testing.assert_allclose(back.score, table.score, rtol=0, atol=1.1e-4)
+    if used <= {"coco", "cvat", "kitti"}:
+        np.testing.assert_allclose(back.distance_m, table.distance_m, rtol=0, atol=1.1e-3)
+    if used <= {"coco", "cvat"}:
+        np.testing.assert_allclose(back.sigma_m, table.sigma_m, rtol=0, atol=1.1e-3)
+        np.testing.assert_array_equal(back.observed, table.observed)
+
+
+@given(table=tables())
+@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
+def test_second_write_is_the_same_file(table: BoxTable, tmp_path_factory: pytest.TempPathFactory) -> None:
+    for name in ("mot", "kitti", "coco", "cvat"):
+        folder = tmp_path_factory.mktemp(name)
+        label_format = LABEL_FORMATS[name]
+        assert label_format.write is not None
+        label_format.write(table, folder / "first")
+        label_format.write(label_format.read(folder / "first", VIDEO), folder / "second")
+        assert (folder / "first").read_bytes() == (folder / "second").read_bytes()
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_no_boxes(tmp_path: Path, name: str) -> None:
+    empty = BoxTable.of([], [], [], [], video=VIDEO)
+    label_format = LABEL_FORMATS[name]
+    assert label_format.write is not None
+    assert label_format.write(empty, tmp_path / "empty") == ()
+    if name in ("mot", "kitti"):
+        with pytest.raises(LabelFileError, match="empty"):
+            read_labels(tmp_path / "empty")
+    else:
+        table = read_labels(tmp_path / "empty")
+        assert len(table) == 0
+        assert (table.video.n_frames, table.video.size_px) == (40, (1242, 375))
