@@ -35,11 +35,13 @@ def write_film(
     options: dict[str, str] | None = None,
     aspect: Fraction = Fraction(1),
     rate: int = 10,
+    metadata: dict[str, str] | None = None,
 ) -> Path:
     """A video with one image per time; H.264 with B-frames by default."""
     images = [level_image(number) for number in range(len(times_s))] if images is None else images
     clock = Fraction(1, rate if path.suffix == ".avi" else 90_000)  # AVI has frames, not times
     with av.open(str(path), "w", options=options or {}) as container:
+        container.metadata.update(metadata or {})
         stream: Any = container.add_stream(codec, rate=rate)
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"

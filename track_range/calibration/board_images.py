@@ -111,7 +111,7 @@ class VideoShots:
         for time_s, images in self._frames():
             if time_s >= next_s - TIME_EPSILON_S:
                 next_s = time_s + self._step_s
-                yield Shot(tuple(f"{reader.path.name} at {time_s:.2f} s" for reader in self._readers), images)
+                yield Shot(tuple(f"{path.name} at {time_s:.2f} s" for path in self.files), images)
 
     def _frames(self) -> Iterator[tuple[float, tuple[Image, ...]]]:
         if len(self._readers) == 1:

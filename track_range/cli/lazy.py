@@ -66,10 +66,10 @@ def lazy_app(
     return app
 
 
-def single_app(callback: Callable[..., None]) -> typer.Typer:
+def single_app(callback: Callable[..., None], command_class: type[HelpCommand] = HelpCommand) -> typer.Typer:
     """An application of one command, for `Lazy`."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command(cls=HelpCommand)(callback)
+    app.command(cls=command_class)(callback)
     return app
 
 

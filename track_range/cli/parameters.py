@@ -108,12 +108,14 @@ _PLACEHOLDERS = {bool: None, int: "N", float: "NUMBER", Path: "FILE"}
 
 def _typer_type(field: FieldInfo) -> Any:
     """Type for Typer's parsing of a field; unsupported types are parsed as text and validated by the model."""
-    kind = value_type(field)
+    kind, is_repeated = value_type(field), option_of(field)["is_repeated"]
     if get_origin(kind) is tuple:
         first, *others = get_args(kind)
-        if others != [Ellipsis]:
+        if others != [Ellipsis] and not is_repeated:
             return tuple[tuple(_plain(part) for part in (first, *others))]  # type: ignore[misc]
-        return list[_plain(first)] if option_of(field)["is_repeated"] else str  # type: ignore[misc]
+        return list[_plain(first)] if is_repeated else str  # type: ignore[misc]
+    if is_repeated:
+        return list[_plain(kind)]  # type: ignore[misc]
     return _plain(kind)
 
 

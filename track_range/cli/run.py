@@ -7,8 +7,10 @@ from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from track_range.cli.help_pages import HelpCommand
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import given_values, parameters, with_parameters
+from track_range.foundation.errors import UsageError
 from track_range.foundation.options import Options, option
 from track_range.run.settings import RunSettings, settings_from
 
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
 
     from track_range.live_view.view import LiveView
     from track_range.run.run import Run
+
+_N_CAMERAS = 2
+"""Number of values of `--stereo`."""
 
 
 class RunView(Options):
@@ -52,7 +57,7 @@ def _run(**values: Any) -> None:
     from track_range.live_view.view import open_view
 
     view_options = RunView.of(given_values(RunView, values))
-    settings = settings_from(given_values(RunSettings, values), view_options.settings)
+    settings = settings_from(_with_sources(given_values(RunSettings, values)), view_options.settings)
     view = open_view(show=view_options.show, serve=view_options.serve, n_viewers=view_options.viewers)
     with view or nullcontext():
         run_and_print(settings, console, view)
@@ -133,4 +138,48 @@ def _ignore_broken_pipe() -> Iterator[None]:
         yield
 
 
-app = single_app(with_parameters(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)]))
+class RunCommand(HelpCommand):
+    """Command with the option --stereo, which takes two videos or one bag, and may be repeated."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line with one value for each `--stereo`; see `_split_pairs`."""
+        return super().parse_args(ctx, _split_pairs(args))
+
+
+def _split_pairs(args: list[str]) -> list[str]:
+    """Arguments with `--stereo=LEFT --stereo=RIGHT` for `--stereo LEFT RIGHT`; RIGHT is empty if it is missing."""
+    split, rest = list[str](), list(args)
+    while rest:
+        name, equals, value = rest.pop(0).partition("=")
+        if name == "--":
+            return [*split, name, *rest]
+        if name != "--stereo":
+            split.append(f"{name}{equals}{value}")
+            continue
+        values = [value] if equals else []
+        while rest and len(values) < _N_CAMERAS and not rest[0].startswith("-"):
+            values.append(rest.pop(0))
+        if not values:
+            split.append(name)  # the parser reports that a value is missing
+            continue
+        split += [f"{name}={part}" for part in (*values, "")[:_N_CAMERAS]]
+    return split
+
+
+def _with_sources(given: dict[str, Any]) -> dict[str, Any]:
+    """Options with the values of repeated `--mono` and `--stereo` as one recording."""
+    sources = dict(given)
+    if files := given.get("mono"):
+        sources["mono"] = files[0] if len(files) == 1 else files
+    if sides := given.get("stereo"):
+        left, right = sides[0::2], [side for side in sides[1::2] if side]
+        if len(left) > 1 and len(right) < len(left):
+            raise UsageError("--stereo: expected LEFT and RIGHT each time, found a single value.")
+        pair = (left, right) if right else (left,)
+        sources["stereo"] = tuple(side[0] if len(side) == 1 else side for side in pair)
+    return sources
+
+
+app = single_app(
+    with_parameters(_run, [*parameters(RunSettings, is_only_given=True), *parameters(RunView)]), RunCommand
+)

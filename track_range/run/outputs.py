@@ -23,6 +23,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, absolute_settings, save_settings
+from track_range.video.names import files_of
 
 
 def check_folder(settings: RunSettings, folder: Path) -> None:
@@ -40,7 +41,7 @@ def check_folder(settings: RunSettings, folder: Path) -> None:
 def input_files(settings: RunSettings) -> list[Path]:
     """All files that a run reads."""
     files = (
-        *(video for video in (*(settings.stereo or ()), settings.mono) if isinstance(video, Path)),
+        *(file for video in (*(settings.stereo or ()), settings.mono) if video is not None for file in files_of(video)),
         *(settings.rig, settings.detections, settings.truth, settings.curves, settings.reid),
     )
     names = (settings.detector, settings.names, settings.align, settings.lanes, settings.ego_speed)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import html
 import time
 import weakref
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from pathlib import Path
 from types import TracebackType
@@ -108,11 +108,13 @@ class Run:
         self.files: tuple[Path, ...] = ()
 
     @classmethod
-    def stereo(cls, left: str | Path, right: str | Path, **options: Any) -> Self:
+    def stereo(
+        cls, left: str | Path | Sequence[str | Path], right: str | Path | Sequence[str | Path], **options: Any
+    ) -> Self:
         """A run on the videos, image folders or streams of two cameras.
 
         Args:
-            left: recording of the left camera.
+            left: recording of the left camera; a list of files if it consists of several.
             right: recording of the right camera.
             options: options of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
                 `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
@@ -121,16 +123,18 @@ class Run:
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another one.
         """
-        return cls._of({"stereo": (str(left), str(right))}, options)
+        return cls._of({"stereo": (_video(left), _video(right))}, options)
 
     @classmethod
-    def mono(cls, video: str | Path, **options: Any) -> Self:
+    def mono(cls, video: str | Path | Sequence[str | Path], **options: Any) -> Self:
         """A run on the video, image folder or stream of one camera; see `stereo` for the options.
+
+        A list contains the files of one recording: `Run.mono(["0001.mp4", "0002.mp4"], focal_px=1150)`.
 
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another one.
         """
-        return cls._of({"mono": str(video)}, options)
+        return cls._of({"mono": _video(video)}, options)
 
     @classmethod
     def _of(cls, source: dict[str, Any], options: dict[str, Any]) -> Self:
@@ -419,6 +423,10 @@ def _field_of(name: str) -> str:
     """Field of the settings that an option sets: `duration_s` for `duration`, since its flag is --duration."""
     flags = {RunSettings.flag(field): field for field in RunSettings.model_fields}
     return flags.get("--" + name.replace("_", "-"), name)
+
+
+def _video(name: str | Path | Sequence[str | Path]) -> str | list[str]:
+    return str(name) if isinstance(name, str | Path) else [str(part) for part in name]
 
 
 def _plain(name: str, value: Any) -> Any:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -27,11 +28,8 @@ from track_range.run.detector_fields import (
     threads_option,
 )
 from track_range.run.tracker_fields import reid_option, tracker_option
-from track_range.video.live.address import LiveAddress, live_address
+from track_range.video.names import Segments, VideoName, stem_of, video_name
 from track_range.video.utc import parsed_utc
-
-VideoName = Path | LiveAddress
-"""A video file or folder of images, or a camera or stream."""
 
 _INPUT, _DETECTION, _TRACKING, _RANGING, _OUTPUT = "Input", "Detection", "Tracking", "Ranging", "Output"
 """Headings of the help page under which the options are listed."""
@@ -61,17 +59,23 @@ class RunSettings(Options):
     stereo: Annotated[
         tuple[VideoName, VideoName] | None,
         option(
-            "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...).",
+            "Left and right video: files, folders of numbered images, camera numbers (0 1) or streams (rtsp://...); "
+            "for recordings in several files, folders of videos, patterns such as 'DIR/*_L.mp4', or the option "
+            "repeated for each pair of files.",
             metavar="LEFT RIGHT",
             panel=_INPUT,
+            is_repeated=True,
         ),
     ] = None
     mono: Annotated[
         VideoName | None,
         option(
-            "Video of a single camera: a file, a folder of numbered images, a camera number or a stream.",
+            "Video of a single camera: a file, a folder of numbered images, a camera number or a stream; for a "
+            "recording in several files, a folder of videos, a pattern such as 'DIR/*_F.mp4', or the option repeated "
+            "for each file.",
             metavar="VIDEO",
             panel=_INPUT,
+            is_repeated=True,
         ),
     ] = None
     rig: Annotated[
@@ -295,18 +299,24 @@ class RunSettings(Options):
             return {**values, "detector": DEFAULT_MODEL}
         return values
 
-    @field_validator("stereo", "mono", mode="before")
+    @field_validator("stereo", mode="before")
     @classmethod
-    def _cameras_and_streams(cls, video: Any) -> Any:
-        """Convert names to paths, or to the addresses of cameras and streams."""
-        if isinstance(video, list | tuple):
-            return tuple((live_address(name) or Path(name)) if isinstance(name, str) else name for name in video)
-        return (live_address(video) or Path(video)) if isinstance(video, str) else video
+    def _pair_of_names(cls, pair: Any) -> Any:
+        """Convert names to paths, several files, or the addresses of cameras and streams."""
+        return tuple(_source_name(name) for name in pair) if isinstance(pair, list | tuple) else pair
+
+    @field_validator("mono", mode="before")
+    @classmethod
+    def _name(cls, video: Any) -> Any:
+        """Convert a name to a path, several files, or the address of a camera or stream."""
+        return _source_name(video)
 
     @field_serializer("stereo", "mono")
     def _named(self, video: VideoName | tuple[VideoName, VideoName] | None) -> Any:
-        """Names as text; addresses without passwords."""
-        return [str(name) for name in video] if isinstance(video, tuple) else video and str(video)
+        """Names as text, several files as a list; addresses without passwords."""
+        if isinstance(video, tuple):
+            return [_plain_name(name, str) for name in video]
+        return None if video is None else _plain_name(video, str)
 
     @field_validator("start_utc", mode="before")
     @classmethod
@@ -374,7 +384,7 @@ class RunSettings(Options):
     @property
     def out_dir(self) -> Path:
         """Output folder."""
-        return self.out or Path(f"{self.left.stem}-track-range")
+        return self.out or Path(f"{stem_of(self.left)}-track-range")
 
 
 def settings_from(options: dict[str, Any], file: Path | None = None) -> RunSettings:
@@ -446,8 +456,19 @@ def absolute_settings(settings: RunSettings) -> dict[str, Any]:
     return run
 
 
-def _absolute(video: VideoName) -> str:
-    return os.path.realpath(video) if isinstance(video, Path) else str(video)
+def _absolute(video: VideoName) -> str | list[str]:
+    return _plain_name(video, lambda path: os.path.realpath(path) if isinstance(path, Path) else str(path))
+
+
+def _source_name(value: Any) -> Any:
+    """A recording or live source from text or a list of texts; other values are left to the validation."""
+    is_list = isinstance(value, list | tuple) and all(isinstance(part, str | Path) for part in value)
+    return video_name(value) if isinstance(value, str) or is_list else value
+
+
+def _plain_name(video: VideoName, text: Callable[[VideoName], str]) -> str | list[str]:
+    """The name of a recording as text, several files as a list."""
+    return [text(path) for path in video.paths] if isinstance(video, Segments) else text(video)
 
 
 def _read(file: Path) -> dict[str, Any]:

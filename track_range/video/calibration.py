@@ -18,7 +18,7 @@ from track_range.stereo.geometry.rig_checks import check_camera
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
 from track_range.video.auto_alignment import PairAlignment
 from track_range.video.inputs import Inputs
-from track_range.video.live.address import VideoName
+from track_range.video.names import VideoName, files_of
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
@@ -99,7 +99,8 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
     Raises:
         RigError: the file cannot be used or does not fit the images; or one camera has neither file nor focal length.
     """
-    neighbour = find_rig(left) if rig is None and focal_px is None and isinstance(left, Path) else None
+    first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
+    neighbour = None if first_file is None else find_rig(first_file)
     search_notes = () if neighbour is None else (f"Using calibration {neighbour} found next to the left video.",)
     path = neighbour if rig is None else rig
     if path is not None:

@@ -34,7 +34,7 @@ from track_range.video.decode_log import DecodeLog
 from track_range.video.file_state import FileState
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 from track_range.video.threads import DECODER_THREADS
-from track_range.video.utc import UtcStart, stamp_in_header, stamp_in_name, start_of
+from track_range.video.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 
 _FALLBACK_RATE_HZ = 25.0
 """Frame rate of a file that does not declare one."""
@@ -172,6 +172,65 @@ class VideoFile:
 
 
 @dataclass(frozen=True, slots=True)
+class VideoHeader:
+    """Properties of a video file that can be read without decoding.
+
+    Attributes:
+        size_px: width and height of the images as stored.
+        fps: nominal frame rate.
+        first_s: time stamp of the first frame.
+        duration_s: duration; 0 = not stated.
+        n_frames: number of frames; None = not stated.
+        stamps: date and time in the metadata and in the file name; None = none.
+    """
+
+    size_px: tuple[int, int]
+    fps: float
+    first_s: float
+    duration_s: float
+    n_frames: int | None
+    stamps: tuple[Stamp | None, Stamp | None]
+
+    @classmethod
+    def read(cls, path: Path) -> VideoHeader:
+        """The header of a file, which is closed again.
+
+        Raises:
+            VideoError: the file cannot be read, or contains no video.
+        """
+        with closing(_Reading(path, FileState.of(path))) as reading:
+            container, stream = reading.container, reading.stream
+            first_s = float((stream.start_time or 0) * reading.time_base)
+            declared_s, is_end = _declared_duration_s(container, stream)
+            duration_s = max(0.0, declared_s - first_s if is_end else declared_s)
+            return cls(
+                (stream.codec_context.width, stream.codec_context.height),
+                reading.fps,
+                first_s,
+                duration_s or (container.duration or 0) / av.time_base or (stream.frames or 0) / reading.fps,
+                stream.frames or None,
+                (stamp_in_header({**container.metadata, **stream.metadata}), stamp_in_name(path.name)),
+            )
+
+
+def count_packets(path: Path) -> tuple[int, float]:
+    """Number of frames of a file that does not state it, and time from the first to the end of the last one, s.
+
+    Raises:
+        VideoError: the file cannot be read.
+    """
+    with closing(_Reading(path, FileState.of(path))) as reading:
+        n_frames, stamps = 0, list[int]()
+        for packet in reading.packets:
+            if packet is not None and packet.size and not packet.is_discard:
+                n_frames += 1
+                stamps = [*stamps, *([] if packet.pts is None else [packet.pts])]
+                stamps = [min(stamps), max(stamps)] if stamps else []
+        span_s = float((stamps[1] - stamps[0]) * reading.time_base) if len(stamps) > 1 else 0.0
+        return n_frames, span_s + 1 / reading.fps
+
+
+@dataclass(frozen=True, slots=True)
 class _TimedFrame:
     """A decoded frame with its number in the file and its time."""
 
@@ -186,6 +245,8 @@ class _Reading:
     Attributes:
         container, stream: PyAV's container and its video stream.
         fps: nominal frame rate.
+        time_base: unit of the time stamps, s.
+        packets: packets that were not decoded yet; see `_demuxed`.
         log: frame numbers and unusable frames.
         notes: messages for the user about the header, without the path.
     """
@@ -198,8 +259,8 @@ class _Reading:
         self.fps = self._rate_hz()
         # AVI stores no timestamps, and those that FFmpeg guesses are out of order with B-frames.
         self._is_stamped = not (self.container.format.name == "avi" and self.stream.codec_context.has_b_frames)
-        self._time_base = self.stream.time_base or Fraction(1, 90_000)
-        self._packets = self._demuxed()
+        self.time_base = self.stream.time_base or Fraction(1, 90_000)
+        self.packets = self._demuxed()
         self._decoded: deque[av.VideoFrame] = deque()
         self._from_s = math.inf  # damaged frames before the requested part do not count
 
@@ -221,9 +282,9 @@ class _Reading:
         self._from_s = from_s
         if not self._is_stamped:
             return
-        stamp = (from_s + TIME_EPSILON_S) / float(self._time_base)
+        stamp = (from_s + TIME_EPSILON_S) / float(self.time_base)
         waiting: list[Packet[VideoStream] | None] = []
-        for packet in self._packets:
+        for packet in self.packets:
             is_before = packet is not None and packet.pts is not None and packet.pts <= stamp
             if is_before and packet is not None and packet.is_keyframe:
                 waiting.clear()
@@ -233,7 +294,7 @@ class _Reading:
             waiting.append(packet)
             if not is_before:
                 break
-        self._packets = itertools.chain(waiting, self._packets)
+        self.packets = itertools.chain(waiting, self.packets)
 
     def __iter__(self) -> Iterator[_TimedFrame]:
         return self
@@ -244,12 +305,12 @@ class _Reading:
             frame = self._next_decoded()
             stamp = (frame.dts if frame.pts is None else frame.pts) if self._is_stamped else None
             index = log.frame_index(stamp)
-            stamp_s = None if stamp is None else float(stamp * self._time_base)
+            stamp_s = None if stamp is None else float(stamp * self.time_base)
             time_s = strictly_later(stamp_s, log.last_s, interval_s=interval_s)
             if time_s is None:
                 log.n_backward += 1
                 continue
-            duration_s = float(frame.duration * self._time_base) if self._is_stamped else 0.0
+            duration_s = float(frame.duration * self.time_base) if self._is_stamped else 0.0
             log.decoded(time_s, duration_s=duration_s or interval_s, interval_s=interval_s)
             if not (frame.is_corrupt or log.is_corrupt(stamp)):
                 return _TimedFrame(index, time_s, frame)
@@ -259,7 +320,7 @@ class _Reading:
     def _next_decoded(self) -> av.VideoFrame:
         """The next frame that can be decoded; None and an empty packet flush the decoder."""
         while not self._decoded:
-            packet = next(self._packets)
+            packet = next(self.packets)
             try:
                 self._decoded.extend(self.stream.decode(packet))
             except (av.FFmpegError, MemoryError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,9 @@ from track_range.video.frame import VideoError
 _N_SAMPLES, _SAMPLE_BYTES = 16, 4096
 """Number and largest size, bytes, of the samples by which two contents are compared if the time of change differs."""
 
+_DIGEST_BYTES = 16
+"""Size of the digest of a sample, bytes; recordings may have thousands of files."""
+
 
 @dataclass(frozen=True, slots=True)
 class FileState:
@@ -20,7 +24,7 @@ class FileState:
     Attributes:
         n_bytes: size.
         modified_ns: time of the last change, ns.
-        samples: parts of the content at regular distances.
+        samples: digests of parts of the content at regular distances.
     """
 
     n_bytes: int
@@ -41,7 +45,8 @@ class FileState:
             try:
                 for number in range(_N_SAMPLES):
                     file.seek(int(number * step))
-                    samples.append(file.read(min(_SAMPLE_BYTES, max(1, int(step)))))
+                    sample = file.read(min(_SAMPLE_BYTES, max(1, int(step))))
+                    samples.append(hashlib.blake2b(sample, digest_size=_DIGEST_BYTES).digest())
             except OSError as error:
                 raise VideoError(f"{path}: cannot be read ({error.strerror or error}); check the disk.") from error
         return cls(status.st_size, status.st_mtime_ns, tuple(samples))

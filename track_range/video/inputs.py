@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 from track_range.foundation.arrays import Image
 from track_range.video.frame import VideoError, VideoFrame
-from track_range.video.live.address import LiveAddress, VideoName
+from track_range.video.live.address import LiveAddress
 from track_range.video.live.pair import LivePair
 from track_range.video.live.reader import LiveReader
 from track_range.video.look_ahead import LookAhead
+from track_range.video.names import VideoName
 from track_range.video.pairing import StereoVideo
 from track_range.video.reader import VideoReader
 from track_range.video.threads import MAX_LOOK_AHEAD_BYTES
@@ -54,7 +55,7 @@ class Inputs:
         """Open one or two videos.
 
         Args:
-            left: a file, a folder of numbered images, a camera or a stream.
+            left: a recording, a camera or a stream.
             right: the same; None = one video.
             start_s: start of the part to read, in seconds after the left video's first frame.
             duration_s: length of the part to read; None = to the end.
@@ -64,17 +65,24 @@ class Inputs:
             VideoError: a video cannot be used, their sizes differ, or one is live and the other recorded.
         """
 
-        def reader(name: VideoName, origin_s: float | None = None) -> Reader:
+        def reader(name: VideoName, beside: Reader | None = None) -> Reader:
             if isinstance(name, LiveAddress):
                 return LiveReader(name, start_s=start_s, duration_s=duration_s)
-            return VideoReader(name, folder_fps=folder_fps, start_s=start_s, duration_s=duration_s, origin_s=origin_s)
+            return VideoReader(
+                name,
+                folder_fps=folder_fps,
+                start_s=start_s,
+                duration_s=duration_s,
+                origin_s=None if beside is None else beside.first_time_s,
+                left=beside if isinstance(beside, VideoReader) else None,
+            )
 
         first = reader(left)
         if right is None:
             return cls(first, None, (first.width_px, first.height_px))
         with ExitStack() as on_error:
             on_error.callback(first.close)
-            second = reader(right, origin_s=first.first_time_s)
+            second = reader(right, beside=first)
             on_error.callback(second.close)
             pairs = _paired(first, second)
             size_px = _common_size_px(first, second)

@@ -1,4 +1,4 @@
-"""VideoReader: iterates over the frames of a video file or of a folder of numbered images."""
+"""VideoReader: iterates over the frames of a recorded video: one file, several, or a folder of numbered images."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from contextlib import closing
 from pathlib import Path
 
 from track_range.foundation.atomic_files import describe
+from track_range.foundation.input_files import quoted
 from track_range.video.file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.image_folder import ImageFolder
+from track_range.video.names import BagTopic, RecordedName, Segments
+from track_range.video.segments import SegmentedVideo, segment_files
 from track_range.video.threads import DECODER_THREADS
 from track_range.video.utc import UtcStart
 
@@ -22,18 +25,23 @@ _MIN_SIDE_PX = 8
 """Smallest width and height of a video; smaller ones show no road users, and their headers are usually damaged."""
 
 
+Source = VideoFile | ImageFolder | SegmentedVideo
+"""Frames of a recording with their properties; see `VideoReader`."""
+
+
 class VideoReader:
-    """The frames of a video file, or of a folder of numbered images.
+    """The frames of a video file, of several files that are one recording, or of a folder of numbered images.
 
     The file is opened once for its properties and the first iteration, and again for each later iteration.
 
     Args:
-        path: the file or folder.
+        path: the file, the folder of images or videos, a pattern such as `DIR/*_F.mp4`, or several files.
         folder_fps: frame rate of a folder without timestamps.txt.
         start_s: start of the part to read, in seconds after `origin_s`; most frames before it are not decoded.
         duration_s: length of the part to read; None = to the end.
         origin_s: file time from which `start_s` counts; None = that of the first frame. For the right video of a pair:
             `first_time_s` of the left one.
+        left: the left video of a pair, if this is the right one.
 
     Attributes:
         width_px, height_px: size of the upright images.
@@ -52,15 +60,16 @@ class VideoReader:
 
     def __init__(
         self,
-        path: Path,
+        path: RecordedName,
         *,
         folder_fps: float = 10.0,
         start_s: float = 0.0,
         duration_s: float | None = None,
         origin_s: float | None = None,
+        left: VideoReader | None = None,
     ) -> None:
         self.path = path
-        self._source = _source(path, folder_fps)
+        self._source: Source = _source(path, folder_fps, None if left is None else left._source)
         self.width_px, self.height_px = self._source.width_px, self._source.height_px
         if min(self.width_px, self.height_px) < _MIN_SIDE_PX:
             self._source.close()
@@ -125,7 +134,22 @@ class VideoReader:
         return max(0, round((end_s - max(self._from_s, self.first_time_s)) * self.fps))
 
 
-def _source(path: Path, folder_fps: float) -> VideoFile | ImageFolder:
+def _source(path: RecordedName, folder_fps: float, left: Source | None) -> Source:
+    """The opened recording with this name; `left` is that of the left camera, if this is the right one."""
+    try:
+        files = None if isinstance(path, BagTopic) else segment_files(path)
+    except ValueError as error:  # a null character
+        raise VideoError(f"{quoted(str(path))}: cannot be read (invalid name); check the name.") from error
+    if files is not None and not isinstance(path, BagTopic) and (len(files) > 1 or isinstance(path, Segments)):
+        return SegmentedVideo(path, files, left=left if isinstance(left, SegmentedVideo) else None)
+    if files:
+        return VideoFile(files[0])
+    if not isinstance(path, Path):
+        raise VideoError(f"{path}: expected a video.")
+    return _single_source(path, folder_fps)
+
+
+def _single_source(path: Path, folder_fps: float) -> VideoFile | ImageFolder:
     try:
         is_folder = path.is_dir()
     except (OSError, ValueError) as error:  # a null character

@@ -6,7 +6,7 @@ open the videos -> find and check the calibration -> check and align with the fi
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import islice
@@ -21,7 +21,7 @@ from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.auto_alignment import ESTIMATION_SPAN_S, find_alignment
 from track_range.video.calibration import Calibration, find_calibration
 from track_range.video.inputs import Images, Inputs
-from track_range.video.live.address import VideoName, video_name
+from track_range.video.names import VideoName, video_name
 from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
 from track_range.video.utc import UtcStart, parsed_utc
 
@@ -91,8 +91,8 @@ class Recording:
 
 
 def open_recording(
-    left: str | VideoName,
-    right: str | VideoName | None = None,
+    left: str | VideoName | Sequence[str | Path],
+    right: str | VideoName | Sequence[str | Path] | None = None,
     *,
     rig: str | Path | None = None,
     focal_px: float | None = None,
@@ -107,7 +107,8 @@ def open_recording(
     """Open one video or a pair for one pass over its rectified frames.
 
     Args:
-        left: video file, folder of numbered images, camera (0, /dev/video0) or stream (rtsp://...).
+        left: video file, several files of one recording, folder of such files or of numbered images, camera (0,
+            /dev/video0) or stream (rtsp://...).
         right: the same; None = one camera.
         rig: calibration file: rig.yaml, KITTI's calib.txt, OpenCV's or Kalibr's; None = one next to `left`, if any.
         focal_px: focal length of cameras without a calibration file.
@@ -121,7 +122,7 @@ def open_recording(
         progress: shows the progress of the alignment's estimation.
 
     Raises:
-        ValueError: `start_utc` is not a date and time.
+        ValueError: `start_utc` is not a date and time, or no video is named.
         VideoError: a video cannot be used, or the two do not match.
         RigError: no usable calibration, one that does not fit the images, or left and right are swapped.
 

@@ -116,12 +116,10 @@ def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:
 
 def stamp_in_name(name: str) -> Stamp | None:
     """The last date and time in a file name; None = none."""
-    found = None
-    for match in _TIME_IN_NAME.finditer(name):
-        found = match
-    if found is None:
+    matches = list(_TIME_IN_NAME.finditer(name))
+    if not matches:
         return None
-    *digits, thousandths, zulu, offset = found.groups()
+    *digits, thousandths, zulu, offset = matches[-1].groups()
     try:
         moment = datetime(*(int(part) for part in digits), tzinfo=UTC)  # type: ignore[misc, arg-type]
     except ValueError:  # February 30

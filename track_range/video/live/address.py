@@ -60,15 +60,6 @@ class LiveAddress:
         return {**_LOW_LATENCY, **_NETWORK, **({"rtsp_transport": "tcp"} if is_rtsp else {})}
 
 
-VideoName = Path | LiveAddress
-"""A video file or folder of images, or a camera or stream."""
-
-
-def video_name(name: str | VideoName) -> VideoName:
-    """The camera, stream, file or folder with this name."""
-    return (live_address(name) or Path(name)) if isinstance(name, str) else name
-
-
 def live_address(name: str) -> LiveAddress | None:
     """The camera or stream with this name on the command line; None = a file or folder.
 
