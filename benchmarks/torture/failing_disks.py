@@ -32,7 +32,16 @@ _RUN = (
     *("--lanes", "off", "--out", "out"),
 )
 
-_RESULTS = ("tracks.csv", "mot.txt", "overlay.mp4", "report.html", "summary.json", "settings.yaml")
+_RESULTS = (
+    "tracks.csv",
+    "mot.txt",
+    "tracks.parquet",
+    "tracks.arrows",
+    "overlay.mp4",
+    "report.html",
+    "summary.json",
+    "settings.yaml",
+)
 
 
 def run_full_disks(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:

@@ -60,7 +60,7 @@ def n_frames_of(video):
 
 def test_all_files_are_complete(simulated_run):
     out, _, _ = simulated_run
-    names = {"tracks.csv", "mot.txt", "summary.json", "settings.yaml", "overlay.mp4", "report.html"}
+    names = {"tracks.csv", "mot.txt", "tracks.parquet", "summary.json", "settings.yaml", "overlay.mp4", "report.html"}
     assert {file.name for file in out.iterdir()} == names
     assert n_frames_of(out / "overlay.mp4") == 16
     with (out / "tracks.csv").open() as file:

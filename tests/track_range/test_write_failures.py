@@ -21,6 +21,7 @@ from track_range.foundation.folder_lock import FolderLockError, locked_folder
 from track_range.overlay.result_video import ResultVideo, VideoFormat
 from track_range.report.run_folders import report
 from track_range.results.formats.csv_file import read_tracks_csv
+from track_range.results.formats.parquet_file import read_tracks_parquet
 from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError
 from track_range.results.progress_note import ProgressNote, read_progress
@@ -229,18 +230,22 @@ def check_folder(out: Path, n_frames: int) -> None:
     assert (out / "tracks.csv").read_bytes().endswith(b"\n")
     assert sorted(rows.tolist()) == sorted(read_mot(out / "mot.txt").frame.tolist())
     assert rows.max() == n_frames - 1
+    if (out / "tracks.parquet").exists():
+        assert sorted(read_tracks_parquet(out / "tracks.parquet")["frame"].tolist()) == sorted(rows.tolist())
     if (out / "summary.json").exists():
         assert json.loads((out / "summary.json").read_text())["frames"] == n_frames
     assert not (out / "progress.json").exists()
     assert not (out / ".running").exists()
 
 
-@pytest.mark.parametrize("limit", [5000, *(pytest.param(n, marks=pytest.mark.slow) for n in (6000, 7000, 8000, 9000))])
+@pytest.mark.parametrize(
+    "limit", [14_000, *(pytest.param(n, marks=pytest.mark.slow) for n in (16_000, 19_000, 24_000, 29_000))]
+)
 def test_run_on_a_full_disk(tmp_path: Path, inputs: Callable[..., tr.Run], limit: int) -> None:
     run = inputs(tmp_path)
     frames = iter(run)
     n_frames = 0
-    with file_size_limit(limit), pytest.raises(UserError, match=r"tracks\.csv|overlay\.mp4"):  # noqa: PT012
+    with file_size_limit(limit), pytest.raises(UserError, match=r"tracks\.arrows|overlay\.mp4"):  # noqa: PT012
         for _ in frames:
             n_frames += 1
     assert n_frames == run.summary["frames"]
@@ -254,11 +259,11 @@ def test_first_error_is_reported(tmp_path: Path, inputs: Callable[..., tr.Run]) 
     run = inputs(tmp_path, overlay=False)
     with file_size_limit(0), pytest.raises(UserError, match=r"settings|progress|tracks"):
         next(iter(run))
-    run = inputs(tmp_path, overlay=False)
+    run = inputs(tmp_path, overlay=False, write="csv,mot")
     for _ in run:
         size = (tmp_path / "tracks.csv").stat().st_size
     other = tmp_path / "other"
-    run = inputs(other, overlay=False, sgbm=False)
+    run = inputs(other, overlay=False, sgbm=False, write="csv,mot")
     with file_size_limit(size), pytest.raises(OutputError, match=r"report\.html"):
         list(run)
     check_folder(other, N_FRAMES)

@@ -12,6 +12,7 @@ from tests.track_range.test_results import result
 from track_range.results import writers
 from track_range.results.output_files import OutputError
 from track_range.results.writers import (
+    DEFAULT_WRITERS,
     OpenWriters,
     RunInfo,
     WriterError,
@@ -25,6 +26,7 @@ from track_range.results.writers import (
 from track_range.run.settings import RunSettings, UsageError, settings_from
 from track_range.stereo.geometry.camera import PinholeCamera
 
+BUILT_IN = ("csv", "mot", "parquet")
 INFO = RunInfo(camera=PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480), rig=None, fps=10.0, settings={})
 ROW = "0 1 Car 0 0 0 10 10 40 40 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
 
@@ -85,13 +87,13 @@ def test_summary_does_not_depend_on_the_writers(tmp_path, mono_run):
 def test_entry_point(monkeypatch):
     point = EntryPoint("toy", "tests.toy_writer:JsonLinesWriter", writers.ENTRY_POINT_GROUP)
     monkeypatch.setattr(writers, "entry_points", lambda group: [point] if group == writers.ENTRY_POINT_GROUP else [])
-    assert writer_names() == ("csv", "mot", "toy")
+    assert writer_names() == (*BUILT_IN, "toy")
     assert isinstance(create_writer("toy"), JsonLinesWriter)
     assert "frames.jsonl" in result_names()
 
 
 def test_settings_name_writers():
-    assert RunSettings(mono="a.mp4").write == ("csv", "mot")
+    assert RunSettings(mono="a.mp4").write == DEFAULT_WRITERS
     assert settings_from({"mono": "a.mp4", "write": "mot, csv"}).write == ("mot", "csv")
     with pytest.raises(UsageError, match=r"unknown format parquetry: .*csv"):
         settings_from({"mono": "a.mp4", "write": "csv,parquetry"})

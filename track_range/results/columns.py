@@ -112,6 +112,12 @@ def methods_measured(columns: Columns) -> list[str]:
     return [name for name in names if name not in NOT_METHODS and bool(np.isfinite(columns[f"{name}_m"]).any())]
 
 
+def rounded(columns: Columns) -> dict[str, npt.NDArray[Any]]:
+    """Rows with numbers rounded as in tracks.csv; unknown columns unchanged."""
+    declared = {column.name: column for column in result_columns()}
+    return {name: declared[name].rounded(values) if name in declared else values for name, values in columns.items()}
+
+
 def no_rows() -> dict[str, npt.NDArray[Any]]:
     """Columns of a run without tracks: zero rows."""
     return {name: np.zeros(0, np.str_ if name == "class" else np.float64) for name in column_names()}

@@ -1,7 +1,8 @@
 """RunFolder: results of a run read from its folder, where files may be missing or damaged.
 
-A killed run leaves settings.yaml and tracks.csv up to its last complete frame, but no summary.json. Coverage, errors
-and tracking metrics are then computed from the rows, with the ground truth if its file still exists.
+A killed run leaves settings.yaml and the rows up to its last complete frame (tracks.csv, tracks.arrows), but no
+summary.json. Coverage, errors and tracking metrics are then computed from the rows, with the ground truth if its file
+still exists.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from track_range.foundation.arrays import BoolArray
 from track_range.foundation.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
-from track_range.results.columns import Columns, column_names, methods_measured, no_rows
-from track_range.results.formats.csv_file import read_tracks_csv
+from track_range.results.columns import Columns, column_names, methods_measured, no_rows, rounded
+from track_range.results.formats.csv_file import TABLE_FILE, read_tracks_csv
+from track_range.results.formats.parquet_file import PARQUET_FILE, STREAM_FILE, read_tracks_arrows, read_tracks_parquet
 from track_range.results.output_files import OutputError
 from track_range.results.progress_note import describe_progress
 from track_range.results.summary import range_scores, track_scores
@@ -66,7 +68,7 @@ class RunFolder:
     Attributes:
         folder: folder of the results.
         summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
-        columns: tracks.csv by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
+        columns: rows by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
         settings: section `run` of settings.yaml; empty without that file.
         missing: messages about files that are missing or cannot be read.
     """
@@ -78,22 +80,28 @@ class RunFolder:
     missing: tuple[str, ...]
 
 
-def read_run_folder(folder: Path) -> RunFolder:
+def read_run_folder(folder: Path, *, is_rounded: bool = True) -> RunFolder:
     """Read the files of a run.
 
+    Args:
+        folder: folder of the results.
+        is_rounded: whether numbers are rounded as in tracks.csv; False = full precision, if the run wrote
+            tracks.parquet.
+
     Raises:
-        OutputError: the folder does not contain a run, or its tracks.csv has other columns.
+        OutputError: the folder does not contain a run, or the file of its rows has other columns.
     """
     if not folder.is_dir():
         raise OutputError(f"{folder}: expected the result folder of a run, found no such folder.")
     missing: list[str] = []
     summary, settings = _summary_of(folder, missing), _settings_of(folder, missing)
-    columns = _columns_of(folder, missing)
+    columns = _columns_of(folder, missing, is_rounded=is_rounded)
     if summary is None and columns is None:
         if (progress := describe_progress(folder)) is not None:
             raise OutputError(f"{folder}: no frames yet: {progress}.")
         raise OutputError(
-            f"{folder}: expected the result folder of a run, found neither tracks.csv nor summary.json in it."
+            f"{folder}: expected the result folder of a run, found neither rows (tracks.csv, tracks.parquet) nor "
+            "summary.json in it."
         )
     run = _section(settings, "run")
     rows = no_rows() if columns is None else columns
@@ -116,7 +124,7 @@ def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     if not file.exists():
         missing.append(
             f"summary.json is missing: {describe_progress(folder) or 'the run was killed'}. Stage times, alignment and "
-            "notes are unknown; the other results are computed from tracks.csv."
+            "notes are unknown; the other results are computed from the rows."
         )
         return None
     try:
@@ -124,7 +132,7 @@ def _summary_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
     except OutputError:
         summary = None
     if not isinstance(summary, dict):
-        missing.append("summary.json cannot be read: results are computed from tracks.csv.")
+        missing.append("summary.json cannot be read: results are computed from the rows.")
         return None
     return summary
 
@@ -138,11 +146,13 @@ def _settings_of(folder: Path, missing: list[str]) -> dict[str, Any]:
     return settings if isinstance(settings, dict) else {}
 
 
-def _columns_of(folder: Path, missing: list[str]) -> dict[str, Any] | None:
-    path = folder / "tracks.csv"
-    if path.is_file():
-        return read_run_rows(path, missing)
-    missing.append("tracks.csv is missing: there are no charts of tracks.")
+def _columns_of(folder: Path, missing: list[str], *, is_rounded: bool) -> dict[str, Any] | None:
+    in_full = (PARQUET_FILE, STREAM_FILE)  # the stream of a run in progress, or of one that was killed
+    for name in (TABLE_FILE, *in_full) if is_rounded else (*in_full, TABLE_FILE):
+        if (folder / name).is_file():
+            columns = read_run_rows(folder / name, missing)
+            return rounded(columns) if is_rounded and name in in_full else columns
+    missing.append(f"{TABLE_FILE} is missing, and so is {PARQUET_FILE}: there are no charts of tracks.")
     return None
 
 
@@ -218,27 +228,40 @@ def _checked_summary(folder: Path, summary: Sections, settings: Sections, missin
 
 
 def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
-    """Columns of a tracks.csv without damaged rows; a message with their number is added to `missing`.
+    """Columns of the rows of a run without damaged rows; a message with their number is added to `missing`.
+
+    Args:
+        path: tracks.csv, tracks.parquet or tracks.arrows.
+        missing: messages for the user.
 
     Raises:
-        OutputError: the file cannot be read, or is not a tracks.csv.
+        OutputError: the file cannot be read, or is not of a run.
     """
-    columns = read_tracks_csv(path)
+    columns, is_cut = _read_rows(path)
     if not columns.keys() >= _NEEDED_COLUMNS:
         raise OutputError(
-            f"{path}: expected the tracks.csv of a run, but columns are missing: "
+            f"{path}: expected the {path.name} of a run, but columns are missing: "
             f"{', '.join(sorted(_NEEDED_COLUMNS - columns.keys()))}."
         )
     is_valid = valid_rows(columns)
     n_invalid = int(np.sum(~is_valid))
     if n_invalid:
-        missing.append(f"{n_invalid} of {len(is_valid)} rows of tracks.csv are malformed and were ignored.")
-    if _ends_within_a_row(path):
-        missing.append("tracks.csv ends in the middle of a row, so later rows are missing.")
+        missing.append(f"{n_invalid} of {len(is_valid)} rows of {path.name} are malformed and were ignored.")
+    if is_cut:
+        missing.append(f"{path.name} ends in the middle of a row, so later rows are missing.")
     n_rows = int(np.sum(is_valid))
     # Columns that an earlier version did not write are empty, except sigmas, which mark the methods to be scored.
     empty = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
     return empty | {name: values[is_valid] for name, values in columns.items()}
+
+
+def _read_rows(path: Path) -> tuple[Columns, bool]:
+    """Columns of a file of rows, and whether it ends within a row or frame."""
+    if path.suffix == ".parquet":
+        return read_tracks_parquet(path), False
+    if path.suffix == ".arrows":
+        return read_tracks_arrows(path)
+    return read_tracks_csv(path), _ends_within_a_row(path)
 
 
 def _ends_within_a_row(path: Path) -> bool:

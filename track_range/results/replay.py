@@ -20,7 +20,7 @@ _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterable[str]) -> Iterator[FrameResult]:
-    """One result per frame; frames without tracks have the time NaN, and numbers are rounded as in the rows.
+    """One result per frame; frames without tracks have the time NaN, and numbers have the precision of the rows.
 
     Args:
         columns: rows in the order of their frames, `RunTable.to_columns()`.

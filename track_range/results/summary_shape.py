@@ -58,6 +58,8 @@ class _LearntScale(_Figures):
 
 
 class _Summary(_Section):
+    schema_version: Figure = None
+    settings_hash: Text = None
     frames: Figure = None
     starts_s: Figure = None
     utc: _Utc | None = None

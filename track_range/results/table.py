@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.atomic_files import describe
+from track_range.results.arrow_rows import FrameValues, frame_values, record_batch, rounded_batch, rows_schema
 from track_range.results.columns import ResultColumn, result_columns
 from track_range.results.output_files import OutputError
 from track_range.run.frame_result import FrameResult
@@ -46,7 +47,7 @@ class RunTable:
     def __init__(self, *, rows_per_batch: int = ROWS_PER_BATCH) -> None:
         self.columns = result_columns()
         self._rows_per_batch = rows_per_batch
-        self._buffer: list[list[npt.NDArray[Any]]] = []
+        self._buffer: list[FrameValues] = []
         self._n_buffered = 0
         self._file: _BatchFile | None = None
 
@@ -64,7 +65,7 @@ class RunTable:
         """
         if not len(result.tracks):
             return
-        self._buffer.append([np.asarray(column.read(result)) for column in self.columns])
+        self._buffer.append(frame_values(result, self.columns))
         self._n_buffered += len(result.tracks)
         if self._n_buffered >= self._rows_per_batch or len(self._buffer) >= FRAMES_PER_BATCH:
             try:
@@ -80,15 +81,19 @@ class RunTable:
             self._file = _BatchFile(batch.schema)
         self._file.write(batch)
 
-    def to_arrow(self) -> pa.Table:
-        """Rows so far as a `pyarrow.Table`, memory-mapped from the temporary file if there is one.
+    def to_arrow(self, *, is_rounded: bool = True) -> pa.Table:
+        """Rows so far as a `pyarrow.Table`.
 
         Null = not measured; `class` is a dictionary column of names; the metadata of a field contains its unit.
+
+        Args:
+            is_rounded: whether numbers are rounded as in tracks.csv; without rounding, the rows in the temporary file
+                are memory-mapped.
         """
         import pyarrow as pa
 
-        stored = [] if self._file is None else self._file.batches()
-        return pa.Table.from_batches([*stored, self._buffered()])
+        batches = [*([] if self._file is None else self._file.batches()), self._buffered()]
+        return pa.Table.from_batches([rounded_batch(b, self.columns) for b in batches] if is_rounded else batches)
 
     def to_pandas(self) -> Any:
         """Rows so far as a `pandas.DataFrame`.
@@ -98,10 +103,17 @@ class RunTable:
         """
         return self.to_arrow().to_pandas()
 
-    def to_columns(self) -> dict[str, npt.NDArray[Any]]:
-        """Rows so far as `track_range.results.columns.Columns`, equal to those read from tracks.csv."""
-        table = self.to_arrow()
-        return {column.name: _as_numpy(table.column(column.name), column) for column in self.columns}
+    def to_columns(self, *, is_rounded: bool = True) -> dict[str, npt.NDArray[Any]]:
+        """Rows so far as `track_range.results.columns.Columns`.
+
+        Args:
+            is_rounded: whether they equal those read from tracks.csv; False = full precision.
+        """
+        table = self.to_arrow(is_rounded=False)
+        columns = {column.name: _as_numpy(table.column(column.name), column) for column in self.columns}
+        if is_rounded:
+            return {column.name: column.rounded(columns[column.name]) for column in self.columns}
+        return columns
 
     def close(self) -> None:
         """Delete the temporary file; tables made from it remain valid."""
@@ -111,27 +123,7 @@ class RunTable:
             self._file = None
 
     def _buffered(self) -> pa.RecordBatch:
-        import pyarrow as pa
-
-        by_column = zip(*self._buffer, strict=True) if self._buffer else [()] * len(self.columns)
-        arrays = [_as_arrow(parts, column) for parts, column in zip(by_column, self.columns, strict=True)]
-        fields = [
-            pa.field(column.name, array.type, metadata={"unit": column.unit} if column.unit else None)
-            for column, array in zip(self.columns, arrays, strict=True)
-        ]
-        return pa.record_batch(arrays, schema=pa.schema(fields))
-
-
-def _as_arrow(parts: tuple[npt.NDArray[Any], ...], column: ResultColumn) -> pa.Array:
-    import pyarrow as pa
-
-    kinds = {"whole": np.int64, "number": np.float64, "flag": np.bool_, "class": np.int8}
-    values: npt.NDArray[Any] = np.concatenate(
-        [*parts, np.zeros(0, kinds[column.kind])], dtype=kinds[column.kind], casting="unsafe"
-    )
-    if column.kind == "class":
-        return pa.DictionaryArray.from_arrays(pa.array(values), pa.array(ROAD_CLASSES))
-    return pa.array(column.rounded(values), from_pandas=True)  # NaN becomes null
+        return record_batch(self._buffer, self.columns, rows_schema(self.columns))
 
 
 def _as_numpy(values: pa.ChunkedArray, column: ResultColumn) -> npt.NDArray[Any]:

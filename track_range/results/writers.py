@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path, PureWindowsPath
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
+from track_range.foundation.arrays import Image
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.errors import UserError
 from track_range.results.output_files import OutputError
+from track_range.results.provenance import Provenance
 
 if TYPE_CHECKING:
     from track_range.run.frame_result import FrameResult
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 ENTRY_POINT_GROUP = "track_range.result_writers"
 """Group of the entry points of writers in other packages."""
 
-DEFAULT_WRITERS = ("csv", "mot")
+DEFAULT_WRITERS = ("csv", "mot", "parquet")
 """Writers of a run without `--write`."""
 
 _RUN_FILES = ("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html")
@@ -36,6 +38,11 @@ _RUN_FILES = ("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "
 
 class WriterError(UserError):
     """There is no such writer, or it cannot be used."""
+
+
+def left_image(result: FrameResult) -> Image | None:
+    """The left image of a frame, (H, W, 3) uint8 BGR; None for frames that were reconstructed from rows."""
+    return result.frame.left if result.frame.left.size else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +55,11 @@ class RunInfo:
         fps: nominal frame rate.
         settings: section `run` of settings.yaml.
         start_utc_s: UTC of time_s = 0, in seconds since 1970; None = unknown.
+        provenance: software, model, calibration and settings of the results.
+        notes: messages for the user before the first frame.
+        overlay: annotated video of the run, finished before `close`; None = not written.
+        shown_image: returns the (H, W, 3) uint8 BGR image of a frame that files may show, None if there is none.
+            Writers take images from nowhere else.
     """
 
     camera: PinholeCamera
@@ -55,6 +67,10 @@ class RunInfo:
     fps: float
     settings: Mapping[str, Any]
     start_utc_s: float | None = None
+    provenance: Provenance = field(default_factory=Provenance)
+    notes: tuple[str, ...] = ()
+    overlay: Path | None = None
+    shown_image: Callable[[FrameResult], Image | None] = left_image
 
 
 class ResultWriter(Protocol):
@@ -66,6 +82,9 @@ class ResultWriter(Protocol):
 
     A method `discard_last()` is optional: it removes the last frame from the files. It is called if a later writer of
     the run, or the run itself, fails in the same frame, so that all files of a run end with the same frame.
+
+    An attribute `temporary_files` is optional: names of files that exist only while the run is in progress, and remain
+    if it is killed.
 
     Attributes:
         files: names, without folder, of the files that it writes to the output folder; they must differ from the files
@@ -93,6 +112,7 @@ WriterFactory = Callable[[], ResultWriter]
 _registered: dict[str, WriterFactory | str] = {
     "csv": "track_range.results.formats.csv_file:CsvWriter",
     "mot": "track_range.results.formats.mot_file:MotWriter",
+    "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
 }
 """Writers by name; a string "package.module:Class" is imported on first use."""
 
@@ -159,7 +179,7 @@ def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
     writers = {name: create_writer(name) for name in dict.fromkeys(names)}
     writer_of: dict[str, str] = {}
     for name, writer in writers.items():
-        for file in writer.files:
+        for file in _all_files(writer):
             if (other := writer_of.setdefault(file.casefold(), name)) != name:
                 raise WriterError(f"the writers '{other}' and '{name}' both write {file}; choose one of them.")
     return tuple(writers.values())
@@ -173,8 +193,17 @@ def result_names() -> tuple[str, ...]:
     names: list[str] = []
     for name in writer_names():
         with suppress(WriterError):
-            names += create_writer(name).files
+            names += _all_files(create_writer(name))
     return (*names, *_RUN_FILES)
+
+
+def _all_files(writer: ResultWriter) -> tuple[str, ...]:
+    """Names of the files of a writer, including temporary ones."""
+    return (*writer.files, *_temporary_files(writer))
+
+
+def _temporary_files(writer: ResultWriter) -> Any:
+    return getattr(writer, "temporary_files", ())
 
 
 def _imported(path: str) -> WriterFactory:
@@ -192,9 +221,18 @@ def _check_writer(name: str, writer: Any) -> None:
     for method in ("open", "write", "close"):
         if not callable(getattr(writer, method, None)):
             raise WriterError(f"the writer '{name}': expected a method {method}, found none.")
-    files = getattr(writer, "files", None)
-    if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
-        raise WriterError(f"the writer '{name}': expected `files`, a tuple of file names, got {files!r}.")
+    for attribute, files in (("files", getattr(writer, "files", None)), ("temporary_files", _temporary_files(writer))):
+        if not isinstance(files, tuple | list) or not all(isinstance(file, str) for file in files):
+            raise WriterError(f"the writer '{name}': expected `{attribute}`, a tuple of file names, got {files!r}.")
+    _check_names(name, _all_files(writer))
+
+
+def _check_names(name: str, files: Sequence[str]) -> None:
+    """Check the names of the files of a writer.
+
+    Raises:
+        WriterError: a file is not in the folder, belongs to the run, or is named twice.
+    """
     for file in files:
         # PureWindowsPath recognises drives and the separators of all systems
         if file in ("", ".", "..") or PureWindowsPath(file).name != file or not file.isprintable():
@@ -293,5 +331,5 @@ class OpenWriters:
             yield
         except OSError as error:
             self._failed = writer
-            files = ", ".join(str(self._folder / file) for file in writer.files)
-            raise OutputError(f"{files}: {problem} ({describe(error)}).") from error
+            names = ", ".join(_all_files(writer))
+            raise OutputError(f"{self._folder / names}: {problem} ({describe(error)}).") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -79,8 +80,10 @@ class RunFolder:
         self._n_frames = 0
         drawn = pictures(settings, recording, session.meter.captions) if has_videos else {}
         self.videos = {name: f"{name}.mp4" for name in drawn}
+        overlay = folder / self.videos["overlay"] if "overlay" in self.videos else None
+        info = replace(session.info, overlay=overlay)
         with ExitStack() as opening:
-            self._writers = opening.enter_context(OpenWriters(settings.write, session.info, folder))
+            self._writers = opening.enter_context(OpenWriters(settings.write, info, folder))
             self._videos_open = opening.enter_context(ExitStack())
             self._videos = [
                 self._videos_open.enter_context(

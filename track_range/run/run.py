@@ -333,8 +333,9 @@ class Run:
             return folder  # already written while iterating, including videos
         session = self.session
         try:
+            rows = session.table.to_columns(is_rounded=False)
             with RunFolder(session, self._prepare(folder), has_videos=False) as files:
-                for result in frames_of_rows(session.table.to_columns(), session.frame_index, session.methods):
+                for result in frames_of_rows(rows, session.frame_index, session.methods):
                     files.write(result)
                 self._finish(files)
         finally:

@@ -12,6 +12,7 @@ import numpy as np
 from track_range.overlay.outputs import missing_outputs, pictures
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns
+from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.summary import range_scores, stage_times_ms, track_scores
 from track_range.results.table import RunTable
 from track_range.results.truth import MatchedTruth
@@ -86,6 +87,21 @@ class RunSession:
             fps=self.source.fps,
             settings=absolute_settings(self.settings),
             start_utc_s=None if self.source.utc is None else self.source.utc.start_s,
+            provenance=self.provenance,
+            notes=tuple(self.notes),
+        )
+
+    @property
+    def provenance(self) -> Provenance:
+        """Origin of the results, for the result files."""
+        calibration, detected = self.source.calibration, self.detected()
+        rig = {key: detected[key] for key in ("focal_px", "baseline_m", "image_size_px")}
+        file = None if calibration.path is None else calibration.path.name
+        return Provenance(
+            model=self.boxes.description,
+            rig={"calibration": calibration.kind, "file": file, **rig},
+            settings_hash=settings_hash(absolute_settings(self.settings)),
+            utc={} if self.source.utc is None else self.source.utc.summary(),
         )
 
     @property
@@ -151,6 +167,7 @@ class RunSession:
             "inputs": self._inputs(),
             "files": {name: f"{name}.mp4" for name in pictures(self.settings, source)},
             "versions": _versions(),
+            **self.provenance.section(),
         }
 
     def _inputs(self) -> dict[str, Any]:

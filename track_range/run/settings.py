@@ -18,6 +18,7 @@ from track_range.foundation.options import Options, option
 from track_range.foundation.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import first_problem
 from track_range.results.output_files import write_text
+from track_range.results.provenance import SCHEMA_VERSION
 from track_range.run.detector_fields import (
     Device,
     anchors_option,
@@ -260,11 +261,12 @@ class RunSettings(Options):
     write: Annotated[
         tuple[str, ...],
         option(
-            "Formats of the result files: csv (tracks.csv), mot (mot.txt), or formats of installed packages.",
+            "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), or formats "
+            "of installed packages.",
             metavar="A,B,...",
             panel=_OUTPUT,
         ),
-    ] = ("csv", "mot")
+    ] = ("csv", "mot", "parquet")
     table: Annotated[
         Path | None, option("Markdown file for the tables of the run.", metavar="FILE.md", panel=_OUTPUT)
     ] = None
@@ -434,7 +436,11 @@ def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]
         path: the file.
         detected: properties of the opened inputs; None = not known yet.
     """
-    content = {"track_range_settings": 1, "run": absolute_settings(settings)}
+    content = {
+        "track_range_settings": 1,
+        "schema_version": SCHEMA_VERSION,
+        "run": absolute_settings(settings),
+    }
     if detected is not None:
         content["found"] = detected
     write_text(path, yaml_text(content))

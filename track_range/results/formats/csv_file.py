@@ -17,6 +17,8 @@ from track_range.results.output_files import OutputError
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 
+TABLE_FILE = "tracks.csv"
+
 _MAX_CLASS = 200
 """Largest number of characters of a class name."""
 
@@ -24,12 +26,12 @@ _MAX_CLASS = 200
 class CsvWriter:
     """Writer of tracks.csv, frame by frame (see `RowFile`). An empty cell = not measured."""
 
-    files = ("tracks.csv",)
+    files = (TABLE_FILE,)
 
     def open(self, info: RunInfo, folder: Path) -> None:
         """Create the file with its header."""
         self._columns = result_columns()
-        self._file = RowFile(folder / "tracks.csv", _csv_text([[column.name for column in self._columns]]))
+        self._file = RowFile(folder / TABLE_FILE, _csv_text([[column.name for column in self._columns]]))
 
     def write(self, result: FrameResult) -> None:
         """Add the rows of a frame."""

@@ -1,0 +1,291 @@
+"""tracks.parquet: the columns of tracks.csv in full precision, with units and provenance; null = not measured.
+
+During the run the rows are in tracks.arrows, an Arrow IPC stream with one record batch per frame, which is converted
+and removed at the end. After a kill, tracks.arrows contains all finished frames, and is read instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from track_range.foundation.atomic_files import atomic_path
+from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular
+from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
+from track_range.results.columns import Columns, result_columns
+from track_range.results.formats.row_file import FrameFile
+from track_range.results.output_files import OutputError
+from track_range.results.provenance import SCHEMA_VERSION, schema_version_of
+from track_range.results.writers import RunInfo
+from track_range.run.frame_result import FrameResult
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+PARQUET_FILE, STREAM_FILE = "tracks.parquet", "tracks.arrows"
+
+_ROWS_PER_GROUP = 32_768
+"""Rows per row group, about 9 MB in memory: minutes of video."""
+
+_MAX_COLUMNS = 1000
+"""Largest number of columns; a run has about 40."""
+
+_MAX_CLASS = 200
+"""Largest number of characters of a class name."""
+
+
+class ParquetWriter:
+    """Writer of tracks.parquet, by way of tracks.arrows."""
+
+    files = (PARQUET_FILE,)
+    temporary_files = (STREAM_FILE,)
+
+    def open(self, info: RunInfo, folder: Path) -> None:
+        """Create tracks.arrows with its schema."""
+        self._path, self._stream_path = folder / PARQUET_FILE, folder / STREAM_FILE
+        self._columns = result_columns()
+        self._schema = rows_schema(self._columns, info.provenance.metadata())
+        self._messages = _Messages(self._schema)
+        # the batch without rows contains the class names, which later batches refer to
+        header = self._messages.of(record_batch([], self._columns, self._schema))
+        self._file = FrameFile(self._stream_path, header)
+
+    def write(self, result: FrameResult) -> None:
+        """Add the rows of a frame to tracks.arrows."""
+        if not len(result.tracks):
+            self._file.add(b"")
+            return
+        batch = record_batch([frame_values(result, self._columns)], self._columns, self._schema)
+        self._file.add(self._messages.of(batch))
+
+    def discard_last(self) -> None:
+        """Remove the rows of the last frame."""
+        self._file.discard_last()
+
+    def close(self, summary: Mapping[str, Any] | None) -> None:
+        """Convert tracks.arrows to tracks.parquet, and remove it; if that fails, it remains."""
+        self._file.close()
+        _convert(self._stream_path, self._path)
+        self._stream_path.unlink()
+
+
+class _Messages:
+    """Record batches as messages of an Arrow IPC stream.
+
+    Args:
+        schema: schema of the batches; it comes before the first batch.
+    """
+
+    def __init__(self, schema: pa.Schema) -> None:
+        import pyarrow as pa
+
+        self._parts: list[bytes] = []
+        self._writer = pa.ipc.new_stream(pa.PythonFile(self, "w"), schema)
+
+    def of(self, batch: pa.RecordBatch) -> bytes:
+        """Messages of a batch, after those that have to precede it."""
+        self._writer.write_batch(batch)
+        content = b"".join(self._parts)
+        self._parts.clear()
+        return content
+
+    # the methods that pyarrow calls on a file
+
+    closed = False
+
+    def write(self, content: Any) -> int:
+        """Collect a part of a message."""
+        self._parts.append(bytes(content))
+        return len(content)
+
+    def tell(self) -> int:
+        """Position for alignment, which is relative to the start of a message."""
+        return 0
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def _convert(stream_path: Path, path: Path) -> None:
+    """Write the rows of a tracks.arrows as Parquet, one row group in memory at a time.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    from pyarrow import parquet
+
+    with _Stream(stream_path) as stream, atomic_path(path) as partial:
+        # other numbers hardly repeat
+        coded = [name for name in ("frame", "time_s", "track_id", "class") if name in stream.schema.names]
+        with parquet.ParquetWriter(partial, stream.schema, compression="zstd", use_dictionary=coded) as writer:
+            for table in _grouped(stream.schema, stream):
+                writer.write_table(table)
+
+
+def _grouped(schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Table]:
+    """Tables of about `_ROWS_PER_GROUP` rows, each in contiguous memory."""
+    import pyarrow as pa
+
+    group: list[pa.RecordBatch] = []
+    n_rows = 0
+    for batch in batches:
+        group.append(batch)
+        n_rows += batch.num_rows
+        if n_rows >= _ROWS_PER_GROUP:
+            yield pa.Table.from_batches(group, schema).combine_chunks()
+            group, n_rows = [], 0
+    if n_rows:
+        yield pa.Table.from_batches(group, schema).combine_chunks()
+
+
+class _Stream:
+    """Complete batches of a tracks.arrows, to be iterated once; the last one may be incomplete.
+
+    Attributes:
+        schema: schema of the batches.
+        is_cut: whether the file ends within a batch, as found by the iteration.
+
+    Raises:
+        ArrowException, OSError: the file is not an Arrow IPC stream.
+    """
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow as pa
+
+        self._file = pa.OSFile(str(path))
+        try:
+            self._reader = pa.ipc.open_stream(self._file)
+        except BaseException:
+            self._file.close()
+            raise
+        self.schema = self._reader.schema
+        self.is_cut = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._reader.close()
+        self._file.close()
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        from pyarrow import ArrowException
+
+        while True:
+            try:
+                batch = self._reader.read_next_batch()
+                batch.validate(full=True)
+            except StopIteration:
+                return
+            except (ArrowException, OSError):
+                self.is_cut = True
+                return
+            if batch.num_rows:
+                yield batch
+
+
+def read_tracks_parquet(path: Path) -> Columns:
+    """Columns of a tracks.parquet: `class` as str, the others as float64 with NaN for null.
+
+    Columns of other types are skipped.
+
+    Raises:
+        OutputError: the file cannot be read, is not of a run, or was written by a newer version.
+    """
+    with _errors_of(path):
+        return _columns(_parquet_table(path))
+
+
+def read_tracks_arrows(path: Path) -> tuple[Columns, bool]:
+    """Columns of the complete frames of a tracks.arrows, and whether it ends within a frame.
+
+    Raises:
+        OutputError: the file cannot be read, is not of a run, or was written by a newer version.
+    """
+    import pyarrow as pa
+
+    with _errors_of(path), _Stream(path) as stream:
+        names = _usable_columns(path, stream.schema)
+        return _columns(pa.Table.from_batches(list(stream), stream.schema).select(names)), stream.is_cut
+
+
+@contextmanager
+def _errors_of(path: Path) -> Iterator[None]:
+    """Context in which errors of reading are reported with the file."""
+    from pyarrow import ArrowException
+
+    check_regular(path, OutputError, f"the {path.name} of a run", max_bytes=MAX_TABLE_BYTES)
+    try:
+        yield
+    except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
+        raise OutputError(f"{path}: cannot be read as the {path.name} of a run.") from error
+
+
+def _parquet_table(path: Path) -> pa.Table:
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(path) as file:
+        names = _usable_columns(path, file.schema_arrow)
+        n_bytes = 8 * len(names) * file.metadata.num_rows
+        if n_bytes > MAX_TABLE_BYTES:
+            raise OutputError(
+                f"{path}: expected at most {MAX_TABLE_BYTES / 1e9:.0f} GB of rows, found {n_bytes / 1e9:.3g} GB; "
+                "read it with pyarrow or DuckDB."
+            )
+        table = file.read(columns=names, use_threads=False)
+    table.validate(full=True)
+    return table
+
+
+def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
+    """Names of the columns that can be read.
+
+    Raises:
+        OutputError: the file was written by a newer version.
+        ValueError: there are too many columns, or one of them twice.
+    """
+    from pyarrow import types
+
+    schema_version = schema_version_of(schema.metadata)
+    if schema_version is not None and schema_version > SCHEMA_VERSION:
+        raise OutputError(
+            f"{path}: expected schema_version {SCHEMA_VERSION} or earlier, found {schema_version}; a newer track-range "
+            "wrote this file, update with `pip install --upgrade track-range`."
+        )
+    if len(schema) > _MAX_COLUMNS or len(set(schema.names)) < len(schema):
+        raise ValueError("columns")
+
+    def is_usable(field: pa.Field) -> bool:
+        if field.name == "class":
+            kind = field.type.value_type if types.is_dictionary(field.type) else field.type
+            return bool(types.is_string(kind) or types.is_large_string(kind))
+        return bool(types.is_integer(field.type) or types.is_floating(field.type) or types.is_boolean(field.type))
+
+    return [field.name for field in schema if is_usable(field)]
+
+
+def _columns(table: pa.Table) -> Columns:
+    return {name: _values(name, table.column(name)) for name in table.column_names}
+
+
+def _values(name: str, values: pa.ChunkedArray) -> np.ndarray[Any, Any]:
+    """Values of a column as NumPy array.
+
+    Raises:
+        ValueError: a class name is too long.
+    """
+    if name != "class":
+        return np.asarray(values.to_numpy(), np.float64)
+    for chunk in values.chunks:  # each name of a dictionary once
+        names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
+        if names.nbytes > _MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > _MAX_CLASS:
+            raise ValueError("class name too long")
+    return np.asarray([str(name) for name in values.to_pylist()], np.str_)
