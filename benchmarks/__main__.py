@@ -9,6 +9,7 @@ from pathlib import Path
 from benchmarks import (
     ablation,
     alignment,
+    anonymization,
     appearance,
     detection,
     fusion,
@@ -33,6 +34,7 @@ WORKLOADS = {
     "detection": detection,
     "ablation": ablation,
     "alignment": alignment,
+    "anonymization": anonymization,
     "fusion": fusion,
     "history": history,
     "lanes": lanes,

@@ -93,6 +93,7 @@ class YoloDetector:
         _check_is_detector(self._session)
         self._metadata: ModelMetadata = read_metadata(path, self._session.metadata, options or ModelOptions())
         self._bound: dict[tuple[int, int], tuple[BoundNetwork, YoloModel]] = {}
+        self._outputs: list[FloatArray32] | None = None
         self.n_invalid = 0
         self.size: Attribute = self._metadata.get("size", DEFAULT_SIZE_PX, "default")
         if self._settings.size_px is not None:
@@ -137,7 +138,22 @@ class YoloDetector:
     def detect(self, image: Image) -> Detections:
         """The road users in `image`, (H, W, 3) uint8 BGR, in order of decreasing score."""
         self.fill(image)
-        return self.decode(self.infer())
+        self._outputs = self.infer()
+        return self.decode(self._outputs)
+
+    def candidates(self, min_score: float) -> Detections:
+        """The boxes of all road classes with at least `min_score` in the image last passed to `detect`.
+
+        Raises:
+            ValueError: `detect` was not called before.
+        """
+        if self._outputs is None:
+            raise ValueError("expected an earlier call of detect")
+        n_invalid = self.n_invalid
+        every_class = np.where(self._road_class >= 0, np.minimum(self._min_score, min_score), _UNREACHABLE_SCORE)
+        found = self.decode(self._outputs, every_class)
+        self.n_invalid = n_invalid  # `detect` has counted them
+        return found
 
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""
@@ -160,10 +176,15 @@ class YoloDetector:
         """The network's outputs for the latest image passed to `fill`; the next run overwrites them."""
         return self._network.run()
 
-    def decode(self, outputs: list[FloatArray32]) -> Detections:
-        """The road users in the latest image passed to `fill`, from the network's outputs for it."""
+    def decode(self, outputs: list[FloatArray32], min_score: FloatArray | None = None) -> Detections:
+        """The road users in the latest image passed to `fill`, from the network's outputs for it.
+
+        Args:
+            outputs: result of `infer`.
+            min_score: (C,) minimum score by class of the network; None = those of the settings.
+        """
         with np.errstate(over="ignore", invalid="ignore"):  # the decoder drops and counts what is not finite
-            candidates = self.model.decoder.decode(outputs, self._min_score)
+            candidates = self.model.decoder.decode(outputs, self._min_score if min_score is None else min_score)
         self.n_invalid += candidates.n_invalid
         class_id = self._road_class[candidates.class_index]
         best = nms(

@@ -18,6 +18,9 @@ from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
+CANDIDATE_SCORE = 0.05
+"""Minimum confidence of the candidates for anonymization; half of the default for tracking."""
+
 
 @dataclass(frozen=True, slots=True)
 class BoxSource:
@@ -25,12 +28,15 @@ class BoxSource:
 
     Attributes:
         detect: returns the boxes of a frame.
+        candidates: returns all boxes of the frame last passed to `detect`, also with low scores and of classes that are
+            not tracked, for anonymization.
         frames: (M,) frame numbers with recorded boxes; empty for a detector.
         description: properties for the section `found` of settings.yaml.
         notes: returns the messages for the user so far.
     """
 
     detect: Callable[[Frame], Detections]
+    candidates: Callable[[Frame], Detections]
     frames: IntArray
     description: dict[str, Any]
     notes: Callable[[], tuple[str, ...]]
@@ -68,6 +74,7 @@ def open_box_source(
     }
     return BoxSource(
         detect=lambda frame: detector.detect(frame.left),
+        candidates=lambda frame: network.candidates(CANDIDATE_SCORE),
         frames=np.zeros(0, np.int64),
         description={"detector": description},
         notes=lambda: network.notes,
@@ -79,8 +86,16 @@ def boxes_of(detector: Detector) -> BoxSource:
 
     Its `detect` raises DetectorError if the object does not return `Detections`.
     """
+    last = Detections.empty()
+
+    def detect(frame: Frame) -> Detections:
+        nonlocal last
+        last = checked_detections(detector, detector.detect(frame.left))
+        return last
+
     return BoxSource(
-        detect=lambda frame: checked_detections(detector, detector.detect(frame.left)),
+        detect=detect,
+        candidates=lambda frame: last,
         frames=np.zeros(0, np.int64),
         description={"detector": {"class": f"{type(detector).__module__}:{type(detector).__qualname__}"}},
         notes=lambda: tuple(getattr(detector, "notes", ())),
@@ -98,4 +113,10 @@ def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[
         detections = recorded.at(frame.index)
         return detections.select(np.isin(detections.class_id, class_id)) if class_id else detections
 
-    return BoxSource(detect, np.unique(recorded.frame), {"detections": path.name}, lambda: recorded.notes)
+    return BoxSource(
+        detect=detect,
+        candidates=lambda frame: recorded.at(frame.index),
+        frames=np.unique(recorded.frame),
+        description={"detections": path.name},
+        notes=lambda: recorded.notes,
+    )

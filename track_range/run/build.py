@@ -82,6 +82,7 @@ def open_pipeline(
     return Pipeline(
         camera=source.camera,
         detect=boxes.detect,
+        candidates=boxes.candidates if settings.anonymize else None,
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.filtering.collision_course import PassingOffsets
@@ -34,6 +35,7 @@ class FrameResult:
             NaN = unknown.
         disparity: (H, W) disparities in px, NaN = unknown; None if dense stereo did not run.
         lanes: lines of the ego lane; None if no lane detector ran.
+        candidates: all detections of the frame, of all classes and with low scores; None = not needed.
         misses: lateral offset of each track at its time to collision; None if it was not estimated.
     """
 
@@ -48,6 +50,7 @@ class FrameResult:
     disparity: npt.NDArray[np.float32] | None = None
     lanes: LaneLines | None = None
     misses: PassingOffsets | None = None
+    candidates: Detections | None = None
 
     @property
     def index(self) -> int:

@@ -23,8 +23,7 @@ from track_range.results.writers import OpenWriters, create_writers, result_name
 from track_range.run.frame_result import FrameResult
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.session import RunSession
-from track_range.run.settings import RunSettings, absolute_settings, save_settings
-from track_range.video.names import files_of
+from track_range.run.settings import RunSettings, absolute_settings, input_files, save_settings
 
 
 def check_folder(settings: RunSettings, folder: Path) -> None:
@@ -37,16 +36,6 @@ def check_folder(settings: RunSettings, folder: Path) -> None:
     create_writers(settings.write)
     tables = [settings.table] if settings.table is not None else []
     check_outputs(tables, [*input_files(settings), *(folder / name for name in result_names())])
-
-
-def input_files(settings: RunSettings) -> list[Path]:
-    """All files that a run reads."""
-    files = (
-        *(file for video in (*(settings.stereo or ()), settings.mono) if video is not None for file in files_of(video)),
-        *(settings.rig, settings.detections, settings.truth, settings.curves, settings.reid),
-    )
-    names = (settings.detector, settings.names, settings.align, settings.lanes, settings.ego_speed)
-    return [*(path for path in files if path is not None), *(Path(name) for name in names if name is not None)]
 
 
 class RunFolder:

@@ -83,6 +83,7 @@ class Pipeline:
         camera: the left camera, undistorted.
         detect: returns the boxes of a frame.
         tracker: assigns identities to boxes.
+        candidates: returns all boxes of the frame passed to `detect` before; None = not needed.
         rangers: ranging methods by name, in the order of execution (`registry.create_rangers`).
         lane_finder: detects the lines of the ego lane; None = off.
         ego_speed: speed of the camera; None = unknown.
@@ -96,6 +97,7 @@ class Pipeline:
     detect: Callable[[Frame], Detections]
     tracker: Tracker
     rangers: Mapping[str, Ranger]
+    candidates: Callable[[Frame], Detections] | None = None
     lane_finder: LaneFinder | None = None
     ego_speed: EgoSpeed | None = None
     shared_sigma: float = 0.0
@@ -126,12 +128,14 @@ class Pipeline:
             with_lanes = self._with_lanes(read)
             if self.lane_finder is not None:
                 with_lanes = in_thread(with_lanes, self.depths.lanes, low_priority=True)
-            for frame, lanes, detections in in_thread(
+            for frame, lanes, detections, candidates in in_thread(
                 self._with_detections(with_lanes), self.depths.detected, low_priority=False
             ):
-                yield self.result(frame, lanes, detections)
+                yield self.result(frame, lanes, detections, candidates)
 
-    def result(self, frame: Frame, lanes: LaneLines | None, detections: Detections) -> FrameResult:
+    def result(
+        self, frame: Frame, lanes: LaneLines | None, detections: Detections, candidates: Detections | None = None
+    ) -> FrameResult:
         """Result of one frame from its lane lines and boxes; frames must be passed in order."""
         tracks = self._tracks(frame, detections)
         ranges = self._ranges(frame, lanes, tracks)
@@ -151,6 +155,7 @@ class Pipeline:
                 ),
                 lanes=lanes,
                 misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
+                candidates=candidates,
             )
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterable[tuple[Frame, LaneLines | None]]:
@@ -165,14 +170,15 @@ class Pipeline:
 
     def _with_detections(
         self, frames: Iterable[tuple[Frame, LaneLines | None]]
-    ) -> Iterator[tuple[Frame, LaneLines | None, Detections]]:
+    ) -> Iterator[tuple[Frame, LaneLines | None, Detections, Detections | None]]:
         """Frames with their boxes; rangers that work in the background are started before the detector."""
         for frame, lanes in frames:
             for ranger in self.rangers.values():
                 ranger.start(frame)
             with self.clock.stage("detect"):
                 detections = self.detect(frame)
-            yield frame, lanes, detections
+                candidates = None if self.candidates is None else self.candidates(frame)
+            yield frame, lanes, detections, candidates
 
     def _tracks(self, frame: Frame, detections: Detections) -> Tracks:
         with self.clock.stage("track"):

@@ -283,7 +283,8 @@ class Run:
     def _frame_results(self, session: RunSession, files: RunFolder | None) -> Generator[FrameResult, None, None]:
         with (
             short_switch_interval(),
-            closing(session.pipeline.run(session.source.frames)) as results,
+            closing(session.pipeline.run(session.source.frames)) as processed,
+            closing(self._shared(session, processed)) as results,
             frame_progress(self._console, session.source.n_frames) as advance,
         ):
             for result in results:
@@ -299,6 +300,17 @@ class Run:
                         raise
                 advance()
                 yield result
+
+    def _shared(
+        self, session: RunSession, results: Generator[FrameResult, None, None]
+    ) -> Generator[FrameResult, None, None]:
+        """Results as everything after the pipeline gets them: anonymized if requested."""
+        if not self.settings.anonymize:
+            return results
+        from track_range.anonymization.look_ahead import LIVE, OFFLINE, anonymized_results
+
+        look_ahead = OFFLINE if session.source.inputs.live is None else LIVE
+        return anonymized_results(results, look_ahead)
 
     def _finish(self, files: RunFolder | None) -> None:
         """Compute the summary of the run, and finish its files."""

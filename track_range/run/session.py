@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,12 +22,19 @@ from track_range.results.writers import RunInfo
 from track_range.run.box_source import BoxSource
 from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
-from track_range.run.settings import RunSettings, absolute_settings
+from track_range.run.settings import RunSettings, absolute_settings, input_files, without_folders
 from track_range.run.throughput import FrameMeter
 from track_range.video.recording import Recording
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
+
+
+ANONYMIZED = (
+    "Anonymized: the heads of detected or tracked people and riders and the number plates of such vehicles are covered "
+    "in all images of the results. What is not detected is not covered: check the videos before you share them."
+)
+"""Note of a run with --anonymize."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -112,7 +121,8 @@ class RunSession:
         lanes = () if finder is None else finder.notes
         speed = ego.note(self.last_s) if ego is not None and has_results else None
         boxes = self.boxes.notes()
-        return [
+        notes = [
+            *([ANONYMIZED] if self.settings.anonymize else []),
             *boxes,
             *self.source.notes,
             *missing_outputs(self.settings, self.source),
@@ -125,6 +135,14 @@ class RunSession:
             *([] if speed is None else [speed]),
             *self.meter.notes,
         ]
+        return [self._without_paths(note) for note in notes] if self.settings.anonymize else notes
+
+    def _without_paths(self, note: str) -> str:
+        """A note with the names of the input files instead of their paths, and without the home folder."""
+        for path in input_files(self.settings):
+            for text in (os.path.realpath(path), str(path)):
+                note = note.replace(text, path.name)
+        return note.replace(str(Path.home()), "~")
 
     def _frame_mismatch_notes(self) -> list[str]:
         """Notes on files of boxes or labels without any frame number of the video."""
@@ -174,14 +192,16 @@ class RunSession:
         shown = self.settings.model_dump(mode="json", exclude_none=True)
         if self.settings.stereo is not None:
             shown["left"], shown["right"] = shown["stereo"]
-        return {key: shown[key] for key in _INPUTS if key in shown}
+        inputs = {key: shown[key] for key in _INPUTS if key in shown}
+        return without_folders(inputs) if self.settings.anonymize else inputs
 
     def detected(self) -> dict[str, Any]:
         """Section `found` of settings.yaml: properties of the opened inputs."""
         source, camera = self.source, self.source.camera
+        rig = source.calibration.path
         return {
             **self.boxes.description,
-            "rig": str(source.calibration.path) if source.calibration.path else None,
+            "rig": None if rig is None else rig.name if self.settings.anonymize else str(rig),
             "focal_px": camera.fx_px,
             "focal_y_px": camera.fy_px,
             "principal_point_px": [camera.cx_px, camera.cy_px],

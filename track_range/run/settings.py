@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -29,8 +29,13 @@ from track_range.run.detector_fields import (
     threads_option,
 )
 from track_range.run.tracker_fields import reid_option, tracker_option
-from track_range.video.names import Segments, VideoName, stem_of, video_name
+from track_range.video.live.address import live_address
+from track_range.video.names import Segments, VideoName, files_of, stem_of, video_name
 from track_range.video.utc import parsed_utc
+
+_PATHS = ("rig", "detections", "curves", "truth", "table", "out", "reid")
+_PATHS_OR_NAMES = ("detector", "names", "align", "lanes", "ego_speed")
+"""Settings that are files or folders, and those that are a file or a name."""
 
 _INPUT, _DETECTION, _TRACKING, _RANGING, _OUTPUT = "Input", "Detection", "Tracking", "Ranging", "Output"
 """Headings of the help page under which the options are listed."""
@@ -267,6 +272,14 @@ class RunSettings(Options):
             panel=_OUTPUT,
         ),
     ] = ("csv", "mot", "parquet")
+    anonymize: Annotated[
+        bool,
+        option(
+            "Blur of heads and number plates in all images of the results, irreversibly, and no folder names in them; "
+            "what is not detected is not covered.",
+            panel=_OUTPUT,
+        ),
+    ] = False
     table: Annotated[
         Path | None, option("Markdown file for the tables of the run.", metavar="FILE.md", panel=_OUTPUT)
     ] = None
@@ -446,20 +459,43 @@ def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]
     write_text(path, yaml_text(content))
 
 
+def input_files(settings: RunSettings) -> list[Path]:
+    """All files that a run reads."""
+    files = (
+        *(file for video in (*(settings.stereo or ()), settings.mono) if video is not None for file in files_of(video)),
+        *(settings.rig, settings.detections, settings.truth, settings.curves, settings.reid),
+    )
+    names = (settings.detector, settings.names, settings.align, settings.lanes, settings.ego_speed)
+    return [*(path for path in files if path is not None), *(Path(name) for name in names if name is not None)]
+
+
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:
-    """Settings as in settings.yaml: plain values, with absolute paths."""
+    """Settings as in settings.yaml: plain values, with absolute paths; file names only if the run is anonymized."""
     run: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
-    for key in ("rig", "detections", "curves", "truth", "table", "out", "reid"):
+    for key in _PATHS:
         if key in run:
             run[key] = os.path.realpath(run[key])
-    for key in ("detector", "names", "align", "lanes", "ego_speed"):  # a file or a name
+    for key in _PATHS_OR_NAMES:
         if key in run and os.path.exists(run[key]):  # False for a name that is too long
             run[key] = os.path.realpath(run[key])
     if settings.stereo:
         run["stereo"] = [_absolute(video) for video in settings.stereo]
     if settings.mono:
         run["mono"] = _absolute(settings.mono)
-    return run
+    return without_folders(run) if settings.anonymize else run
+
+
+def without_folders(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings or inputs with the names of files instead of their paths, which may contain the name of a person."""
+    keys = {*_PATHS, *_PATHS_OR_NAMES, "stereo", "mono", "left", "right"}
+    return {key: _name(value) if key in keys else value for key, value in run.items()}
+
+
+def _name(value: Any) -> Any:
+    """File name of a path, or of each path of a list; addresses of streams stay."""
+    if isinstance(value, list | tuple):
+        return [_name(path) for path in value]
+    return value if live_address(value) else os.path.basename(os.path.normpath(value))
 
 
 def _absolute(video: VideoName) -> str | list[str]:

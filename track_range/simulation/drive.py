@@ -173,9 +173,8 @@ class _Frame:
 
     number: int
     time_s: float
-    left: Future[tuple[Image, FloatArray]] | None
+    left: Future[tuple[Image, FloatArray, npt.NDArray[np.uint16] | None]] | None
     right: Future[Image] | None
-    part_labels: Future[npt.NDArray[np.uint16]] | None
 
 
 @dataclass(slots=True)
@@ -209,8 +208,6 @@ class _Recorder:
             waiting.extend(islice(frames, 1))
             if frame.left is not None:
                 self._write_left(left, frame, *frame.left.result())
-            if frame.part_labels is not None and self.masks is not None:
-                self.masks.write(frame.part_labels.result())
             if frame.right is not None:
                 self._write_right(right, frame, frame.right.result())
             if progress is not None:
@@ -222,15 +219,28 @@ class _Recorder:
         kept_left = set(self.kept_left)
         kept_right = set(faults.kept_frames(len(self.times_s), renderer.scene.seed, is_right=True))
         for number, time_s in enumerate(self.times_s.tolist()):
-            left = pool.submit(renderer.render_with_depth, time_s) if number in kept_left else None
+            left = pool.submit(self._rendered_left, time_s) if number in kept_left else None
             right_s = time_s + faults.late_s
             right = pool.submit(renderer.render, right_s, side="right") if number in kept_right else None
-            has_masks = self.masks is not None and left is not None
-            part_labels = pool.submit(renderer.part_labels, time_s) if has_masks else None
-            yield _Frame(number, time_s, left, right, part_labels)
+            yield _Frame(number, time_s, left, right)
 
-    def _write_left(self, writer: ImageWriter, frame: _Frame, image: Image, inverse_depth: FloatArray) -> None:
+    def _rendered_left(self, time_s: float) -> tuple[Image, FloatArray, npt.NDArray[np.uint16] | None]:
+        """Left image, inverse depth, and with masks the labels of the samples."""
+        if self.masks is None:
+            return *self.renderer.render_with_depth(time_s), None
+        return self.renderer.render_with_labels(time_s)
+
+    def _write_left(
+        self,
+        writer: ImageWriter,
+        frame: _Frame,
+        image: Image,
+        inverse_depth: FloatArray,
+        part_labels: npt.NDArray[np.uint16] | None,
+    ) -> None:
         writer.write(image, frame.time_s)
+        if self.masks is not None and part_labels is not None:
+            self.masks.write(part_labels)
         scene, camera = self.renderer.scene, self.renderer.rig.left
         visible = visible_objects(
             scene, frame.time_s, frame=len(self.labels), camera=camera, inverse_depth=inverse_depth

@@ -34,7 +34,7 @@ def masks():
         for n, (kind, x, z, heading) in enumerate(USERS)
     )
     scene = Scene(seed=1, ego_speed_mps=0.0, road_users=tuple(users))
-    return masks_of(Renderer(scene, RIG, noise_grey=0).part_labels(0.0))
+    return masks_of(Renderer(scene, RIG, noise_grey=0).render_with_labels(0.0)[2])
 
 
 @pytest.mark.parametrize("kind", ["Car", "Van", "Truck", "Bus", "Motorcycle"])

@@ -45,7 +45,7 @@ class MaskFolder:
                     old.unlink()
 
     def write(self, labels: npt.NDArray[np.uint16]) -> None:
-        """Write the masks of the next frame from `Renderer.part_labels`.
+        """Write the masks of the next frame from `Renderer.render_with_labels`.
 
         Raises:
             OutputError: a file cannot be written.

@@ -51,6 +51,17 @@ class Canvas:
         self._store = store
         self._columns, self._rows = np.arange(camera.width_px), np.arange(camera.height_px)
 
+    @property
+    def drawn_labels(self) -> npt.NDArray[np.uint16]:
+        """The labels of a canvas that has them.
+
+        Raises:
+            ValueError: the canvas has none.
+        """
+        if self.labels is None:
+            raise ValueError("expected a canvas with labels")
+        return self.labels
+
     def project(self, table: FaceTable) -> Projected:
         """The faces, given in the camera's frame, projected to the image."""
         return projected(visible_pieces(table, self.camera), self.camera)

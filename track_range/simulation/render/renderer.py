@@ -107,10 +107,13 @@ class Renderer:
         canvas = self._drawn(time_s, "left")
         return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth)
 
-    def part_labels(self, time_s: float) -> npt.NDArray[np.uint16]:
-        """(2 H, 2 W) visible heads and plates of the left image's samples: 2 n + part for road user n, 0 = neither."""
-        labels = self._drawn(time_s, "left", has_labels=True).labels
-        return np.zeros((0, 0), np.uint16) if labels is None else labels
+    def render_with_labels(self, time_s: float) -> tuple[Image, FloatArray, npt.NDArray[np.uint16]]:
+        """The results of `render_with_depth`, and (2 H, 2 W) the visible heads and number plates of the samples.
+
+        A label is 2 n + part (`faces.Part`) for road user n, 0 = neither head nor plate.
+        """
+        canvas = self._drawn(time_s, "left", has_labels=True)
+        return self._exposed(canvas, time_s, "left"), np.asarray(canvas.inverse_depth), canvas.drawn_labels
 
     def depth_m(self, time_s: float, *, side: Side = "left") -> FloatArray:
         """(H, W) exact depth of each pixel, from the mean of 1/z over its samples; NaN = sky."""

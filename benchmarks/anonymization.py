@@ -1,0 +1,226 @@
+"""Anonymization: share of the head and number plate pixels that `--anonymize` covers in simulated drives.
+
+Protocol: drives of the simulation with KITTI's field of view, 10 frames per second, where heads and plates are known
+exactly (`simulate --masks`). The parameters were chosen on seed 1; the default seed of this workload is 101. Boxes come
+from the packaged detector and from the truth (visible share of at least 0.1, every class at its exact box); tracks from
+the default tracker. Parts count separately by size (width of the visible part): those of at least 8 px (head) and 12 px
+(plate), and all. An object is tracked in a frame if a track's box, observed or predicted, has an IoU of at least 0.3
+with its box. `live` uses no later frames.
+
+Needless is the share of the image that is covered and is neither head nor plate.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.inputs.simulated_drives import SimulatedDrive
+from track_range.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, with_regions
+from track_range.anonymization.regions import Regions
+from track_range.detection.boxes import iou
+from track_range.detection.classes import map_to_road_classes
+from track_range.detection.detections import Detections
+from track_range.detection.models.lookup import DEFAULT_MODEL
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.run.box_source import CANDIDATE_SCORE
+from track_range.run.detector_options import DetectorOptions, open_detector
+from track_range.run.frame_result import FrameResult
+from track_range.run.ready_model import ready_model
+from track_range.simulation.camera.masks import masks_of
+from track_range.simulation.world.faces import Part
+from track_range.simulation.world.truth import visible_objects
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.deepsort import DeepSortTracker
+from track_range.tracking.tracks import Tracks
+
+SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
+
+READABLE_PX = {Part.HEAD: 8, Part.PLATE: 12}
+"""Minimum width of a part of which details can be recognised, px."""
+
+TRACKED_IOU = 0.3
+MIN_VISIBLE_SHARE = 0.1
+
+BoxSource = Literal["detector", "truth"]
+Key = tuple[Part, bool, bool]
+"""Part, whether only readable ones count, whether only those of tracked objects count."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenPart:
+    """A visible head or plate.
+
+    Attributes:
+        part: head or plate.
+        row, column: (P,) its pixels.
+        is_tracked: whether a track shows its road user, by source of the boxes.
+    """
+
+    part: Part
+    row: IntArray
+    column: IntArray
+    is_tracked: dict[BoxSource, bool]
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether it is wide enough."""
+        return int(np.ptp(self.column)) + 1 >= READABLE_PX[self.part]
+
+
+@dataclass(frozen=True, slots=True)
+class SeenFrame:
+    """Results of a frame by source of the boxes, and its heads and plates."""
+
+    results: dict[BoxSource, FrameResult]
+    parts: tuple[SeenPart, ...]
+    shape: tuple[int, int]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this workload."""
+    parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS), choices=SCENARIOS)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[101])
+    parser.add_argument("--seconds", type=float, default=6.0, help="length of each drive")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Render the drives, print the tables, and return their figures."""
+    drives = [
+        list(seen_frames(scenario, seed, options.seconds)) for scenario in options.scenarios for seed in options.seeds
+    ]
+    figures = {
+        f"{source}, {name}": scores(drives, source, look_ahead)
+        for source in ("detector", "truth")
+        for name, look_ahead in (("file", OFFLINE), ("live", LIVE))
+    }
+    print_table(figures)
+    return {"protocol": __doc__, "options": {k: str(v) for k, v in vars(options).items()}, "coverage": figures}
+
+
+def seen_frames(scenario: str, seed: int, seconds: float) -> Iterator[SeenFrame]:
+    """The frames of a drive."""
+    drive = SimulatedDrive.of(scenario, seed=seed, seconds=seconds)
+    renderer = drive.renderer
+    network = open_detector(ready_model(DEFAULT_MODEL, Console(quiet=True)), DetectorOptions())
+    trackers: dict[BoxSource, DeepSortTracker] = {"detector": DeepSortTracker(), "truth": DeepSortTracker()}
+    for index, time_s in enumerate(drive.times_s.tolist()):
+        image, inverse_depth, labels = renderer.render_with_labels(time_s)
+        visible = visible_objects(
+            renderer.scene, time_s, frame=index, camera=renderer.rig.left, inverse_depth=inverse_depth
+        )
+        is_visible = visible.visible_share >= MIN_VISIBLE_SHARE
+        class_id = map_to_road_classes([user.kitti_type for user in renderer.scene.road_users])[visible.row]
+        rows = np.flatnonzero(is_visible & (class_id >= 0))
+        boxes_px = visible.labels.xyxy_px
+        detections: dict[BoxSource, Detections] = {
+            "detector": network.detect(image),
+            "truth": Detections.of(boxes_px[rows], np.ones(len(rows)), class_id[rows]),
+        }
+        candidates = {"detector": network.candidates(CANDIDATE_SCORE), "truth": detections["truth"]}
+        frame = Frame(index, time_s, image[:0], None)
+        results: dict[BoxSource, FrameResult] = {}
+        for source, tracker in trackers.items():
+            tracks = tracker.update(detections[source], time_s, image)
+            results[source] = result_of(frame, tracks, candidates[source])
+        parts = seen_parts(*masks_of(labels), visible.row, boxes_px, {s: r.tracks for s, r in results.items()})
+        yield SeenFrame(results, tuple(parts), image.shape[:2])
+
+
+def result_of(frame: Frame, tracks: Tracks, candidates: Detections) -> FrameResult:
+    """A frame result without distances."""
+    unknown = np.full(len(tracks), np.nan)
+    return FrameResult(
+        frame=frame,
+        tracks=tracks,
+        ranges={},
+        closing_mps=unknown,
+        closing_sigma_mps=unknown,
+        ttc_s=unknown,
+        ttc_sigma_s=unknown,
+        xyz_m=np.full((len(tracks), 3), np.nan),
+        candidates=candidates,
+    )
+
+
+def seen_parts(
+    part: npt.NDArray[np.uint8],
+    user: IntArray,
+    visible_row: IntArray,
+    boxes_px: FloatArray,
+    tracks: dict[BoxSource, Tracks],
+) -> Iterator[SeenPart]:
+    """The parts in the masks of a frame."""
+    box_of = {int(row): boxes_px[k] for k, row in enumerate(visible_row)}
+    for number in np.unique(np.where(part > 0, 2 * user + part, 0))[1:].tolist():
+        which, row = Part((number - 1) % 2 + 1), (number - 1) // 2
+        rows, columns = np.nonzero((part == which) & (user == row))
+        is_tracked = {
+            source: row in box_of
+            and len(shown) > 0
+            and bool(iou(box_of[row][None], shown.xyxy_px).max() >= TRACKED_IOU)
+            for source, shown in tracks.items()
+        }
+        yield SeenPart(which, rows, columns, is_tracked)
+
+
+def covered(regions: Regions, shape: tuple[int, int]) -> BoolArray:
+    """(H, W) pixels that the blur replaces."""
+    mask = np.zeros(shape, np.bool_)
+    height, width = shape
+    for x1, y1, x2, y2 in regions.xyxy_px.tolist():
+        left, top = (int(np.clip(np.floor(edge + 0.5), 0, size)) for edge, size in ((x1, width), (y1, height)))
+        right, bottom = (int(np.clip(np.ceil(edge + 0.5), 0, size)) for edge, size in ((x2, width), (y2, height)))
+        mask[top:bottom, left:right] = True
+    return mask
+
+
+def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead: LookAhead) -> dict[str, float]:
+    """Fractions of covered pixels, and of needlessly covered ones of the image."""
+    n_covered: dict[Key, int] = {}
+    n_pixels: dict[Key, int] = {}
+    n_needless = n_image = 0
+    for frames in drives:
+        results = with_regions((frame.results[source] for frame in frames), look_ahead)
+        for frame, (_, regions) in zip(frames, results, strict=True):
+            mask = covered(regions, frame.shape)
+            n_image += mask.size
+            n_needless += int(mask.sum())
+            for seen in frame.parts:
+                n_in_mask = int(mask[seen.row, seen.column].sum())
+                n_needless -= n_in_mask
+                for key in _keys(seen, source):
+                    n_covered[key] = n_covered.get(key, 0) + n_in_mask
+                    n_pixels[key] = n_pixels.get(key, 0) + len(seen.row)
+    return {
+        **{_name(key): n_covered[key] / n_pixels[key] for key in sorted(n_pixels)},
+        "needless": n_needless / n_image,
+    }
+
+
+def _keys(seen: SeenPart, source: BoxSource) -> Iterator[Key]:
+    for is_readable in {False, seen.is_readable}:
+        for is_tracked in {False, seen.is_tracked[source]}:
+            yield seen.part, is_readable, is_tracked
+
+
+def _name(key: Key) -> str:
+    part, is_readable, is_tracked = key
+    size = f" of at least {READABLE_PX[part]} px" if is_readable else ""
+    return f"{part.name.lower()}s{size}, {'tracked' if is_tracked else 'all'}"
+
+
+def print_table(figures: dict[str, dict[str, float]]) -> None:
+    """Print the shares in per cent, a column for each source of boxes and look-ahead."""
+    table = Table("%", *figures, title="Anonymization: share of covered pixels", box=box.SIMPLE_HEAD)
+    for row in dict.fromkeys(name for shares in figures.values() for name in shares):
+        table.add_row(row, *(f"{100 * shares[row]:.2f}" if row in shares else "-" for shares in figures.values()))
+    Console().print(table)

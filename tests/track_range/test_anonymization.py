@@ -1,0 +1,216 @@
+"""Tests of anonymization: regions, blur, look-ahead, and what a run writes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import track_range as tr
+from track_range.anonymization.blur import STEP_GREY, blurred
+from track_range.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, anonymized_results, with_regions
+from track_range.anonymization.regions import MIN_CELL_PX, Boxes, Regions, regions_of
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.detections import Detections
+from track_range.run.frame_result import FrameResult
+from track_range.stereo.geometry.frames import Frame
+from track_range.tracking.tracks import Tracks
+
+PERSON, BICYCLE, CAR, LIGHT = (ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "traffic light"))
+SHAPE = (120, 200, 3)
+
+
+def boxes(*rows, margin_px=0.0):
+    """Boxes from (class, x1, y1, x2, y2)."""
+    return Boxes(
+        np.array([row[1:] for row in rows], np.float64).reshape(-1, 4),
+        np.array([row[0] for row in rows], np.int64),
+        np.full(len(rows), margin_px),
+    )
+
+
+def contains(regions, x, y):
+    x1, y1, x2, y2 = regions.xyxy_px.T
+    return bool(((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).any())
+
+
+def result(index, *tracks, candidates=(), step_s=0.1):
+    """A frame result with tracks (id, class, x1, y1, x2, y2, observed) and candidates (class, x1, y1, x2, y2)."""
+    nan = np.full(len(tracks), np.nan)
+    shown = Tracks(
+        np.array([row[0] for row in tracks], np.int64),
+        np.array([row[2:6] for row in tracks], np.float64).reshape(-1, 4),
+        np.array([row[1] for row in tracks], np.int64),
+        np.ones(len(tracks)),
+        np.array([row[6] for row in tracks], np.bool_),
+    )
+    found = Detections.of([row[1:] for row in candidates], [0.05] * len(candidates), [row[0] for row in candidates])
+    image = np.random.default_rng(index).integers(0, 256, SHAPE, dtype=np.uint8)
+    frame = Frame(index, index * step_s, image, image)
+    return FrameResult(frame, shown, {}, nan, nan, nan, nan, np.zeros((len(tracks), 3)), candidates=found)
+
+
+# -- regions ---------------------------------------------------------------------------------------------------------
+
+
+def test_head_of_a_person():
+    regions = regions_of(boxes((PERSON, 50, 20, 90, 120)))
+    assert contains(regions, 70, 21)
+    assert contains(regions, 70, 38)
+    assert not contains(regions, 70, 60)
+    assert regions.cell_px[0] == MIN_CELL_PX
+
+
+def test_upper_body_has_a_larger_head():
+    regions = regions_of(boxes((PERSON, 50, 20, 110, 80)))
+    assert contains(regions, 80, 20 + 0.22 * 2.2 * 60)
+
+
+def test_rider_above_a_bicycle():
+    alone = regions_of(boxes((BICYCLE, 50, 60, 110, 100)))
+    assert contains(alone, 80, 32)
+    with_rider = regions_of(boxes((BICYCLE, 50, 60, 110, 100), (PERSON, 65, 25, 95, 90)))
+    assert contains(with_rider, 80, 32)
+    assert not contains(with_rider, 55, 40)
+
+
+def test_plate_of_a_vehicle():
+    regions = regions_of(boxes((CAR, 50, 20, 150, 120)))
+    assert contains(regions, 100, 72)
+    assert contains(regions, 55, 100)
+    assert not contains(regions, 100, 40)
+
+
+def test_uncertain_boxes_have_larger_regions():
+    assert not contains(regions_of(boxes((PERSON, 50, 20, 90, 120))), 110, 25)
+    assert contains(regions_of(boxes((PERSON, 50, 20, 90, 120), margin_px=25)), 110, 25)
+
+
+def test_no_regions():
+    assert len(regions_of(boxes((LIGHT, 50, 20, 90, 120), (CAR, np.nan, 20, 90, 120)))) == 0
+    assert len(regions_of(boxes())) == 0
+
+
+# -- blur ------------------------------------------------------------------------------------------------------------
+
+
+def test_only_regions_change():
+    image = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)
+    before = image.copy()
+    covered = blurred(image, Regions(np.array([[49.6, 19.6, 90.4, 50.2]]), np.array([6.0])), np.random.default_rng(1))
+    assert (image == before).all()
+    inside = np.zeros(SHAPE[:2], bool)
+    inside[20:51, 50:91] = True
+    assert (covered[~inside] == image[~inside]).all()
+    assert (covered[inside] != image[inside]).mean() > 0.9
+
+
+def test_cells_are_flat_and_quantized():
+    image = np.random.default_rng(0).integers(0, 256, SHAPE, dtype=np.uint8)
+    covered = blurred(image, Regions(np.array([[-0.5, -0.5, 59.5, 35.5]]), np.array([12.0])), np.random.default_rng(1))
+    cells = covered[:36, :60].reshape(3, 12, 5, 12, 3)
+    assert (cells == cells[:, :1, :, :1]).all()
+    assert (covered[:36, :60] % STEP_GREY == STEP_GREY // 2).all()
+
+
+def test_details_of_moving_images_are_lost():
+    """Without noise and quantization, stripes at the Nyquist frequency of the cells would be below 1 % too."""
+    columns = np.arange(200)
+    stripes = np.broadcast_to((127 + 100 * np.sin(np.pi * columns / 12))[None, :, None], SHAPE).astype(np.uint8)
+    whole = Regions(np.array([[-0.5, -0.5, 199.5, 119.5]]), np.array([12.0]))
+    mean = np.mean([blurred(stripes, whole, np.random.default_rng(n)).astype(float) for n in range(40)], axis=0)
+    assert np.ptp(mean[:, 36:156].mean(axis=(0, 2))) < 4.0
+
+
+def test_noise_is_not_repeatable():
+    image = np.full(SHAPE, 120, np.uint8)
+    shown = [result(0, (1, PERSON, 50, 20, 90, 119, True))]
+    shown[0] = replace(shown[0], frame=replace(shown[0].frame, left=image))
+    one, other = (next(iter(anonymized_results(shown, OFFLINE))).frame.left for _ in range(2))
+    assert (one != other).any()
+
+
+@pytest.mark.parametrize("box", [(-50, -50, -10, -10), (190, 100, 400, 300), (-1e6, -1e6, 1e6, 1e6), (5, 5, 5, 5)])
+def test_regions_beyond_the_image(box):
+    image = np.zeros(SHAPE, np.uint8)
+    assert blurred(image, Regions(np.array([box], float), np.array([1e5])), np.random.default_rng(0)).shape == SHAPE
+
+
+# -- look-ahead ------------------------------------------------------------------------------------------------------
+
+
+def regions_by_frame(results, look_ahead=OFFLINE):
+    return [regions for _, regions in with_regions(results, look_ahead)]
+
+
+def test_results_are_delivered_in_order_without_the_right_image():
+    shown = list(anonymized_results((result(k) for k in range(12)), OFFLINE))
+    assert [item.index for item in shown] == list(range(12))
+    assert all(item.frame.right is None and item.candidates is None for item in shown)
+
+
+def test_results_held_back_are_bounded():
+    n_read = 0
+
+    def results():
+        nonlocal n_read
+        for k in range(100):
+            n_read += 1
+            yield result(k, step_s=0.001)
+
+    for index, _ in enumerate(with_regions(results(), LookAhead(time_s=1.0, max_frames=8))):
+        assert n_read <= index + 9
+
+
+def test_live_results_are_not_held_back():
+    frames = iter([result(0), result(1)])
+    assert next(with_regions(frames, LIVE))[0].index == 0
+    assert next(frames).index == 1
+
+
+def test_track_is_covered_before_its_first_frame():
+    results = [result(k, *([(1, CAR, 50 + 5 * k, 20, 100 + 5 * k, 60, True)] if k >= 3 else [])) for k in range(8)]
+    regions = regions_by_frame(results)
+    assert contains(regions[0], 75, 45)
+    assert len(regions_by_frame(results, LIVE)[0]) == 0
+
+
+def test_gaps_are_interpolated():
+    results = [
+        result(k, *([(1, CAR, 20 + 10 * k, 20, 60 + 10 * k, 60, True)] if k not in (3, 4) else [])) for k in range(8)
+    ]
+    for k in (3, 4):
+        assert contains(regions_by_frame(results)[k], 40 + 10 * k, 45)
+
+
+def test_predicted_boxes_are_covered():
+    results = [result(0, (1, CAR, 20, 20, 60, 60, True)), result(1, (1, CAR, 120, 20, 160, 60, False))]
+    assert contains(regions_by_frame(results)[1], 140, 45)
+
+
+def test_lost_track_is_covered_for_a_while():
+    results = [result(0, (1, CAR, 20, 20, 60, 60, True)), *(result(k) for k in range(1, 12))]
+    for look_ahead in (OFFLINE, LIVE):
+        regions = regions_by_frame(results, look_ahead)
+        assert contains(regions[3], 40, 45)
+        assert len(regions[11]) == 0
+
+
+def test_detections_without_track_are_covered():
+    results = [result(k, candidates=[(PERSON, 50, 20, 90, 110)] if k == 2 else []) for k in range(6)]
+    regions = regions_by_frame(results)
+    assert [contains(part, 70, 30) for part in regions] == [False, True, True, True, False, False]
+    assert contains(regions_by_frame(results, LIVE)[2], 70, 30)
+
+
+def test_results_before_an_error_are_delivered():
+    def results():
+        yield from (result(k) for k in range(3))
+        raise tr.UserError("camera lost")
+
+    shown = []
+    with pytest.raises(tr.UserError):
+        shown.extend(item.index for item in anonymized_results(results(), OFFLINE))
+    frames = anonymized_results(results(), OFFLINE)
+    assert [next(frames).index for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(tr.UserError):
+        next(frames)

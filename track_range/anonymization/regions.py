@@ -1,0 +1,154 @@
+"""Regions of an image that contain heads and number plates, from the boxes of road users.
+
+A region is a rectangle. Its position in the box is that of heads and plates of upright people and of vehicles seen from
+the front or rear, with tolerances for oblique views and inaccurate boxes:
+
+    person                 upper part of the box, over its whole width
+    bicycle, motorcycle    upper part, and above the box, where the rider's head is if the box contains only the vehicle
+    vehicle                middle and lower part, over its whole width, since oblique views show the plate at one side
+
+Positions and tolerances were chosen on simulated drives (`python -m benchmarks anonymization`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
+
+HEAD_SHARE = 0.22
+"""Height of a head with neck, as a fraction of a person's height; a head with neck is 0.155 of the body."""
+
+STANDING_RATIO = 2.2
+"""Minimum ratio of a person's height to the width of the box; boxes that are less high show only the upper body."""
+
+RIDER_SHARE = 0.36
+"""Height of the rider's head region below the upper edge of the box of a bicycle or motorcycle, relative to the box."""
+
+ABOVE_BICYCLE = 0.75
+"""Height of the rider's head region above the box of a bicycle or motorcycle without a detected person, relative to the
+box: a rider is 1.75 times as high as a bicycle."""
+
+PLATE_FROM, PLATE_TO = 0.40, 0.96
+"""Upper and lower edge of the plate region, as fractions of the box height from the top."""
+
+MARGIN_SHARE, MARGIN_PX = 0.05, 1.5
+"""Tolerance of the edges of a box: fraction of the smaller side, and pixels."""
+
+HEAD_CELL = 0.05
+"""Cell size of the mosaic relative to a person's height: about 3 cells over the height of a head, 2 over its width."""
+
+PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08
+"""Cell size relative to the height of a vehicle, and of a bus or truck: at most 3 cells over the width of a plate
+(0.52 m), 1 over its height."""
+
+MIN_CELL_PX = 6.0
+"""Minimum cell size of the mosaic, px."""
+
+_PERSON, _BICYCLE, _CAR, _MOTORCYCLE, _BUS, _TRUCK = (
+    ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "motorcycle", "bus", "truck")
+)
+_CYCLES, _LARGE_VEHICLES = (_BICYCLE, _MOTORCYCLE), (_BUS, _TRUCK)
+_WITH_PLATE = (_CAR, _MOTORCYCLE, _BUS, _TRUCK)
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """Boxes of road users in one image, observed, predicted or interpolated.
+
+    Attributes:
+        xyxy_px: (N, 4) left, top, right, bottom edge; pixel centres at integers.
+        class_id: (N,) index into `detection.classes.ROAD_CLASSES`.
+        margin_px: (N,) uncertainty of the edges beyond that of an observed box.
+    """
+
+    xyxy_px: FloatArray
+    class_id: IntArray
+    margin_px: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.class_id)
+        check_shape("xyxy_px", self.xyxy_px, (n, 4))
+        check_shape("margin_px", self.margin_px, (n,))
+
+    def __len__(self) -> int:
+        return len(self.class_id)
+
+    def select(self, rows: BoolArray | IntArray) -> Boxes:
+        """The boxes of the given rows."""
+        return Boxes(self.xyxy_px[rows], self.class_id[rows], self.margin_px[rows])
+
+
+@dataclass(frozen=True, slots=True)
+class Regions:
+    """Rectangles of an image to cover.
+
+    Attributes:
+        xyxy_px: (N, 4) left, top, right, bottom edge; pixel centres at integers.
+        cell_px: (N,) cell size of the mosaic.
+    """
+
+    xyxy_px: FloatArray
+    cell_px: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.cell_px)
+
+
+def regions_of(boxes: Boxes) -> Regions:
+    """Head and plate regions of boxes; boxes of other classes, and those that are not finite, have none."""
+    boxes = boxes.select(np.flatnonzero(np.isfinite(boxes.xyxy_px).all(axis=1)))
+    parts = (_heads(boxes), _heads_of_riders(boxes), _plates(boxes))
+    return Regions(
+        np.concatenate([part.xyxy_px for part in parts]),
+        np.maximum(np.concatenate([part.cell_px for part in parts]), MIN_CELL_PX),
+    )
+
+
+def _heads(boxes: Boxes) -> Regions:
+    people = boxes.select(np.flatnonzero(boxes.class_id == _PERSON))
+    x1, y1, x2, y2 = people.xyxy_px.T
+    height_px = np.maximum(y2 - y1, STANDING_RATIO * (x2 - x1))
+    lower = np.minimum(y1 + HEAD_SHARE * height_px, y2)
+    return _widened(people, (x1, y1, x2, lower), HEAD_CELL * height_px)
+
+
+def _heads_of_riders(boxes: Boxes) -> Regions:
+    cycles = boxes.select(np.isin(boxes.class_id, _CYCLES))
+    people = boxes.select(np.flatnonzero(boxes.class_id == _PERSON))
+    x1, y1, x2, y2 = cycles.xyxy_px.T
+    height_px = y2 - y1
+    above = np.where(_have_rider(cycles.xyxy_px, people.xyxy_px), 0.0, ABOVE_BICYCLE)
+    edges = (x1, y1 - above * height_px, x2, y1 + RIDER_SHARE * height_px)
+    return _widened(cycles, edges, HEAD_CELL * height_px * (1 + above))
+
+
+def _have_rider(cycles_px: FloatArray, people_px: FloatArray) -> BoolArray:
+    """(N,) whether a person's box (M, 4) starts above a bicycle's (N, 4), with its middle over the bicycle."""
+    x1, y1, x2, y2 = cycles_px.T[:, :, None]
+    middle_px = (people_px[:, 0] + people_px[:, 2]) / 2
+    is_over = (middle_px > x1) & (middle_px < x2)
+    reaches = (people_px[:, 1] < y1) & (people_px[:, 3] > y1) & (people_px[:, 3] < y2 + (y2 - y1) / 2)
+    return np.asarray((is_over & reaches).any(axis=1), np.bool_)
+
+
+def _plates(boxes: Boxes) -> Regions:
+    vehicles = boxes.select(np.isin(boxes.class_id, _WITH_PLATE))
+    x1, y1, x2, y2 = vehicles.xyxy_px.T
+    height_px = y2 - y1
+    is_large = np.isin(vehicles.class_id, _LARGE_VEHICLES)
+    cell = np.where(is_large, LARGE_VEHICLE_PLATE_CELL, PLATE_CELL)
+    return _widened(vehicles, (x1, y1 + PLATE_FROM * height_px, x2, y1 + PLATE_TO * height_px), cell * height_px)
+
+
+def _widened(
+    boxes: Boxes, edges: tuple[FloatArray, FloatArray, FloatArray, FloatArray], cell_px: FloatArray
+) -> Regions:
+    """Regions with the given edges (N,), widened by the tolerances of their boxes."""
+    side_px = (boxes.xyxy_px[:, 2:] - boxes.xyxy_px[:, :2]).min(axis=1, initial=np.inf)
+    margin_px = MARGIN_SHARE * side_px + MARGIN_PX + boxes.margin_px
+    signs = np.array([-1.0, -1.0, 1.0, 1.0])
+    return Regions(np.stack(edges, axis=1) + margin_px[:, None] * signs, cell_px)
