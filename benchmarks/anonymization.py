@@ -2,10 +2,10 @@
 
 Protocol: drives of the simulation with KITTI's field of view, 10 frames per second, where heads and plates are known
 exactly (`simulate --masks`). The parameters were chosen on seed 1; the default seed of this workload is 101. Boxes come
-from the packaged detector and from the truth (visible share of at least 0.1, every class at its exact box); tracks from
-the default tracker. Parts count separately by size (width of the visible part): those of at least 8 px (head) and 12 px
-(plate), and all. An object is tracked in a frame if a track's box, observed or predicted, has an IoU of at least 0.3
-with its box. `live` uses no later frames.
+from the packaged detector, or from the truth (exact boxes of all objects with a visible share of at least 0.1); tracks
+from the default tracker. Heads at least 8 px wide and plates at least 12 px wide, which may be recognised, count
+separately. An object is tracked in a frame if the box of a track has an IoU of at least 0.3 with its box, and a class
+with such a part (heads: person, bicycle, motorcycle; plates: car, motorcycle, bus, truck). `live` uses no later frames.
 
 Needless is the share of the image that is covered and is neither head nor plate.
 """
@@ -27,7 +27,7 @@ from benchmarks.inputs.simulated_drives import SimulatedDrive
 from track_range.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, with_regions
 from track_range.anonymization.regions import Regions
 from track_range.detection.boxes import iou
-from track_range.detection.classes import map_to_road_classes
+from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
@@ -46,6 +46,12 @@ SCENARIOS = ("town", "highway", "city", "cut-in", "crossing", "queue", "night")
 
 READABLE_PX = {Part.HEAD: 8, Part.PLATE: 12}
 """Minimum width of a part of which details can be recognised, px."""
+
+CLASSES = {
+    Part.HEAD: [ROAD_CLASSES.index(name) for name in ("person", "bicycle", "motorcycle")],
+    Part.PLATE: [ROAD_CLASSES.index(name) for name in ("car", "motorcycle", "bus", "truck")],
+}
+"""Classes of road users with each part."""
 
 TRACKED_IOU = 0.3
 MIN_VISIBLE_SHARE = 0.1
@@ -164,12 +170,14 @@ def seen_parts(
         which, row = Part((number - 1) % 2 + 1), (number - 1) // 2
         rows, columns = np.nonzero((part == which) & (user == row))
         is_tracked = {
-            source: row in box_of
-            and len(shown) > 0
-            and bool(iou(box_of[row][None], shown.xyxy_px).max() >= TRACKED_IOU)
+            source: row in box_of and _is_shown(box_of[row], shown.select(np.isin(shown.class_id, CLASSES[which])))
             for source, shown in tracks.items()
         }
         yield SeenPart(which, rows, columns, is_tracked)
+
+
+def _is_shown(xyxy_px: FloatArray, tracks: Tracks) -> bool:
+    return len(tracks) > 0 and bool(iou(xyxy_px[None], tracks.xyxy_px).max() >= TRACKED_IOU)
 
 
 def covered(regions: Regions, shape: tuple[int, int]) -> BoolArray:

@@ -1,7 +1,9 @@
 """Tests of anonymization: regions, blur, look-ahead, and what a run writes."""
 
+import json
 from dataclasses import replace
 
+import av
 import numpy as np
 import pytest
 
@@ -74,10 +76,13 @@ def test_rider_above_a_bicycle():
 
 
 def test_plate_of_a_vehicle():
-    regions = regions_of(boxes((CAR, 50, 20, 150, 120)))
+    regions = regions_of(boxes((CAR, 40, 20, 180, 120)))
     assert contains(regions, 100, 72)
-    assert contains(regions, 55, 100)
+    assert contains(regions, 42, 100)
     assert not contains(regions, 100, 40)
+    frontal = regions_of(boxes((CAR, 50, 20, 150, 120)))
+    assert contains(frontal, 100, 72)
+    assert not contains(frontal, 52, 72)
 
 
 def test_uncertain_boxes_have_larger_regions():
@@ -214,3 +219,85 @@ def test_results_before_an_error_are_delivered():
     assert [next(frames).index for _ in range(3)] == [0, 1, 2]
     with pytest.raises(tr.UserError):
         next(frames)
+
+
+# -- runs ------------------------------------------------------------------------------------------------------------
+
+HEAD = (slice(24, 44), slice(70, 90))
+"""Head of the person in the film, of the box 60, 20, 100, 110."""
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory, film):
+    """A film with private metadata in a folder with a private name, and boxes of a person in each of its frames."""
+    folder = tmp_path_factory.mktemp("shared") / "Jane Doe"
+    folder.mkdir()
+    checks = (np.indices((120, 160)).sum(axis=0) // 4 % 2 * 200 + 20).astype(np.uint8)
+    video = film(
+        folder / "film.mp4",
+        [0.1 * k for k in range(12)],
+        images=[np.repeat(checks[:, :, None], 3, axis=2)] * 12,
+        metadata={
+            "title": "Jane Doe on holiday",
+            "artist": "Jane Doe",
+            "location": "+48.8577+002.2950/",
+            "com.apple.quicktime.location.ISO6709": "+48.8577+002.2950+035.000/",
+            "com.apple.quicktime.make": "JanePhone",
+        },
+        options={"movflags": "use_metadata_tags"},
+    )
+    with av.open(str(video)) as container:
+        assert "48.8577" in str(container.metadata)
+    row = "{} 1 Pedestrian 0 0 0 60 20 100 110 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
+    (folder / "boxes.txt").write_text("".join(row.format(k) for k in range(12)))
+    return folder
+
+
+def options(folder, **others):
+    return {"detections": folder / "boxes.txt", "focal_px": 150, "lanes": "off", **others}
+
+
+def test_results_of_a_run_are_anonymized(shared):
+    run = tr.Run.mono(shared / "film.mp4", **options(shared, anonymize=True, overlay=False))
+    frames = list(run)
+    assert [frame.index for frame in frames] == list(range(12))
+    for frame in frames:
+        assert np.abs(np.diff(frame.frame.left[HEAD].astype(int), axis=0)).mean() < 10
+        assert np.abs(np.diff(frame.frame.left[60:100].astype(int), axis=0)).mean() > 30
+        assert not frame.frame.left.flags.writeable
+    assert run.summary["inputs"]["mono"] == "film.mp4"
+    assert any("not detected" in note for note in run.summary["notes"])
+
+
+@pytest.mark.slow
+def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
+    out = tmp_path / "out"
+    inputs = ("--mono", shared / "film.mp4", "--detections", shared / "boxes.txt", "--focal-px", 150, "--lanes", "off")
+    status, printed, complaint = cli(*inputs, "--anonymize", "--out", out)
+    assert status == 0, complaint
+    assert "not detected" in printed
+    for file in out.iterdir():
+        content = file.read_bytes()
+        for private in (b"Jane", b"48.8577", str(tmp_path).encode(), b"holiday"):
+            assert private not in content, (file.name, private)
+    plain = tmp_path / "plain"
+    assert cli(*inputs, "--out", plain)[0] == 0
+    assert (plain / "tracks.csv").read_bytes() == (out / "tracks.csv").read_bytes()
+    assert str(shared) in (plain / "settings.yaml").read_text()
+    for file in plain.glob("*.mp4"):
+        assert b"48.8577" not in file.read_bytes()
+    contrast = {}
+    for folder in (plain, out):
+        with av.open(str(folder / "overlay.mp4")) as container:
+            images = [frame.to_ndarray(format="gray")[HEAD].astype(int) for frame in container.decode(video=0)]
+        assert len(images) == 12
+        contrast[folder] = max(np.abs(np.diff(image[8:], axis=0)).mean() for image in images)
+    assert contrast[out] < 0.3 * contrast[plain]
+    assert json.loads((out / "summary.json").read_text())["inputs"]["mono"] == "film.mp4"
+
+
+def test_classes_that_are_not_tracked_are_covered(shared):
+    run = tr.Run.mono(shared / "film.mp4", **options(shared, anonymize=True, classes=["car"], overlay=False))
+    for frame in run:
+        assert len(frame.tracks) == 0
+        assert np.abs(np.diff(frame.frame.left[HEAD].astype(int), axis=0)).mean() < 10

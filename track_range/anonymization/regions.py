@@ -22,6 +22,10 @@ from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check
 HEAD_SHARE = 0.22
 """Height of a head with neck, as a fraction of a person's height; a head with neck is 0.155 of the body."""
 
+ABOVE_PERSON = 0.15
+"""Height of the head region above a person's box, as a fraction of the person's height: boxes of the packaged detector
+sometimes start below the head."""
+
 STANDING_RATIO = 2.2
 """Minimum ratio of a person's height to the width of the box; boxes that are less high show only the upper body."""
 
@@ -32,8 +36,13 @@ ABOVE_BICYCLE = 0.75
 """Height of the rider's head region above the box of a bicycle or motorcycle without a detected person, relative to the
 box: a rider is 1.75 times as high as a bicycle."""
 
-PLATE_FROM, PLATE_TO = 0.40, 0.96
-"""Upper and lower edge of the plate region, as fractions of the box height from the top."""
+PLATE_FROM, LARGE_VEHICLE_PLATE_FROM, PLATE_TO = 0.42, 0.5, 0.96
+"""Upper edge of the plate region of cars and motorcycles, and of buses and trucks, and lower edge of both, as fractions
+of the box height from the top."""
+
+FRONTAL_RATIO, FRONTAL_SIDE = 1.2, 0.12
+"""Ratio of width to height below which a car is seen from the front or rear, and fraction of the width at each side
+where it then has no plate."""
 
 MARGIN_SHARE, MARGIN_PX = 0.05, 1.5
 """Tolerance of the edges of a box: fraction of the smaller side, and pixels."""
@@ -113,7 +122,7 @@ def _heads(boxes: Boxes) -> Regions:
     x1, y1, x2, y2 = people.xyxy_px.T
     height_px = np.maximum(y2 - y1, STANDING_RATIO * (x2 - x1))
     lower = np.minimum(y1 + HEAD_SHARE * height_px, y2)
-    return _widened(people, (x1, y1, x2, lower), HEAD_CELL * height_px)
+    return _widened(people, (x1, y1 - ABOVE_PERSON * height_px, x2, lower), HEAD_CELL * height_px)
 
 
 def _heads_of_riders(boxes: Boxes) -> Regions:
@@ -140,8 +149,12 @@ def _plates(boxes: Boxes) -> Regions:
     x1, y1, x2, y2 = vehicles.xyxy_px.T
     height_px = y2 - y1
     is_large = np.isin(vehicles.class_id, _LARGE_VEHICLES)
+    first = np.where(is_large, LARGE_VEHICLE_PLATE_FROM, PLATE_FROM)
     cell = np.where(is_large, LARGE_VEHICLE_PLATE_CELL, PLATE_CELL)
-    return _widened(vehicles, (x1, y1 + PLATE_FROM * height_px, x2, y1 + PLATE_TO * height_px), cell * height_px)
+    is_frontal = (vehicles.class_id == _CAR) & (x2 - x1 < FRONTAL_RATIO * height_px)
+    inwards_px = np.where(is_frontal, FRONTAL_SIDE, 0.0) * (x2 - x1)
+    edges = (x1 + inwards_px, y1 + first * height_px, x2 - inwards_px, y1 + PLATE_TO * height_px)
+    return _widened(vehicles, edges, cell * height_px)
 
 
 def _widened(
