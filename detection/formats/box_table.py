@@ -27,6 +27,7 @@ class VideoFacts:
     Attributes:
         name: name of the video or sequence; "" = unknown.
         n_frames: number of frames.
+        first_frame: number of the first frame that has labels if there are any objects in it.
         size_px: (width, height) of its images.
         fps: frame rate.
         is_rectified: whether boxes are in rectified pixels, as in the results of a run, not in those of the video.
@@ -35,6 +36,7 @@ class VideoFacts:
 
     name: str = ""
     n_frames: int | None = None
+    first_frame: int = 0
     size_px: tuple[int, int] | None = None
     fps: float | None = None
     is_rectified: bool = False
@@ -150,3 +152,9 @@ _COLUMNS = tuple(column.name for column in fields(BoxTable) if column.name not i
 
 def _floats(values: npt.ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
     return np.full(shape, np.nan) if values is None else np.asarray(values, np.float64).reshape(shape)
+
+
+def frames_listed(table: BoxTable) -> range:
+    """Numbers of the frames that a written file lists: from the first labelled one to the last of the video."""
+    n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)
+    return range(min([table.video.first_frame, *table.frame[:1].tolist()]), n_frames)

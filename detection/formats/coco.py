@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts
+from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
@@ -254,6 +254,7 @@ class _Reader:
             video,
             name=video.name or str(first.get("name") or "")[:_MAX_TEXT],
             n_frames=video.n_frames or (max(frame_of.values()) + 1 if frame_of else None),
+            first_frame=min(frame_of.values(), default=0),
             size_px=video.size_px or size_px,
             fps=video.fps or (None if math.isnan(fps) else fps),
             is_rectified=video.is_rectified or is_rectified,
@@ -322,7 +323,6 @@ def write_coco(table: BoxTable, path: Path) -> tuple[str, ...]:
     Raises:
         OSError: the file cannot be written.
     """
-    n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)
     categories = _categories(table)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write("{\n")
@@ -330,7 +330,7 @@ def write_coco(table: BoxTable, path: Path) -> tuple[str, ...]:
         file.write(f'"videos": [{_json(_video(table.video))}],\n"categories": [\n')
         file.writelines(_lines({"id": number, "name": name} for name, number in categories.items()))
         file.write('],\n"images": [\n')
-        file.writelines(_lines(_image(table.video, frame) for frame in range(n_frames)))
+        file.writelines(_lines(_image(table.video, frame) for frame in frames_listed(table)))
         file.write('],\n"annotations": [\n')
         file.writelines(_lines(_annotations(table, categories)))
         file.write("]\n}\n")

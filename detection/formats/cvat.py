@@ -10,12 +10,13 @@
 
 Frames count from 0. Boxes have the corner convention: the left edge of the image is 0, so coordinates are 0.5 px larger
 than with pixel centres at integers. `outside="1"` ends the visible part of a track, which has no box in that frame.
-Between two boxes of a track, all four edges and the distance are interpolated linearly, as in CVAT. The attributes
-distance_m, sigma_m, score and predicted are optional; CVAT keeps those that the labels of its task declare.
+Between two boxes of a track, all four edges are interpolated linearly, as in CVAT. The attributes distance_m, sigma_m,
+score and predicted are optional; CVAT keeps those that the labels of its task declare. It repeats the attributes of a
+keyframe until the next one; distances are interpolated between keyframes instead.
 
-Written files list every box, and mark as keyframes those from which CVAT can interpolate the others to 0.5 px and 1 %
-of the distance, so that a person has few boxes to correct. (CVAT's documentation, "XML annotation format", version
-1.1; the interpolation is that of CVAT's `TrackManager`.)
+Written files list every box, and mark as keyframes those from which the others can be interpolated to 1 px or 2 % of
+the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML annotation
+format", version 1.1; the interpolation is that of CVAT's `TrackManager`.)
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts
+from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities
@@ -57,15 +59,16 @@ _SHAPES = frozenset({"polygon", "polyline", "points", "mask", "cuboid", "ellipse
 _EDGES = ("xtl", "ytl", "xbr", "ybr")
 _FLAGS = {"0": 0.0, "1": 1.0, "false": 0.0, "true": 1.0}
 
-_TOLERANCE_PX, _TOLERANCE_RELATIVE = 0.5, 0.01
-"""Largest difference between a written box and CVAT's interpolation of it: of an edge, and of the distance."""
+_TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
+"""Largest difference between a written box and its interpolation: of an edge in px or as a fraction of the box's longer
+side, whichever is larger, and of the distance as a fraction of it."""
 
 _DECIMALS, _SCORE_DECIMALS = 3, 4
 
-_FRAME, _OUTSIDE, _DISTANCE, _SIGMA, _SCORE, _PREDICTED = 0, 5, 6, 7, 8, 9
+_FRAME, _OUTSIDE, _DISTANCE, _SIGMA, _SCORE, _PREDICTED, _KEYFRAME = 0, 5, 6, 7, 8, 9, 10
 """Columns of the boxes of a track; columns 1 to 4 are the edges."""
 
-_N_COLUMNS = 10
+_N_COLUMNS = 11
 
 _LIMITS = {
     "distance_m": (_DISTANCE, 0.0, MAX_DISTANCE_M),
@@ -100,7 +103,7 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
         parse_xml(file, path, content, LabelFileError, "CVAT's annotations")
     content.check()
     tracks = [track for track in content.tracks if track.boxes]
-    rows = _interpolated(path, tracks)
+    rows = _interpolated(path, tracks, has_repeated=not content.is_of_track_range)
     counts = [len(part) for part in rows]
     columns = np.concatenate([np.zeros((0, _N_COLUMNS)), *rows])
     table = BoxTable.of(
@@ -191,7 +194,8 @@ class _Content:
                 shortened(" ".join(f"{key}={attributes.get(key)}" for key in ("outside", *_EDGES)), 100),
             )
         edges = edges if is_box else [math.nan] * 4
-        self.tracks[-1].boxes.append([float(frame), *edges, outside, math.nan, math.nan, math.nan, 0.0])
+        is_keyframe = _FLAGS.get(attributes.get("keyframe", "1").lower(), 1.0)
+        self.tracks[-1].boxes.append([float(frame), *edges, outside, math.nan, math.nan, math.nan, 0.0, is_keyframe])
 
     def _set_attribute(self, name: str, text: str, line: int) -> None:
         box = self.tracks[-1].boxes[-1]
@@ -214,6 +218,11 @@ class _Content:
                 f"{self._path}: expected the tracks of one task, found {len(self._tasks)} tasks of a project; export "
                 "each task."
             )
+
+    @property
+    def is_of_track_range(self) -> bool:
+        """Whether track-range wrote the file, and CVAT did not write it again."""
+        return "track_range/pixels" in self._meta
 
     def integer_of_meta(self, name: str) -> int | None:
         """An integer in `meta`, of the task or job; None if it is missing."""
@@ -240,6 +249,7 @@ class _Content:
             video,
             name=video.name or self._meta.get(f"{self._root}/name", "")[:_MAX_NAME],
             n_frames=video.n_frames or (None if last is None else last + 1),
+            first_frame=self.integer_of_meta("start_frame") or 0,
             size_px=video.size_px or size_px,
             is_rectified=video.is_rectified or self._meta.get("track_range/pixels") == "rectified",
         )
@@ -274,8 +284,13 @@ class _Content:
         return LabelFileError(f"{self._path}, line {line}: expected {expected}, found {found}.")
 
 
-def _interpolated(path: Path, tracks: Sequence[_Track]) -> list[FloatArray]:
+def _interpolated(path: Path, tracks: Sequence[_Track], *, has_repeated: bool) -> list[FloatArray]:
     """The visible boxes of each track in every frame, (N, `_N_COLUMNS`) each.
+
+    Args:
+        path: the file, for messages.
+        tracks: tracks with at least one box.
+        has_repeated: whether boxes that are not keyframes repeat the attributes of the keyframe before.
 
     Raises:
         LabelFileError: a track has two boxes in a frame, or there are more than `MAX_BOXES` boxes.
@@ -296,8 +311,27 @@ def _interpolated(path: Path, tracks: Sequence[_Track]) -> list[FloatArray]:
             raise LabelFileError(
                 f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated ones."
             )
+        if has_repeated:
+            _interpolate_repeated(boxes)
         parts.append(_between(boxes, steps, counts))
     return parts
+
+
+def _interpolate_repeated(boxes: FloatArray) -> None:
+    """Interpolate the distances (K, `_N_COLUMNS`) that repeat those of a keyframe, up to the next visible keyframe."""
+    keyframes = np.flatnonzero((boxes[:, _KEYFRAME] == 1) | (boxes[:, _OUTSIDE] == 1))
+    for first, last in pairwise(keyframes.tolist()):
+        between = boxes[first + 1 : last]
+        for column in (_DISTANCE, _SIGMA):
+            start, end = boxes[first, column], boxes[last, column]
+            if (
+                len(between)
+                and not boxes[last, _OUTSIDE]
+                and math.isfinite(end)
+                and (between[:, column] == start).all()
+            ):
+                share = (between[:, _FRAME] - boxes[first, _FRAME]) / (boxes[last, _FRAME] - boxes[first, _FRAME])
+                between[:, column] = start + share * (end - start)
 
 
 def _between(boxes: FloatArray, steps: FloatArray, counts: IntArray) -> FloatArray:
@@ -320,15 +354,15 @@ def write_cvat(table: BoxTable, path: Path) -> tuple[str, ...]:
     Raises:
         OSError: the file cannot be written.
     """
-    n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)
+    frames = frames_listed(table)
     ids, notes = _identities(table)
     order = np.argsort(ids, kind="stable")
     track_ids, starts = np.unique(ids[order], return_index=True)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write('<?xml version="1.0" encoding="utf-8"?>\n<annotations>\n  <version>1.1</version>\n')
-        file.writelines(_meta_lines(table, n_frames))
+        file.writelines(_meta_lines(table, frames))
         for track_id, rows in zip(track_ids.tolist(), np.split(order, starts[1:]), strict=False):
-            file.writelines(_track_lines(table.select(rows), track_id, n_frames))
+            file.writelines(_track_lines(table.select(rows), track_id, frames.stop))
         file.write("</annotations>\n")
     return notes
 
@@ -344,17 +378,19 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
     pairs, first, pair_number = np.unique(np.stack([ids, class_number]), axis=1, return_index=True, return_inverse=True)
     is_other = np.append(False, np.diff(pairs[0]) == 0) if len(first) else np.zeros(0, np.bool_)
     if n_other := int(is_other.sum()):
-        notes.append(f"{n_other} tracks with boxes of several classes are written as one track for each class.")
+        notes.append(
+            f"Tracks with boxes of several classes are written as one track for each class, with {n_other} new ids."
+        )
         new_ids = np.where(is_other, next_id + n_new + np.cumsum(is_other) - 1, pairs[0])
         ids = new_ids[pair_number.reshape(-1)]
     return ids, tuple(notes)
 
 
-def _meta_lines(table: BoxTable, n_frames: int) -> Iterator[str]:
+def _meta_lines(table: BoxTable, frames: range) -> Iterator[str]:
     video = table.video
     yield f"  <meta>\n    <task>\n      <name>{_text(video.name or 'track-range')}</name>\n"
-    yield f"      <size>{n_frames}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
-    yield f"      <start_frame>0</start_frame>\n      <stop_frame>{max(n_frames - 1, 0)}</stop_frame>\n"
+    yield f"      <size>{len(frames)}</size>\n      <mode>interpolation</mode>\n      <overlap>0</overlap>\n"
+    yield f"      <start_frame>{frames.start}</start_frame>\n      <stop_frame>{max(frames.stop - 1, 0)}</stop_frame>\n"
     yield "      <frame_filter></frame_filter>\n      <labels>\n"
     for name in dict.fromkeys((*ROAD_CLASSES, *sorted({_label(name) for name in table.class_name}))):
         yield f"        <label>\n          <name>{_text(name)}</name>\n          <attributes>\n"
@@ -432,11 +468,10 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
         share = (rows.frame[first + 1 : last] - rows.frame[first]) / (rows.frame[last] - rows.frame[first])
         line = values[first] + share[:, None] * (values[last] - values[first])
         between = values[first + 1 : last]
-        edge_error = np.abs(between[:, :4] - line[:, :4]).max(axis=1) / _TOLERANCE_PX
-        held = (
-            np.abs(between[:, 4] / values[first, 4] - 1) / _TOLERANCE_RELATIVE
-        )  # CVAT does not interpolate attributes
-        error = np.maximum(edge_error, np.nan_to_num(held, nan=0.0, posinf=np.inf))
+        size_px = np.maximum(between[:, 2] - between[:, 0], between[:, 3] - between[:, 1])
+        limit_px = np.maximum(_TOLERANCE_PX, _TOLERANCE_OF_SIZE * size_px)
+        limits = np.column_stack([*[limit_px] * 4, _TOLERANCE_OF_DISTANCE * between[:, 4]])
+        error = np.nan_to_num(np.abs(between - line) / limits).max(axis=1)
         if error.max() > 1:
             middle = first + 1 + int(np.argmax(error))
             is_keyframe[middle] = True

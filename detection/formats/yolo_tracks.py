@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts
+from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
 from track_range.detection.formats.coco import image_name
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID
@@ -82,8 +82,9 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
     if not files:
         raise LabelFileError(f"{path}: expected YOLO labels such as labels/NAME_000000.txt, found none.")
     frame_of = _frames(path, files)
+    frames = sorted(frame_of.values())
     names = names_for_folder(folder) or ROAD_CLASSES
-    facts = _with_facts(path, folder, video)
+    facts = replace(_with_facts(path, folder, video), first_frame=frames[0])
     if facts.size_px is None:
         raise LabelFileError(
             f"{path}: expected the size of the images, which YOLO labels do not have, found none; put the images in "
@@ -95,7 +96,6 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
     width, height = facts.size_px
     is_valid = np.asarray((table[:, 4:6] > 0).all(axis=1))
     table, score, track_id = table[is_valid], score[is_valid], track_id[is_valid]
-    frames = sorted(frame_of.values())
     result = BoxTable.of(
         table[:, 0],
         track_id,
@@ -271,10 +271,9 @@ def write_yolo(table: BoxTable, path: Path) -> tuple[str, ...]:
     rows = np.flatnonzero(is_visible & ~table.is_region)
     names = list(dict.fromkeys((*ROAD_CLASSES, *sorted({str(name) or "object" for name in table.class_name[rows]}))))
     (path / "labels").mkdir(parents=True)
-    n_frames = max(table.video.n_frames or 0, int(table.frame.max(initial=-1)) + 1)
-    starts = np.searchsorted(table.frame[rows], np.arange(n_frames + 1))
-    for frame in range(n_frames):
-        lines = (_line(table, edges, row, names) for row in rows[starts[frame] : starts[frame + 1]].tolist())
+    for frame in frames_listed(table):
+        first, last = np.searchsorted(table.frame[rows], [frame, frame + 1])
+        lines = (_line(table, edges, row, names) for row in rows[first:last].tolist())
         name = Path(image_name(table.video, frame)).with_suffix(".txt")
         (path / "labels" / name).write_text("".join(lines), encoding="utf-8", newline="\n")
     (path / DATA_YAML).write_text(_data_yaml(table.video, names), encoding="utf-8", newline="\n")

@@ -41,6 +41,16 @@ COMMANDS = {
         "Rewrite the report of a run, or compare several runs on one page.",
         examples=("track-range report drive-1", "track-range report drive-1 drive-2 --out comparison.html"),
     ),
+    "export": Lazy(
+        "track_range.cli.export",
+        "Write a finished run or a label file in another format.",
+        "Formats: parquet, mcap and rrd (runs only), kitti, coco, cvat, mot and yolo. An existing file is replaced "
+        "only if it has this format.",
+        (
+            "track-range export drive-1 --to cvat --out drive-1.xml",
+            "track-range export corrected.xml --to yolo --video drive.mp4 --images --out data",
+        ),
+    ),
     "calibrate": Lazy(
         "track_range.cli.calibrate",
         "Calibrate a camera or a stereo pair from images of a board.",

@@ -161,7 +161,7 @@ def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | 
     if not run.get("truth"):
         return None
     try:
-        facts = validated(_Detected, detected, "settings.yaml, found", OutputError)
+        facts = validated(DetectedCamera, detected, "settings.yaml, found", OutputError)
         shift_m = left_from_reference_m(facts.rig, is_grey=False) if facts.rig else np.zeros(3)
         return read_truth(Path(str(run["truth"])), facts.camera(), shift_m)
     except (LabelFileError, RigError, OutputError) as error:
@@ -169,7 +169,7 @@ def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | 
         return None
 
 
-class _Detected(BaseModel):
+class DetectedCamera(BaseModel):
     """Section `found` of settings.yaml: the left camera of the run and its calibration file."""
 
     image_size_px: tuple[ImageSide, ImageSide]

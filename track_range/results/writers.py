@@ -113,6 +113,7 @@ _registered: dict[str, WriterFactory | str] = {
     "csv": "track_range.results.formats.csv_file:CsvWriter",
     "mot": "track_range.results.formats.mot_file:MotWriter",
     "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
+    "kitti": "track_range.results.formats.kitti_file:KittiWriter",
 }
 """Writers by name; a string "package.module:Class" is imported on first use."""
 

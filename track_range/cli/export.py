@@ -1,0 +1,19 @@
+"""`track-range export`: a finished run or a label file in another format."""
+
+from __future__ import annotations
+
+from track_range.cli.console import console, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.results.export.export import export
+from track_range.results.export.settings import ExportSettings
+
+
+def _export(settings: ExportSettings) -> None:
+    exported = export(settings)
+    print_notes(console, exported.notes)
+    images = f" and {exported.n_images} images" if settings.images else ""
+    print_line(console, f"Written: {settings.out}, {exported.n_boxes} boxes{images}")
+
+
+app = single_app(command(ExportSettings, _export))

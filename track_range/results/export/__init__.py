@@ -1,0 +1,1 @@
+"""Export of finished runs and of label files to other formats."""

@@ -1,0 +1,131 @@
+"""Source of an export: a finished run, or a label file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.label_formats import label_format_of
+from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.validation import validated
+from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
+from track_range.results.output_files import OutputError
+from track_range.results.run_boxes import table_of_rows
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.video.reader import VideoReader
+
+_RUN_FILES = ("settings.yaml", "tracks.csv", "summary.json")
+
+
+@dataclass(frozen=True, slots=True)
+class RunSource:
+    """A finished run.
+
+    Attributes:
+        run: its results.
+        found: section `found` of settings.yaml; empty without that file.
+        camera: the left camera; None = unknown.
+    """
+
+    run: RunFolder
+    found: Mapping[str, Any]
+    camera: PinholeCamera | None
+
+
+def is_run(path: Path) -> bool:
+    """Whether a path is the result folder of a run."""
+    return any(os.path.isfile(path / name) for name in _RUN_FILES)
+
+
+def open_run(folder: Path) -> RunSource:
+    """The results of a run.
+
+    Raises:
+        OutputError: the folder does not contain a run.
+    """
+    run = read_run_folder(folder)
+    found: Any = {}
+    if os.path.isfile(folder / "settings.yaml"):
+        settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
+        found = settings.get("found") if isinstance(settings, dict) else {}
+    found = found if isinstance(found, dict) else {}
+    section = validated(DetectedCamera, found, f"{folder / 'settings.yaml'}, found", OutputError) if found else None
+    return RunSource(run, found, None if section is None else section.camera())
+
+
+def boxes_of_run(source: RunSource) -> BoxTable:
+    """The boxes of a run, in rectified pixels."""
+    run, camera = source.run, source.camera
+    rows, frames = run.columns, run.summary.get("frames")
+    n_frames = int(rows["frame"].max(initial=-1)) + 1
+    starts_s = run.settings.get("start_s") or 0.0
+    first = int(rows["frame"].min(initial=n_frames)) if starts_s else 0
+    if isinstance(frames, int):
+        n_frames = max(n_frames, first + frames)
+    fps = source.found.get("fps")
+    video = VideoFacts(
+        name=_video_name(run.settings),
+        n_frames=n_frames or None,
+        first_frame=first,
+        size_px=None if camera is None else (camera.width_px, camera.height_px),
+        fps=float(fps) if isinstance(fps, int | float) else None,
+        is_rectified=True,
+    )
+    return table_of_rows(rows, camera, video)
+
+
+def _video_name(settings: Mapping[str, Any]) -> str:
+    """Name of the left or only video, without suffix and characters that some programs do not allow; "" = unknown."""
+    stereo = settings.get("stereo")
+    video = stereo[0] if isinstance(stereo, list) and stereo else settings.get("mono")
+    stem = Path(str(video or "")).stem
+    return "".join(character if character.isalnum() or character in "-_." else "_" for character in stem)[:100]
+
+
+def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
+    """The boxes of a label file, with frames from 0.
+
+    Args:
+        path: the file or folder.
+        video: the video or folder of images; None = unknown.
+        first_frame: number of the video's first frame in the file.
+
+    Raises:
+        LabelFileError: the file cannot be read, or has boxes before the first or after the last frame.
+        VideoError: the video cannot be read.
+    """
+    table = label_format_of(path).read(path, VideoFacts() if video is None else _facts(video))
+    if first_frame:
+        if len(table) and table.frame[0] < first_frame:
+            raise LabelFileError(
+                f"{path}: expected frame numbers from {first_frame} (--first-frame), found {table.frame[0]}."
+            )
+        n_frames = table.video.n_frames
+        facts = replace(
+            table.video,
+            n_frames=n_frames if n_frames is None or video is not None else max(n_frames - first_frame, 1),
+            first_frame=max(table.video.first_frame - first_frame, 0),
+        )
+        table = replace(table, frame=table.frame - first_frame, video=facts)
+    return table
+
+
+def _facts(video: Path) -> VideoFacts:
+    with closing(VideoReader(video)) as reader:
+        return VideoFacts(video.stem, reader.n_frames, 0, (reader.width_px, reader.height_px), reader.fps)
+
+
+def named_boxes(table: BoxTable) -> tuple[BoxTable, tuple[str, ...]]:
+    """A table with the class person for boxes without a class, as in MOTChallenge, and a note on them."""
+    n_unnamed = int(np.count_nonzero(table.class_name == ""))
+    if not n_unnamed:
+        return table, ()
+    return table.with_class(0), (f"{n_unnamed} boxes have no class in the input and are written as person.",)
