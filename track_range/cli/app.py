@@ -48,7 +48,7 @@ COMMANDS = {
         "only if it has this format.",
         (
             "track-range export drive-1 --to cvat --out drive-1.xml",
-            "track-range export corrected.xml --to yolo --video drive.mp4 --images --out data",
+            "track-range export fixed.xml --to yolo --video drive.mp4 --images --out data",
         ),
     ),
     "calibrate": Lazy(

@@ -18,7 +18,7 @@ from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelForm
 from track_range.detection.formats.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.atomic_files import atomic_path, describe
 from track_range.foundation.errors import UsageError
-from track_range.results.columns import methods_measured
+from track_range.results.columns import Columns, methods_measured
 from track_range.results.export.images import frames_of_run, frames_of_video, write_images
 from track_range.results.export.settings import ExportSettings
 from track_range.results.export.source import (
@@ -37,6 +37,9 @@ _Write = Callable[[BoxTable, Path], tuple[str, ...]]
 
 _MARKS = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
 """First bytes of the files that only result writers write."""
+
+_DEFAULT_FPS = 10.0
+"""Frame rate of a run whose settings.yaml has none."""
 
 _WRITTEN_ENTRIES = frozenset({"labels", "images", DATA_YAML})
 """Entries of a folder that an export writes."""
@@ -67,7 +70,7 @@ def export(settings: ExportSettings) -> Exported:
         UsageError: options that contradict each other.
     """
     source = open_run(settings.source) if is_run(settings.source) else None
-    _check(settings, is_of_run=source is not None)
+    _check(settings, source)
     if os.path.realpath(settings.out) == os.path.realpath(settings.source):
         raise OutputError(f"{settings.out}: this input would be overwritten; choose another --out.")
     label_format = LABEL_FORMATS.get(settings.to)
@@ -78,14 +81,18 @@ def export(settings: ExportSettings) -> Exported:
     return _export_rows(settings, source)
 
 
-def _check(settings: ExportSettings, *, is_of_run: bool) -> None:
+def _check(settings: ExportSettings, source: RunSource | None) -> None:
     if settings.to not in LABEL_FORMATS and settings.to not in writer_names():
         raise UsageError(f"--to {settings.to}: this format is not available in this installation.")
     if settings.images and settings.to != "yolo":
         raise UsageError("--images: expected --to yolo; other formats have no folder for images.")
-    if is_of_run and (settings.video is not None or settings.first_frame):
+    if source is not None and (settings.video is not None or settings.first_frame):
         raise UsageError("--video and --first-frame: expected labels as input; a run has its video and frame numbers.")
-    if settings.images and not is_of_run and settings.video is None:
+    if settings.images and source is not None and source.run.settings.get("anonymize"):
+        raise UsageError(
+            "--images: this run was anonymized, but images would show the frames of the video as they are."
+        )
+    if settings.images and source is None and settings.video is None:
         raise UsageError("--images requires --video, the video that the labels belong to.")
 
 
@@ -140,9 +147,13 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
     frames = frames_listed(boxes_of_run(source))
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
-    fps = source.found.get("fps")
     info = RunInfo(
-        camera=camera, rig=None, fps=float(fps) if isinstance(fps, int | float) else 10.0, settings=run.settings
+        camera=camera,
+        rig=None,
+        fps=source.fps or _DEFAULT_FPS,
+        settings=run.settings,
+        start_utc_s=_start_utc_s(columns),
+        provenance=source.provenance,
     )
     with _output(settings.out), tempfile.TemporaryDirectory(prefix=".export-", dir=settings.out.parent) as temporary:
         folder = Path(temporary)
@@ -155,6 +166,13 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
         with atomic_path(settings.out) as partial:
             shutil.move(folder / writer.files[0], partial)
     return Exported(len(columns["frame"]), 0, run.missing)
+
+
+def _start_utc_s(columns: Columns) -> float | None:
+    """UTC of time_s = 0 in seconds since 1970; None = unknown."""
+    starts_s = columns["utc"] - columns["time_s"] if "utc" in columns else np.zeros(0)
+    known = starts_s[np.isfinite(starts_s)]
+    return float(known[0]) if len(known) else None
 
 
 @contextmanager

@@ -18,11 +18,12 @@ from track_range.foundation.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
 from track_range.results.output_files import OutputError
+from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.run_boxes import table_of_rows
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.video.reader import VideoReader
 
-_RUN_FILES = ("settings.yaml", "tracks.csv", "summary.json")
+_RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "summary.json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,19 @@ class RunSource:
     run: RunFolder
     found: Mapping[str, Any]
     camera: PinholeCamera | None
+
+    @property
+    def provenance(self) -> Provenance:
+        """Origin of the results, from settings.yaml."""
+        model = {key: self.found[key] for key in ("detector", "detections") if key in self.found}
+        rig = {key: self.found[key] for key in ("focal_px", "baseline_m", "image_size_px") if key in self.found}
+        return Provenance(model=model, rig=rig, settings_hash=settings_hash(self.run.settings))
+
+    @property
+    def fps(self) -> float | None:
+        """Frame rate; None = unknown."""
+        fps = self.found.get("fps")
+        return float(fps) if isinstance(fps, int | float) and fps > 0 else None
 
 
 def is_run(path: Path) -> bool:
@@ -70,14 +84,14 @@ def boxes_of_run(source: RunSource) -> BoxTable:
     first = int(rows["frame"].min(initial=n_frames)) if starts_s else 0
     if isinstance(frames, int):
         n_frames = max(n_frames, first + frames)
-    fps = source.found.get("fps")
     video = VideoFacts(
         name=_video_name(run.settings),
         n_frames=n_frames or None,
         first_frame=first,
         size_px=None if camera is None else (camera.width_px, camera.height_px),
-        fps=float(fps) if isinstance(fps, int | float) else None,
+        fps=source.fps,
         is_rectified=True,
+        provenance=source.provenance.metadata(),
     )
     return table_of_rows(rows, camera, video)
 
