@@ -112,6 +112,7 @@ def test_full_disk(tmp_path: Path) -> None:
     assert read_tracks_arrows(tmp_path / ARROWS)[0]["frame"].tolist() == [0, 0]
 
 
+@pytest.mark.slow
 def test_killed_process(tmp_path: Path) -> None:
     program = (
         "import os, sys, signal, pathlib\n"
@@ -190,6 +191,7 @@ def test_damaged_parquet(run_file: Path) -> None:
             read_run_rows(run_file, [])
 
 
+@pytest.mark.slow
 def test_run_with_parquet_only(tmp_path: Path, inputs) -> None:  # noqa: F811
     both, alone = tmp_path / "both", tmp_path / "alone"
     list(inputs(both, overlay=False))

@@ -83,6 +83,9 @@ class ResultWriter(Protocol):
     A method `discard_last()` is optional: it removes the last frame from the files. It is called if a later writer of
     the run, or the run itself, fails in the same frame, so that all files of a run end with the same frame.
 
+    A method `check_requirements()` is optional: it raises a UserError, before the run begins, if the writer cannot be
+    used, for example because a package is missing.
+
     An attribute `temporary_files` is optional: names of files that exist only while the run is in progress, and remain
     if it is killed.
 
@@ -114,6 +117,7 @@ _registered: dict[str, WriterFactory | str] = {
     "mot": "track_range.results.formats.mot_file:MotWriter",
     "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
     "kitti": "track_range.results.formats.kitti_file:KittiWriter",
+    "mcap": "track_range.results.formats.mcap.writer:McapWriter",
 }
 """Writers by name; a string "package.module:Class" is imported on first use."""
 
@@ -176,8 +180,11 @@ def create_writers(names: Sequence[str]) -> tuple[ResultWriter, ...]:
 
     Raises:
         WriterError: a writer cannot be created, or two writers write the same file.
+        ExtraError: a package that a writer requires is not installed.
     """
     writers = {name: create_writer(name) for name in dict.fromkeys(names)}
+    for writer in writers.values():
+        getattr(writer, "check_requirements", lambda: None)()
     writer_of: dict[str, str] = {}
     for name, writer in writers.items():
         for file in _all_files(writer):

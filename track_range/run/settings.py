@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_serializer, field_validator, model_validator
 
@@ -266,8 +266,8 @@ class RunSettings(Options):
     write: Annotated[
         tuple[str, ...],
         option(
-            "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), or formats "
-            "of installed packages.",
+            "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), mcap "
+            "(run.mcap, for Foxglove and ROS 2), or formats of installed packages.",
             metavar="A,B,...",
             panel=_OUTPUT,
         ),
@@ -279,6 +279,18 @@ class RunSettings(Options):
             "what is not detected is not covered.",
             panel=_OUTPUT,
         ),
+    ] = False
+    mcap_profile: Annotated[
+        Literal["foxglove", "ros2"],
+        option(
+            "Message types of run.mcap: those of Foxglove, or of ROS 2 (CDR).",
+            flag="--mcap-profile",
+            metavar="foxglove|ros2",
+            panel=_OUTPUT,
+        ),
+    ] = "foxglove"
+    mcap_images: Annotated[
+        bool, option("Images in run.mcap, as JPEG.", flag="--mcap-images/--no-mcap-images", panel=_OUTPUT)
     ] = False
     table: Annotated[
         Path | None, option("Markdown file for the tables of the run.", metavar="FILE.md", panel=_OUTPUT)

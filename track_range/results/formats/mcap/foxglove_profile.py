@@ -1,0 +1,222 @@
+"""FoxgloveProfile: messages with Foxglove's published schemas (protobuf), and the figures of the tracks as JSON.
+
+Foxglove's image coordinates have their origin at the corner of the first pixel, ours at its centre: they differ by 0.5.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any
+
+from foxglove import messages as fox
+from foxglove.messages import Timestamp
+
+from track_range.results.formats.mcap.messages import (
+    ANNOTATIONS,
+    CALIBRATION,
+    IMAGE,
+    NANOSECONDS,
+    RANGES,
+    SCENE,
+    TRANSFORMS,
+    Message,
+    SchemaText,
+    calibration_matrices,
+)
+from track_range.results.formats.scene import CAMERA_FRAME, VEHICLE_FRAME, VEHICLE_FROM_CAMERA_XYZW, TrackObject
+from track_range.stereo.geometry.camera import PinholeCamera
+
+LOG = "/log"
+
+_CORNER_PX = 0.5
+"""Foxglove's coordinates of the centre of the first pixel."""
+
+_PREDICTED_ALPHA = 0.4
+"""Opacity of predicted boxes."""
+
+_MESSAGES: dict[str, Any] = {
+    CALIBRATION: fox.CameraCalibration,
+    IMAGE: fox.CompressedImage,
+    ANNOTATIONS: fox.ImageAnnotations,
+    SCENE: fox.SceneUpdate,
+    TRANSFORMS: fox.FrameTransforms,
+    LOG: fox.Log,
+}
+
+_NUMBERS = ("distance_m", "sigma_m", "closing_mps", "closing_sigma_mps", "ttc_s")
+
+_RANGES_SCHEMA = {
+    "type": "object",
+    "title": "track_range.Ranges",
+    "description": "Distance, closing speed and time to collision of the tracks of a frame; unknown values are absent.",
+    "properties": {
+        "frame_time_ns": {"type": "integer", "description": "time of the frame"},
+        "tracks": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "id": {"type": "integer"},
+                    "class": {"type": "string"},
+                    "observed": {"type": "boolean"},
+                    **{name: {"type": "number"} for name in _NUMBERS},
+                },
+            },
+        },
+    },
+}
+
+
+class FoxgloveProfile:
+    """Messages for Foxglove."""
+
+    name = ""
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._camera = camera
+        self._matrices = calibration_matrices(camera)
+        self._shown: set[int] = set()
+
+    def schema(self, topic: str) -> SchemaText:
+        """Schema of the messages of a topic."""
+        if topic == RANGES:
+            return SchemaText("track_range.Ranges", "jsonschema", json.dumps(_RANGES_SCHEMA).encode())
+        schema = _MESSAGES[topic].get_schema()
+        return SchemaText(schema.name, schema.encoding, schema.data)
+
+    def encoding(self, topic: str) -> str:
+        """Encoding of the messages of a topic."""
+        return "json" if topic == RANGES else "protobuf"
+
+    def frame(self, objects: Sequence[TrackObject], time_ns: int) -> Iterator[Message]:
+        """Messages of a frame, without its image."""
+        time = _timestamp(time_ns)
+        yield Message(CALIBRATION, self._calibration(time))
+        yield Message(TRANSFORMS, _transforms(time))
+        yield Message(ANNOTATIONS, _annotations(objects, time))
+        yield Message(SCENE, self._scene(objects, time))
+        rows = [{"id": o.track_id, "class": o.class_name, "observed": o.is_observed, **o.figures} for o in objects]
+        yield Message(RANGES, json.dumps({"frame_time_ns": time_ns, "tracks": rows}).encode())
+
+    def image(self, jpeg: bytes, time_ns: int) -> Message:
+        """Message of an image."""
+        image = fox.CompressedImage(timestamp=_timestamp(time_ns), frame_id=CAMERA_FRAME, data=jpeg, format="jpeg")
+        return Message(IMAGE, image.encode())
+
+    def note(self, text: str, time_ns: int) -> Message:
+        """Message of a note of the run."""
+        note = fox.Log(timestamp=_timestamp(time_ns), level=fox.LogLevel.Info, message=text, name="track-range")
+        return Message(LOG, note.encode())
+
+    def _calibration(self, time: Timestamp) -> bytes:
+        k, r, p = self._matrices
+        return fox.CameraCalibration(
+            timestamp=time,
+            frame_id=CAMERA_FRAME,
+            width=self._camera.width_px,
+            height=self._camera.height_px,
+            distortion_model="",
+            D=[],
+            K=k,
+            R=r,
+            P=p,
+        ).encode()
+
+    def _scene(self, objects: Sequence[TrackObject], time: Timestamp) -> bytes:
+        """The cuboids of the ranged tracks; those of other tracks that were shown before are deleted."""
+        ranged = [shown for shown in objects if shown.is_ranged]
+        gone = self._shown - {shown.track_id for shown in ranged}
+        self._shown = {shown.track_id for shown in ranged}
+        return fox.SceneUpdate(
+            deletions=[fox.SceneEntityDeletion(timestamp=time, id=f"track {number}") for number in sorted(gone)],
+            entities=[_entity(shown, time) for shown in ranged],
+        ).encode()
+
+
+def _timestamp(time_ns: int) -> Timestamp:
+    return Timestamp(*divmod(time_ns, NANOSECONDS))
+
+
+@cache
+def _colour(rgb: tuple[int, int, int], alpha: float) -> fox.Color:
+    red, green, blue = rgb
+    return fox.Color(r=red / 255, g=green / 255, b=blue / 255, a=alpha)
+
+
+def _transforms(time: Timestamp) -> bytes:
+    x, y, z, w = VEHICLE_FROM_CAMERA_XYZW
+    transform = fox.FrameTransform(
+        timestamp=time,
+        parent_frame_id=VEHICLE_FRAME,
+        child_frame_id=CAMERA_FRAME,
+        translation=fox.Vector3(),
+        rotation=fox.Quaternion(x=x, y=y, z=z, w=w),
+    )
+    return fox.FrameTransforms(transforms=[transform]).encode()
+
+
+def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
+    """Boxes and labels in the image."""
+    points, texts = [], []
+    for shown in objects:
+        x1, y1, x2, y2 = (value + _CORNER_PX for value in shown.xyxy_px)
+        colour = _colour(shown.rgb, 1.0 if shown.is_observed else _PREDICTED_ALPHA)
+        metadata = [
+            fox.KeyValuePair(key="track_id", value=str(shown.track_id)),
+            *(fox.KeyValuePair(key=name, value=f"{value:.3f}") for name, value in shown.figures.items()),
+        ]
+        points.append(
+            fox.PointsAnnotation(
+                timestamp=time,
+                type=fox.PointsAnnotationType.LineLoop,
+                points=[fox.Point2(x=x, y=y) for x, y in ((x1, y1), (x2, y1), (x2, y2), (x1, y2))],
+                outline_color=colour,
+                thickness=2.0,
+                metadata=metadata,
+            )
+        )
+        texts.append(
+            fox.TextAnnotation(
+                timestamp=time,
+                position=fox.Point2(x=x1, y=y1),
+                text=shown.label,
+                font_size=12.0,
+                text_color=colour,
+                background_color=_colour((0, 0, 0), 0.6),
+            )
+        )
+    return fox.ImageAnnotations(timestamp=time, points=points, texts=texts).encode()
+
+
+def _entity(shown: TrackObject, time: Timestamp) -> fox.SceneEntity:
+    x, y, z = shown.centre_m
+    width, height, length = shown.size_m
+    upright = fox.Quaternion(w=1.0)
+    return fox.SceneEntity(
+        timestamp=time,
+        frame_id=CAMERA_FRAME,
+        id=f"track {shown.track_id}",
+        metadata=[
+            fox.KeyValuePair(key="class", value=shown.class_name),
+            *(fox.KeyValuePair(key=name, value=f"{value:.3f}") for name, value in shown.figures.items()),
+        ],
+        cubes=[
+            fox.CubePrimitive(
+                pose=fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=upright),
+                size=fox.Vector3(x=width, y=height, z=length),
+                color=_colour(shown.rgb, 0.7 if shown.is_observed else _PREDICTED_ALPHA),
+            )
+        ],
+        texts=[
+            fox.TextPrimitive(
+                pose=fox.Pose(position=fox.Vector3(x=x, y=y - height / 2 - 0.5, z=z), orientation=upright),
+                billboard=True,
+                font_size=14.0,
+                scale_invariant=True,
+                color=_colour((255, 255, 255), 1.0),
+                text=shown.label,
+            )
+        ],
+    )

@@ -1,0 +1,210 @@
+"""Ros2Profile: CDR messages of ROS 2 (Humble and later), encoded with rosbags.
+
+/camera/calibration sensor_msgs/CameraInfo, /camera/image sensor_msgs/CompressedImage,
+/camera/detections vision_msgs/Detection2DArray, /tracks/detections vision_msgs/Detection3DArray,
+/tracks/ranges diagnostic_msgs/DiagnosticArray (for plots), /tf tf2_msgs/TFMessage, /rosout rcl_interfaces/Log
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from track_range.results.formats.mcap.messages import (
+    CALIBRATION,
+    DETECTIONS_2D,
+    DETECTIONS_3D,
+    IMAGE,
+    NANOSECONDS,
+    RANGES,
+    TRANSFORMS,
+    Message,
+    SchemaText,
+    calibration_matrices,
+)
+from track_range.results.formats.scene import CAMERA_FRAME, VEHICLE_FRAME, VEHICLE_FROM_CAMERA_XYZW, TrackObject
+from track_range.stereo.geometry.camera import PinholeCamera
+
+LOG = "/rosout"
+
+_VISION_MESSAGES = {
+    "Point2D": "float64 x\nfloat64 y",
+    "Pose2D": "vision_msgs/Point2D position\nfloat64 theta",
+    "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y",
+    "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "ObjectHypothesis": "string class_id\nfloat64 score",
+    "ObjectHypothesisWithPose": "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose",
+    "Detection2D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox2D bbox\n"
+        "string id"
+    ),
+    "Detection3D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\nvision_msgs/BoundingBox3D bbox\n"
+        "string id"
+    ),
+    "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections",
+    "Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
+}
+"""Fields of vision_msgs 4 (ROS 2 Humble and later), which rosbags does not contain."""
+
+_TYPES = {
+    CALIBRATION: "sensor_msgs/msg/CameraInfo",
+    IMAGE: "sensor_msgs/msg/CompressedImage",
+    DETECTIONS_2D: "vision_msgs/msg/Detection2DArray",
+    DETECTIONS_3D: "vision_msgs/msg/Detection3DArray",
+    RANGES: "diagnostic_msgs/msg/DiagnosticArray",
+    TRANSFORMS: "tf2_msgs/msg/TFMessage",
+    LOG: "rcl_interfaces/msg/Log",
+}
+
+_INFO = 20
+"""Level of information in rcl_interfaces/Log."""
+
+_UNKNOWN_VARIANCE = -1.0
+"""Variance of a pose that is not known, as ROS drivers mark it."""
+
+
+class Ros2Profile:
+    """Messages for ROS 2."""
+
+    name = "ros2"
+
+    def __init__(self, camera: PinholeCamera) -> None:
+        self._camera = camera
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+        for name, text in _VISION_MESSAGES.items():
+            self._store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
+
+    def schema(self, topic: str) -> SchemaText:
+        """Schema of the messages of a topic."""
+        text, _ = self._store.generate_msgdef(_TYPES[topic], ros_version=2)
+        return SchemaText(_TYPES[topic], "ros2msg", text.encode())
+
+    def encoding(self, topic: str) -> str:
+        """Encoding of the messages of a topic."""
+        return "cdr"
+
+    def frame(self, objects: Sequence[TrackObject], time_ns: int) -> Iterator[Message]:
+        """Messages of a frame, without its image."""
+        header = self._header(time_ns)
+        yield self._message(CALIBRATION, self._calibration(header))
+        yield self._message(TRANSFORMS, self._transforms(time_ns))
+        in_image = [self._detection_2d(shown, header) for shown in objects]
+        yield self._message(DETECTIONS_2D, self._new(_TYPES[DETECTIONS_2D], header=header, detections=in_image))
+        in_space = [self._detection_3d(shown, header) for shown in objects if shown.is_ranged]
+        yield self._message(DETECTIONS_3D, self._new(_TYPES[DETECTIONS_3D], header=header, detections=in_space))
+        statuses = [self._status(shown) for shown in objects]
+        yield self._message(RANGES, self._new(_TYPES[RANGES], header=header, status=statuses))
+
+    def image(self, jpeg: bytes, time_ns: int) -> Message:
+        """Message of an image."""
+        data = np.frombuffer(jpeg, np.uint8)
+        return self._message(IMAGE, self._new(_TYPES[IMAGE], header=self._header(time_ns), format="jpeg", data=data))
+
+    def note(self, text: str, time_ns: int) -> Message:
+        """Message of a note of the run."""
+        stamp = self._stamp(time_ns)
+        values = {"level": _INFO, "name": "track_range", "msg": text, "file": "", "function": "", "line": 0}
+        return self._message(LOG, self._new(_TYPES[LOG], stamp=stamp, **values))
+
+    def _new(self, message_type: str, **values: Any) -> Any:
+        return self._store.types[message_type](**values)
+
+    def _message(self, topic: str, message: Any) -> Message:
+        return Message(topic, bytes(self._store.serialize_cdr(message, _TYPES[topic])))
+
+    def _stamp(self, time_ns: int) -> Any:
+        sec, nanosec = divmod(time_ns, NANOSECONDS)
+        return self._new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+
+    def _header(self, time_ns: int, frame_id: str = CAMERA_FRAME) -> Any:
+        return self._new("std_msgs/msg/Header", stamp=self._stamp(time_ns), frame_id=frame_id)
+
+    def _vector(self, kind: str, x: float, y: float, z: float) -> Any:
+        return self._new(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+    def _rotation(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> Any:
+        return self._new("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _calibration(self, header: Any) -> Any:
+        k, r, p = (np.array(matrix) for matrix in calibration_matrices(self._camera))
+        region = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+        return self._new(
+            _TYPES[CALIBRATION],
+            header=header,
+            height=self._camera.height_px,
+            width=self._camera.width_px,
+            distortion_model="plumb_bob",
+            d=np.zeros(5),
+            k=k,
+            r=r,
+            p=p,
+            binning_x=0,
+            binning_y=0,
+            roi=self._new("sensor_msgs/msg/RegionOfInterest", **region),
+        )
+
+    def _transforms(self, time_ns: int) -> Any:
+        transform = self._new(
+            "geometry_msgs/msg/Transform",
+            translation=self._vector("Vector3", 0.0, 0.0, 0.0),
+            rotation=self._rotation(*VEHICLE_FROM_CAMERA_XYZW),
+        )
+        stamped = self._new(
+            "geometry_msgs/msg/TransformStamped",
+            header=self._header(time_ns, VEHICLE_FRAME),
+            child_frame_id=CAMERA_FRAME,
+            transform=transform,
+        )
+        return self._new(_TYPES[TRANSFORMS], transforms=[stamped])
+
+    def _hypothesis(self, shown: TrackObject) -> Any:
+        """Class and score, with the cuboid's centre and the variance of the distance."""
+        centre = shown.centre_m if shown.is_ranged else (0.0, 0.0, 0.0)
+        covariance = np.zeros(36)
+        covariance[14] = shown.sigma_m**2 if "sigma_m" in shown.figures else _UNKNOWN_VARIANCE  # z, z
+        pose = self._new(
+            "geometry_msgs/msg/Pose", position=self._vector("Point", *centre), orientation=self._rotation()
+        )
+        hypothesis = self._new("vision_msgs/msg/ObjectHypothesis", class_id=shown.class_name, score=shown.score)
+        return self._new(
+            "vision_msgs/msg/ObjectHypothesisWithPose",
+            hypothesis=hypothesis,
+            pose=self._new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
+        )
+
+    def _detection_2d(self, shown: TrackObject, header: Any) -> Any:
+        x1, y1, x2, y2 = shown.xyxy_px
+        position = self._new("vision_msgs/msg/Point2D", x=(x1 + x2) / 2, y=(y1 + y2) / 2)
+        centre = self._new("vision_msgs/msg/Pose2D", position=position, theta=0.0)
+        box = self._new("vision_msgs/msg/BoundingBox2D", center=centre, size_x=x2 - x1, size_y=y2 - y1)
+        return self._detection("Detection2D", shown, header, box)
+
+    def _detection_3d(self, shown: TrackObject, header: Any) -> Any:
+        pose = self._new(
+            "geometry_msgs/msg/Pose", position=self._vector("Point", *shown.centre_m), orientation=self._rotation()
+        )
+        box = self._new("vision_msgs/msg/BoundingBox3D", center=pose, size=self._vector("Vector3", *shown.size_m))
+        return self._detection("Detection3D", shown, header, box)
+
+    def _detection(self, kind: str, shown: TrackObject, header: Any, box: Any) -> Any:
+        results = [self._hypothesis(shown)]
+        return self._new(f"vision_msgs/msg/{kind}", header=header, results=results, bbox=box, id=str(shown.track_id))
+
+    def _status(self, shown: TrackObject) -> Any:
+        """Figures of a track as text, which PlotJuggler converts to curves."""
+        values = [
+            self._new("diagnostic_msgs/msg/KeyValue", key=name, value=f"{value:.6g}")
+            for name, value in shown.figures.items()
+        ]
+        return self._new(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=0,
+            name=f"track {shown.track_id}",
+            message=shown.class_name,
+            hardware_id="",
+            values=values,
+        )

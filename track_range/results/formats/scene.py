@@ -1,0 +1,116 @@
+"""TrackObject: a track of one frame with its box in the image and in metres, for formats with 3-D scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.overlay.colours import alarm_colour, track_colour
+from track_range.run.frame_result import FrameResult
+from track_range.stereo.geometry.camera import PinholeCamera
+
+CAMERA_FRAME, VEHICLE_FRAME = "camera", "vehicle"
+"""Coordinate frames: camera (x right, y down, z forward), and vehicle at the same place (x forward, y left, z up)."""
+
+VEHICLE_FROM_CAMERA_XYZW = (-0.5, 0.5, -0.5, 0.5)
+"""Unit quaternion that rotates vectors of the camera frame into the vehicle frame."""
+
+_LENGTH_M = dict(zip(ROAD_CLASSES, (0.5, 1.7, 4.2, 2.1, 11.0, 8.0, 0.3, 0.1), strict=True))
+"""Nominal length of each class, m, since an image shows only width and height; typical sizes."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackObject:
+    """A track of one frame; NaN = unknown.
+
+    Attributes:
+        track_id: identity.
+        class_name: road class.
+        score: confidence of the detection.
+        is_observed: False for a predicted box.
+        xyxy_px: edges of the box in px, pixel centres at integers.
+        distance_m: fused distance along z.
+        sigma_m: its standard deviation.
+        closing_mps: closing speed.
+        closing_sigma_mps: its standard deviation.
+        ttc_s: time to collision.
+        centre_m: centre of the cuboid in the camera frame.
+        size_m: width (x), height (y) and nominal length (z) of the cuboid.
+        rgb: colour, 0 to 255; red and amber shortly before a predicted collision.
+    """
+
+    track_id: int
+    class_name: str
+    score: float
+    is_observed: bool
+    xyxy_px: tuple[float, float, float, float]
+    distance_m: float
+    sigma_m: float
+    closing_mps: float
+    closing_sigma_mps: float
+    ttc_s: float
+    centre_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    rgb: tuple[int, int, int]
+
+    @property
+    def is_ranged(self) -> bool:
+        """Whether the distance is known."""
+        return math.isfinite(self.distance_m) and self.distance_m > 0
+
+    @property
+    def label(self) -> str:
+        """Class, identity and distance, such as "car 3  24.1 ± 0.6 m"."""
+        name = f"{self.class_name} {self.track_id}"
+        if not self.is_ranged:
+            return name
+        sigma = f" ± {self.sigma_m:.1f}" if math.isfinite(self.sigma_m) else ""
+        return f"{name}  {self.distance_m:.1f}{sigma} m"
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Known distance, closing speed and time to collision with their sigmas, by name with unit."""
+        values = {
+            "distance_m": self.distance_m,
+            "sigma_m": self.sigma_m,
+            "closing_mps": self.closing_mps,
+            "closing_sigma_mps": self.closing_sigma_mps,
+            "ttc_s": self.ttc_s,
+        }
+        return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackObject]:
+    """The tracks of a frame; the ranged surface is the near side of each cuboid, which has no rotation."""
+    tracks, n = result.tracks, len(result.tracks)
+    fused = result.ranges.get("fused")
+    unknown = np.full(n, np.nan)
+    distance_m, sigma_m = (unknown, unknown) if fused is None else (fused.distance_m, fused.sigma_m)
+    x1, y1, x2, y2 = tracks.xyxy_px.T
+    centre_x_m = ((x1 + x2) / 2 - camera.cx_px) / camera.fx_px * distance_m
+    centre_y_m = ((y1 + y2) / 2 - camera.cy_px) / camera.fy_px * distance_m
+    width_m, height_m = (x2 - x1) / camera.fx_px * distance_m, (y2 - y1) / camera.fy_px * distance_m
+    for i in range(n):
+        name, track_id, ttc_s = ROAD_CLASSES[int(tracks.class_id[i])], int(tracks.track_id[i]), float(result.ttc_s[i])
+        length_m = _LENGTH_M[name]
+        blue, green, red = alarm_colour(ttc_s, may_hit=result.may_hit(i)) or track_colour(track_id)
+        z_m = float(distance_m[i])
+        yield TrackObject(
+            track_id,
+            name,
+            float(tracks.score[i]),
+            bool(tracks.observed[i]),
+            (float(x1[i]), float(y1[i]), float(x2[i]), float(y2[i])),
+            z_m,
+            float(sigma_m[i]),
+            float(result.closing_mps[i]),
+            float(result.closing_sigma_mps[i]),
+            ttc_s,
+            (float(centre_x_m[i]), float(centre_y_m[i]), z_m + length_m / 2),
+            (float(width_m[i]), float(height_m[i]), length_m),
+            (red, green, blue),
+        )
