@@ -232,6 +232,15 @@ def disparity() -> None:
     _save_jpeg(cv2.resize(image, None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA), IMAGES / "disparity.jpg")
 
 
+def anonymized() -> None:
+    """A frame of an overlay with `--anonymize`."""
+    drive, results = _temporary() / "shared", _temporary() / "shared-results"
+    _track_range("simulate", "--out", str(drive), "--scenario", "city", "--seed", "101", "--seconds", "2.6")
+    pair = (str(drive / "left.mp4"), str(drive / "right.mp4"))
+    _track_range("--stereo", *pair, "--no-sgbm", "--anonymize", "--out", str(results))
+    _save_jpeg(_frame(results / "overlay.mp4", 20), IMAGES / "anonymized.jpg", quality=80)
+
+
 def scenarios() -> None:
     """A frame of each scenario of `track-range simulate`."""
     names = ("town", "highway", "city", "cut-in", "crossing", "queue", "empty", "night")
@@ -362,7 +371,20 @@ def _save_jpeg(image: Any, path: Path, quality: int = 85) -> None:
 
 PICTURES: dict[str, Callable[[], None]] = {
     draw.__name__: draw
-    for draw in (mono, ground, lane, stereo, alignment, fused, filtered, overlay, disparity, scenarios, report)
+    for draw in (
+        mono,
+        ground,
+        lane,
+        stereo,
+        alignment,
+        fused,
+        filtered,
+        overlay,
+        disparity,
+        scenarios,
+        anonymized,
+        report,
+    )
 }
 
 if __name__ == "__main__":

@@ -141,8 +141,11 @@ class YoloDetector:
         self._outputs = self.infer()
         return self.decode(self._outputs)
 
-    def candidates(self, min_score: float) -> Detections:
-        """The boxes of all road classes with at least `min_score` in the image last passed to `detect`.
+    def candidates(self, min_score: FloatArray) -> Detections:
+        """The boxes in the image last passed to `detect`, and those with lower scores and of other classes.
+
+        Args:
+            min_score: (8,) minimum score by road class; classes that are not in the settings are detected too.
 
         Raises:
             ValueError: `detect` was not called before.
@@ -150,8 +153,8 @@ class YoloDetector:
         if self._outputs is None:
             raise ValueError("expected an earlier call of detect")
         n_invalid = self.n_invalid
-        every_class = np.where(self._road_class >= 0, np.minimum(self._min_score, min_score), _UNREACHABLE_SCORE)
-        found = self.decode(self._outputs, every_class)
+        by_class = np.append(min_score, _UNREACHABLE_SCORE)[self._road_class]  # index -1: no road class
+        found = self.decode(self._outputs, np.minimum(self._min_score, by_class))
         self.n_invalid = n_invalid  # `detect` has counted them
         return found
 

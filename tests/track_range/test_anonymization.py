@@ -13,8 +13,12 @@ from track_range.anonymization.look_ahead import LIVE, OFFLINE, LookAhead, anony
 from track_range.anonymization.regions import MIN_CELL_PX, Boxes, Regions, regions_of
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
+from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.frame_result import FrameResult
+from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.rig_formats.rig_yaml import save_rig
 from track_range.tracking.tracks import Tracks
 
 PERSON, BICYCLE, CAR, LIGHT = (ROAD_CLASSES.index(name) for name in ("person", "bicycle", "car", "traffic light"))
@@ -221,6 +225,19 @@ def test_results_before_an_error_are_delivered():
         next(frames)
 
 
+def test_candidates_are_independent_of_the_settings():
+    path = find_model(DEFAULT_MODEL).path
+    image = np.random.default_rng(0).integers(0, 256, (96, 160, 3), dtype=np.uint8)
+    every = open_detector(path, DetectorOptions(min_score="0.001"))
+    cars = open_detector(path, DetectorOptions(min_score="0.5", classes=("car",)))
+    expected = every.detect(image)
+    assert len(cars.detect(image)) == 0
+    found = cars.candidates(np.full(len(ROAD_CLASSES), 0.001))
+    assert len(found) > 0
+    np.testing.assert_array_equal(found.xyxy_px, expected.xyxy_px)
+    np.testing.assert_array_equal(found.class_id, expected.class_id)
+
+
 # -- runs ------------------------------------------------------------------------------------------------------------
 
 HEAD = (slice(24, 44), slice(70, 90))
@@ -250,6 +267,7 @@ def shared(tmp_path_factory, film):
         assert "48.8577" in str(container.metadata)
     row = "{} 1 Pedestrian 0 0 0 60 20 100 110 -1 -1 -1 -1000 -1000 -1000 -10 0.9\n"
     (folder / "boxes.txt").write_text("".join(row.format(k) for k in range(12)))
+    save_rig(kitti_like_rig(width_px=160, height_px=120), folder / "rig.yaml")
     return folder
 
 
@@ -272,10 +290,11 @@ def test_results_of_a_run_are_anonymized(shared):
 @pytest.mark.slow
 def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     out = tmp_path / "out"
-    inputs = ("--mono", shared / "film.mp4", "--detections", shared / "boxes.txt", "--focal-px", 150, "--lanes", "off")
+    inputs = ("--mono", shared / "film.mp4", "--detections", shared / "boxes.txt", "--lanes", "off")
     status, printed, complaint = cli(*inputs, "--anonymize", "--out", out)
     assert status == 0, complaint
     assert "not detected" in printed
+    assert any("rig.yaml" in note for note in json.loads((out / "summary.json").read_text())["notes"])
     for file in out.iterdir():
         content = file.read_bytes()
         for private in (b"Jane", b"48.8577", str(tmp_path).encode(), b"holiday"):

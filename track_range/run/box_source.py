@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.classes import road_class_ids
+from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import Detector, checked_detections
 from track_range.detection.formats.detection_files import read_detections
@@ -18,8 +18,9 @@ from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 
-CANDIDATE_SCORE = 0.05
-"""Minimum confidence of the candidates for anonymization; half of the default for tracking."""
+CANDIDATE_SCORE = np.where(np.isin(ROAD_CLASSES, ("person", "bicycle")), 0.02, 0.1)
+"""(8,) minimum confidence of the candidates for anonymization by road class: low for people, since the regions of false
+detections are small, and the default of tracking for vehicles."""
 
 
 @dataclass(frozen=True, slots=True)

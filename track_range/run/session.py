@@ -139,7 +139,8 @@ class RunSession:
 
     def _without_paths(self, note: str) -> str:
         """A note with the names of the input files instead of their paths, and without the home folder."""
-        for path in input_files(self.settings):
+        found = self.source.calibration.path
+        for path in [*input_files(self.settings), *([] if found is None else [found])]:
             for text in (os.path.realpath(path), str(path)):
                 note = note.replace(text, path.name)
         return note.replace(str(Path.home()), "~")
