@@ -5,6 +5,7 @@ A compressed file of a few kilobytes can announce an image that takes gigabytes.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import struct
@@ -92,6 +93,33 @@ def read_image(
             stored = file.read(n_bytes)
         except OSError as reason:
             raise error(f"{path}: cannot be read ({reason.strerror or reason}); expected {expected}.") from reason
+    return _decoded(stored, path, error, expected, flags)
+
+
+def decode_image(
+    stored: bytes, source: object, error: type[Exception], expected: str = "an image", *, flags: int = cv2.IMREAD_COLOR
+) -> npt.NDArray[Any]:
+    """The image of a PNG, JPEG or other file that is in memory; see `read_image`.
+
+    Args:
+        stored: content of the file.
+        source: name of the content, with which messages begin.
+        error: class of the exceptions to raise.
+        expected: noun phrase for the content, for messages.
+        flags: OpenCV's flags, which determine the number of channels and the type.
+
+    Raises:
+        error: the image is damaged, of an unknown format, or too large.
+    """
+    size_px = header_size_px(io.BytesIO(stored))
+    if size_px is None or 0 in size_px:
+        raise error(f"{source}: expected {expected} (PNG or JPEG), found another format or damaged data.")
+    check_size(source, size_px, error)
+    return _decoded(stored, source, error, expected, flags)
+
+
+def _decoded(stored: bytes, path: object, error: type[Exception], expected: str, flags: int) -> npt.NDArray[Any]:
+    """The image of a file's content, the size of which has been checked."""
     if stored.startswith(_JPEG_START) and _n_scans(stored) > _MAX_SCANS:
         raise error(f"{path}: expected a JPEG file of at most {_MAX_SCANS} scans, found more; save it again.")
     try:

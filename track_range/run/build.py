@@ -34,6 +34,7 @@ def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> R
         duration_s=settings.duration_s,
         folder_fps=settings.folder_fps,
         start_utc=settings.start_utc,
+        topics=settings.topics,
         progress=progress,
     )
 

@@ -109,13 +109,16 @@ class Run:
 
     @classmethod
     def stereo(
-        cls, left: str | Path | Sequence[str | Path], right: str | Path | Sequence[str | Path], **options: Any
+        cls,
+        left: str | Path | Sequence[str | Path],
+        right: str | Path | Sequence[str | Path] | None = None,
+        **options: Any,
     ) -> Self:
         """A run on the videos, image folders or streams of two cameras.
 
         Args:
             left: recording of the left camera; a list of files if it consists of several.
-            right: recording of the right camera.
+            right: recording of the right camera; None = `left` is a bag, with `topics=("/left", "/right")`.
             options: options of `track-range run`, with underscores: `rig="rig.yaml"`, `detector="yolov5n.onnx"`,
                 `align="off"`, `sgbm=False`, `out="results"`. `detector` and `tracker` may also be objects with
                 `detect` and `update`, `progress` shows progress bars.
@@ -123,7 +126,8 @@ class Run:
         Raises:
             ConfigError: an option is unknown or invalid, or contradicts another one.
         """
-        return cls._of({"stereo": (_video(left), _video(right))}, options)
+        sides = (left,) if right is None else (left, right)
+        return cls._of({"stereo": tuple(_video(side) for side in sides)}, options)
 
     @classmethod
     def mono(cls, video: str | Path | Sequence[str | Path], **options: Any) -> Self:

@@ -84,6 +84,15 @@ class RunSettings(Options):
             is_repeated=True,
         ),
     ] = None
+    topics: Annotated[
+        tuple[str, ...],
+        option(
+            "Topics of the images in an MCAP file or ROS bag: one for --mono, two for --stereo BAG; without --rig, the "
+            "calibration is that of the topics camera_info beside them.",
+            metavar="LEFT,RIGHT",
+            panel=_INPUT,
+        ),
+    ] = ()
     rig: Annotated[
         Path | None,
         option(
@@ -329,7 +338,15 @@ class RunSettings(Options):
     @field_validator("stereo", mode="before")
     @classmethod
     def _pair_of_names(cls, pair: Any) -> Any:
-        """Convert names to paths, several files, or the addresses of cameras and streams."""
+        """Convert names to paths, several files, or the addresses of cameras and streams; one bag is both videos."""
+        if isinstance(pair, str | Path):
+            pair = (pair,)
+        if isinstance(pair, list | tuple) and len(pair) == 1:
+            from track_range.video.bags.bag import is_bag  # imports NumPy
+
+            if not (isinstance(pair[0], str | Path) and is_bag(Path(pair[0]))):
+                raise ValueError("expected LEFT and RIGHT, or one MCAP file or ROS bag with --topics LEFT,RIGHT")
+            pair = (pair[0], pair[0])
         return tuple(_source_name(name) for name in pair) if isinstance(pair, list | tuple) else pair
 
     @field_validator("mono", mode="before")
@@ -384,6 +401,9 @@ class RunSettings(Options):
     def _one_source(self) -> Self:
         if (self.stereo is None) == (self.mono is None):
             raise ValueError("give either --stereo LEFT RIGHT or --mono VIDEO")
+        n_topics = 1 if self.stereo is None else 2
+        if self.topics and len(self.topics) != n_topics:
+            raise ValueError(f"--topics: expected {n_topics} topic{'s' * (n_topics - 1)}, got {len(self.topics)}")
         if self.detector is not None and self.detections is not None:
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:

@@ -14,11 +14,13 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
-from track_range.stereo.geometry.rig_checks import check_camera
+from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
 from track_range.video.auto_alignment import PairAlignment
+from track_range.video.bags.calibration import camera_of, is_undistorted, rig_of
 from track_range.video.inputs import Inputs
 from track_range.video.names import VideoName, files_of
+from track_range.video.reader import VideoReader
 from track_range.video.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
@@ -92,13 +94,17 @@ class Calibration:
 
 
 def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal_px: float | None) -> Calibration:
-    """The calibration of opened videos: from the file `rig`, the focal length, or a file next to `left`, in this order.
+    """The calibration of opened videos: from the file `rig`, the focal length, the bag, or a file next to `left`.
+
+    The first of these is used.
 
     A pair without any of these is uncalibrated.
 
     Raises:
         RigError: the file cannot be used or does not fit the images; or one camera has neither file nor focal length.
     """
+    if rig is None and focal_px is None and (in_bag := _calibration_in_bag(inputs)) is not None:
+        return in_bag
     first_file = next(iter(files_of(left)), None) if rig is None and focal_px is None else None
     neighbour = None if first_file is None else find_rig(first_file)
     search_notes = () if neighbour is None else (f"Using calibration {neighbour} found next to the left video.",)
@@ -134,6 +140,36 @@ def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:
         path=path,
         left_from_reference_m=left_from_reference_m(path, is_grey=is_grey),
         file_notes=notes,
+    )
+
+
+def _calibration_in_bag(inputs: Inputs) -> Calibration | None:
+    """The calibration of the cameras in the bag or bags of a recording; None = not (all) calibrated."""
+    bags = [reader.bag for reader in inputs.readers if isinstance(reader, VideoReader) and reader.bag is not None]
+    messages = [bag.camera for bag in bags if bag.camera is not None]
+    if not messages or len(messages) < len(inputs.readers):
+        return None
+    path = bags[0].path.path
+    is_rectified = all(bag.is_rectified or is_undistorted(message) for bag, message in zip(bags, messages, strict=True))
+    if len(messages) == 1:
+        camera, notes = fitted_to_size(camera_of(messages[0], path, is_rectified=is_rectified), inputs.size_px, path)
+        check_camera(camera, path)
+        undistorter = Undistorter(camera)
+        return Calibration(kind="rig", camera=undistorter.camera, rectifier=undistorter, path=path, file_notes=notes)
+    given = rig_of(messages[0], messages[1], path, is_rectified=is_rectified)
+    check_rig(given, path)
+    left, left_notes = fitted_to_size(given.left, inputs.size_px, f"{path} (left)")
+    right, right_notes = fitted_to_size(given.right, inputs.size_px, f"{path} (right)")
+    rig = StereoRig(left, right, given.right_from_left)
+    rectifier = Rectifier(rig)
+    return Calibration(
+        kind="rig",
+        camera=rectifier.rig.left,
+        rectifier=rectifier,
+        rig=rectifier.rig,
+        raw_rig=rig,
+        path=path,
+        file_notes=(*left_notes, *right_notes),
     )
 
 

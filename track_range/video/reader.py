@@ -10,6 +10,8 @@ from pathlib import Path
 
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.input_files import quoted
+from track_range.video.bags.bag import is_bag
+from track_range.video.bags.bag_video import BagVideo
 from track_range.video.file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.image_folder import ImageFolder
@@ -25,7 +27,7 @@ _MIN_SIDE_PX = 8
 """Smallest width and height of a video; smaller ones show no road users, and their headers are usually damaged."""
 
 
-Source = VideoFile | ImageFolder | SegmentedVideo
+Source = VideoFile | ImageFolder | SegmentedVideo | BagVideo
 """Frames of a recording with their properties; see `VideoReader`."""
 
 
@@ -35,7 +37,8 @@ class VideoReader:
     The file is opened once for its properties and the first iteration, and again for each later iteration.
 
     Args:
-        path: the file, the folder of images or videos, a pattern such as `DIR/*_F.mp4`, or several files.
+        path: the file, the folder of images or videos, a pattern such as `DIR/*_F.mp4`, several files, or a
+            topic of a bag.
         folder_fps: frame rate of a folder without timestamps.txt.
         start_s: start of the part to read, in seconds after `origin_s`; most frames before it are not decoded.
         duration_s: length of the part to read; None = to the end.
@@ -83,6 +86,11 @@ class VideoReader:
         self._until_s = math.inf if duration_s is None else self._from_s + duration_s
         self.n_frames = self._expected()
         self.busy_s = 0.0
+
+    @property
+    def bag(self) -> BagVideo | None:
+        """The topic of a bag that is read; None = another kind of recording."""
+        return self._source if isinstance(self._source, BagVideo) else None
 
     @property
     def utc(self) -> UtcStart | None:
@@ -136,16 +144,20 @@ class VideoReader:
 
 def _source(path: RecordedName, folder_fps: float, left: Source | None) -> Source:
     """The opened recording with this name; `left` is that of the left camera, if this is the right one."""
+    if isinstance(path, Path) and is_bag(path):
+        path = BagTopic(path, None)
+    if isinstance(path, BagTopic):
+        return BagVideo(path)
     try:
-        files = None if isinstance(path, BagTopic) else segment_files(path)
+        files = segment_files(path)
     except ValueError as error:  # a null character
         raise VideoError(f"{quoted(str(path))}: cannot be read (invalid name); check the name.") from error
-    if files is not None and not isinstance(path, BagTopic) and (len(files) > 1 or isinstance(path, Segments)):
+    if files is not None and (len(files) > 1 or isinstance(path, Segments)):
         return SegmentedVideo(path, files, left=left if isinstance(left, SegmentedVideo) else None)
     if files:
         return VideoFile(files[0])
-    if not isinstance(path, Path):
-        raise VideoError(f"{path}: expected a video.")
+    if isinstance(path, Segments):
+        raise VideoError(f"{path}: expected video files, found none.")
     return _single_source(path, folder_fps)
 
 

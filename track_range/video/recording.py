@@ -19,9 +19,11 @@ from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.video.auto_alignment import ESTIMATION_SPAN_S, find_alignment
+from track_range.video.bags.bag import is_bag
 from track_range.video.calibration import Calibration, find_calibration
+from track_range.video.frame import VideoError
 from track_range.video.inputs import Images, Inputs
-from track_range.video.names import VideoName, video_name
+from track_range.video.names import BagTopic, VideoName, video_name
 from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
 from track_range.video.utc import UtcStart, parsed_utc
 
@@ -102,6 +104,7 @@ def open_recording(
     folder_fps: float = 10.0,
     has_checks: bool = True,
     start_utc: str | None = None,
+    topics: Sequence[str] = (),
     progress: StepProgress = no_progress,
 ) -> Recording:
     """Open one video or a pair for one pass over its rectified frames.
@@ -119,6 +122,7 @@ def open_recording(
         folder_fps: frame rate of folders of images without timestamps.txt.
         has_checks: whether calibrated pairs are checked for swapped, misaligned or unsynchronised videos.
         start_utc: UTC of the left video's first frame, in ISO 8601; None = from the video.
+        topics: topics of the images of the left and right camera, if `left` and `right` are MCAP files or ROS bags.
         progress: shows the progress of the alignment's estimation.
 
     Raises:
@@ -134,7 +138,7 @@ def open_recording(
         (0, 0.0, False)
         >>> recording.close()
     """
-    left, right = video_name(left), None if right is None else video_name(right)
+    left, right = _with_topics(video_name(left), None if right is None else video_name(right), topics)
     utc = None if start_utc is None else parsed_utc(start_utc)
     with ExitStack() as on_error:
         inputs = Inputs.open(left, right, start_s=start_s, duration_s=duration_s, folder_fps=folder_fps)
@@ -148,6 +152,27 @@ def open_recording(
             calibration = _aligned(calibration, calibration.rig, inputs, align, monitors[:1], progress)
         on_error.pop_all()
     return Recording(_frames(inputs, calibration, monitors, utc), inputs, calibration, monitors, utc)
+
+
+def _with_topics(left: VideoName, right: VideoName | None, topics: Sequence[str]) -> tuple[VideoName, VideoName | None]:
+    """The names of the videos, with the topics of those that are bags.
+
+    Raises:
+        VideoError: there are topics, but a video is not a bag, or their number does not fit.
+    """
+    if not topics:
+        return left, right
+    names = [left] if right is None else [left, right]
+    if len(names) != len(topics):
+        raise VideoError(
+            f"{left}: expected {'one topic' if right is None else 'the topics LEFT,RIGHT'}, got {len(topics)}; "
+            "correct --topics."
+        )
+    for name in names:
+        if not (isinstance(name, Path) and is_bag(name)):
+            raise VideoError(f"{name}: expected an MCAP file or ROS bag, since topics are given; omit --topics.")
+    tagged = [BagTopic(name, topic) for name, topic in zip(names, topics, strict=True) if isinstance(name, Path)]
+    return tagged[0], None if right is None else tagged[1]
 
 
 def _aligned(

@@ -1,0 +1,136 @@
+"""Bags with images of one or two cameras, written with the libraries mcap and rosbags, and with Foxglove's schemas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+START_NS = 1_769_869_530_000_000_000
+"""Time of the first image, 2026-01-31 14:25:30 UTC."""
+
+STEP_NS = 100_000_000
+K = [70.0, 0.0, 31.5, 0.0, 70.0, 23.5, 0.0, 0.0, 1.0]
+R = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def projection(offset_m: float) -> list[float]:
+    return [*K[:3], K[0] * offset_m, *K[3:6], 0.0, *K[6:], 0.0]
+
+
+def jpeg(image: np.ndarray) -> bytes:
+    return bytes(cv2.imencode(".png", image)[1])
+
+
+def cameras(names: Sequence[str]) -> list[tuple[str, float]]:
+    """Topic prefix and offset of each camera."""
+    return [(name, -0.5 * number) for number, name in enumerate(names)]
+
+
+def ros_messages(
+    store: Any, names: Sequence[str], images: Sequence[np.ndarray], *, topic: str, encoding: str = ""
+) -> list[tuple[int, str, str, Any]]:
+    """(time, topic, type, message) of images and calibrations; raw images if `encoding` is given."""
+    types, ros1 = (
+        store.types,
+        "std_msgs/msg/Header" in store.types and "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__,
+    )
+    messages = []
+    for number, image in enumerate(images):
+        stamp_ns = START_NS + number * STEP_NS
+        time = types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+        header = types["std_msgs/msg/Header"](*([number] if ros1 else []), time, "camera")
+        for name, offset_m in cameras(names):
+            if encoding:
+                kind = "sensor_msgs/msg/Image"
+                rows = np.ascontiguousarray(image).reshape(image.shape[0], -1).view(np.uint8)
+                message = types[kind](header, *image.shape[:2], encoding, 0, rows.shape[1], rows.ravel())
+            else:
+                kind = "sensor_msgs/msg/CompressedImage"
+                message = types[kind](header, "png", np.frombuffer(jpeg(image), np.uint8))
+            recorded_ns = stamp_ns + 20_000_000
+            messages.append((recorded_ns, f"{name}/{topic}", kind, message))
+            roi = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+            info = types["sensor_msgs/msg/CameraInfo"](
+                header, 48, 64, "plumb_bob", *(np.array(v) for v in ([0.0] * 5, K, R, projection(offset_m))), 0, 0, roi
+            )  # fmt: skip
+            messages.append((recorded_ns, f"{name}/camera_info", "sensor_msgs/msg/CameraInfo", info))
+        text = types["std_msgs/msg/String"]("nothing")
+        messages.append((stamp_ns, "/chatter", "std_msgs/msg/String", text))
+    return messages
+
+
+def write_ros2(path: Path, names: Sequence[str], images: Sequence[np.ndarray], *, storage: str, **options: Any) -> Path:
+    """A ROS 2 bag folder written with rosbags; `storage` = sqlite3 or mcap."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        connections: dict[str, Any] = {}
+        for time_ns, topic, kind, message in ros_messages(store, names, images, **options):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], time_ns, bytes(store.serialize_cdr(message, kind)))
+    return path
+
+
+def write_ros1(
+    path: Path, names: Sequence[str], images: Sequence[np.ndarray], *, compression: str = "", **options: Any
+) -> Path:
+    """A ROS 1 bag written with rosbags."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = Writer(path)
+    if compression:
+        writer.set_compression(Writer.CompressionFormat[compression])
+    with writer:
+        connections: dict[str, Any] = {}
+        for time_ns, topic, kind, message in ros_messages(store, names, images, **options):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], time_ns, bytes(store.serialize_ros1(message, kind)))
+    return path
+
+
+def write_foxglove(path: Path, names: Sequence[str], images: Sequence[np.ndarray], **options: Any) -> Path:
+    """An MCAP file with Foxglove's messages, encoded by foxglove-sdk and written with the library mcap."""
+    from foxglove.messages import CameraCalibration, CompressedImage, RawImage, Timestamp
+    from mcap.writer import Writer
+
+    is_raw = options.pop("is_raw", False)
+    with path.open("wb") as file:
+        writer = Writer(file, **{"chunk_size": 2000, **options})
+        writer.start()
+        channels: dict[str, int] = {}
+
+        def add(topic: str, message: Any, time_ns: int) -> None:
+            if topic not in channels:
+                schema = type(message).get_schema()
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[topic] = writer.register_channel(topic, "protobuf", schema_id)
+            writer.add_message(channels[topic], time_ns, message.encode(), time_ns)
+
+        for number, image in enumerate(images):
+            time_ns = START_NS + number * STEP_NS
+            stamp = Timestamp(time_ns // 10**9, time_ns % 10**9)
+            for name, offset_m in cameras(names):
+                if is_raw:
+                    sizes = {"width": image.shape[1], "height": image.shape[0], "step": 3 * image.shape[1]}
+                    raw = RawImage(timestamp=stamp, encoding="bgr8", data=image.tobytes(), **sizes)
+                    add(f"{name}/image", raw, time_ns)
+                else:
+                    add(f"{name}/image", CompressedImage(timestamp=stamp, data=jpeg(image), format="png"), time_ns)
+                add(
+                    f"{name}/calibration",
+                    CameraCalibration(timestamp=stamp, width=64, height=48, K=K, R=R, P=projection(offset_m)),
+                    time_ns,
+                )
+        writer.finish()
+    return path

@@ -1,0 +1,213 @@
+"""MCAP files and ROS bags as input: images, times, calibrations, and damaged files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer
+
+from tests.track_range.bag_writers import START_NS, write_foxglove, write_ros1, write_ros2
+from track_range.foundation.errors import UsageError
+from track_range.run.settings import save_settings, settings_from
+from track_range.video.bags.bag import is_bag
+from track_range.video.frame import VideoError
+from track_range.video.names import BagTopic
+from track_range.video.reader import VideoReader
+from track_range.video.recording import open_recording
+
+BOTH = ("/left", "/right")
+
+
+def write(path: Path, kind: str, names: tuple[str, ...], images: list[np.ndarray], **options: Any) -> Path:
+    if kind.startswith("foxglove"):
+        return write_foxglove(path, names, images, is_raw=kind == "foxglove-raw", **options)
+    options = {"topic": "image_raw/compressed", **options}
+    if kind.startswith("ros1"):
+        return write_ros1(path, names, images, compression=kind.partition("-")[2], **options)
+    return write_ros2(path, names, images, storage=kind, **options)
+
+
+@pytest.fixture
+def images(level: Callable[..., np.ndarray]) -> list[np.ndarray]:
+    return [level(number) for number in range(12)]
+
+
+def topic_of(kind: str) -> str:
+    return "image" if kind.startswith("foxglove") else "image_raw/compressed"
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "foxglove-raw", "sqlite3", "mcap", "ros1", "ros1-BZ2", "ros1-LZ4"])
+def test_pair_in_a_bag(tmp_path: Path, images: list[np.ndarray], number_in: Callable[..., int], kind: str) -> None:
+    bag = write(tmp_path / "drive.bag", kind, BOTH, images)
+    assert is_bag(bag)
+    topics = [f"{side}/{topic_of(kind)}" for side in BOTH]
+    recording = open_recording(bag, bag, topics=topics, align="off", has_checks=False)
+    assert recording.rig is not None
+    assert recording.rig.baseline_m == pytest.approx(0.5)
+    assert recording.camera.fx_px == 70.0
+    frames = list(recording.frames)
+    assert [frame.index for frame in frames] == list(range(12))
+    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(12)])
+    assert [number_in(frame.left) for frame in frames] == list(range(12))
+    assert frames[0].utc_s == pytest.approx(START_NS / 1e9)
+    assert recording.fps == pytest.approx(10.0)
+    assert recording.n_frames == 12
+    assert not [note for note in recording.inputs.notes if "skipped" in note or "cut" in note]
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
+def test_later_start_in_a_bag(tmp_path: Path, images: list[np.ndarray], kind: str, monkeypatch: Any) -> None:
+    monkeypatch.setattr("track_range.video.bags.bag_video._MAX_LATENCY_S", 0.05)
+    bag = write(tmp_path / "drive.bag", kind, BOTH, images)
+    reader = VideoReader(BagTopic(bag, f"/left/{topic_of(kind)}"), start_s=0.65, duration_s=0.3)
+    assert [frame.index for frame in reader] == [7, 8, 9]
+
+
+@pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "mono8", "mono16", "bayer_rggb8", "rgba8"])
+def test_raw_images(tmp_path: Path, encoding: str) -> None:
+    bgr = np.zeros((48, 64, 3), np.uint8)
+    bgr[..., :] = (40, 90, 200)
+    grey = np.full((48, 64), 90, np.uint8)
+    bayer = np.zeros((48, 64), np.uint8)
+    bayer[0::2, 0::2], bayer[1::2, 1::2] = 200, 40
+    bayer[0::2, 1::2] = bayer[1::2, 0::2] = 90
+    stored = {
+        "bgr8": bgr,
+        "rgb8": bgr[..., ::-1],
+        "mono8": grey,
+        "mono16": grey.astype(np.uint16) << 8,
+        "bayer_rggb8": bayer,
+        "rgba8": np.dstack([bgr[..., ::-1], grey]),
+    }[encoding]
+    bag = write_ros1(tmp_path / "drive.bag", ("/cam",), [stored] * 2, topic="image_raw", encoding=encoding)
+    frames = list(VideoReader(bag))
+    expected = (90, 90, 90) if encoding.startswith("mono") else (40, 90, 200)
+    assert len(frames) == 2
+    assert frames[0].image[20, 20].tolist() == list(expected)
+
+
+def test_video_messages(tmp_path: Path, film: Callable[..., Path], number_in: Callable[..., int]) -> None:
+    import av
+    from foxglove.messages import CompressedVideo, Timestamp
+    from mcap.writer import Writer
+
+    source = film(tmp_path / "film.h264", [number / 10 for number in range(12)], options={}, gop=6)
+    with av.open(str(source)) as container, (tmp_path / "drive.mcap").open("wb") as file:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+        writer = Writer(file)
+        writer.start()
+        schema = CompressedVideo.get_schema()
+        channel = writer.register_channel(
+            "/video", "protobuf", writer.register_schema(schema.name, schema.encoding, schema.data)
+        )
+        for number, packet in enumerate(packets):
+            message = CompressedVideo(timestamp=Timestamp(100, number * 10**8), data=packet, format="h264")
+            writer.add_message(channel, number * 10**8, message.encode(), number * 10**8)
+        writer.finish()
+    reader = VideoReader(tmp_path / "drive.mcap")
+    assert (reader.width_px, reader.height_px, reader.utc) == (64, 48, None)
+    assert len(list(reader)) > 0
+
+
+def test_mono_needs_no_topic_if_there_is_one(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write_foxglove(tmp_path / "drive.mcap", ("/camera",), images)
+    recording = open_recording(bag)
+    assert (recording.camera.fx_px, recording.calibration.kind) == (70.0, "rig")
+    assert len(list(recording.frames)) == 12
+
+
+def test_missing_topic_lists_the_topics(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", "mcap", BOTH, images)
+    for name in (BagTopic(bag, None), BagTopic(bag, "/left/image"), BagTopic(bag, "/chatter")):
+        with pytest.raises(VideoError, match=r"/left/image_raw/compressed \(sensor_msgs/msg/Compre") as raised:
+            VideoReader(name)
+        assert len(str(raised.value)) < 300 + len(str(bag))
+
+
+def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray], monkeypatch: Any) -> None:
+    monkeypatch.setattr("tests.track_range.bag_writers.K", [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0])
+    bag = write(tmp_path / "bag", "sqlite3", BOTH, images)
+    recording = open_recording(
+        bag, bag, topics=[f"{side}/image_raw/compressed" for side in BOTH], align="off", has_checks=False
+    )
+    assert recording.rig is not None
+    assert recording.rig.baseline_m == pytest.approx(0.5)
+    recording.close()
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "ros1"])
+@pytest.mark.parametrize("share", [0.6, 0.97])
+def test_bag_that_is_cut_off(
+    tmp_path: Path, images: list[np.ndarray], kind: str, share: float, monkeypatch: Any
+) -> None:
+    noisy = [
+        np.random.default_rng(number).integers(0, 255, image.shape, np.uint8) for number, image in enumerate(images)
+    ]
+    if kind == "ros1":
+        monkeypatch.setattr("rosbags.rosbag1.Writer.__init__", _with_small_chunks(Writer.__init__))
+    bag = write(tmp_path / "drive", kind, ("/cam",), noisy)
+    content = bag.read_bytes()
+    bag.write_bytes(content[: int(share * len(content))])
+    reader = VideoReader(BagTopic(bag, f"/cam/{topic_of(kind)}"))
+    n_frames = len(list(reader))
+    assert 4 <= n_frames < 12 or share > 0.9
+    assert any("cut off" in note for note in reader.notes)
+
+
+def _with_small_chunks(original: Callable[..., None]) -> Callable[..., None]:
+    def init(self: Writer, path: Path) -> None:
+        original(self, path)
+        self.chunk_threshold = 20_000
+
+    return init
+
+
+@pytest.mark.parametrize("kind", ["foxglove", "sqlite3", "mcap", "ros1"])
+def test_damaged_bags(tmp_path: Path, images: list[np.ndarray], kind: str) -> None:
+    bag = write(tmp_path / "drive", kind, ("/cam",), images)
+    file = next(path for path in bag.iterdir() if path.suffix in (".db3", ".mcap")) if bag.is_dir() else bag
+    content = file.read_bytes()
+    random, messages, n_frames = np.random.default_rng(4), list[str](), list[int]()
+    for _ in range(30):
+        damaged = bytearray(content)
+        start = int(random.integers(len(damaged)))
+        damaged[start : start + 40] = random.integers(0, 256, 40, np.uint8).tobytes()[: len(damaged) - start]
+        file.write_bytes(bytes(damaged[: int(random.integers(1, len(damaged)))] if random.random() < 0.5 else damaged))
+        try:
+            frames = list(VideoReader(BagTopic(bag, f"/cam/{topic_of(kind)}")))
+        except VideoError as error:
+            messages.append(str(error))
+        else:
+            n_frames.append(len(frames))
+    assert all(message.startswith(str(bag)) and len(message) < 300 + len(str(bag)) for message in messages)
+    assert max(n_frames) <= 12
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"#ROSBAG V1.2\n", b"SQLite format 3\0", b"#ROSBAG V2.0\n"])
+def test_empty_bags(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "drive.bag").write_bytes(content)
+    with pytest.raises(VideoError, match=r"drive\.bag"):
+        VideoReader(BagTopic(tmp_path / "drive.bag", "/cam"))
+
+
+def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write_foxglove(tmp_path / "drive.mcap", BOTH, images[:2])
+    settings = settings_from({"stereo": (str(bag),), "topics": "/left/image,/right/image"})
+    assert settings.stereo == (bag, bag)
+    assert settings.out_dir == Path("drive-track-range")
+    save_settings(settings, tmp_path / "settings.yaml")
+    again = settings_from({}, tmp_path / "settings.yaml")
+    assert (again.stereo, again.topics) == (settings.stereo, ("/left/image", "/right/image"))
+    for given in (
+        {"stereo": (str(bag),), "topics": "/left/image"},
+        {"stereo": ("film.mp4",)},
+        {"mono": "a", "topics": "b,c"},
+    ):
+        with pytest.raises(UsageError):
+            settings_from({**given, "focal_px": 700.0})
+    with pytest.raises(VideoError, match="topics"):
+        open_recording(tmp_path / "settings.yaml", topics=["/left/image"], focal_px=70.0)

@@ -1,0 +1,1 @@
+"""Images and calibrations in MCAP files and ROS bags."""

@@ -1,0 +1,86 @@
+"""Rig and camera from the calibration messages of a bag (sensor_msgs/CameraInfo, foxglove.CameraCalibration).
+
+P = [K' | K' t'],  x' = R x,  t' = (-baseline, 0, 0) for the right camera
+
+x = point in the camera's frame, x' = in its rectified frame (http://docs.ros.org/en/api/sensor_msgs/html/msg/CameraInfo.html).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray
+from track_range.foundation.input_files import quoted
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.rig import RigError, StereoRig
+from track_range.video.bags.decoding import CameraMessage
+
+_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
+"""Distortion models that are OpenCV's."""
+
+_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+"""Numbers of coefficients of OpenCV's model."""
+
+
+def camera_of(message: CameraMessage, path: Path, *, is_rectified: bool) -> PinholeCamera:
+    """The camera of a message: P for rectified images, K with distortion for raw ones.
+
+    Raises:
+        RigError: unknown distortion model.
+    """
+    matrix = message.p[:, :3] if is_rectified else message.k
+    width_px, height_px = message.size_px
+    distortion = () if is_rectified else _distortion(message, path)
+    return PinholeCamera(
+        float(matrix[0, 0]),
+        float(matrix[1, 1]),
+        float(matrix[0, 2]),
+        float(matrix[1, 2]),
+        width_px,
+        height_px,
+        distortion,
+    )
+
+
+def rig_of(left: CameraMessage, right: CameraMessage, path: Path, *, is_rectified: bool) -> StereoRig:
+    """The rig of two messages.
+
+    Raises:
+        RigError: unknown distortion model, or the messages contain no baseline.
+    """
+    if not left.p[0, 0] or not right.p[0, 0]:
+        raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give --rig FILE.")
+    # the origin of the rectified frames is that of the left camera in most recordings, in KITTI's that of another one
+    offset_m = right.p[0, 3] / right.p[0, 0] - left.p[0, 3] / left.p[0, 0]
+    if not offset_m:
+        raise RigError(
+            f"{path}: expected a baseline in the projection matrix P of the right camera, found 0; give --rig FILE."
+        )
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = offset_m
+    if not is_rectified:
+        rotation: FloatArray = right.r.T @ left.r
+        right_from_left[:3, :3] = rotation
+        right_from_left[:3, 3] = right.r.T @ np.array([offset_m, 0.0, 0.0])
+    cameras = [camera_of(message, path, is_rectified=is_rectified) for message in (left, right)]
+    return StereoRig(cameras[0], cameras[1], right_from_left)
+
+
+def is_undistorted(message: CameraMessage) -> bool:
+    """Whether the message describes rectified images: no distortion, and P equals K."""
+    return (
+        not any(message.distortion) and np.allclose(message.r, np.eye(3)) and np.allclose(message.p[:, :3], message.k)
+    )
+
+
+def _distortion(message: CameraMessage, path: Path) -> tuple[float, ...]:
+    if not any(message.distortion):
+        return ()
+    if message.model not in _MODELS or len(message.distortion) not in _COEFFICIENTS:
+        raise RigError(
+            f"{path}: expected a distortion model plumb_bob or rational_polynomial, found {quoted(message.model)} with "
+            f"{len(message.distortion)} coefficients; use rectified images, or give --rig FILE."
+        )
+    return message.distortion
