@@ -129,3 +129,9 @@ def calls_parser(path):
 def test_one_reader_of_yaml_and_json():
     users = {str(path.relative_to(PROJECT)) for path in sources(*PACKAGES) if calls_parser(path)}
     assert users == set(READS_YAML_OR_JSON)
+
+
+def test_links_are_followed_by_real_path():
+    """`Path.resolve` raises RuntimeError for a loop of links (Python 3.11); `real_path` does not."""
+    users = [str(path) for path in sources(*PACKAGES) if ".resolve(" in path.read_text(encoding="utf-8")]
+    assert users == []

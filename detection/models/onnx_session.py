@@ -18,7 +18,7 @@ import onnxruntime as ort
 
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import check_regular, quoted, shortened
+from track_range.foundation.input_files import check_regular, quoted, real_path, shortened
 
 Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 
@@ -169,9 +169,9 @@ def check_model_file(path: Path) -> None:
         locations = {entry.value for tensor in external for entry in tensor.external_data if entry.key == "location"}
     except Exception as error:  # onnx and protobuf raise unrelated types
         raise ModelError(f"{path}: not a readable ONNX model ({_reason(error, path)}).") from error
-    folder = path.resolve().parent
+    folder = real_path(path).parent
     for location in sorted(locations):
-        if folder not in (folder / location).resolve().parents:
+        if folder not in real_path(folder / location).parents:
             raise ModelError(
                 f"{path}: expected its weights in the same folder, found a reference to {quoted(location)}."
             )

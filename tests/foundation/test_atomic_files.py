@@ -81,3 +81,9 @@ def test_folder_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="folder"):
         write_text(tmp_path / "folder", "words")
     assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
+
+
+def test_pipe_without_reader(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="pipe"):
+        write_bytes(tmp_path / "pipe", b"words")

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from track_range.foundation.input_files import check_regular, first_line, quoted, read_bytes, read_text, shortened
+from track_range.foundation import input_files
+from track_range.foundation.input_files import (
+    check_regular,
+    first_line,
+    printable,
+    quoted,
+    read_bytes,
+    read_text,
+    real_path,
+    shortened,
+)
 
 
 class FileError(Exception):
@@ -114,3 +124,24 @@ def test_socket(tmp_path):
 def test_size_limit_of_file_without_size():
     with pytest.raises(FileError, match="at most 5"):
         read_bytes(Path("/proc/self/stat"), FileError, "rows", max_bytes=5)
+
+
+def test_file_without_data_at_present(tmp_path):
+    """Reading of some files in /proc waits for data; so does that of a pipe."""
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.fdopen(os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK), "rb")
+    writer = os.open(tmp_path / "pipe", os.O_WRONLY)
+    with reader, pytest.raises(BlockingIOError):
+        input_files._read(reader, 10)
+    os.close(writer)
+
+
+def test_real_path_of_a_loop(tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "link").symlink_to(tmp_path)
+    assert real_path(tmp_path / "link" / "a") == tmp_path.resolve() / "a"
+    assert real_path(tmp_path / "loop").name == "loop"
+
+
+def test_printable():
+    assert printable("a\nb\x1b[31m:\u00fc") == "a?b?[31m:\u00fc"

@@ -174,3 +174,9 @@ def test_any_text(text: str) -> None:
             message = str(error)
         assert len(message) < 300
         assert message.isprintable()
+
+
+@pytest.mark.parametrize(("text", "word"), [("a: &x 1\nb: &x 2\n", "duplicate anchor"), ("--- 1\n--- 2\n", "document")])
+def test_errors_with_a_context(text, word):
+    with pytest.raises(UserError, match=word):
+        parse_yaml(text, "a.yaml", UserError, "settings")

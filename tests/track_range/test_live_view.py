@@ -329,3 +329,8 @@ def test_viewer_that_reads_nothing_is_dropped(monkeypatch: pytest.MonkeyPatch) -
             return view.page.free_streams.acquire(blocking=False)
 
         wait_until(is_free)
+
+
+def test_two_host_headers(view: LiveView) -> None:
+    answer = raw(view, b"GET /state HTTP/1.1\r\nHost: localhost\r\nHost: other.example\r\nConnection: close\r\n\r\n")
+    assert b" 403 " in answer.partition(b"\r\n")[0]

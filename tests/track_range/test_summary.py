@@ -103,3 +103,12 @@ def test_times_and_the_file(tmp_path):
     assert json.loads((tmp_path / "summary.json").read_text()) == {"a": None}
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_summary(tmp_path / "summary.json", {"a": float("nan")})
+
+
+def test_truth_without_rows():
+    truth = truth_of(0)
+    columns = columns_of()
+    scores = range_scores(columns, matched_truth(columns, truth), ("mono", "fused"))
+    assert scores["methods"]["fused"]["n"] == 0
+    assert "closing" not in scores
+    assert track_scores(columns, truth, np.arange(10))["n_truth_boxes"] == 0

@@ -15,6 +15,7 @@ from track_range.calibration.drive_pairs import LEFT, RIGHT, open_pair
 from track_range.calibration.reference_pairs import reference_pairs
 from track_range.calibration.settings import AlignmentSettings
 from track_range.foundation.errors import UsageError
+from track_range.foundation.input_files import real_path
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.results.output_files import check_outputs, write_text
 from track_range.stereo.alignment.feature_tracks import row_offset_px
@@ -135,7 +136,7 @@ def _from_drives(settings: AlignmentSettings, progress: StepProgress) -> tuple[A
 
 def _names(sources: list[tuple[Path, Path]]) -> str:
     """Names of the drives, for the alignment file, in which "this drive" would be ambiguous."""
-    return ", ".join(left.parent.resolve().name if left.name == LEFT else left.name for left, _ in sources)
+    return ", ".join(real_path(left.parent).name if left.name == LEFT else left.name for left, _ in sources)
 
 
 def _feed(estimator: DriveAlignment, recording: Recording, advance: Callable[[int, int | None], None]) -> None:

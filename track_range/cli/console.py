@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from track_range.foundation.input_files import printable
 from track_range.report.tables import Grid, grids
 
 console = Console()
@@ -28,7 +29,7 @@ def print_line(console: Console, text: str) -> None:
 def print_notes(console: Console, notes: Iterable[str]) -> None:
     """Print notes, each on a line after a dash."""
     for note in notes:
-        print_line(console, f"- {note}")
+        print_line(console, f"- {printable(note)}")
 
 
 def print_summary(console: Console, summary: Mapping[str, Any]) -> None:

@@ -12,6 +12,7 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import Lazy, lazy_app, single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
+from track_range.foundation.input_files import real_path
 from track_range.foundation.options import Options, option
 from track_range.report.tables import Column, grid_of
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -57,7 +58,7 @@ def _convert(options: ConvertOptions) -> None:
     source, out, writers = options.source, options.out, rig_writers()
     if options.to not in writers:
         raise UsageError(f"--to {options.to}: expected one of {', '.join(writers)}.")
-    if source.resolve() == out.resolve():
+    if real_path(source) == real_path(out):
         raise UsageError(f"{out}: expected a file other than the input; choose another name for OUT.")
     calibration, notes = load_calibration(source, size_px=_size_of(options.size))
     _check_image_size(calibration, source)

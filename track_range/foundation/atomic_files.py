@@ -58,7 +58,13 @@ def write_bytes(path: Path, content: bytes, *, is_flushed: bool = True) -> None:
         OSError: it cannot be written.
     """
     with atomic_path(path, is_flushed=is_flushed) as partial:
-        partial.write_bytes(content)
+        # without O_NONBLOCK, the opening of a named pipe waits for a reader
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(partial, flags, 0o666)
+        with os.fdopen(descriptor, "wb") as file:
+            if hasattr(os, "O_NONBLOCK"):
+                os.set_blocking(descriptor, True)
+            file.write(content)
 
 
 def write_text(path: Path, text: str, *, is_flushed: bool = True) -> None:

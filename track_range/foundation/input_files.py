@@ -104,7 +104,7 @@ def _blocks(file: BinaryIO, max_bytes: int) -> Iterator[bytes]:
     A single read of `max_bytes` would allocate as much, however small the file is.
     """
     n_bytes = 0
-    while n_bytes <= max_bytes and (block := file.read(_BLOCK_BYTES)):
+    while n_bytes <= max_bytes and (block := _read(file, _BLOCK_BYTES)):
         n_bytes += len(block)
         yield block
 
@@ -129,11 +129,28 @@ def first_line(path: Path, error: type[Exception], expected: str) -> str:
     """
     with open_regular(path, error, expected) as file:
         try:
-            start = file.read(_START_BYTES)
+            start = _read(file, _START_BYTES)
         except OSError as reason:
             raise _unreadable(path, reason, error, expected) from reason
     lines = _decoded(start, path, error, expected, is_complete=len(start) < _START_BYTES).splitlines()
     return next((line for line in lines if line.strip()), "")
+
+
+def _read(file: BinaryIO, n_bytes: int) -> bytes:
+    """At most `n_bytes` of a file.
+
+    Raises:
+        OSError: they cannot be read, or only after waiting, as from some files in /proc.
+    """
+    content: bytes | None = file.read(n_bytes)
+    if content is None:
+        raise BlockingIOError(errno.EAGAIN, "no data at present")
+    return content
+
+
+def real_path(path: Path) -> Path:
+    """Absolute path with symbolic links followed; where they form a loop, they are left (`Path.resolve` raises)."""
+    return Path(os.path.realpath(path))
 
 
 def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
@@ -145,8 +162,12 @@ def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
 
 def shortened(text: str, max_characters: int = _MAX_QUOTED) -> str:
     """A text in printable characters, cut off after a number of them, for messages."""
-    shown = text if len(text) <= max_characters else f"{text[: max_characters - 3]}..."
-    return shown if shown.isprintable() else "".join(c if c.isprintable() else "?" for c in shown)
+    return printable(text if len(text) <= max_characters else f"{text[: max_characters - 3]}...")
+
+
+def printable(text: str) -> str:
+    """A text with "?" for line breaks, control sequences and other characters that a terminal does not show."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _decoded(content: bytes, path: Path, error: type[Exception], expected: str, *, is_complete: bool = True) -> str:
@@ -172,8 +193,8 @@ def _unreadable(path: Path, reason: OSError | ValueError, error: type[Exception]
         return error(f"{quoted(str(path))}: expected the path of {expected}, found a name that no file can have.")
     if reason.errno == errno.ELOOP:
         return error(f"{path}: expected {expected}, found a loop of symbolic links; give the file itself.")
-    if reason.errno in (errno.EISDIR, errno.ENXIO):  # Windows; a socket
-        return error(f"{path}: expected {expected}, found a folder or a socket; give a file.")
+    if reason.errno in (errno.EISDIR, errno.ENXIO):  # Windows; sockets and devices that cannot be opened
+        return error(f"{path}: expected {expected}, found a folder, device or socket; give a regular file.")
     return error(f"{path}: cannot be read ({describe(reason)}); expected {expected}.")
 
 

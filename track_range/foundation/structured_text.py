@@ -99,8 +99,7 @@ def parse_yaml(text: str, source: object, error: type[Exception], expected: str)
     except yaml.YAMLError as reason:
         mark = getattr(reason, "problem_mark", None)
         line = "" if mark is None else f", line {mark.line + 1}"
-        problem = str(getattr(reason, "problem", None) or "characters that YAML does not allow")
-        problem = shortened(problem.removeprefix("but ").removeprefix("found "), 100)
+        problem = shortened(_problem(reason), 100)
         raise error(f"{source}{line}: expected {expected} in YAML, found an error: {problem}.") from reason
     except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as reason:  # of the parser itself
         raise error(f"{source}: expected {expected} in YAML, found text that is not YAML.") from reason
@@ -150,6 +149,15 @@ def yaml_text(content: Mapping[str, Any], **style: Any) -> str:
         style: arguments of `yaml.dump`, such as width.
     """
     return str(yaml.dump(dict(content), Dumper=_Dumper, sort_keys=False, **style))
+
+
+def _problem(error: yaml.YAMLError) -> str:
+    """Description of a syntax error, with its context if the parser splits the description."""
+    problem = str(getattr(error, "problem", None) or "characters that YAML does not allow")
+    context = str(getattr(error, "context", None) or "")
+    if context and not context.startswith("while "):  # such as "found duplicate anchor" and "second occurrence"
+        problem = f"{context}, {problem}"
+    return problem.removeprefix("but ").removeprefix("found ")
 
 
 def _check_events(text: str) -> None:

@@ -242,7 +242,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer a GET request."""
-        if self._page.is_private and not _is_loopback(_name_of_host(self.headers.get("Host", ""))):
+        if self._page.is_private and not self._is_for_loopback():
             self.send_error(HTTPStatus.FORBIDDEN)
             return
         answers = {
@@ -261,6 +261,11 @@ class _Handler(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         """Answer a HEAD request: like GET, but `_send` and `_send_stream` omit the body."""
         self.do_GET()
+
+    def _is_for_loopback(self) -> bool:
+        """Whether the request has one Host header, with a loopback name."""
+        hosts = self.headers.get_all("Host", [])
+        return len(hosts) == 1 and _is_loopback(_name_of_host(hosts[0]))
 
     def log_message(self, *_: object) -> None:
         """Log nothing, because the run uses the terminal."""

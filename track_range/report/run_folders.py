@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from track_range.foundation.input_files import real_path
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.report.tables import Grid
@@ -43,7 +44,7 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
     Raises:
         OutputError: a folder contains no run, or a page cannot be written or would overwrite an input.
     """
-    runs = [read_run_folder(folder) for folder in {folder.resolve(): folder for folder in folders}.values()]
+    runs = [read_run_folder(folder) for folder in {real_path(folder): folder for folder in folders}.values()]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
     if out is not None:
         inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
@@ -61,13 +62,13 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
 
 def _write(path: Path, run: RunFolder) -> None:
     files = run.summary["files"]
-    if path.parent.resolve() != run.folder.resolve():  # links are relative to the page
+    if real_path(path.parent) != real_path(run.folder):  # links are relative to the page
         files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
     write_report(path, {**run.summary, "files": files}, run.columns)
 
 
 def _relative(path: Path, start: Path) -> str:
-    return Path(os.path.relpath(path.resolve(), start.resolve())).as_posix()
+    return Path(os.path.relpath(real_path(path), real_path(start))).as_posix()
 
 
 def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
@@ -90,7 +91,7 @@ def _compare(runs: Sequence[RunFolder], page: Path) -> list[ComparedRun]:
 
 def short_names(folders: Sequence[Path]) -> list[str]:
     """Shortest trailing parts of the paths that are unique."""
-    parts = [folder.resolve().parts for folder in folders]
+    parts = [real_path(folder).parts for folder in folders]
     for n in range(1, max(map(len, parts)) + 1):
         names = ["/".join(path[-n:]) for path in parts]
         if len(set(names)) == len(names):

@@ -38,15 +38,12 @@ def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collec
     by_name = {name: MethodColumn(columns[f"{name}_m"], columns[f"{name}_sigma_m"]) for name in names}
     if matched is None:
         return {"methods": coverage_only(by_name), "common": {}}
-    truth, row, true_m = matched.truth, matched.row, matched.distance_m
-    labelled = row >= 0
-    is_road_class = labelled & (truth.class_id[row] >= 0)
-    kitti_type = np.where(labelled, truth.kitti_type[row], "")
+    true_m, is_road_class = matched.distance_m, matched.is_road_class
+    kitti_type = matched.of_labels(matched.truth.kitti_type, "")
     own, common = score_methods(by_name, true_m, is_road_class=is_road_class, kitti_type=kitti_type)
     in_range = is_road_class & (true_m >= BANDS_M[0]) & (true_m <= BANDS_M[-1])
-    closing = score_closing(
-        columns["closing_mps"], columns["closing_sigma_mps"], np.where(in_range, truth.closing_mps[row], np.nan)
-    )
+    true_closing_mps = np.where(in_range, matched.of_labels(matched.truth.closing_mps, np.nan), np.nan)
+    closing = score_closing(columns["closing_mps"], columns["closing_sigma_mps"], true_closing_mps)
     return {"methods": own, "common": common, **({} if closing is None else {"closing": closing})}
 
 

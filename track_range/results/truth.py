@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.errors import BANDS_M, match_truth
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns
@@ -27,12 +28,21 @@ class MatchedTruth:
     row: IntArray
     distance_m: FloatArray
 
+    @property
+    def is_road_class(self) -> BoolArray:
+        """(N,) mask of the rows that match a label of a road class."""
+        return self.of_labels(self.truth.class_id, -1) >= 0
+
+    def of_labels(self, values: npt.NDArray[Any], unmatched: Any) -> npt.NDArray[Any]:
+        """(N,) values of the matching labels, from those of all labels; `unmatched` for rows without a match."""
+        return np.where(self.row >= 0, np.append(values, unmatched)[self.row], unmatched)
+
 
 def matched_truth(columns: Columns, truth: Truth) -> MatchedTruth:
     """Ground truth matched to the rows of a run by frame and box overlap."""
     row = match_truth(columns["frame"].astype(np.int64), boxes_px(columns), truth)
-    distance_m = np.where(row >= 0, truth.distance_m[row], np.nan) if len(truth) else np.full(len(row), np.nan)
-    return MatchedTruth(truth, row, distance_m)
+    matched = MatchedTruth(truth, row, np.full(len(row), np.nan))
+    return replace(matched, distance_m=matched.of_labels(truth.distance_m, np.nan))
 
 
 def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
@@ -40,9 +50,8 @@ def with_truth(columns: Columns, matched: MatchedTruth) -> dict[str, Any]:
 
     Not scored are other classes (such as vans and trams) and distances out of range. NaN = no match, or not scored.
     """
-    truth, row, truth_m = matched.truth, matched.row, matched.distance_m
-    is_road_class = (row >= 0) & (truth.class_id[row] >= 0) if len(truth) else np.zeros(len(row), np.bool_)
-    scored = is_road_class & (truth_m >= BANDS_M[0]) & (truth_m <= BANDS_M[-1])
+    truth_m = matched.distance_m
+    scored = matched.is_road_class & (truth_m >= BANDS_M[0]) & (truth_m <= BANDS_M[-1])
     return {**columns, "truth_m": truth_m, "scored_truth_m": np.where(scored, truth_m, np.nan)}
 
 

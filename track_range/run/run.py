@@ -22,6 +22,7 @@ from rich.console import Console
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
+from track_range.foundation.input_files import real_path
 from track_range.overlay.outputs import overlay_picture
 from track_range.overlay.result_video import Draw
 from track_range.ranging.evaluation.truth import read_truth
@@ -345,7 +346,7 @@ class Run:
                 "expected a run that is finished or not started: leave its loop or close() it first, or give out= to "
                 "write while iterating"
             )
-        if self._folder is not None and folder.resolve() == self._folder.resolve():
+        if self._folder is not None and real_path(folder) == real_path(self._folder):
             return folder  # already written while iterating, including videos
         session = self.session
         try:

@@ -17,7 +17,7 @@ from typing import Literal
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME
 from track_range.foundation.atomic_files import describe
-from track_range.foundation.input_files import quoted, read_text
+from track_range.foundation.input_files import quoted, read_text, real_path
 from track_range.foundation.numeric_text import number
 
 Kind = Literal["det", "gt"]
@@ -132,7 +132,7 @@ def _text_files(folder: Path) -> list[Path]:
 def _sequence(path: Path) -> SequenceFile:
     is_mot = path.stem in ("det", "gt") and path.parent.name == path.stem
     folder = path.parent.parent if is_mot else path.parent
-    name = folder.resolve().name if is_mot else path.stem
+    name = real_path(folder).name if is_mot else path.stem
     return SequenceFile(name, path, _read_info(folder / "seqinfo.ini") if is_mot else SequenceInfo())
 
 

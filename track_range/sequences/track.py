@@ -14,7 +14,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import first_line
+from track_range.foundation.input_files import first_line, real_path
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.results.output_files import OutputError, locked_output, make_folder
 from track_range.run.settings import check_tracker
@@ -137,7 +137,7 @@ def _check_overwriting(sequences: Sequence[SequenceFile], settings: TrackSetting
     """Raise OutputError if a result would overwrite its input."""
     for sequence in sequences:
         for folder in (MOT_FOLDER, KITTI_FOLDER):
-            if (settings.out / folder / f"{sequence.name}.txt").resolve() == sequence.path.resolve():
+            if real_path(settings.out / folder / f"{sequence.name}.txt") == real_path(sequence.path):
                 raise OutputError(f"{sequence.path}: the result would overwrite this input; choose another --out.")
 
 
@@ -158,7 +158,7 @@ def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetecti
 def _class_of(settings: TrackSettings) -> int:
     """Class id for rows without a class."""
     if settings.road_class is None:
-        path = settings.detections.resolve()  # `.` has no name
+        path = real_path(settings.detections)  # `.` has no name
         words = [part.lower() for part in (path.name, path.parent.name)]
         name = next((_CLASS_OF_FOLDER[word] for word in words if word in _CLASS_OF_FOLDER), "person")
         return ROAD_CLASSES.index(name)

@@ -40,7 +40,7 @@ from track_range.detection.formats.labelled_images import (
 )
 from track_range.detection.formats.yolo_labels import YoloLabelReader, names_in
 from track_range.foundation.arrays import IntArray
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
 from track_range.foundation.structured_text import read_yaml
 from track_range.foundation.validation import validated
 
@@ -138,7 +138,7 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
         LabelFileError, ImageFileError: the file, a folder or labels cannot be read or are invalid.
     """
     content = _content(path)  # first, since `resolve` fails on a loop of links
-    if path.resolve() in within:
+    if real_path(path) in within:
         raise LabelFileError(f"{path}: refers to itself, directly or through another data.yaml.")
     document = validated(_DataYaml, content, path, LabelFileError)
     names = _KITTI_NAMES if document.format == "kitti" else names_in(content, path)
@@ -146,7 +146,7 @@ def read_data_yaml(path: Path, *, within: frozenset[Path] = frozenset()) -> Trai
     classes: IntArray = np.array(list(dict.fromkeys(road[road >= 0].tolist())), np.int64)
     if not len(classes):
         raise LabelFileError(f"{path}: names: expected at least one road class ({', '.join(ROAD_CLASSES)}).")
-    reader = _Reader(path, path.parent / document.path, document, names, within | {path.resolve()})
+    reader = _Reader(path, path.parent / document.path, document, names, within | {real_path(path)})
     train, val = reader.split("train"), reader.split("val")
     unknown = [name for name, class_id in zip(names, road, strict=True) if class_id < 0]
     notes = [f"Ignored classes that are not road classes: {', '.join(unknown)}."] if unknown else []
@@ -221,10 +221,10 @@ class _Reader:
         missing = [line for line, path in zip(lines, paths, strict=True) if not os.path.isfile(path)]
         if missing:
             raise LabelFileError(f"{file}: {len(missing)} images do not exist; the first: {shortened(missing[0])}.")
-        listed = {path.resolve() for path in paths}
+        listed = {real_path(path) for path in paths}
         folders = list(dict.fromkeys(path.parent for path in paths))
         items = [item for folder in folders for item in self._of(str(folder.absolute()), split)]
-        return [item for item in items if item.path.resolve() in listed]
+        return [item for item in items if real_path(item.path) in listed]
 
     def _labels_of(self, images: Path) -> Path:
         """Folder of the label files for a folder of images."""
