@@ -1,8 +1,8 @@
 """Reader of files with recorded detections.
 
-The format is recognised from the content: KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC), or
-track-range's tracks.csv. A feat.npy next to a MOTChallenge file has the same rows with an embedding appended to each
-(the format of nwojke/deep_sort).
+The format is recognised from the content: KITTI, MOTChallenge's det.txt, plain `frame,x1,y1,x2,y2,score` (RRC),
+track-range's tracks.csv, or one of `label_formats` (COCO, CVAT, YOLO, tracks.parquet). A feat.npy next to a
+MOTChallenge file has the same rows with an embedding appended to each (the format of nwojke/deep_sort).
 """
 
 from __future__ import annotations
@@ -18,8 +18,13 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
+from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.label_formats import label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
+from track_range.detection.formats.mot import xyxy_from_mot
+from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.yolo_tracks import is_yolo_folder
 from track_range.foundation.array_files import read_array
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table
@@ -40,8 +45,8 @@ _MAX_FEATURE = 1e15
 _MAX_SCORE = 1e6
 """Largest absolute score; scores are probabilities, or margins of a few units."""
 
-DetectionFormat = Literal["mot", "kitti", "rrc", "tracks"]
-"""Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, or track-range's tracks.csv."""
+DetectionFormat = Literal["mot", "kitti", "rrc", "tracks", "labels"]
+"""Format of a file: MOTChallenge, KITTI, plain rows as published by RRC, track-range's tracks.csv, or other labels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +58,19 @@ class RecordedDetections:
         detections: the N boxes in the same order.
         form: format of the file.
         notes: notes for the user on the recognised format and on dropped rows.
+        is_rectified: whether the boxes are in rectified pixels, not in pixels of the original video.
     """
 
     frame: IntArray
     detections: Detections
     form: DetectionFormat
     notes: tuple[str, ...]
-
-    @property
-    def is_rectified(self) -> bool:
-        """Whether the boxes are in rectified pixels (tracks.csv), not in pixels of the original video."""
-        return self.form == "tracks"
+    is_rectified: bool = False
 
     @property
     def has_classes(self) -> bool:
         """Whether the file has a class for each box."""
-        return self.form in ("kitti", "tracks")
+        return self.form in ("kitti", "tracks", "labels")
 
     def at(self, frame_index: int) -> Detections:
         """The detections of one frame."""
@@ -77,20 +79,29 @@ class RecordedDetections:
 
 
 def read_detections(
-    path: Path, *, default_class_id: int = 0, form: DetectionFormat | None = None
+    path: Path,
+    *,
+    default_class_id: int = 0,
+    form: DetectionFormat | None = None,
+    size_px: tuple[int, int] | None = None,
 ) -> RecordedDetections:
-    """The detections in a file, or in a folder of KITTI object files.
+    """The detections in a file, or in a folder of KITTI object files or YOLO labels.
 
     Args:
         path: the file or folder.
         default_class_id: class of every box if the format has no classes (MOTChallenge and plain rows).
         form: the expected format; None = any.
+        size_px: (width, height) of the images, which YOLO labels need; None = unknown.
 
     Raises:
         LabelFileError: the file cannot be read, or its format is unknown or not `form`.
     """
     file_format = _format_of(path)
-    kind, frame, boxes = _FORMATS[file_format](path, default_class_id)
+    table = _label_table(path, VideoFacts(size_px=size_px)) if file_format == "labels" else None
+    if table is None:
+        kind, frame, boxes = _FORMATS[file_format](path, default_class_id)
+    else:
+        kind, frame, boxes = label_format_of(path, "detections").title, table.frame, _boxes_of(table)
     file_form = _form_of(file_format, kind)
     if form not in (None, file_form):
         raise LabelFileError(f"{path}: expected the format {form}, got {file_form} ({kind}).")
@@ -104,22 +115,43 @@ def read_detections(
     if len(order) < len(frame):
         n_dropped = len(frame) - len(order)
         notes.append(f"{path.name}: ignored {n_dropped} rows that are not a valid box of a road class.")
+    if table is not None:
+        notes += [*table.notes, *other_labels_note(table, path)]
     detections = Detections(boxes.xyxy_px, score, boxes.class_id, boxes.descriptor)
-    return RecordedDetections(frame[order], detections.select(order), file_form, notes=(*notes, *score_note))
+    return RecordedDetections(
+        frame[order],
+        detections.select(order),
+        file_form,
+        notes=(*notes, *score_note),
+        is_rectified=file_form == "tracks" or (table is not None and table.video.is_rectified),
+    )
+
+
+def _label_table(path: Path, video: VideoFacts) -> BoxTable:
+    """The boxes of a label file that are observed, as those of tracks.csv."""
+    table = label_format_of(path, "detections").read(path, video)
+    return table.select(table.observed)
+
+
+def _boxes_of(table: BoxTable) -> Detections:
+    score = np.where(np.isnan(table.score), 1.0, table.score)
+    return Detections.of(table.xyxy_px, score, table.class_id)
 
 
 def _format_of(path: Path) -> str:
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return "kitti"
+        return "labels" if is_yolo_folder(path) else "kitti"
+    if label_format_of(path, "detections").name in ("coco", "cvat", "parquet"):
+        return "labels"
     first = first_line(path, LabelFileError, "detections")
-    if not first:
-        raise LabelFileError(f"{path}: expected detections, got an empty file.")
     if "," not in first:
         return "kitti"
     return "tracks" if first.startswith("frame,") else "comma"
 
 
 def _form_of(file_format: str, kind: str) -> DetectionFormat:
+    if file_format == "labels":
+        return "labels"
     if file_format != "comma":
         return "kitti" if file_format == "kitti" else "tracks"
     return "mot" if kind.startswith("MOT") else "rrc"
@@ -201,12 +233,6 @@ def _descriptors(path: Path, table: FloatArray) -> Descriptors:
             f"{features_path}: expected finite numbers up to {_MAX_FEATURE:g} and the same boxes as in {path.name}."
         )
     return features[:, n_columns:].astype(np.float32)
-
-
-def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
-    """(N, 4) left, top, right, bottom in pixels from 0, of MOTChallenge boxes (left and top from 1, width, height)."""
-    left_top = ltwh[:, :2] - 1.0
-    return np.concatenate([left_top, left_top + ltwh[:, 2:]], axis=1)
 
 
 def _read_tracks_csv(path: Path, _: int) -> tuple[str, IntArray, Detections]:

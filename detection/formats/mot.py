@@ -16,14 +16,13 @@ from typing import Protocol
 
 import numpy as np
 
-from track_range.detection.formats.detection_files import xyxy_from_mot
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.foundation.numeric_text import numbers
 
-_FIRST_PIXEL = 1  # `detection.formats.detection_files.xyxy_from_mot` is the inverse
+_FIRST_PIXEL = 1  # `xyxy_from_mot` is the inverse
 _FIRST_FRAME = 1
 _MAX_CLASS = 100_000
 _N_TRUTH_COLUMNS = 9  # MOT16 and later: column 8 is the class, 9 the visibility; with 10 columns, 8..10 are metres
@@ -96,6 +95,12 @@ def mot_lines(tracks: TrackedBoxesOfFrame, frame: int) -> list[str]:
         f"{frame + _FIRST_FRAME},{track_id},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{score:.4f},-1,-1,-1\n"
         for track_id, (x, y, w, h, score) in zip(tracks.track_id.tolist(), rows.tolist(), strict=True)
     ]
+
+
+def xyxy_from_mot(ltwh: FloatArray) -> FloatArray:
+    """(N, 4) left, top, right, bottom in pixels from 0, of MOTChallenge boxes (left and top from 1, width, height)."""
+    left_top = ltwh[:, :2] - 1.0
+    return np.concatenate([left_top, left_top + ltwh[:, 2:]], axis=1)
 
 
 def read_mot(path: Path) -> MotRows:

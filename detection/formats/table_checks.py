@@ -6,8 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable
 from track_range.detection.formats.kitti import LabelFileError
+from track_range.foundation.input_files import shortened
+
+_MOST_NAMED = 5
+"""Largest number of labels that a note names."""
 
 
 def check_identities(table: BoxTable, path: Path) -> None:
@@ -37,6 +42,20 @@ def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
     return (
         f"{path.name}: its frame numbers start at 1, but the first frame of the video is 0; if all boxes are late by "
         "one frame, convert it with `track-range export --first-frame 1`.",
+    )
+
+
+def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
+    """A note on boxes of labels that are not road classes, such as a renamed label, with the names."""
+    is_other = (table.class_id < 0) & ~table.is_region & (table.class_name != "")
+    if not is_other.any():
+        return ()
+    names, counts = np.unique(table.class_name[is_other], return_counts=True)
+    most = [f"{shortened(str(name), 30)} ({n})" for name, n in zip(names[:_MOST_NAMED], counts, strict=False)]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return (
+        f"{path.name}: boxes of labels that are not road classes do not count: {', '.join(most)}{more}; the "
+        f"classes are {', '.join(ROAD_CLASSES)}.",
     )
 
 

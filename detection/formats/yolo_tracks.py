@@ -33,7 +33,7 @@ from track_range.detection.formats.yolo_labels import names_for_folder
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.images import IMAGE_SUFFIXES, header_size_px
-from track_range.foundation.input_files import MAX_TABLE_BYTES, open_regular, quoted, read_text, readable
+from track_range.foundation.input_files import MAX_TABLE_BYTES, first_line, open_regular, quoted, read_text, readable
 from track_range.foundation.numeric_text import numbers
 from track_range.foundation.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import PositiveNumber, validated
@@ -58,16 +58,17 @@ _NOT_LABELS = frozenset({"classes.txt", "train.txt", "val.txt", "test.txt", "rea
 
 
 def is_yolo_folder(path: Path) -> bool:
-    """Whether a folder has YOLO labels: a folder labels, a data.yaml, or files that begin with a number."""
+    """Whether a folder has YOLO labels: a folder labels, a data.yaml, or files of at least five numbers per line."""
     if os.path.isdir(path / "labels") or os.path.isfile(path / DATA_YAML):
         return True
     for file in _label_files(path)[0]:
         try:
-            cells = read_text(file, LabelFileError, "YOLO labels", max_bytes=MAX_TABLE_BYTES).split(maxsplit=1)
+            cells = first_line(file, LabelFileError, "YOLO labels").split()
         except LabelFileError:
             return False
         if cells:
-            return _INTEGER.fullmatch(cells[0]) is not None
+            is_number = np.isfinite(numbers(cells))
+            return bool(is_number.all()) and len(cells) >= _N_BOX and _INTEGER.fullmatch(cells[0]) is not None
     return False
 
 

@@ -1,13 +1,14 @@
-"""Truth: ground truth of a drive (boxes, identities, distances) from KITTI tracking labels or from a CSV file.
+"""Truth: ground truth of a drive (boxes, identities, distances) from KITTI tracking labels or other label files.
 
 The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
 frame. A CSV file (`detection/formats/csv_labels.py`) contains it, with the closing speed. KITTI's labels have 3-D boxes
 in the frame of the rig's reference camera, which are shifted into that of the left camera; people and riders do not
-fill their boxes.
+fill their boxes. COCO, CVAT and YOLO labels are used as they are; they may have distances, as attributes.
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,8 +17,11 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import KITTI_IGNORED, map_to_road_classes
+from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
 from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
+from track_range.detection.formats.label_formats import label_format_of, read_labels
+from track_range.detection.formats.table_checks import other_labels_note
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera
@@ -47,6 +51,11 @@ CSV_PROTOCOL = (
 )
 """Ground truth that errors are measured against, as printed and stored with them."""
 
+LABELS_PROTOCOL = (
+    f"distance of the labels, if they have one (labels at 5-100 m, not truncated by the image border; {_SCORED})"
+)
+"""Ground truth of COCO, CVAT and YOLO labels."""
+
 _COLUMNS = ("frame", "track_id", "kitti_type", "class_id", "xyxy_px", "distance_m", "closing_mps")
 
 
@@ -63,6 +72,7 @@ class Truth:
         distance_m: (N,) distance of the visible surface; NaN = unknown, or not scored (truncated, occluded).
         closing_mps: (N,) closing speed, the decrease of the distance per second; NaN = unknown.
         protocol: description of the ground truth for users.
+        notes: notes for the user about the file.
     """
 
     frame: IntArray
@@ -73,6 +83,7 @@ class Truth:
     distance_m: FloatArray
     closing_mps: FloatArray
     protocol: str = KITTI_PROTOCOL
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -83,33 +94,67 @@ class Truth:
 
 
 def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatArray) -> Truth:
-    """Ground truth for the left `camera` from KITTI tracking labels or a CSV file, recognised by its first line.
+    """Ground truth for the left `camera` from labels in any format, recognised from the content.
 
     Args:
-        path: file of labels.
+        path: file of labels, or folder of YOLO labels, in rectified pixels.
         camera: the left camera, undistorted.
         left_from_reference_m: (3,) shift from the frame of KITTI's reference camera to that of the left camera.
 
     Raises:
-        LabelFileError: the file cannot be read, or has no distances (KITTI: no 3-D boxes) or no identities.
+        LabelFileError: the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which are
+            optional for COCO, CVAT and YOLO.
     """
+    if os.path.isdir(path) or label_format_of(path, "ground truth").name in _PLAIN_FORMATS:
+        return _of_table(path, camera)
     return _of_csv(path, camera) if is_label_csv(path) else _of_kitti(path, camera, left_from_reference_m)
+
+
+_PLAIN_FORMATS = ("coco", "cvat", "parquet")
+"""Formats whose boxes are used without the ignore rules of a benchmark."""
+
+
+def _of_table(path: Path, camera: PinholeCamera) -> Truth:
+    size_px = (camera.width_px, camera.height_px)
+    table = read_labels(path, VideoFacts(size_px=size_px), expected="ground truth")
+    if (table.track_id[~table.is_region] < 0).any():
+        raise LabelFileError(f"{path}: expected labels with track ids as ground truth, found boxes without.")
+    distance_m = np.where(_is_cut(table.xyxy_px, camera) | (table.distance_m <= 0), np.nan, table.distance_m)
+    if np.isfinite(distance_m).any():
+        origin = f"{path.name}: the distances are those of its labels; in an export of a run, they are the run's own."
+    else:
+        origin = f"{path.name}: the labels have no distances, so only the tracks are evaluated."
+    return Truth(
+        frame=table.frame,
+        track_id=table.track_id,
+        kitti_type=table.class_name,
+        class_id=table.class_id,
+        xyxy_px=table.xyxy_px,
+        distance_m=distance_m,
+        closing_mps=np.full(len(table), np.nan),
+        protocol=LABELS_PROTOCOL,
+        notes=(*table.notes, *other_labels_note(table, path), origin),
+    )
+
+
+def _is_cut(xyxy_px: FloatArray, camera: PinholeCamera) -> BoolArray:
+    """(N,) whether boxes end at the border of the image."""
+    last_px = np.array([camera.width_px, camera.height_px]) - 1
+    is_cut = (xyxy_px[:, :2] <= _CUT_PX).any(axis=1) | (xyxy_px[:, 2:] >= last_px - _CUT_PX).any(axis=1)
+    return np.asarray(is_cut)
 
 
 def _of_csv(path: Path, camera: PinholeCamera) -> Truth:
     labels = read_csv_labels(path)
     if len(labels.frame) and not np.isfinite(labels.distance_m).any():
         raise LabelFileError(f"{path}: expected a distance_m in at least one row, found none.")
-    last_px = np.array([camera.width_px, camera.height_px]) - 1
-    box_px = labels.xyxy_px
-    is_cut = (box_px[:, :2] <= _CUT_PX).any(axis=1) | (box_px[:, 2:] >= last_px - _CUT_PX).any(axis=1)
-    scored = ~is_cut & (labels.visible_share >= MIN_VISIBLE_SHARE)
+    scored = ~_is_cut(labels.xyxy_px, camera) & (labels.visible_share >= MIN_VISIBLE_SHARE)
     return Truth(
         frame=labels.frame,
         track_id=labels.track_id,
         kitti_type=labels.class_name,
         class_id=np.where(labels.visible_share < _MIN_DETECTABLE_SHARE, -1, labels.class_id),
-        xyxy_px=box_px,
+        xyxy_px=labels.xyxy_px,
         distance_m=np.where(scored, labels.distance_m, np.nan),
         closing_mps=labels.closing_mps,
         protocol=CSV_PROTOCOL,

@@ -11,6 +11,7 @@ from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.curve_comparison import CurveFit, compare_curves
 from track_range.ranging.fitting.box_csv import read_box_csv
+from track_range.ranging.fitting.box_labels import read_box_labels
 from track_range.ranging.fitting.labelled_boxes import BoxSet, box_set
 from track_range.ranging.fitting.model_fit import CUBOIDS, LOG_LINEAR, MODEL_NAMES, fit_model, usable_boxes
 from track_range.ranging.fitting.settings import FitSettings
@@ -51,7 +52,7 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
     if settings.compare or settings.picture is not None:
         names = [str(name) for name in np.unique(usable.boxes.class_name)]
         comparison = {name: compare_curves(usable.boxes, name) for name in names}
-    name = settings.curve or (CUBOIDS if settings.labels else LOG_LINEAR)
+    name = settings.curve or (CUBOIDS if settings.calib else LOG_LINEAR)
     model = None
     if settings.out is not None:
         model = fit_model(usable.boxes, name, source=_source(settings, usable.boxes))
@@ -63,14 +64,14 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
 def _check(settings: FitSettings) -> None:
     if (settings.labels is None) == (settings.csv is None):
         raise UsageError("expected either --labels with --calib or --csv.")
-    if settings.labels is not None and settings.calib is None:
+    if settings.labels is not None and settings.calib is None and not settings.labels.is_file():
         raise UsageError("--labels requires --calib, the folder of calibration files with the focal lengths.")
     if settings.out is None and not settings.compare and settings.picture is None:
         raise UsageError("nothing to do; give --out FILE to write a curve file, --compare or --picture.")
     if settings.curve is not None and settings.curve not in MODEL_NAMES:
         raise UsageError(f"--curve {settings.curve}: expected one of {', '.join(MODEL_NAMES)}.")
-    if settings.csv is not None and settings.curve == CUBOIDS:
-        raise UsageError("--curve cuboids requires labels with 3-D boxes (--labels); a CSV file has none.")
+    if settings.calib is None and settings.curve == CUBOIDS:
+        raise UsageError("--curve cuboids requires KITTI labels with 3-D boxes (--labels); other files have none.")
 
 
 def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
@@ -78,6 +79,8 @@ def _boxes(settings: FitSettings) -> tuple[BoxSet, tuple[str, ...]]:
         boxes, notes = read_box_csv(settings.csv, focal_px=settings.focal_px)
     elif settings.labels is not None and settings.calib is not None:
         boxes, notes = box_set(settings.labels, settings.calib), ()
+    elif settings.labels is not None:
+        boxes, notes = read_box_labels(settings.labels, focal_px=settings.focal_px)
     else:
         raise UsageError("expected either --labels with --calib or --csv.")
     excluded = set(settings.leave_out) - {""}

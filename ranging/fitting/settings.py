@@ -13,7 +13,11 @@ class FitSettings(Options):
 
     labels: Annotated[
         Path | None,
-        option("Folder of KITTI tracking labels (NAME.txt for each sequence) or object labels.", metavar="DIR"),
+        option(
+            "Folder of KITTI tracking labels (NAME.txt for each sequence) or object labels; or a file of COCO or CVAT "
+            "labels whose boxes have the attribute distance_m, with --focal-px.",
+            metavar="DIR|FILE",
+        ),
     ] = None
     calib: Annotated[Path | None, option("Folder of KITTI calibration files with the same names.", metavar="DIR")] = (
         None
@@ -27,13 +31,16 @@ class FitSettings(Options):
         ),
     ] = None
     focal_px: Annotated[
-        float | None, option("Focal length in pixels, for a CSV without the column fx.", metavar="PX", ge=1.0)
+        float | None,
+        option(
+            "Focal length in pixels, for a CSV without the column fx, or for a file of labels.", metavar="PX", ge=1.0
+        ),
     ] = None
     curve: Annotated[
         str | None,
         option(
-            "Size model: cuboids, log-linear, or a curve of one measure of the box (default: cuboids for labels, "
-            "log-linear for a CSV file).",
+            "Size model: cuboids, log-linear, or a curve of one measure of the box (default: cuboids for KITTI "
+            "labels, log-linear for other files).",
             metavar="NAME",
         ),
     ] = None

@@ -47,6 +47,8 @@ def open_box_source(
     settings: RunSettings,
     rectified_boxes: Callable[[FloatArray], FloatArray],
     ready_model: Callable[[str], Path],
+    *,
+    size_px: tuple[int, int] | None = None,
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
 
@@ -54,6 +56,7 @@ def open_box_source(
         settings: of the run.
         rectified_boxes: converts (N, 4) boxes of the recorded images to rectified pixels.
         ready_model: returns the file of a model by name or path, downloading it first if necessary.
+        size_px: (width, height) of the recorded images, which YOLO labels need; None = unknown.
 
     Raises:
         ModelError, DownloadError, LabelFileError: the detector or the file cannot be used.
@@ -61,7 +64,7 @@ def open_box_source(
     """
     class_id = tuple(int(i) for i in road_class_ids(settings.classes))
     if settings.detections is not None:
-        return _recorded(settings.detections, class_id, rectified_boxes)
+        return _recorded(settings.detections, class_id, rectified_boxes, size_px)
     path = ready_model(settings.detector or "")
     network = open_detector(path, DetectorOptions.of(settings))
     detector: Detector = network
@@ -103,9 +106,14 @@ def boxes_of(detector: Detector) -> BoxSource:
     )
 
 
-def _recorded(path: Path, class_id: tuple[int, ...], rectified_boxes: Callable[[FloatArray], FloatArray]) -> BoxSource:
+def _recorded(
+    path: Path,
+    class_id: tuple[int, ...],
+    rectified_boxes: Callable[[FloatArray], FloatArray],
+    size_px: tuple[int, int] | None,
+) -> BoxSource:
     # MOTChallenge files have no classes: a single one in --classes applies, else person, as in MOTChallenge
-    recorded = read_detections(path, default_class_id=class_id[0] if len(class_id) == 1 else 0)
+    recorded = read_detections(path, default_class_id=class_id[0] if len(class_id) == 1 else 0, size_px=size_px)
     if not recorded.is_rectified:
         boxes = recorded.detections
         recorded = replace(recorded, detections=replace(boxes, xyxy_px=rectified_boxes(boxes.xyxy_px)))

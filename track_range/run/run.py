@@ -221,7 +221,10 @@ class Run:
         if self._detector is not None:
             return boxes_of(self._detector)
         return open_box_source(
-            self.settings, recording.calibration.rectified_boxes, lambda name: ready_model(name, self._console)
+            self.settings,
+            recording.calibration.rectified_boxes,
+            lambda name: ready_model(name, self._console),
+            size_px=recording.size_px,
         )
 
     def close(self) -> None:

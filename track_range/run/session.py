@@ -124,6 +124,7 @@ class RunSession:
         notes = [
             *([ANONYMIZED] if self.settings.anonymize else []),
             *boxes,
+            *(self.truth.notes if self.truth is not None else ()),
             *self.source.notes,
             *missing_outputs(self.settings, self.source),
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
+from track_range.detection.formats.box_table import NO_FACTS, BoxTable
 from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.label_formats import label_format_of, read_labels
 from track_range.detection.formats.mot import read_mot
+from track_range.detection.formats.table_checks import other_labels_note
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.input_files import first_line
@@ -28,9 +32,13 @@ from track_range.sequences.find import (
 from track_range.sequences.settings import TrackEvaluationSettings, TruthFormat
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
 from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.frame_shift import frame_shift_note
 from track_range.tracking.motmetrics_comparison import motmetrics_figures
 from track_range.tracking.similarity import Similarity
 from track_range.tracking.tracked_boxes import TrackedBoxes
+
+_BENCHMARKS = ("mot", "kitti")
+"""Formats of ground truth with rules for boxes that are ignored."""
 
 COUNTS = ("idsw", "fp", "fn", "frag", "mt", "pt", "ml", "n")
 """Metrics that are counts; the others are in per cent."""
@@ -45,15 +53,24 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     """
     truth, results = settings.truth, settings.results
     labelled = find_sequences(truth, "gt")
-    form: TruthFormat = settings.truth_format or (
-        "mot" if "," in first_line(labelled[0].path, LabelFileError, "ground truth") else "kitti"
-    )
+    form: TruthFormat = settings.truth_format or _form_of(labelled[0].path)
     # In the output folder of `track` only KITTI rows contain the classes that KITTI's truth distinguishes.
     folders = [results / name for name in ((KITTI_FOLDER, MOT_FOLDER) if form == "kitti" else (MOT_FOLDER,))]
     results_folder = next((folder for folder in folders if folder.is_dir()), results)
     tracked = find_sequences(results_folder, "det")
-    pairs, name = paired(labelled, tracked), _class_of(form, settings.road_class)
-    similarity = {labels.name: Similarity.of(*_cleaned(labels, tracks, form, name)) for labels, tracks in pairs}
+    pairs = paired(labelled, tracked)
+    notes: list[str] = []
+    if form in _BENCHMARKS:
+        name = _class_of(form, settings.road_class)
+        boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
+    else:
+        tables = {labels.name: _truth_table(labels.path, notes) for labels, _ in pairs}
+        name = _class_of_labels(tables.values(), settings.road_class)
+        boxes = {
+            labels.name: (_boxes_of(tables[labels.name], name, labels.path), _read_results(tracks.path, name))
+            for labels, tracks in pairs
+        }
+    similarity = {key: Similarity.of(*both) for key, both in boxes.items()}
     counts = {key: TrackingCounts.of_similarity(value) for key, value in similarity.items()}
     combined = TrackingCounts.sum_of(list(counts.values()))
     figures = {
@@ -68,6 +85,8 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
             *ignored_files_note(results_folder, tracked),
             *no_truth_note(labelled, tracked),
             *_empty_truth_notes(labels for labels, _ in pairs),
+            *notes,
+            *(note for key, (truth, tracks) in boxes.items() for note in _shift_note(key, truth, tracks)),
         ],
     }
     if settings.compare == "motmetrics":
@@ -79,7 +98,58 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
     return figures
 
 
+def _form_of(path: Path) -> TruthFormat:
+    """The format of a file of ground truth; an empty one is taken to be KITTI's."""
+    if not os.path.isdir(path) and not first_line(path, LabelFileError, "ground truth"):
+        return "kitti"
+    name = label_format_of(path, "ground truth").name
+    if name not in get_args(TruthFormat):
+        raise LabelFileError(f"{path}: expected ground truth, found the rows of a run.")
+    return cast(TruthFormat, name)
+
+
+def _truth_table(path: Path, notes: list[str]) -> BoxTable:
+    """The labels of a file in one of the formats without rules for boxes that are ignored.
+
+    Raises:
+        LabelFileError: the file cannot be read, or has boxes without identities.
+    """
+    table = read_labels(path, NO_FACTS, expected="ground truth")
+    notes += [*table.notes, *other_labels_note(table, path)]
+    if n_regions := int(table.is_region.sum()):
+        notes.append(
+            f"{path.name}: {n_regions} regions that are not evaluated are left out; tracks in them count as false."
+        )
+    return table
+
+
+def _boxes_of(table: BoxTable, road_class: str, path: Path) -> TrackedBoxes:
+    """The boxes of one class.
+
+    Raises:
+        LabelFileError: boxes of the class have no identity.
+    """
+    table = table.select(table.class_id == ROAD_CLASSES.index(road_class))
+    if (table.track_id < 0).any():
+        raise LabelFileError(f"{path}: expected a track id for each box, found boxes without.")
+    return TrackedBoxes(table.frame, table.track_id, table.xyxy_px, table.class_id)
+
+
+def _class_of_labels(tables: Iterable[BoxTable], road_class: str | None) -> str:
+    """The class to evaluate: the given one, else the most frequent one."""
+    if road_class is not None:
+        return ROAD_CLASSES[int(road_class_ids([road_class])[0])]
+    class_id = np.concatenate([np.zeros(0, np.int64), *(table.class_id[table.class_id >= 0] for table in tables)])
+    return ROAD_CLASSES[int(np.bincount(class_id, minlength=len(ROAD_CLASSES)).argmax())] if len(class_id) else "car"
+
+
+def _shift_note(name: str, truth: TrackedBoxes, tracks: TrackedBoxes) -> tuple[str, ...]:
+    return frame_shift_note(name, truth.frame, truth.xyxy_px, tracks.frame, tracks.xyxy_px)
+
+
 def _first_line(path: Path) -> str:
+    if os.path.isdir(path):
+        return "labels"
     return first_line(path, LabelFileError, "tracks or ground truth")
 
 
@@ -125,9 +195,12 @@ def _read_results(path: Path, road_class: str) -> TrackedBoxes:
     first = _first_line(path)
     if not first:
         return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
-    if "," in first:
+    form = label_format_of(path, "tracks").name
+    if form == "mot":
         rows = read_mot(path)
         return _tracked(path, rows.frame, rows.track_id, rows.xyxy_px, class_id)
+    if form != "kitti":
+        return _boxes_of(read_labels(path, NO_FACTS, expected="tracks"), road_class, path)
     labels = read_kitti(path)
     is_of_class = map_to_road_classes([str(kind) for kind in labels.kitti_type]) == class_id
     labels = labels.select(is_of_class & (labels.track_id >= 0))

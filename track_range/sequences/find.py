@@ -3,6 +3,8 @@
 FILE                        one sequence, named after the file
 DIR/NAME.txt                layout of KITTI and RRC
 DIR/NAME/det/det.txt        layout of MOTChallenge (gt/gt.txt for ground truth), with seqinfo.ini
+DIR/labels/NAME_000000.txt  one sequence of YOLO labels
+DIR/settings.yaml           one sequence: the tracks.csv or tracks.parquet of a run
 """
 
 from __future__ import annotations
@@ -16,12 +18,16 @@ from typing import Literal
 
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME
+from track_range.detection.formats.yolo_tracks import is_yolo_folder
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.input_files import quoted, read_text, real_path
 from track_range.foundation.numeric_text import number
 
 Kind = Literal["det", "gt"]
 """Detections or ground truth, as in MOTChallenge's file names."""
+
+_ROW_FILES = ("tracks.csv", "tracks.parquet")
+"""Files of a run that have all its rows."""
 
 MOT_FOLDER, KITTI_FOLDER = "mot", "kitti"
 """Folders for the results of `track`, one NAME.txt per sequence."""
@@ -69,6 +75,10 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     """
     if os.path.isfile(path):
         return [_sequence(path)]
+    if os.path.isdir(path) and (rows := _rows_of_run(path)) is not None:
+        return [SequenceFile(path.resolve().name, rows, SequenceInfo())]
+    if os.path.isdir(path) and is_yolo_folder(path):
+        return [SequenceFile(path.resolve().name, path, SequenceInfo())]
     if not os.path.isdir(path):
         raise LabelFileError(f"{path}: no such file or folder; check the name.")
     inner = Path(kind) / f"{kind}.txt"
@@ -123,6 +133,13 @@ def no_truth_note(truth: Sequence[SequenceFile], results: Sequence[SequenceFile]
 def listed(names: Sequence[str]) -> str:
     """The first five names, separated by commas; "and more" if there are more."""
     return f"{', '.join(names[:5])}{' and more' if len(names) > 5 else ''}"
+
+
+def _rows_of_run(folder: Path) -> Path | None:
+    """The file with the rows of a run, which has the classes that mot.txt lacks; None if this is not a run's folder."""
+    if not os.path.isfile(folder / "settings.yaml"):
+        return None
+    return next((folder / name for name in _ROW_FILES if os.path.isfile(folder / name)), None)
 
 
 def _text_files(folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from track_range.run.detector_fields import (
 )
 from track_range.run.tracker_fields import reid_option, tracker_option
 
-TruthFormat = Literal["mot", "kitti"]
+TruthFormat = Literal["mot", "kitti", "csv", "coco", "cvat", "yolo"]
 
 LabelFormatField = Annotated[
     Literal["yolo", "kitti", "coco"] | None,
@@ -91,22 +91,29 @@ class TrackSettings(Options):
 class TrackEvaluationSettings(Options):
     """Tracks and ground truth of `track-range evaluate tracks`."""
 
-    truth: Annotated[Path, option("Ground truth: a file, or a folder of sequences NAME.txt or NAME/gt/gt.txt.")]
+    truth: Annotated[
+        Path,
+        option(
+            "Ground truth: a file of MOTChallenge, KITTI, COCO, CVAT for video or a CSV of labels, a folder of YOLO "
+            "labels, or a folder of sequences NAME.txt or NAME/gt/gt.txt."
+        ),
+    ]
     results: Annotated[
         Path,
         option(
-            "Tracks in MOTChallenge's or KITTI's format: a file, a folder of files NAME.txt, or the output folder of "
+            "Tracks in one of these formats: a file, a folder of files NAME.txt, or the output folder of a run or of "
             "`track-range track`."
         ),
     ]
     truth_format: Annotated[
         TruthFormat | None,
-        option("Format of the ground truth (default: detected from its first line).", flag="--format"),
+        option("Format of the ground truth (default: detected from its content).", flag="--format"),
     ] = None
     road_class: Annotated[
         str | None,
         option(
-            "Class to evaluate; for KITTI car, person or bicycle (default: car; MOTChallenge: person).",
+            "Class to evaluate; for KITTI car, person or bicycle (default: KITTI car, MOTChallenge person, other "
+            "formats the most frequent class).",
             flag="--class",
             metavar="NAME",
         ),
