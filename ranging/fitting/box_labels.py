@@ -52,7 +52,7 @@ def read_box_labels(path: Path, *, focal_px: float | None) -> tuple[BoxSet, tupl
         sequence_names=(path.stem,),
         sequence=np.zeros(n, np.int64),
         frame=rows.frame,
-        time_s=rows.frame * (FRAME_STEP_S if rows.video.fps is None else 1 / rows.video.fps),
+        time_s=np.asarray(rows.frame * (FRAME_STEP_S if rows.video.fps is None else 1 / rows.video.fps), np.float64),
         track_id=np.where(rows.track_id < 0, rows.track_id.max() + 1 + np.arange(n), rows.track_id),
         kitti_type=rows.class_name,
         class_name=np.array([_class_name(*row) for row in zip(rows.class_name, rows.class_id, strict=True)], np.str_),
