@@ -33,6 +33,19 @@ def read_network(path: Path) -> Network:
     Raises:
         ModelError: the file is not a readable cfg, is inconsistent, or has unsupported layers or options.
     """
+    net, heads, network = read_layers(path)
+    _check_heads(net, [head for _, head in network.heads])
+    for section, (source, _) in zip(heads, network.heads, strict=True):
+        _check_grid(section, network.input_shape, network.layers[source].shape)
+    return network
+
+
+def read_layers(path: Path) -> tuple[Section, list[Section], Network]:
+    """The section [net], the [yolo] sections and the network of a cfg, without checks of the heads together.
+
+    Raises:
+        ModelError: the file is not a readable cfg, is inconsistent, or has unsupported layers or options.
+    """
     net, *sections = read_sections(path, tuple(_READERS))
     n_channels, height, width = (net.integer(key, default, minimum=1) for key, default in _NET_SIZES.items())
     if n_channels != 3:
@@ -49,8 +62,16 @@ def read_network(path: Path) -> Network:
     network = Network(
         trunk.image, net.integer("letter_box") if "letter_box" in net.options else None, tuple(trunk.layers)
     )
-    _check_heads(net, [head for _, head in network.heads])
-    return network
+    return net, [section for section in sections if section.kind == "yolo"], network
+
+
+def _check_grid(section: Section, image: Shape, grid: Shape) -> None:
+    """Raise an error unless the cells of a [yolo] layer have a whole number of input pixels a side."""
+    if image[1] % grid[1] or image[2] % grid[2]:
+        raise section.error(
+            f"expected width and height of [net] that are multiples of the strides (usually of 32), got an input of "
+            f"{image[2]}x{image[1]} pixels for a grid of {grid[2]}x{grid[1]} cells; check width, height and the strides"
+        )
 
 
 def _check_heads(net: Section, heads: Sequence[YoloHead]) -> None:
@@ -197,12 +218,15 @@ def _yolo(section: Section, trunk: _Trunk) -> Layer:
     if len(numbers) % 2 or min(numbers) <= 0 or max(numbers) > _MAX_ANCHOR_PX:
         raise section.error(f"expected anchors as pairs of a positive width and height up to {_MAX_ANCHOR_PX} pixels")
     anchors = tuple(zip(numbers[::2], numbers[1::2], strict=True))
-    n_anchors = section.integer("num", 1, minimum=1)
-    if n_anchors > len(anchors):
+    has_mask = "mask" in section.options
+    n_anchors = section.integer("num", len(anchors) if has_mask else 1, minimum=1)
+    if n_anchors != len(anchors):
         raise section.error(f"expected num={len(anchors)}, the number of anchors, got num={n_anchors}")
-    mask = section.integers("mask") if "mask" in section.options else tuple(range(n_anchors))
-    if not all(0 <= index < len(anchors) for index in mask):
-        raise section.error(f"expected mask indices below {len(anchors)}, got {shortened(', '.join(map(str, mask)))}")
+    mask = section.integers("mask") if has_mask else tuple(range(n_anchors))
+    if not all(0 <= index < len(anchors) for index in mask) or len(set(mask)) < len(mask):
+        raise section.error(
+            f"expected different mask indices below {len(anchors)}, got {shortened(', '.join(map(str, mask)))}"
+        )
     scale = section.numbers("scale_x_y", 1.0)[0]
     if not 1 <= scale <= 2:
         raise section.error(f"expected scale_x_y from 1 to 2, got {scale:g}")

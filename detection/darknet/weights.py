@@ -32,6 +32,9 @@ _EPSILON = 0.00001
 _VERSION_BYTES = 12
 """Size of the three version numbers at the start of the file."""
 
+_MAX_VERSION = 999
+"""Largest plausible version number; Darknet transposes the weights of files with larger ones."""
+
 _BYTES_PER_VALUE = 4
 """Size of a float32."""
 
@@ -64,6 +67,11 @@ def _values(path: Path, n_expected: int) -> npt.NDArray[np.float32]:
     with open_regular(path, ModelError, "Darknet weights") as file, readable(path, ModelError):
         n_bytes = os.fstat(file.fileno()).st_size
         version = np.frombuffer(file.read(_VERSION_BYTES).ljust(_VERSION_BYTES, b"\0"), "<i4").tolist()
+        if not all(0 <= part <= _MAX_VERSION for part in version):
+            raise ModelError(
+                f"{path}: expected Darknet weights, whose first numbers are a version such as 0, 2, 5, got "
+                f"{', '.join(map(str, version))}; download or copy the file again."
+            )
         header_bytes = _VERSION_BYTES + (8 if version[0] * 10 + version[1] >= 2 else 4)
         if n_bytes < header_bytes:
             raise ModelError(

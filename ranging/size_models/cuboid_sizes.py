@@ -108,8 +108,7 @@ def cuboids_in(content: CuboidFile) -> CuboidSizes:
     Raises:
         ValueError: a prior has an impossible value.
     """
-    all_faults = {"ground": content.ground.faults()} | {name: of.faults() for name, of in content.classes.items()}
-    if invalid := [f"{name}: {faults}" for name, faults in all_faults.items() if faults]:
+    if invalid := [f"{name}: {faults}" for name, prior in content.classes.items() if (faults := prior.faults())]:
         raise ValueError(invalid[0])
     return CuboidSizes(content.classes, content.ground)
 

@@ -12,20 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
+from track_range.foundation.validation import Integer, Number
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
 
 KIND = "log-linear"
 """Value of "kind" in curve files of this model."""
 
-
-_MAX_COEFFICIENT = 100.0
-"""Largest plausible magnitude of a coefficient; exp(100) m is far beyond any distance."""
+_Intercept = Annotated[Number, Field(ge=-20, le=20)]
+_Slope = Annotated[Number, Field(ge=-10, le=10)]
+"""Coefficients in a file; exp(20) m is far beyond any distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,12 +43,12 @@ class SizeCurve:
         source: origin of the coefficients.
     """
 
-    intercept: float
-    per_log_height: float
-    per_log_width: float
-    per_bearing: float
-    sigma_relative: float
-    n: int
+    intercept: _Intercept
+    per_log_height: _Slope
+    per_log_width: _Slope
+    per_bearing: _Slope
+    sigma_relative: Sigma
+    n: Integer
     source: str
 
     @property
@@ -103,14 +104,15 @@ def log_linear_in(content: LogLinearFile) -> SizeCurves:
     """The model in the content of a curve file.
 
     Raises:
-        ValueError: a distance increases with the size, or a sigma is not positive.
+        ValueError: a distance increases with the size.
     """
     for section in (content.whole, content.height_only):
         for name, curve in section.items():
-            if not (curve.per_log_height < 0 and curve.per_log_width <= 0 and curve.sigma_relative > 0):
-                raise ValueError(f"{name}: distance must decrease with size, sigma_relative must be positive")
-            if max(abs(value) for value in (*curve.coefficients, curve.sigma_relative)) > _MAX_COEFFICIENT:
-                raise ValueError(f"{name}: coefficients must be at most {_MAX_COEFFICIENT:g}")
+            if not (curve.per_log_height < 0 and curve.per_log_width <= 0):
+                raise ValueError(
+                    f"{name}: expected per_log_height < 0 and per_log_width <= 0, found {curve.per_log_height:g} and "
+                    f"{curve.per_log_width:g}"
+                )
     return SizeCurves(content.whole, content.height_only)
 
 

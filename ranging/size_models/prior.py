@@ -13,13 +13,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from track_range.foundation.arrays import FloatArray, IntArray
+from track_range.foundation.validation import Integer, Number
 from track_range.ranging.size_models.cuboid import CuboidBox, Floats, box_of_cuboid
-from track_range.ranging.size_models.size_model import SIZE_CLASSES
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, Sigma, SizeM
 
 YAW_DEG = np.array([0.0, 3.0, 7.0, 12.0, 20.0, 32.0, 48.0, 68.0, 90.0])
 """Yaw angles (to the camera's axis) of the weights of a prior; denser where the box width changes most."""
@@ -51,9 +54,11 @@ N_NODE_VALUES = 11
 _SIZE_STEP = 0.02
 """Step of the numerical derivatives in log size."""
 
+_Log = Annotated[Number, Field(ge=-100, le=100)]
+"""Logarithm in a file; larger values overflow."""
 
-_MAX_VALUE = 100.0
-"""Largest plausible size in metres, or magnitude of a logarithm or weight; larger values overflow."""
+_Correlation = Annotated[Number, Field(ge=-1, le=1)]
+_Weight = Annotated[Number, Field(ge=0, le=100)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,16 +79,16 @@ class SizePrior:
         source: origin of the values.
     """
 
-    hwl_m: tuple[float, float, float]
-    log_sigma: tuple[float, float, float]
-    correlation: tuple[float, float, float]
-    turn_weights: tuple[float, ...]
-    log_distance: tuple[float, float]
-    offset: tuple[float, float]
-    scatter: tuple[float, float]
+    hwl_m: tuple[SizeM, SizeM, SizeM]
+    log_sigma: tuple[Sigma, Sigma, Sigma]
+    correlation: tuple[_Correlation, _Correlation, _Correlation]
+    turn_weights: tuple[_Weight, ...]
+    log_distance: tuple[_Log, Sigma]
+    offset: tuple[_Log, _Log]
+    scatter: tuple[Sigma, Sigma]
     stands: bool
-    n_boxes: int
-    n_tracks: int
+    n_boxes: Integer
+    n_tracks: Integer
     source: str
 
     @property
@@ -95,13 +100,8 @@ class SizePrior:
 
     def faults(self) -> str:
         """Description of the first invalid value; empty = all are valid."""
-        if len(self.turn_weights) != len(YAW_DEG) or min(self.turn_weights) < 0 or sum(self.turn_weights) <= 0:
-            return f"expected {len(YAW_DEG)} turn_weights, none of them negative, not all 0"
-        if min(*self.hwl_m, *self.log_sigma, *self.scatter, self.log_distance[1]) <= 0:
-            return "sizes and standard deviations must be positive"
-        values = (*self.hwl_m, *self.log_sigma, *self.log_distance, *self.offset, *self.scatter, *self.turn_weights)
-        if not np.abs(values).max() <= _MAX_VALUE:  # also NaN
-            return f"all values must be finite, at most {_MAX_VALUE:g}"
+        if len(self.turn_weights) != len(YAW_DEG) or sum(self.turn_weights) <= 0:
+            return f"expected {len(YAW_DEG)} turn_weights, not all 0"
         if not np.linalg.eigvalsh(self.covariance).min() > 0:
             return "the correlation matrix must be positive definite"
         return ""

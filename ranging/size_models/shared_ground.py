@@ -12,23 +12,20 @@ The estimate is from a single frame; a horizon tracked over time can be given as
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
+from pydantic import Field
 
 from track_range.foundation.arrays import BoolArray, FloatArray
+from track_range.foundation.validation import Number
+from track_range.ranging.size_models.size_model import Sigma
 
 _N_ITERATIONS = 3
 """Iterations of reweighted least squares."""
 
 _CAUCHY_SIGMA = 2.0
 """Scale of the robust weights 1 / (1 + (residual / scale)^2) (Cauchy), in standard deviations."""
-
-_MAX_HORIZON = 10.0
-"""Largest plausible tangent of a horizon below or above the camera's axis."""
-
-_MAX_M = 100.0
-"""Largest plausible camera height or standard deviation of a height, metres."""
 
 _Real = TypeVar("_Real", float, FloatArray)
 
@@ -47,22 +44,12 @@ class GroundPrior:
         rough_share: fraction of objects with the second standard deviation.
     """
 
-    camera_height_m: float = 1.5
-    camera_height_sigma_m: float = 0.3
-    horizon: float = 0.0
-    horizon_sigma: float = 0.04
-    kerb_m: tuple[float, float] = (0.3, 1.0)
-    rough_share: float = 0.18
-
-    def faults(self) -> str:
-        """Description of the first invalid value; empty = all are valid."""
-        if min(self.camera_height_m, self.camera_height_sigma_m, self.horizon_sigma, *self.kerb_m) <= 0:
-            return "camera height and the standard deviations of the ground prior must be positive"
-        if not (0 <= self.rough_share < 1 and abs(self.horizon) <= _MAX_HORIZON):
-            return f"rough_share must be between 0 and 1, the horizon between -{_MAX_HORIZON:g} and {_MAX_HORIZON:g}"
-        if not max(self.camera_height_m, self.camera_height_sigma_m, self.horizon_sigma, *self.kerb_m) <= _MAX_M:
-            return f"heights and standard deviations must be at most {_MAX_M:g} m"
-        return ""
+    camera_height_m: Annotated[Number, Field(ge=0.05, le=100)] = 1.5
+    camera_height_sigma_m: Sigma = 0.3
+    horizon: Annotated[Number, Field(ge=-10, le=10)] = 0.0
+    horizon_sigma: Sigma = 0.04
+    kerb_m: tuple[Sigma, Sigma] = (0.3, 1.0)
+    rough_share: Annotated[Number, Field(ge=0, lt=1)] = 0.18
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,12 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.input_files import quoted
+from track_range.foundation.validation import Number
 from track_range.stereo.geometry.camera import PinholeCamera
 
 SIZE_CLASSES = (*ROAD_CLASSES, "van")
@@ -25,6 +26,12 @@ def _known(name: str) -> str:
 
 SizeClass = Annotated[str, AfterValidator(_known)]
 """Name of a size class in a file."""
+
+Sigma = Annotated[Number, Field(ge=1e-4, le=100)]
+"""Standard deviation in a file; 1 / sigma^2 of smaller values overflows."""
+
+SizeM = Annotated[Number, Field(ge=0.01, le=50)]
+"""Height, width or length of an object in a file, metres."""
 
 _HAS_PERSON = np.array([name in ("person", "bicycle", "motorcycle") for name in SIZE_CLASSES])
 """(size classes,) whether the box of an object contains a person's limbs."""

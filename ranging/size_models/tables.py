@@ -10,12 +10,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.validation import Integer, Number, PositiveNumber
+from track_range.foundation.validation import Integer, Number
 from track_range.ranging.size_models.plain_curves import MEASURES, FittedTable
-from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, SizeClass, SizeRanges
+from track_range.ranging.size_models.size_model import SIZE_CLASSES, BoxExtents, Sigma, SizeClass, SizeRanges
 
 KIND = "table"
 """Value of "kind" in curve files of this model."""
+
+_MIN_STEP = 1e-9
+"""Smallest difference of successive nodes in log size; the slopes of smaller ones overflow."""
 
 _STEP = 0.02
 """Step in log size, to either side, of the numerical slope of a curve."""
@@ -38,14 +41,14 @@ class TableCurve:
     source: str
 
 
-_Nodes = Annotated[list[Annotated[Number, Field(ge=-100, le=100)]], Field(min_length=2, max_length=10_000)]
+_Nodes = Annotated[list[Annotated[Number, Field(ge=-20, le=20)]], Field(min_length=2, max_length=10_000)]
 """Logarithms of the nodes of a table; those of box sizes and distances are within +-10."""
 
 
 class _ClassTable(BaseModel):
     log_size: _Nodes
     log_distance: _Nodes
-    sigma_relative: PositiveNumber
+    sigma_relative: Sigma
     n: Integer
     source: str
 
@@ -118,7 +121,7 @@ def tables_in(content: TableFile) -> TableSizes:
     for name, numbers in content.classes.items():
         log_size, log_distance = np.array(numbers.log_size), np.array(numbers.log_distance)
         is_table = log_size.shape == log_distance.shape
-        if not (is_table and (np.diff(log_size) > 0).all() and (np.diff(log_distance) <= 0).all()):
+        if not (is_table and (np.diff(log_size) >= _MIN_STEP).all() and (np.diff(log_distance) <= 0).all()):
             raise ValueError(f"{name}: log_size must increase and log_distance must not")
         table = FittedTable(MEASURES[content.measure], log_size, log_distance)
         curves[name] = TableCurve(

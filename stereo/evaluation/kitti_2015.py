@@ -132,7 +132,7 @@ def read_pair(folder: Path, name: str, *, rig: Path | None = None, row_offset_px
     if not cameras.is_rectified:
         raise RigError(f"{file}: expected a rectified rig for the rectified images of the set; give their rig.")
     boxes, true_px = labelled_instances(truth / _STEPS_PER_PX, instance)
-    rectifier = Rectifier(cameras, row_offset_px=row_offset_px)
+    rectifier = Rectifier(cameras, row_offset_px=row_offset_px, source=file)
     return StereoPair(name, *rectifier.rectify(_in_colour(left), _in_colour(right)), boxes, true_px, cameras, notes)
 
 

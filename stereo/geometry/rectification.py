@@ -47,23 +47,24 @@ class Rectifier:
         rig: the rectified rig, which describes the rectified images.
     """
 
-    def __init__(self, rig: StereoRig, *, row_offset_px: float = 0.0) -> None:
+    def __init__(self, rig: StereoRig, *, row_offset_px: float = 0.0, source: object = "the rig") -> None:
         """Compute the remapping.
 
         Args:
             rig: the calibrated pair.
             row_offset_px: vertical offset y_right - y_left that remains after rectification; removed from the right
                 image.
+            source: file of the rig, for messages.
 
         Raises:
             RigError: the rig is implausible, the cameras are not side by side, or one of them is upside down.
         """
-        check_rig(rig, "the rig")
+        check_rig(rig, source)
         self._size_px = (rig.left.width_px, rig.left.height_px)
         self._right_size_px = (rig.right.width_px, rig.right.height_px)
         views = _Views(rig, None, _View(rig.right, np.eye(3), rig.right.matrix))
         if not rig.is_rectified:
-            views = _rectified(rig)
+            views = _rectified(rig, source)
         self.rig, self._left_view = views.rig, views.left
         self._left_maps = None if views.left is None else _maps(views.left, self._size_px)
         is_moved = not rig.is_rectified or row_offset_px != 0.0
@@ -201,24 +202,24 @@ def stereo_rectification(rig: StereoRig) -> StereoRectification:
     return StereoRectification(*result[:5])
 
 
-def _rectified(rig: StereoRig) -> _Views:
+def _rectified(rig: StereoRig, source: object) -> _Views:
     """The rectified rig, and the remappings of both cameras."""
-    _check_relative_rotation(rig.right_from_left[:3, :3])
+    _check_relative_rotation(rig.right_from_left[:3, :3], source)
     size_px = (rig.left.width_px, rig.left.height_px)
     r1, r2, p1, p2, _ = stereo_rectification(rig)
     focal_px = float(p1[0, 0])
-    _check_rectifying_rotations(r1, r2, p2)
-    _check_zoom(focal_px, rig.left)
+    _check_rectifying_rotations(r1, r2, p2, source)
+    _check_zoom(focal_px, rig.left, source)
     baseline_m = -float(p2[0, 3]) / focal_px
     camera = PinholeCamera(focal_px, focal_px, float(p1[0, 2]), float(p1[1, 2]), *size_px)
     return _Views(StereoRig.rectified(camera, baseline_m), _View(rig.left, r1, p1), _View(rig.right, r2, p2))
 
 
-def _check_relative_rotation(right_from_left: FloatArray) -> None:
+def _check_relative_rotation(right_from_left: FloatArray, source: object) -> None:
     angle_rad = _angle_rad(right_from_left)
     if angle_rad > _MAX_ROTATION_RAD:
         raise RigError(
-            "the rig: expected cameras that point in similar directions, found a rotation of "
+            f"{source}: expected cameras that point in similar directions, found a rotation of "
             f"{math.degrees(angle_rad):.0f} degrees between them; check the rotation, and whether a camera is inverted."
         )
 
@@ -227,25 +228,27 @@ def _angle_rad(rotation: cv2.typing.MatLike) -> float:
     return math.acos(float(np.clip((np.trace(rotation) - 1) / 2, -1.0, 1.0)))
 
 
-def _check_rectifying_rotations(r1: cv2.typing.MatLike, r2: cv2.typing.MatLike, p2: cv2.typing.MatLike) -> None:
+def _check_rectifying_rotations(
+    r1: cv2.typing.MatLike, r2: cv2.typing.MatLike, p2: cv2.typing.MatLike, source: object
+) -> None:
     if abs(float(p2[1, 3])) > abs(float(p2[0, 3])):
         raise RigError(
-            "the rig: expected cameras side by side, found one above the other; vertical stereo is not supported."
+            f"{source}: expected cameras side by side, found one above the other; vertical stereo is not supported."
         )
     for side, rotation in (("left", r1), ("right", r2)):
         if _angle_rad(rotation) > _MAX_ROTATION_RAD:
             raise RigError(
-                f"the rig: expected a baseline perpendicular to the viewing direction, but rectification would rotate "
+                f"{source}: expected a baseline perpendicular to the viewing direction, but rectification would rotate "
                 f"the {side} camera by {math.degrees(_angle_rad(rotation)):.0f} degrees; check the translation."
             )
 
 
-def _check_zoom(focal_px: float, camera: PinholeCamera) -> None:
+def _check_zoom(focal_px: float, camera: PinholeCamera, source: object) -> None:
     zoom = focal_px / camera.fx_px
     if not 1 / _MAX_ZOOM <= zoom <= _MAX_ZOOM:
         raise RigError(
-            f"the rig: rectification would change the focal length by a factor of {zoom:.2g}, expected at most "
-            f"{_MAX_ZOOM:g}; the distortion coefficients are wrong, calibrate again."
+            f"{source}: expected a rectification that changes the focal length by a factor of at most {_MAX_ZOOM:g}, "
+            f"found {zoom:.2g}; check the distortion coefficients and the principal points, or calibrate again."
         )
 
 

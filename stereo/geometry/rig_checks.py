@@ -47,6 +47,10 @@ _MAX_DISTORTION = 1e6
 _MAX_PRINCIPAL_POINT_PX = 1e6
 """Largest plausible magnitude of a principal point in a file without an image size, pixels."""
 
+_MIN_MARGIN = 0.01
+"""Smallest plausible distance of a principal point from the image border, as a fraction of the side; cropped images may
+have one far from the centre."""
+
 _N_DISTORTION_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Possible numbers of distortion coefficients in OpenCV's model."""
 
@@ -140,7 +144,11 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
         raise RigError(
             f"{source}: expected a finite principal point in pixels, found ({camera.cx_px:g}, {camera.cy_px:g})."
         )
-    if camera.width_px and not (0 <= camera.cx_px <= camera.width_px and 0 <= camera.cy_px <= camera.height_px):
+    margins = (
+        min(centre_px, side_px - centre_px) / max(side_px, 1)
+        for centre_px, side_px in ((camera.cx_px, camera.width_px), (camera.cy_px, camera.height_px))
+    )
+    if camera.width_px and min(margins) < _MIN_MARGIN:
         raise RigError(
             f"{source}: expected a principal point inside the image of {camera.width_px}x{camera.height_px} px, found "
             f"({camera.cx_px:g}, {camera.cy_px:g}); calibrate again."

@@ -40,6 +40,9 @@ _NONE: FloatArray = np.zeros(0)
 _EXTRINSIC = ("R", "T")
 """Keys of the extrinsics."""
 
+_OF_PAIR = ("M2", "D2", *_EXTRINSIC)
+"""Keys of two cameras; a file without all of them describes one camera."""
+
 _SIBLING_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 """Suffixes of the file with the other half of a calibration."""
 
@@ -83,7 +86,7 @@ def _read(text: str, path: Path) -> Calibration:
     """The cameras of one file, or of intrinsics and extrinsics in one folder; `path` is one of the two.
 
     Raises:
-        RigError: the file is damaged, or a matrix is missing.
+        RigError: the file is damaged, a matrix is missing, or only some of the matrices of two cameras are there.
     """
     values = dict(_matrices(text, path))
     sibling = _sibling(path, values)
@@ -98,8 +101,15 @@ def _read(text: str, path: Path) -> Calibration:
             "stereo_calib's intrinsics.yml."
         )
     left = _camera(values, "1", path)
-    if "M2" not in values or not all(key in values for key in _EXTRINSIC):
+    missing = [key for key in _OF_PAIR if key not in values]
+    if len(missing) == len(_OF_PAIR):
         return Calibration(left, None, None)
+    if missing:
+        raise RigError(
+            f"{path}: expected {', '.join(_OF_PAIR)} of two cameras in this file or in "
+            f"intrinsics/extrinsics{path.suffix} in its folder, found no {', '.join(missing)}; give the complete "
+            "calibration, or a file with M1 and D1 only for one camera."
+        )
     right_from_left = np.eye(4)
     right_from_left[:3, :3] = _shaped(values["R"], (3, 3), "R", path)
     right_from_left[:3, 3] = _shaped(values["T"], (3,), "T", path)
@@ -134,8 +144,9 @@ def _shaped(values: FloatArray, shape: tuple[int, ...], name: str, path: Path) -
 
 def _sibling(path: Path, values: Mapping[str, FloatArray]) -> Path | None:
     """The file in the folder of `path` with the other half of the calibration, if needed and present."""
-    lacks_extrinsic = "M1" in values and not all(key in values for key in _EXTRINSIC)
-    lacks_intrinsic = "M1" not in values and "R" in values
+    is_one_camera = "intrinsic" not in path.stem and not any(key in values for key in _OF_PAIR)
+    lacks_extrinsic = "M1" in values and not is_one_camera and not all(key in values for key in _EXTRINSIC)
+    lacks_intrinsic = "M1" not in values and any(key in values for key in _EXTRINSIC)
     if lacks_extrinsic:
         stem = path.stem.replace("intrinsic", "extrinsic") if "intrinsic" in path.stem else "extrinsics"
     elif lacks_intrinsic:

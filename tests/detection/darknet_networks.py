@@ -96,11 +96,11 @@ def _cross_stage(cfg, filters, n_blocks):
     cfg.conv(inner, activation="mish").route(-1, -(3 * n_blocks + 4)).conv(filters, activation="mish")
 
 
-def assorted(*, size_px=(104, 72), n_classes=3):
-    """Options that the published networks do not use: odd sizes, groups, padding=, activations, upsampling by 3."""
+def assorted(*, size_px=(144, 108), n_classes=3):
+    """Options that the published networks do not use: odd strides, groups, padding=, activations, upsampling by 3."""
     cfg = CfgWriter(size_px=size_px, n_classes=n_classes, width=1, anchors=TINY_ANCHORS)
-    cfg.conv(8, 3, 2, "swish").add("maxpool", size=3, stride=2)
-    cfg.add("convolutional", batch_normalize=1, filters=12, groups=4, size=3, padding=2, activation="mish")
+    cfg.conv(8, 3, 3, "swish").add("maxpool", size=3, stride=2)
+    cfg.add("convolutional", batch_normalize=1, filters=12, groups=4, size=3, padding=1, activation="mish")
     cfg.add("dropout", probability=0.5).add("maxpool", stride=2)
     cfg.add("convolutional", filters=12, size=5, pad=1, activation="logistic")
     cfg.route(-2, groups=3, group_id=1).route(-1, -2).conv(12).add("shortcut", from_=-4, activation="leaky")

@@ -233,6 +233,8 @@ VALUES = ([1], [1], [0], [1], [1, 2, 3], *LAST_VALUES, *LAST_VALUES)  # 31 of th
         (file_bytes(*VALUES) + b"\n", "got 31 and 1 bytes"),
         (file_bytes(*VALUES)[:15], "15 bytes"),
         (b"", "header"),
+        (file_bytes(*VALUES, version=(2147483647, 2, 5)), "2147483647"),
+        (file_bytes(*VALUES, version=(0, 2, -1)), "version"),
         (file_bytes([1], [1], [0], [-1], [1, 2, 3], *LAST_VALUES, *LAST_VALUES), "layer 0"),
         (file_bytes(*VALUES[:-1], [1, 2, 3, np.nan, 5, 6]), "layer 4"),
     ],

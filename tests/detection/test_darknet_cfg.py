@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.detection import darknet_networks
 from tests.detection.darknet_networks import section
 from track_range.detection.darknet.layers import Convolution
-from track_range.detection.darknet.network import read_network
+from track_range.detection.darknet.network import read_layers, read_network
 from track_range.detection.models.onnx_session import ModelError
 
 NET = "[net]\nwidth=32\nheight=16\n"
@@ -30,9 +30,10 @@ def network(text):
 
 def shape_of(layer_section, *, width=32, height=16):
     """Output shape of a layer for an image of this size."""
-    rest = CONV + section("route", layers="1") + HEAD + section("route", layers="1") + HEAD
-    read = network(f"[net]\nwidth={width}\nheight={height}\n" + layer_section + rest)
-    return read.layers[0].shape
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "net.cfg"
+        path.write_text(f"[net]\nwidth={width}\nheight={height}\n" + layer_section)
+        return read_layers(path)[2].layers[0].shape
 
 
 def test_cfg_whitespace_comments_and_aliases():
@@ -60,7 +61,7 @@ def test_defaults_equal_darknet():
         activation="logistic",
     )
     assert (read.input_shape, read.letter_box) == ((3, 16, 32), None)
-    without_mask = network(GOOD.replace("mask=0", "").replace("num=2", "num=1"))
+    without_mask = network(GOOD.replace("mask=0", "").replace("num=2", "num=1").replace(", 4,5", ""))
     assert without_mask.heads[0][1].anchors_px == ((2, 3),)
     assert without_mask.heads[0][1].scale_x_y == 1
     assert len(network(GOOD.replace("classes=1", "").replace("filters=6", "filters=25")).heads) == 2
@@ -164,6 +165,17 @@ ERRORS = {
     "worded anchors": (GOOD.replace("4,5", "4,x"), "numbers.*'anchors=2,3,4,x'"),
     "endless anchors": (GOOD.replace("4,5", "4,inf"), "finite.*'anchors=2,3,4,inf'"),
     "mask": (GOOD.replace("mask=0", "mask=2"), "mask"),
+    "repeated mask": (GOOD.replace("mask=0", "mask=0,0").replace("filters=6", "filters=12"), "line 8, .*mask.*0, 0"),
+    "unused anchors": (GOOD.replace("anchors=", "anchors=1,1, "), "line 8, .*num=3"),
+    "width": (
+        NET.replace("32", "33") + section("convolutional", filters=3, size=3, pad=1, stride=2) + HEAD + TAIL,
+        r"\[yolo\]: .*33x16",
+    ),
+    "stride": (
+        NET.replace("32", "64") + section("convolutional", filters=3, size=3, pad=1, stride=31) + HEAD + TAIL,
+        r"\[yolo\]: .*64x16",
+    ),
+    "no upsample": (darknet_networks.yolov3_tiny().replace("[upsample]", "[maxpool]"), r"line \d+, \[route\]: .*size"),
     "scale": (GOOD.replace("num=2", "num=2\nscale_x_y=3"), "scale_x_y"),
     "filters": (GOOD.replace("filters=6", "filters=7"), "filters=6.*7 channels"),
     "no conv": (NET + CONV + section("maxpool") + YOLO, r"\[convolutional\]"),

@@ -73,16 +73,20 @@ def changed(file, path, value):
         (["classes"], {"ufo": {}}, "ufo"),
         (["classes"], None, "classes"),
         (["classes", "car", "hwl_m"], [1.5, None, 4.0], "hwl_m"),
-        (["classes", "car", "hwl_m"], [1.5, 1e300, 4.0], "100"),
+        (["classes", "car", "hwl_m"], [1.5, 1e300, 4.0], "50"),
         (["classes", "car"], None, "car"),
         (["classes", "car", "stands"], 7, "stands"),
         (["ground", "kerb_m"], [1e300, 1e300], "ground"),
         (["classes", "car", "turn_weights"], [1.0], "turn_weights"),
-        (["classes", "car", "hwl_m"], [1.5, 1.6, -4.0], "positive"),
+        (["classes", "car", "hwl_m"], [1.5, 1.6, -4.0], "hwl_m"),
         (["classes", "car", "correlation"], [0.99, 0.99, -0.99], "correlation"),
         (["classes", "car", "log_distance"], [float("inf"), 1.0], "finite"),
         (["ground", "camera_height_m"], -1.0, "ground"),
         (["ground", "rough_share"], 1.5, "rough_share"),
+        (["classes", "car", "log_distance"], [3.0, 1e-300], "log_distance"),
+        (["classes", "car", "hwl_m"], [1.5, 1e-300, 4.0], "hwl_m"),
+        (["classes", "car", "scatter"], [True, 0.1], "scatter"),
+        (["ground", "horizon_sigma"], 1e-300, "horizon_sigma"),
     ],
 )
 def test_invalid_priors(tmp_path, path, value, message):
@@ -100,6 +104,8 @@ def test_invalid_priors(tmp_path, path, value, message):
         (["classes", "car", "sigma_relative"], 0.0, "sigma_relative"),
         (["classes"], {"ufo": {}}, "ufo"),
         (["measure"], "area", "area"),
+        (["classes", "car", "sigma_relative"], 1e-300, "sigma_relative"),
+        (["classes", "car", "n"], True, "'classes.car.n'"),
     ],
 )
 def test_invalid_tables(tmp_path, path, value, message):
@@ -113,7 +119,11 @@ def test_invalid_tables(tmp_path, path, value, message):
 def test_other_invalid_files(tmp_path):
     file = tmp_path / "c.json"
     save_curves(log_linear(per_log_height=0.5), file)
-    with pytest.raises(CurveError, match="decrease"):
+    with pytest.raises(CurveError, match=r"c\.json: .*per_log_height"):
+        load_curves(file)
+    save_curves(log_linear(), file)
+    changed(file, ["whole", "car", "per_bearing"], True)
+    with pytest.raises(CurveError, match=r"c\.json: .*per_bearing"):
         load_curves(file)
     save_curves(log_linear(), file)
     changed(file, ["whole"], {"ufo": {}})

@@ -95,7 +95,7 @@ def test_incomplete_opencv_files(tmp_path: Path) -> None:
     intrinsics, extrinsics = opencv_files(tmp_path)
     alone = tmp_path / "alone"
     alone.mkdir()
-    for source, key_word in ((intrinsics, "M2, D2, R and T"), (extrinsics, "M1")):
+    for source, key_word in ((intrinsics, "no R, T"), (extrinsics, "M1")):
         path = alone / source.name
         path.write_bytes(source.read_bytes())
         assert key_word in refused(path)
@@ -106,6 +106,27 @@ def test_incomplete_opencv_files(tmp_path: Path) -> None:
     data_from, data_to = tail.index("data: ["), tail.index("]")
     vector = head + "R: !!opencv-matrix" + tail[:data_from] + "data: [ 0., 0.01, 0. " + tail[data_to:]
     assert "9 numbers in R" in refused(written(alone, vector, "both.yml"))
+
+
+@pytest.mark.parametrize("missing", ["M2", "D2", "R", "T"])
+def test_opencv_pair_without_a_matrix(tmp_path: Path, missing: str) -> None:
+    for path in opencv_files(tmp_path):
+        path.write_text(path.read_text().replace(f"{missing}: !!opencv-matrix", f"X{missing}: !!opencv-matrix"))
+    for name in ("intrinsics.yml", "extrinsics.yml"):
+        with pytest.raises(RigError, match=rf"{name}: .*found no {missing};"):
+            load_camera(tmp_path / name, size_px=SIZE)
+
+
+def test_opencv_left_camera_only(tmp_path: Path) -> None:
+    intrinsics, extrinsics = opencv_files(tmp_path)
+    text = intrinsics.read_text()
+    left = written(tmp_path, text[: text.index("M2:")], "left.yml")
+    assert load_camera(left, size_px=SIZE)[0].fx_px == 1000
+    intrinsics.write_text(left.read_text())
+    with pytest.raises(RigError, match=r"intrinsics.yml: .*M2"):
+        load_camera(intrinsics, size_px=SIZE)
+    extrinsics.unlink()
+    assert load_camera(intrinsics, size_px=SIZE)[0].fx_px == 1000
 
 
 def test_opencv_baseline_in_millimetres(tmp_path: Path) -> None:

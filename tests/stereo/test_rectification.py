@@ -175,8 +175,8 @@ def test_rigs_that_cannot_be_rectified(rig: StereoRig, key_word: str) -> None:
 
 def test_implausible_distortion_is_refused() -> None:
     wrong = PinholeCamera(700.0, 700.0, 320.0, 240.0, 640, 480, (100.0, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(RigError, match="focal length"):
-        Rectifier(StereoRig(wrong, wrong, motion((0, 0, 0), (-0.4, 0, 0))))
+    with pytest.raises(RigError, match=r"rig\.yaml: .*focal length"):
+        Rectifier(StereoRig(wrong, wrong, motion((0, 0, 0), (-0.4, 0, 0))), source="rig.yaml")
 
 
 def test_wrong_image_size() -> None:

@@ -107,6 +107,8 @@ def test_size_equal_cropped_scaled_or_refused(tmp_path: Path) -> None:
     ("keys", "value", "key_word"),
     [
         (("right_from_left", "translation_m"), [-540, 0, 0], "540"),
+        (("left", "cx_px"), 0, "principal point"),
+        (("right", "cy_px"), 1e-300, "principal point"),
         (("right_from_left", "translation_m"), [-0.001, 0, 0], "0.001"),
         (("right_from_left", "translation_m"), [0, 0, 0], "baseline"),
         (("right_from_left", "translation_m"), [0.5, 0, 0], "swap"),

@@ -92,7 +92,7 @@ def _show(options: ShowOptions) -> None:
         terms = ", ".join(f"{term:.5g}" for term in camera.distortion) or "none"
         print_line(console, f"{name}: distortion coefficients {terms}.")
     if isinstance(calibration, StereoRig):
-        _show_pair(calibration)
+        _show_pair(calibration, options.source)
     for note in notes:
         print_line(console, note)
 
@@ -121,7 +121,7 @@ def _view_deg(side_px: int, centre_px: float, focal_px: float) -> float:
     return math.degrees(math.atan(first) + math.atan(last))
 
 
-def _show_pair(rig: StereoRig) -> None:
+def _show_pair(rig: StereoRig, source: Path) -> None:
     x_m, y_m, z_m = rig.right_from_left[:3, 3].tolist()
     print_line(console, f"baseline {rig.baseline_m:.4f} m (translation {x_m:.4f}, {y_m:.4f}, {z_m:.4f} m).")
     pitch, yaw, roll = _angles_deg(rig)
@@ -130,7 +130,7 @@ def _show_pair(rig: StereoRig) -> None:
     if not (rig.is_rectified or rig.left.width_px):
         print_line(console, "The file has no image size: give --size WIDTHxHEIGHT to show disparities by distance.")
         return
-    rectified = Rectifier(rig).rig
+    rectified = Rectifier(rig, source=source).rig
     disparity_px = rectified.left.fx_px * rectified.baseline_m / _SHOWN_M
     columns = [
         Column("disparity px", disparity_px.tolist(), "{:.2f}"),

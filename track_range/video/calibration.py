@@ -81,7 +81,8 @@ class Calibration:
         """A copy with the alignment of the pair; its row offset, if any, becomes part of the rectification."""
         rectifier, rows_px = self.rectifier, alignment.measured.row_correction_px
         if rows_px and self.raw_rig is not None:
-            rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px)
+            source = self.path or "the rig"
+            rectifier = Rectifier(self.raw_rig, row_offset_px=rows_px, source=source)
         return replace(self, rectifier=rectifier, alignment=alignment)
 
     def with_row_offsets(self, row_offsets_px: list[float]) -> Calibration:
@@ -130,7 +131,7 @@ def find_calibration(left: VideoName, inputs: Inputs, *, rig: Path | None, focal
 def _loaded_pair(path: Path, inputs: Inputs) -> Calibration:
     is_grey = inputs.left.is_grey
     raw_rig, notes = load_rig(path, size_px=inputs.size_px, is_grey=is_grey)
-    rectifier = Rectifier(raw_rig)
+    rectifier = Rectifier(raw_rig, source=path)
     return Calibration(
         kind="rig",
         camera=rectifier.rig.left,
