@@ -19,7 +19,7 @@ from track_range.anonymization.blur import blurred
 from track_range.anonymization.regions import Boxes, Regions, regions_of
 from track_range.detection.boxes import iou
 from track_range.detection.detections import Detections
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.run.frame_result import FrameResult
 
 PAST_S = 0.5
@@ -37,8 +37,8 @@ SPEED_TIME_S = 0.35
 NEIGHBOUR_S = 0.15
 """Longest time by which detections without a track are covered earlier and later."""
 
-SAME_IOU = 0.3
-"""Minimum IoU of two boxes in neighbouring frames that show the same object."""
+SAME_IOU, EQUAL_IOU = 0.3, 0.9
+"""Minimum IoU of two boxes of the same object in neighbouring frames, and of boxes with nearly equal regions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,19 +155,19 @@ class _History:
             np.array([class_id for _, class_id, _ in rows], np.int64),
             np.array([margin_px for _, _, margin_px in rows], np.float64),
         )
-        return _joined([now, *self._candidate_boxes(time_s, now.xyxy_px)])
+        near = [(abs(at_s - time_s), boxes) for at_s, boxes in self.candidates if abs(at_s - time_s) <= NEIGHBOUR_S]
+        for after_s, candidates in sorted(near, key=lambda item: item[0]):
+            is_covered = _are_covered(candidates, now, min_iou=SAME_IOU if after_s > 0 else EQUAL_IOU)
+            new = candidates.select(~is_covered)
+            margin_px = GROWTH_PER_S * after_s * _sides_px(new.xyxy_px)
+            now = _joined([now, Boxes(new.xyxy_px, new.class_id, margin_px)])
+        return now
 
-    def _candidate_boxes(self, time_s: float, covered_px: FloatArray) -> Iterator[Boxes]:
-        """Boxes of the detections of the frame, and of those in neighbouring frames that nothing covers in it."""
-        near = [(abs(at_s - time_s), found) for at_s, found in self.candidates if abs(at_s - time_s) <= NEIGHBOUR_S]
-        for after_s, found in sorted(near, key=lambda item: item[0]):
-            boxes = found.xyxy_px
-            if after_s > 0 and len(covered_px) and len(boxes):
-                found = found.select(iou(boxes, covered_px).max(axis=1) < SAME_IOU)
-                boxes = found.xyxy_px
-            margin_px = GROWTH_PER_S * after_s * _sides_px(boxes)
-            yield Boxes(boxes, found.class_id, margin_px)
-            covered_px = np.concatenate([covered_px, boxes])
+
+def _are_covered(candidates: Detections, boxes: Boxes, *, min_iou: float) -> BoolArray:
+    """(N,) whether a box of the same class has at least `min_iou` with a detection."""
+    is_same = candidates.class_id[:, None] == boxes.class_id
+    return np.asarray((is_same & (iou(candidates.xyxy_px, boxes.xyxy_px) >= min_iou)).any(axis=1), np.bool_)
 
 
 def _track_boxes(boxes: Sequence[_Box], time_s: float) -> Iterator[tuple[FloatArray, int, float]]:

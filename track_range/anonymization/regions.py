@@ -54,7 +54,7 @@ PLATE_CELL, LARGE_VEHICLE_PLATE_CELL = 0.12, 0.08
 """Cell size relative to the height of a vehicle, and of a bus or truck: at most 3 cells over the width of a plate
 (0.52 m), 1 over its height."""
 
-MIN_CELL_PX = 6.0
+MIN_CELL_PX = 8.0
 """Minimum cell size of the mosaic, px."""
 
 _PERSON, _BICYCLE, _CAR, _MOTORCYCLE, _BUS, _TRUCK = (
