@@ -295,7 +295,7 @@ def _interpolated(path: Path, tracks: Sequence[_Track], *, has_repeated: bool) -
     Raises:
         LabelFileError: a track has two boxes in a frame, or there are more than `MAX_BOXES` boxes.
     """
-    parts, n_boxes = [], 0
+    parts, n_boxes = [], 0  # the number is checked before memory is used
     for track in tracks:
         boxes = np.array(track.boxes)
         boxes = boxes[np.argsort(boxes[:, _FRAME], kind="stable")]
@@ -311,10 +311,10 @@ def _interpolated(path: Path, tracks: Sequence[_Track], *, has_repeated: bool) -
             raise LabelFileError(
                 f"{path}: expected at most {MAX_BOXES} boxes, found more, including interpolated ones."
             )
-        if has_repeated:
-            _interpolate_repeated(boxes)
-        parts.append(_between(boxes, steps, counts))
-    return parts
+        parts.append((boxes, steps, counts))
+    for boxes, _, _ in parts if has_repeated else ():
+        _interpolate_repeated(boxes)
+    return [_between(*part) for part in parts]
 
 
 def _interpolate_repeated(boxes: FloatArray) -> None:

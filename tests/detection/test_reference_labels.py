@@ -1,0 +1,246 @@
+"""Small label files written by hand from the specification of each format, with the boxes that they describe.
+
+All of them describe the same two objects in a video of 100 x 50 px: a car that covers the pixel columns 10 to 29 and
+rows 20 to 39 in the first frame, and is 10 columns further right in the third; and a person in the third frame only,
+columns 50 to 54, rows 10 to 29. With pixel centres at integers, the car's outer edges are 9.5, 19.5, 29.5, 39.5.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
+
+CAR, CAR_LATER, PERSON = [9.5, 19.5, 29.5, 39.5], [19.5, 19.5, 39.5, 39.5], [49.5, 9.5, 54.5, 29.5]
+SIZE = VideoFacts(size_px=(100, 50))
+
+# https://cocodataset.org/#format-data: bbox is [x, y, width, height], "0-indexed" from the image's top left corner
+COCO = """
+{"info": {}, "licenses": [],
+ "images": [{"id": 1, "width": 100, "height": 50, "file_name": "a_000000.png", "frame_index": 0, "video_id": 1},
+            {"id": 3, "width": 100, "height": 50, "file_name": "a_000002.png", "frame_index": 2, "video_id": 1}],
+ "videos": [{"id": 1, "name": "a"}],
+ "annotations": [
+  {"id": 1, "image_id": 1, "category_id": 3, "bbox": [10, 20, 20, 20], "area": 400, "iscrowd": 0, "track_id": 7,
+   "segmentation": []},
+  {"id": 2, "image_id": 3, "category_id": 3, "bbox": [20, 20, 20, 20], "area": 400, "iscrowd": 0, "track_id": 7},
+  {"id": 3, "image_id": 3, "category_id": 1, "bbox": [50, 10, 5, 20], "area": 100, "iscrowd": 0, "track_id": 8}],
+ "categories": [{"id": 1, "name": "person", "supercategory": "person"}, {"id": 3, "name": "car"}]}
+"""
+
+# https://docs.cvat.ai/docs/manual/advanced/xml_format/, version 1.1 for interpolation mode
+CVAT = """<?xml version="1.0" encoding="utf-8"?>
+<annotations>
+  <version>1.1</version>
+  <meta><task><id>4</id><name>a</name><size>3</size><mode>interpolation</mode><start_frame>0</start_frame>
+    <stop_frame>2</stop_frame><original_size><width>100</width><height>50</height></original_size></task></meta>
+  <track id="7" label="car" source="manual">
+    <box frame="0" outside="0" occluded="0" keyframe="1" xtl="10.00" ytl="20.00" xbr="30.00" ybr="40.00" z_order="0">
+      <attribute name="distance_m">12.5</attribute>
+    </box>
+    <box frame="1" outside="1" occluded="0" keyframe="1" xtl="10.00" ytl="20.00" xbr="30.00" ybr="40.00" z_order="0"/>
+    <box frame="2" outside="0" occluded="1" keyframe="1" xtl="20.00" ytl="20.00" xbr="40.00" ybr="40.00" z_order="0"/>
+  </track>
+  <track id="8" label="person" source="manual">
+    <box frame="2" outside="0" occluded="0" keyframe="1" xtl="50.00" ytl="10.00" xbr="55.00" ybr="30.00" z_order="0"/>
+  </track>
+</annotations>
+"""
+
+# readme.txt of KITTI's development kit for tracking: 0-based pixels, the box of track-range without a change
+KITTI = """\
+0 7 Car 0 0 -1.57 9.5 19.5 29.5 39.5 1.5 1.6 4.0 -3.0 1.6 20.0 -1.57
+2 7 Car 0 0 -1.57 19.5 19.5 39.5 39.5 1.5 1.6 4.0 -3.0 1.6 20.0 -1.57
+2 8 Pedestrian 0 0 0.10 49.5 9.5 54.5 29.5 1.8 0.5 0.8 2.0 1.6 15.0 0.10
+"""
+
+# https://motchallenge.net/instructions: frames and pixels from 1; class 3 = car, 1 = pedestrian
+MOT = "1,7,10.5,20.5,20,20,1,3,1\n3,7,20.5,20.5,20,20,1,3,1\n3,8,50.5,10.5,5,20,1,1,1\n"
+
+# https://docs.ultralytics.com/datasets/detect: class, centre and size as fractions of the image size
+YOLO = {
+    "data.yaml": "path: .\ntrain: images\nval: images\nnames: {0: person, 1: car}\n",
+    "labels/a_000000.txt": "1 0.2 0.6 0.2 0.4\n",
+    "labels/a_000001.txt": "",
+    "labels/a_000002.txt": "1 0.3 0.6 0.2 0.4\n0 0.525 0.4 0.05 0.4\n",
+}
+
+FILES = {"coco": COCO, "cvat": CVAT, "kitti": KITTI, "mot": MOT}
+
+
+def make(folder: Path, name: str) -> Path:
+    """The reference file or folder of a format; the name of the file tells nothing about the format."""
+    path = folder / "labels.dat"
+    if name == "yolo":
+        for file, text in YOLO.items():
+            (path / file).parent.mkdir(parents=True, exist_ok=True)
+            (path / file).write_text(text)
+    else:
+        path.write_text(FILES[name])
+    return path
+
+
+@pytest.mark.parametrize("name", [*FILES, "yolo"])
+def test_reference_file(tmp_path: Path, name: str) -> None:
+    path = make(tmp_path, name)
+    assert label_format_of(path).name == name
+    table = read_labels(path, SIZE)
+    assert table.frame.tolist() == [0, 2, 2]
+    order = [0, *(1 + np.argsort(table.xyxy_px[1:, 0]))]
+    np.testing.assert_allclose(table.xyxy_px[order], [CAR, CAR_LATER, PERSON], atol=1e-9)
+    assert table.class_id[order].tolist() == [2, 2, 0]
+    assert table.track_id[order].tolist() == ([-1, -1, -1] if name == "yolo" else [7, 7, 8])
+    assert table.observed.all()
+    assert table.notes == ()
+
+
+@pytest.mark.parametrize("name", ["coco", "cvat", "kitti", "mot", "yolo"])
+def test_written_reference(tmp_path: Path, name: str) -> None:
+    table = read_labels(make(tmp_path, "coco"))
+    label_format = LABEL_FORMATS[name]
+    assert label_format.write is not None
+    label_format.write(table, tmp_path / "out")
+    if name == "mot":
+        assert (tmp_path / "out").read_text().startswith("1,7,10.50,20.50,20.00,20.00,1.0000,-1,-1,-1\n3,7,20.50")
+    elif name == "kitti":
+        assert (
+            (tmp_path / "out").read_text().startswith("0 7 Car -1 -1 -10 9.50 19.50 29.50 39.50 -1 -1 -1 -1000 -1000")
+        )
+    elif name == "yolo":
+        file = tmp_path / "out/labels/a_000002.txt"
+        assert file.read_text().splitlines()[0] == "2 0.30000000 0.60000000 0.20000000 0.40000000"
+        assert (tmp_path / "out/labels/a_000001.txt").read_text() == ""
+    else:
+        text = (tmp_path / "out").read_text()
+        assert {"coco": '"bbox": [20.0, 20.0, 20.0, 20.0]', "cvat": 'xtl="20.000" ytl="20.000" xbr="40.000"'}[
+            name
+        ] in text
+
+
+def test_distance_of_cvat(tmp_path: Path) -> None:
+    table = read_labels(make(tmp_path, "cvat"))
+    np.testing.assert_array_equal(table.distance_m, [12.5, np.nan, np.nan])
+    assert (table.video.n_frames, table.video.size_px, table.video.name) == (3, (100, 50), "a")
+
+
+# -- what a person changes in CVAT ------------------------------------------------------------------------------------
+
+
+def cvat_of(tmp_path: Path, tracks: str, *, stop: int = 9, meta: str = "") -> BoxTable:
+    path = tmp_path / "corrected.xml"
+    path.write_text(
+        f"<annotations><version>1.1</version><meta><task><size>{stop + 1}</size><start_frame>0</start_frame>"
+        f"<stop_frame>{stop}</stop_frame></task>{meta}</meta>{tracks}</annotations>"
+    )
+    return read_labels(path)
+
+
+def box(frame: int, x: float, *, outside: int = 0, keyframe: int = 1, distance_m: str = "") -> str:
+    attribute = f'<attribute name="distance_m">{distance_m}</attribute>'
+    return (
+        f'<box frame="{frame}" outside="{outside}" occluded="0" keyframe="{keyframe}" xtl="{x}" ytl="5" xbr="{x + 10}" '
+        f'ybr="25" z_order="0">{attribute}</box>'
+    )
+
+
+def test_only_keyframes_are_interpolated(tmp_path: Path) -> None:
+    tracks = f'<track id="0" label="car">{box(2, 10, distance_m="20")}{box(6, 18, distance_m="10")}</track>'
+    table = cvat_of(tmp_path, tracks, stop=6)
+    assert table.frame.tolist() == [2, 3, 4, 5, 6]
+    np.testing.assert_allclose(table.xyxy_px[:, 0], [9.5, 11.5, 13.5, 15.5, 17.5])
+    np.testing.assert_allclose(table.distance_m, [20, 17.5, 15, 12.5, 10])
+    assert table.notes == ()
+
+
+def test_outside_ends_a_track_and_it_returns(tmp_path: Path) -> None:
+    boxes = box(0, 0) + box(3, 6, outside=1) + box(7, 40) + box(8, 40, outside=1)
+    table = cvat_of(tmp_path, f'<track id="0" label="car">{boxes}</track>')
+    assert table.frame.tolist() == [0, 1, 2, 7]
+    np.testing.assert_allclose(table.xyxy_px[:, 0], [-0.5, 1.5, 3.5, 39.5])
+
+
+def test_repeated_distances_are_interpolated(tmp_path: Path) -> None:
+    listed = [box(0, 0, distance_m="20"), *(box(i, i, keyframe=0, distance_m="20") for i in (1, 2, 3))]
+    track = f'<track id="0" label="car">{"".join(listed)}{box(4, 4, distance_m="12")}</track>'
+    np.testing.assert_allclose(cvat_of(tmp_path, track, stop=4).distance_m, [20, 18, 16, 14, 12])
+    own = cvat_of(tmp_path, track, stop=4, meta="<track_range><pixels>rectified</pixels></track_range>")
+    np.testing.assert_allclose(own.distance_m, [20, 20, 20, 20, 12])
+    assert own.video.is_rectified
+
+
+def test_renamed_label_open_end_and_empty_track(tmp_path: Path) -> None:
+    tracks = f'<track id="0" label="Lorry">{box(0, 0)}</track><track id="4" label="car"></track>'
+    table = cvat_of(tmp_path, tracks)
+    assert table.class_name.tolist() == ["lorry"]
+    assert table.class_id.tolist() == [-1]
+    assert [word in " ".join(table.notes) for word in ("without boxes", "outside")] == [True, True]
+
+
+def test_one_job_of_a_task(tmp_path: Path) -> None:
+    path = tmp_path / "job.xml"
+    path.write_text(
+        "<annotations><meta><job><size>10</size><start_frame>20</start_frame><stop_frame>29</stop_frame></job></meta>"
+        f'<track id="0" label="car">{box(20, 0)}{box(29, 5)}</track></annotations>'
+    )
+    table = read_labels(path)
+    assert len(table) == 10
+    assert "frames 20 to 29" in table.notes[0]
+    assert (table.video.first_frame, table.video.n_frames) == (20, 30)
+
+
+def test_keyframes_of_an_export_suffice(tmp_path: Path) -> None:
+    frame = np.arange(60)
+    left = 10 + 0.9 * frame + 8 * np.sin(frame / 9)
+    boxes = np.stack([left, 0 * left + 5, left + 20, 0 * left + 30], axis=1)
+    table = BoxTable.of(frame, 0 * frame, ["car"] * 60, boxes, distance_m=80.0 - frame, video=SIZE)
+    path = tmp_path / "run.xml"
+    assert LABEL_FORMATS["cvat"].write is not None
+    LABEL_FORMATS["cvat"].write(table, path)
+    text = path.read_text()
+    blocks = text.split("    <box ")
+    kept = [block for block in blocks if 'keyframe="0"' not in block]
+    assert len(kept) < 25
+    end = "" if kept[-1].rstrip().endswith("</annotations>") else "  </track>\n</annotations>\n"
+    path.write_text("    <box ".join(kept) + end)
+    back = read_labels(path)
+    np.testing.assert_allclose(back.xyxy_px, table.xyxy_px, atol=1.01)
+    np.testing.assert_allclose(back.distance_m, table.distance_m, rtol=0.021)
+
+
+# -- other variants ---------------------------------------------------------------------------------------------------
+
+
+def test_yolo_with_score_and_identity(tmp_path: Path) -> None:
+    """Rows as Ultralytics' save_txt writes them: frames from 1, then the score, then the identity."""
+    for frame, row in {1: "2 0.5 0.5 0.2 0.2 0.9 3", 2: "2 0.5 0.5 0.2 0.2 1"}.items():
+        (tmp_path / f"drive_{frame}.txt").write_text(f"{row}\n")
+    (tmp_path / "drive_2.txt").write_text("2 0.5 0.5 0.2 0.2 0.8 3\n0 0.1 0.1 0.1 0.1\n")
+    table = read_labels(tmp_path, SIZE)
+    assert table.frame.tolist() == [1, 2, 2]
+    assert table.track_id.tolist() == [3, -1, 3]
+    np.testing.assert_array_equal(table.score, [0.9, np.nan, 0.8])
+    assert "start at 1" in table.notes[0]
+
+
+def test_yolo_size_from_an_image(tmp_path: Path) -> None:
+    path = make(tmp_path, "yolo")
+    (path / "images").mkdir()
+    (path / "images/a_000000.pgm").write_bytes(b"P5 200 100 255\n" + bytes(20_000))
+    np.testing.assert_allclose(read_labels(path).xyxy_px[0], [19.5, 39.5, 59.5, 79.5])
+
+
+def test_coco_of_cvat(tmp_path: Path) -> None:
+    """COCO as CVAT writes it: no frame_index, and the identity among the attributes."""
+    path = tmp_path / "coco"
+    path.write_text(
+        '{"images": [{"id": 1, "file_name": "frame_000005.PNG", "width": 100, "height": 50}], "categories": '
+        '[{"id": 3, "name": "Car"}], "annotations": [{"id": 1, "image_id": 1, "category_id": 3, "iscrowd": 0, '
+        '"bbox": [10.0, 20.0, 20.0, 20.0], "attributes": {"occluded": false, "track_id": 7}}]}'
+    )
+    table = read_labels(path)
+    assert (table.frame.tolist(), table.track_id.tolist(), table.class_id.tolist()) == ([5], [7], [2])
+    assert "names of the images" in table.notes[0]
