@@ -76,9 +76,9 @@ def find_sequences(path: Path, kind: Kind) -> list[SequenceFile]:
     if os.path.isfile(path):
         return [_sequence(path)]
     if os.path.isdir(path) and (rows := _rows_of_run(path)) is not None:
-        return [SequenceFile(path.resolve().name, rows, SequenceInfo())]
+        return [SequenceFile(real_path(path).name, rows, SequenceInfo())]
     if os.path.isdir(path) and is_yolo_folder(path):
-        return [SequenceFile(path.resolve().name, path, SequenceInfo())]
+        return [SequenceFile(real_path(path).name, path, SequenceInfo())]
     if not os.path.isdir(path):
         raise LabelFileError(f"{path}: no such file or folder; check the name.")
     inner = Path(kind) / f"{kind}.txt"
