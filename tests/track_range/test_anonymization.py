@@ -4,8 +4,10 @@ import json
 from dataclasses import replace
 
 import av
+import cv2
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 import track_range as tr
 from track_range.anonymization.blur import STEP_GREY, blurred, cell_colours
@@ -49,10 +51,10 @@ def result(index, *tracks, candidates=(), step_s=0.1):
         np.ones(len(tracks)),
         np.array([row[6] for row in tracks], np.bool_),
     )
-    found = Detections.of([row[1:] for row in candidates], [0.05] * len(candidates), [row[0] for row in candidates])
+    detected = Detections.of([row[1:] for row in candidates], [0.05] * len(candidates), [row[0] for row in candidates])
     image = np.random.default_rng(index).integers(0, 256, SHAPE, dtype=np.uint8)
     frame = Frame(index, index * step_s, image, image)
-    return FrameResult(frame, shown, {}, nan, nan, nan, nan, np.zeros((len(tracks), 3)), candidates=found)
+    return FrameResult(frame, shown, {}, nan, nan, nan, nan, np.zeros((len(tracks), 3)), candidates=detected)
 
 
 # -- regions ---------------------------------------------------------------------------------------------------------
@@ -123,7 +125,7 @@ def test_cells_are_flat_and_quantized():
 
 @pytest.mark.parametrize("waves_per_cell", [0.5, 0.75, 1.0, 1.84, 3.75])
 def test_details_smaller_than_a_cell_are_lost(waves_per_cell):
-    """The colours of cells hardly depend on the phase of a sine, so that many images of a moving head reveal nothing."""
+    """The colours of cells hardly depend on the phase of a sine, so that many images reveal no details."""
     cell_px, columns = 16, np.arange(12 * 16)
     cells = []
     for phase in np.linspace(0, 2 * np.pi, 12, endpoint=False):
@@ -235,10 +237,10 @@ def test_candidates_are_independent_of_the_settings():
     cars = open_detector(path, DetectorOptions(min_score="0.5", classes=("car",)))
     expected = every.detect(image)
     assert len(cars.detect(image)) == 0
-    found = cars.candidates(np.full(len(ROAD_CLASSES), 0.001))
-    assert len(found) > 0
-    np.testing.assert_array_equal(found.xyxy_px, expected.xyxy_px)
-    np.testing.assert_array_equal(found.class_id, expected.class_id)
+    candidates = cars.candidates(np.full(len(ROAD_CLASSES), 0.001))
+    assert len(candidates) > 0
+    np.testing.assert_array_equal(candidates.xyxy_px, expected.xyxy_px)
+    np.testing.assert_array_equal(candidates.class_id, expected.class_id)
 
 
 # -- runs ------------------------------------------------------------------------------------------------------------
@@ -294,7 +296,8 @@ def test_results_of_a_run_are_anonymized(shared):
 def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     out = tmp_path / "out"
     inputs = ("--mono", shared / "film.mp4", "--detections", shared / "boxes.txt", "--lanes", "off")
-    status, printed, complaint = cli(*inputs, "--anonymize", "--out", out)
+    formats = ("--write", "csv,mot,parquet,mcap", "--mcap-images")
+    status, printed, complaint = cli(*inputs, *formats, "--anonymize", "--out", out)
     assert status == 0, complaint
     assert "not detected" in printed
     assert any("rig.yaml" in note for note in json.loads((out / "summary.json").read_text())["notes"])
@@ -308,6 +311,12 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     assert str(shared) in (plain / "settings.yaml").read_text()
     for file in plain.glob("*.mp4"):
         assert b"48.8577" not in file.read_bytes()
+    with (out / "run.mcap").open("rb") as file:
+        messages = [message.data for _, _, message in make_reader(file).iter_messages(topics=["/camera/image"])]
+    assert len(messages) == 12
+    for data in messages:
+        image = cv2.imdecode(np.frombuffer(data[data.index(b"\xff\xd8") :], np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert np.abs(np.diff(image[HEAD].astype(int), axis=0)).mean() < 12
     contrast = {}
     for folder in (plain, out):
         with av.open(str(folder / "overlay.mp4")) as container:

@@ -22,7 +22,7 @@ class FrameResult:
     """Tracks of one frame with their distances; every array is in the order of the tracks.
 
     Attributes:
-        frame: the images and their time.
+        frame: the images and their time; with `--anonymize` the anonymized left image only.
         tracks: N boxes with identities.
         ranges: distances by name of the method, including "fused" and the filtered ones (NAME_kf); a method that did
             not run is absent.

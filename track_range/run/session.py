@@ -140,8 +140,8 @@ class RunSession:
 
     def _without_paths(self, note: str) -> str:
         """A note with the names of the input files instead of their paths, and without the home folder."""
-        found = self.source.calibration.path
-        for path in [*input_files(self.settings), *([] if found is None else [found])]:
+        rig = self.source.calibration.path
+        for path in [*input_files(self.settings), *([] if rig is None else [rig])]:
             for text in (os.path.realpath(path), str(path)):
                 note = note.replace(text, path.name)
         return note.replace(str(Path.home()), "~")
