@@ -94,8 +94,12 @@ def read_detections(
         size_px: (width, height) of the images, which YOLO labels need; None = unknown.
 
     Raises:
-        LabelFileError: the file cannot be read, or its format is unknown or not `form`.
+        LabelFileError: the file cannot be read, or its format is unknown or not `form`. An empty file is no error: it
+            has no boxes.
     """
+    if _is_empty(path):
+        notes = [f"Read {path.name} as an empty file: 0 boxes.", f"{path.name} is empty: there are no boxes."]
+        return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), form or "rrc", notes=tuple(notes))
     file_format = _format_of(path)
     table = _label_table(path, VideoFacts(size_px=size_px)) if file_format == "labels" else None
     if table is None:
@@ -136,6 +140,12 @@ def _label_table(path: Path, video: VideoFacts) -> BoxTable:
 def _boxes_of(table: BoxTable) -> Detections:
     score = np.where(np.isnan(table.score), 1.0, table.score)
     return Detections.of(table.xyxy_px, score, table.class_id)
+
+
+def _is_empty(path: Path) -> bool:
+    if os.path.isdir(path) or first_line(path, LabelFileError, "detections"):
+        return False
+    return not read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES).strip()
 
 
 def _format_of(path: Path) -> str:

@@ -16,6 +16,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -137,10 +138,10 @@ def read_kitti(path: Path) -> KittiLabels:
     """
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         return _read_folder(path)
-    rows = [row for row in _rows(path) if row[1]]
+    rows = [_Row(path, line, cells, len(cells)) for line, cells in _lines(path)]
     if not rows:
         raise LabelFileError(f"{path}: expected KITTI labels, got an empty file.")
-    return _labels([_parsed(path, line, cells, n_columns=len(cells)) for line, cells in rows])
+    return _labels(rows)
 
 
 def _read_folder(folder: Path) -> KittiLabels:
@@ -159,19 +160,57 @@ def read_kitti_image(path: Path) -> KittiLabels:
     return _labels(_object_rows(path, frame="0"))
 
 
-def _object_rows(path: Path, *, frame: str) -> list[tuple[str, list[float]]]:
-    rows = [row for row in _rows(path) if row[1]]
-    return [_parsed(path, line, [frame, "-1", *cells], n_columns=len(cells)) for line, cells in rows]
+class _Row(NamedTuple):
+    """A row as tracking labels have it, and the number of columns that the file has."""
+
+    path: Path
+    line: int
+    cells: list[str]
+    n_columns: int
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Line numbers from 1 and cells of each line."""
+def _object_rows(path: Path, *, frame: str) -> list[_Row]:
+    return [_Row(path, line, [frame, "-1", *cells], len(cells)) for line, cells in _lines(path)]
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Line numbers from 1 and cells of each line that is not blank."""
     text = read_text(path, LabelFileError, "KITTI labels", max_bytes=MAX_TABLE_BYTES)
-    return [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
+    return [(number, cells) for number, line in enumerate(text.split("\n"), 1) if (cells := line.split())]
 
 
-def _parsed(path: Path, line: int, cells: list[str], *, n_columns: int) -> tuple[str, list[float]]:
-    """Type and the other columns of a row as numbers; the score is NaN if there is none."""
+def _fast_numbers(rows: list[_Row]) -> FloatArray | None:
+    """(N, 17) numbers of `_numbers`, checked together in a third of the time; None if a row needs the checks there."""
+    n_cells = len(rows[0].cells)
+    if n_cells not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
+        return None
+    if not all(len(row.cells) == n_cells and len(row.cells[2]) <= _MAX_TYPE for row in rows):
+        return None
+    texts = [text for row in rows for text in (*row.cells[:2], *row.cells[3:])]
+    joined = "".join(texts)
+    if not joined.isascii() or "_" in joined:
+        return None
+    try:
+        table = np.array(list(map(float, texts)), np.float64).reshape(len(rows), -1)
+    except ValueError:
+        return None
+    low, high, _ = zip(*(_limits(column) for column in range(table.shape[1])), strict=True)
+    if not ((table >= low) & (table <= high)).all() or (table[:, _INTEGERS] % 1).any():
+        return None
+    return table if n_cells > _TRACKING_COLUMNS else np.pad(table, ((0, 0), (0, 1)), constant_values=np.nan)
+
+
+def _limits(column: int) -> tuple[float, float, str]:
+    return _LIMITS.get(column, (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"))
+
+
+def _numbers(row: _Row) -> list[float]:
+    """Columns of a row without the type; the score is NaN if there is none.
+
+    Raises:
+        LabelFileError: the row has a wrong length, or an implausible number.
+    """
+    path, line, cells, n_columns = row
     if len(cells) not in (_TRACKING_COLUMNS, _TRACKING_COLUMNS + 1):
         raise LabelFileError(
             f"{path}, line {line}: expected {_TRACKING_COLUMNS} columns (18 with a score) of KITTI tracking labels, "
@@ -182,18 +221,20 @@ def _parsed(path: Path, line: int, cells: list[str], *, n_columns: int) -> tuple
     texts = [*cells[:2], *cells[3:]]
     values = numbers(texts)
     for column, value in enumerate(values):
-        low, high, expected = _LIMITS.get(column, (-_MAX_VALUE, _MAX_VALUE, f"finite numbers up to {_MAX_VALUE:,.0f}"))
+        low, high, expected = _limits(column)
         if not low <= value <= high or (column in _INTEGERS and value % 1):
             raise LabelFileError(f"{path}, line {line}: expected {expected}, got {quoted(texts[column])}.")
-    return cells[2], values if len(values) == _TRACKING_COLUMNS else [*values, np.nan]
+    return values if len(values) == _TRACKING_COLUMNS else [*values, np.nan]
 
 
-def _labels(rows: list[tuple[str, list[float]]]) -> KittiLabels:
-    table = np.array([numbers for _, numbers in rows], np.float64).reshape(-1, _TRACKING_COLUMNS)
+def _labels(rows: list[_Row]) -> KittiLabels:
+    table = _fast_numbers(rows) if rows else None
+    if table is None:
+        table = np.array([_numbers(row) for row in rows], np.float64).reshape(-1, _TRACKING_COLUMNS)
     return KittiLabels(
         frame=table[:, 0].astype(np.int64),
         track_id=table[:, 1].astype(np.int64),
-        kitti_type=np.array([kitti_type for kitti_type, _ in rows], np.str_),
+        kitti_type=np.array([row.cells[2] for row in rows], np.str_),
         truncated=table[:, 2],
         occluded=table[:, 3].astype(np.int64),
         xyxy_px=table[:, 5:9],

@@ -231,7 +231,7 @@ def _detected(box_set: BoxSet, labels: KittiLabels, name: str, boxes: str) -> Bo
         path = Path(folder) / subfolder / name
         if not path.parent.is_dir():
             raise LabelFileError(f"{path.parent}: no such folder; rrc:DIR requires DIR/Car and DIR/Pedestrian.")
-        if not os.path.lexists(path) or not first_line(path, LabelFileError, "detections"):
+        if not os.path.lexists(path):
             continue  # a sequence without detections
         recorded = read_detections(path, form="rrc")
         is_confident = recorded.detections.score >= MIN_SCORE

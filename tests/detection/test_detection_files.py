@@ -57,7 +57,6 @@ def test_margins_become_probabilities_with_note(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "empty"),
         (b"\xff\xfe\xfd\n", "text"),
         (b"1,2,3\n", "got 3"),
         (b"1,a,3,4,5,6\n", "between commas"),
@@ -70,6 +69,16 @@ def test_invalid_detection_files(tmp_path, content, message):
     file.write_bytes(content)
     with pytest.raises(LabelFileError, match=rf"det\.txt.*{message}"):
         read_detections(file)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n \n", b"\n" * 70_000])
+def test_empty_file_has_no_boxes(tmp_path, content):
+    file = tmp_path / "det.txt"
+    file.write_bytes(content)
+    recorded = read_detections(file, form="mot")
+    assert (len(recorded.frame), recorded.form) == (0, "mot")
+    assert "empty" in recorded.notes[1]
+    assert len(recorded.at(3)) == 0
 
 
 def test_missing_file(tmp_path):

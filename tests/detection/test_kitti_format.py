@@ -62,3 +62,25 @@ def test_real_labels(shared_data):
     labels = read_kitti(shared_data / "kitti_stereo/0003/label.txt")
     assert set(labels.kitti_type) >= {"Car", "DontCare"}
     assert labels.has_3d_box.sum() > 40
+
+
+def test_labels_checked_together_equal_single_rows(tmp_path):
+    rows = ["3 1 Car 0 0 -1.5 10 20 30 40 1.5 1.7 4 1 2 20 0.1", "4 -1 Person_sitting 0 1 0 1e1 2 3 4 1 1 1 1 2 3 0"]
+    whole = tmp_path / "0000.txt"
+    whole.write_text("\n".join(rows) + "\n")
+    mixed = tmp_path / "0001.txt"
+    mixed.write_text("\n".join([*rows, "5 2 Truck\u00e9 0 0 0 1 2 3 4 1 1 1 1 2 3 0 0.5"]) + "\n", encoding="utf-8")
+    first, second = read_kitti(whole), read_kitti(mixed).select(np.array([0, 1]))
+    assert first.kitti_type.tolist() == second.kitti_type.tolist()
+    np.testing.assert_array_equal(first.xyxy_px, second.xyxy_px)
+    np.testing.assert_array_equal(first.location_m, second.location_m)
+    assert np.isnan(first.score).all()
+
+
+@pytest.mark.parametrize("cell", ["1_0", "\u0663", "nan", "1e7", "x"])
+def test_numbers_are_checked(tmp_path, cell):
+    file = tmp_path / "0000.txt"
+    row = "3 1 Car 0 0 -1.5 10 20 30 40 1.5 1.7 4 1 2 20 0.1"
+    file.write_text(f"{row}\n{row[:-3]}{cell}\n", encoding="utf-8")
+    with pytest.raises(LabelFileError, match=r"0000\.txt, line 2"):
+        read_kitti(file)

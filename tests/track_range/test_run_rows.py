@@ -81,3 +81,23 @@ def test_duplicate_track_in_a_frame() -> None:
     box = dict.fromkeys(("x1_px", "y1_px", "x2_px", "y2_px"), ones)
     columns = {"frame": np.array([0.0, 0, 0, 1]), "track_id": np.array([2.0, 1, 2, 2]), "time_s": ones, **box}
     assert valid_rows(columns).tolist() == [True, True, False, True]
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ([row(frame="-1"), row(time_s="")], "2 rows"),
+        (["1,2,3", "4,5"], "2 rows"),
+        ([row(time_s="soon")], "soon"),
+    ],
+)
+def test_file_of_malformed_rows_only(tmp_path: Path, lines: list[str], words: str) -> None:
+    with pytest.raises(OutputError, match=rf"tracks\.csv: .*{words}"):
+        read_run_rows(write(tmp_path, *lines), [])
+
+
+def test_too_many_columns(tmp_path: Path) -> None:
+    path = tmp_path / "tracks.csv"
+    path.write_text(",".join(f"c{column}" for column in range(1001)) + "\n")
+    with pytest.raises(OutputError, match=r"tracks\.csv: .*1001 columns"):
+        read_run_rows(path, [])

@@ -235,7 +235,7 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
         missing: messages for the user.
 
     Raises:
-        OutputError: the file cannot be read, or is not of a run.
+        OutputError: the file cannot be read, is not of a run, or all of its rows are malformed.
     """
     columns, is_cut = _read_rows(path)
     if not columns.keys() >= _NEEDED_COLUMNS:
@@ -245,6 +245,11 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
         )
     is_valid = valid_rows(columns)
     n_invalid = int(np.sum(~is_valid))
+    if n_invalid and n_invalid == len(is_valid):
+        raise OutputError(
+            f"{path}: expected rows with frame numbers, times, track IDs and boxes, found {n_invalid} rows that are "
+            "all malformed; repeat the run or restore the file."
+        )
     if n_invalid:
         missing.append(f"{n_invalid} of {len(is_valid)} rows of {path.name} are malformed and were ignored.")
     if is_cut:

@@ -22,7 +22,7 @@ from track_range.results.writers import RunInfo
 from track_range.run.box_source import BoxSource
 from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
-from track_range.run.settings import RunSettings, absolute_settings, input_files, without_folders
+from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
 from track_range.run.throughput import FrameMeter
 from track_range.video.recording import Recording
 
@@ -127,6 +127,7 @@ class RunSession:
             *(self.truth.notes if self.truth is not None else ()),
             *self.source.notes,
             *missing_outputs(self.settings, self.source),
+            *unused_options(self.settings),
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),
             *self._frame_mismatch_notes(),
             *(note for ranger in self.pipeline.rangers.values() if has_results for note in ranger.notes),

@@ -37,6 +37,15 @@ _PATHS = ("rig", "detections", "curves", "truth", "table", "out", "reid")
 _PATHS_OR_NAMES = ("detector", "names", "align", "lanes", "ego_speed")
 """Settings that are files or folders, and those that are a file or a name."""
 
+_DETECTOR_OPTIONS: Mapping[str, str] = {
+    "min_score": "--min-score",
+    "names": "--names",
+    "anchors": "--anchors",
+    "letterbox": "--letterbox",
+    "size_px": "--size",
+}
+"""Options of the detector by setting; None = not given."""
+
 _INPUT, _DETECTION, _TRACKING, _RANGING, _OUTPUT = "Input", "Detection", "Tracking", "Ranging", "Output"
 """Headings of the help page under which the options are listed."""
 
@@ -499,6 +508,17 @@ def input_files(settings: RunSettings) -> list[Path]:
     )
     names = (settings.detector, settings.names, settings.align, settings.lanes, settings.ego_speed)
     return [*(path for path in files if path is not None), *(Path(name) for name in names if name is not None)]
+
+
+def unused_options(settings: RunSettings) -> tuple[str, ...]:
+    """Notes on options that were given but have no effect on the run."""
+    notes = []
+    if settings.mono is not None and settings.align not in ("auto", "off"):
+        notes.append("--align is not used with one camera.")
+    given = [flag for key, flag in _DETECTOR_OPTIONS.items() if getattr(settings, key) is not None]
+    if settings.detections is not None and given:
+        notes.append(f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} not used with --detections.")
+    return tuple(notes)
 
 
 def absolute_settings(settings: RunSettings) -> dict[str, Any]:

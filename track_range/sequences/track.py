@@ -14,7 +14,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.kitti import LabelFileError
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import first_line, real_path
+from track_range.foundation.input_files import real_path
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.results.output_files import OutputError, locked_output, make_folder
 from track_range.run.settings import check_tracker
@@ -143,9 +143,6 @@ def _check_overwriting(sequences: Sequence[SequenceFile], settings: TrackSetting
 
 def _read(path: Path, class_id: int, settings: TrackSettings) -> RecordedDetections:
     """The boxes of a sequence, with notes for the user; an empty file is a sequence without boxes."""
-    if not first_line(path, LabelFileError, "detections"):
-        note = f"{path.name} is empty; the sequence has no boxes."
-        return RecordedDetections(np.zeros(0, np.int64), Detections.empty(), settings.form or "rrc", notes=(note,))
     recorded = read_detections(path, default_class_id=class_id, form=settings.form)
     detections, notes = recorded.detections, recorded.notes[1:]  # the first note is on the detected format
     if settings.reid is not None:  # its embeddings replace those of the file

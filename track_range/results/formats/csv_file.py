@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.foundation.input_files import MAX_TABLE_BYTES, read_text
+from track_range.foundation.input_files import MAX_TABLE_BYTES, read_text, shortened
 from track_range.results.columns import Columns, result_columns
 from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError
@@ -19,8 +19,14 @@ from track_range.run.frame_result import FrameResult
 
 TABLE_FILE = "tracks.csv"
 
+_MAX_COLUMNS = 1000
+"""Largest number of columns; runs with all methods have fewer than 100, and pyarrow is slow with many more."""
+
 _MAX_CLASS = 200
 """Largest number of characters of a class name."""
+
+_MAX_PROBLEM = 150
+"""Largest number of characters of the description of a problem."""
 
 
 class CsvWriter:
@@ -58,30 +64,43 @@ def read_tracks_csv(path: Path) -> Columns:
     Rows with a different number of cells than the header, such as the last one of a killed run, are skipped.
 
     Raises:
-        OutputError: the file cannot be read, or is not a tracks.csv.
+        OutputError: the file cannot be read, is not a tracks.csv, or has no row of the header's length but others.
     """
     import pyarrow as pa
     from pyarrow import ArrowException
     from pyarrow import csv as arrow_csv
 
+    n_cells: list[int] = []  # of the rows that are skipped
     text = read_text(path, OutputError, "the tracks.csv of a run", max_bytes=MAX_TABLE_BYTES)
     try:
         header = next(csv.reader([text.partition("\n")[0]]))
         if len(set(header)) < len(header):
-            raise ValueError("duplicate column")
+            raise ValueError("two columns of the same name")
+        if len(header) > _MAX_COLUMNS:
+            raise ValueError(f"{len(header)} columns, more than {_MAX_COLUMNS}")
+
+        def skip(row: arrow_csv.InvalidRow) -> str:
+            n_cells.append(row.actual_columns)
+            return "skip"
+
         table = arrow_csv.read_csv(
             pa.BufferReader(text.encode()),
             read_options=arrow_csv.ReadOptions(use_threads=False),
-            parse_options=arrow_csv.ParseOptions(invalid_row_handler=lambda row: "skip"),
+            parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
             convert_options=arrow_csv.ConvertOptions(
                 column_types={name: "string" if name == "class" else "float64" for name in header}, null_values=[""]
             ),
         )
         columns = {name: table.column(name) for name in header}
         if "class" in columns and max(map(len, columns["class"].to_pylist()), default=0) > _MAX_CLASS:
-            raise ValueError("class name too long")
+            raise ValueError(f"a class name of more than {_MAX_CLASS} characters")
+        if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
+            raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
-        raise OutputError(f"{path}: cannot be read as the tracks.csv of a run.") from error
+        found = shortened(str(error) or "no header", _MAX_PROBLEM)
+        raise OutputError(
+            f"{path}: expected the tracks.csv of a run, found {found}; repeat the run or restore the file."
+        ) from error
     return {
         name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()

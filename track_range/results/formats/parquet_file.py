@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from track_range.foundation.atomic_files import atomic_path
-from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular
+from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular, shortened
 from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
 from track_range.results.columns import Columns, result_columns
 from track_range.results.formats.row_file import FrameFile
@@ -226,7 +226,10 @@ def _errors_of(path: Path) -> Iterator[None]:
     try:
         yield
     except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
-        raise OutputError(f"{path}: cannot be read as the {path.name} of a run.") from error
+        raise OutputError(
+            f"{path}: expected the {path.name} of a run, found a damaged file ({shortened(str(error))}); repeat the "
+            "run or restore the file."
+        ) from error
 
 
 def _parquet_table(path: Path) -> pa.Table:
