@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,16 @@ import pytest
 from rosbags.rosbag1 import Writer
 
 from tests.track_range.bag_writers import START_NS, write_foxglove, write_ros1, write_ros2
+from tests.track_range.test_results import result
 from track_range.foundation.errors import UsageError
+from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.settings import save_settings, settings_from
+from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.geometry.rig import RigError
 from track_range.video.bags.bag import is_bag
+from track_range.video.bags.calibration import camera_of, rig_of
+from track_range.video.bags.decoding import CameraMessage, _ros_reader
 from track_range.video.frame import VideoError
 from track_range.video.names import BagTopic
 from track_range.video.reader import VideoReader
@@ -192,6 +201,58 @@ def test_empty_bags(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "drive.bag").write_bytes(content)
     with pytest.raises(VideoError, match=r"drive\.bag"):
         VideoReader(BagTopic(tmp_path / "drive.bag", "/cam"))
+
+
+@pytest.mark.parametrize("profile", ["foxglove", "ros2"])
+def test_own_mcap_file_as_input(tmp_path: Path, images: list[np.ndarray], profile: str) -> None:
+    camera = PinholeCamera(70.0, 71.0, 30.0, 20.0, 64, 48)
+    settings = {"mcap_profile": profile, "mcap_images": True}
+    info = RunInfo(camera=camera, rig=None, fps=10.0, settings=settings, start_utc_s=START_NS / 1e9)
+    with OpenWriters(("mcap",), info, tmp_path) as writers:
+        for number, image in enumerate(images):
+            utc_s = START_NS / 1e9 + number / 10
+            given = result(number)
+            writers.write(replace(given, frame=Frame(number, number / 10, image, None, utc_s)))
+        writers.close({"notes": []})
+    recording = open_recording(tmp_path / "run.mcap")
+    assert recording.camera == camera
+    frames = list(recording.frames)
+    assert [frame.time_s for frame in frames] == pytest.approx([number / 10 for number in range(12)])
+    assert frames[3].utc_s == pytest.approx(START_NS / 1e9 + 0.3)
+    assert np.abs(frames[5].left.astype(int) - images[5]).max() <= 4  # JPEG
+
+
+@pytest.mark.parametrize(("kind", "package"), [("foxglove", "mcap.stream_reader"), ("ros1", "rosbags.typesys")])
+def test_missing_package_is_named(
+    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch, kind: str, package: str
+) -> None:
+    bag = write(tmp_path / "drive", kind, ("/cam",), images[:2])
+    _ros_reader.cache_clear()
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(VideoError, match=r"pip install 'track-range\[mcap\]'"):
+        VideoReader(bag)
+
+
+def test_fisheye_model_is_refused(tmp_path: Path) -> None:
+    message = CameraMessage((64, 48), "equidistant", (0.1, 0.2, 0.3, 0.4), np.eye(3), np.eye(3), np.eye(3, 4))
+    with pytest.raises(RigError, match="equidistant"):
+        camera_of(message, tmp_path, is_rectified=False)
+
+
+def test_rotated_raw_pair() -> None:
+    turn = np.array([[np.cos(0.02), 0.0, np.sin(0.02)], [0.0, 1.0, 0.0], [-np.sin(0.02), 0.0, np.cos(0.02)]])
+    k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
+    p = np.column_stack([k, [-35.0, 0.0, 0.0]])
+    left = CameraMessage(
+        (64, 48), "plumb_bob", (0.1, 0.0, 0.0, 0.0, 0.0), k, np.eye(3), np.column_stack([k, [0, 0, 0]])
+    )
+    right = CameraMessage((64, 48), "plumb_bob", (0.0,) * 5, k, turn, p)
+    rig = rig_of(left, right, Path("drive.bag"), is_rectified=False)
+    # a point in the rectified frames: x' = R x, and the right frame is 0.5 m to the right
+    point_m = np.array([0.3, -0.2, 5.0])
+    in_right_m = rig.right_from_left[:3, :3] @ point_m + rig.right_from_left[:3, 3]
+    np.testing.assert_allclose(turn @ in_right_m, point_m - [0.5, 0.0, 0.0], atol=1e-12)
+    assert rig.left.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:

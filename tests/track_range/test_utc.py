@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from track_range.foundation.errors import UsageError
 from track_range.run.settings import settings_from
 from track_range.video.reader import VideoReader
+from track_range.video.recording import open_recording
 from track_range.video.utc import Stamp, parsed_utc, stamp_in_header, stamp_in_name, start_of
 
 
@@ -80,6 +82,16 @@ def test_start_of_a_file_by_its_name(tmp_path: Path, film) -> None:  # type: ign
     assert utc.summary() == {"start": "2026-01-31T14:25:30.000Z", "source": "file name", "uncertainty_s": 50400.0}
     assert "--start-utc" in (utc.note() or "")
     assert VideoReader(film(tmp_path / "film.mp4", [0.0, 0.1])).utc is None
+
+
+def test_time_of_a_run(tmp_path: Path, film) -> None:  # type: ignore[no-untyped-def]
+    clip = film(tmp_path / "film.mp4", [0.5, 0.6, 0.7], metadata={"creation_time": "2026-01-31T14:25:30Z"})
+    for options, start in (({}, "14:25:30"), ({"start_utc": "2026-01-31T15:00:00+01:00"}, "14:00:00")):
+        recording = open_recording(clip, focal_px=70.0, start_s=0.1, **options)
+        frames = list(recording.frames)
+        assert [frame.utc_s - seconds(f"2026-01-31T{start}") for frame in frames] == pytest.approx([0.1, 0.2], abs=1e-5)
+    frames = list(open_recording(film(tmp_path / "other.mp4", [0.0, 0.1]), focal_px=70.0).frames)
+    assert all(math.isnan(frame.utc_s) for frame in frames)
 
 
 def test_start_utc_option() -> None:

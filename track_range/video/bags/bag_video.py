@@ -194,7 +194,7 @@ class BagVideo:
                 problem = str(error) if problem == "no messages" else problem
         if first is None:
             raise DamagedError(problem)
-        self._uses_headers = all(stamp_s > 0 for stamp_s, _ in times_s)
+        self._uses_headers = any(stamp_s > 0 for stamp_s, _ in times_s)  # a simulation may begin at 0
         if not self._uses_headers:
             self._setup_notes.append(f"{self.path}: images without time stamps; the times of recording are used.")
         return first, [self._time_s(*pair) for pair in times_s]

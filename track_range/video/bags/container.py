@@ -19,7 +19,7 @@ MAX_RECORD_BYTES = 2**29
 SCAN_BYTES = 500_000_000
 """Number of bytes of a file without an index that are searched for topics."""
 
-HOW_TO_INSTALL = 'install the extra: pip install "track-range[mcap]"'
+_HOW_TO_INSTALL = "install it with pip install 'track-range[mcap]'"
 
 
 class DamagedError(Exception):
@@ -141,9 +141,9 @@ def _decompressed_by_library(data: bytes, compression: str, n_bytes: int) -> byt
 
 
 def missing_library(error: ImportError) -> NoReturn:
-    """Raise the error for a library of the extra that is not installed.
+    """Raise the error for a package of the extra that is not installed.
 
     Raises:
         VideoError: always.
     """
-    raise VideoError(f"MCAP files and ROS bags need the library {error.name}; {HOW_TO_INSTALL}") from error
+    raise VideoError(f"MCAP files and ROS bags require the package {error.name}: {_HOW_TO_INSTALL}.") from error
