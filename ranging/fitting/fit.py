@@ -47,7 +47,7 @@ def fit_sizes(settings: FitSettings) -> FittedSizes:
     """
     _check(settings)
     boxes, notes = _boxes(settings)
-    usable = usable_boxes(boxes)
+    usable = usable_boxes(boxes, settings.labels or settings.csv)
     comparison = {}
     if settings.compare or settings.picture is not None:
         names = [str(name) for name in np.unique(usable.boxes.class_name)]

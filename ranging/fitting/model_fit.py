@@ -49,8 +49,12 @@ class UsableBoxes:
     rejected: tuple[str, ...]
 
 
-def usable_boxes(boxes: BoxSet) -> UsableBoxes:
+def usable_boxes(boxes: BoxSet, source: object) -> UsableBoxes:
     """The boxes without classes of fewer than `MIN_SAMPLES` boxes or with boxes of a single size.
+
+    Args:
+        boxes: labelled boxes.
+        source: file or folder of the labels, for messages.
 
     Raises:
         CurveError: no class is left.
@@ -67,7 +71,7 @@ def usable_boxes(boxes: BoxSet) -> UsableBoxes:
             is_usable |= is_class
     if not is_usable.any():
         reasons = ", ".join(rejected) or "no labelled boxes"
-        raise CurveError(f"too few samples to fit a curve for any class: {reasons}.")
+        raise CurveError(f"{source}: too few samples to fit a curve for any class: {reasons}.")
     return UsableBoxes(boxes.select(is_usable), tuple(rejected))
 
 
