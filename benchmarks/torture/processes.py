@@ -23,7 +23,7 @@ TIME_LIMIT_S = 20.0
 """Duration in seconds after which a command counts as hanging; usual ones take less than one."""
 
 _MEMORY_BYTES = 8_000_000_000
-"""Largest growth of the address space of a command; pyarrow and the stacks of threads reserve much more than they use."""
+"""Largest growth of the address space of a command; pyarrow and threads reserve much more than they use."""
 
 _MAX_OUTPUT = 1_000_000
 """Number of bytes of the output that are kept."""
