@@ -51,6 +51,13 @@ COMMANDS = {
             "track-range export fixed.xml --to yolo --video drive.mp4 --images --out data",
         ),
     ),
+    "view": Lazy(
+        "track_range.cli.view",
+        "Show a finished run in the viewer of rerun.",
+        "Video, bird's eye and plots. Writes run.rrd to the folder of the run if it is not there. Requires the extra "
+        "rerun.",
+        ("track-range view drive-1", "track-range view drive-1 --web"),
+    ),
     "calibrate": Lazy(
         "track_range.cli.calibrate",
         "Calibrate a camera or a stereo pair from images of a board.",

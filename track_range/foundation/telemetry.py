@@ -1,7 +1,7 @@
 """Telemetry of third-party packages, disabled before they are imported.
 
 A package of track-range that imports one of them calls `disable_telemetry` in its `__init__`. Packages without such a
-variable: Rerun, only the viewer of which collects statistics, as set by `rerun analytics`; a run only writes its files.
+variable: Rerun, only the viewer of which collects statistics. `track-range view` starts it with `VIEWER_VARIABLES`.
 """
 
 from __future__ import annotations
@@ -31,6 +31,13 @@ TELEMETRY_SWITCHES = (
     # reports the cluster, the libraries in use and the operating system
     TelemetrySwitch("ray", "RAY_USAGE_STATS_ENABLED", "0"),
 )
+
+
+VIEWER_VARIABLES = {"CI": "true"}
+"""Environment of Rerun's viewer: it collects no statistics in continuous integration, and has no other variable for it.
+
+`rerun analytics disable` would record an event before it disables them.
+"""
 
 
 def disable_telemetry() -> None:

@@ -118,6 +118,7 @@ _registered: dict[str, WriterFactory | str] = {
     "parquet": "track_range.results.formats.parquet_file:ParquetWriter",
     "kitti": "track_range.results.formats.kitti_file:KittiWriter",
     "mcap": "track_range.results.formats.mcap.writer:McapWriter",
+    "rrd": "track_range.results.formats.rerun_file:RerunWriter",
 }
 """Writers by name; a string "package.module:Class" is imported on first use."""
 

@@ -285,7 +285,7 @@ class RunSettings(Options):
         tuple[str, ...],
         option(
             "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), mcap "
-            "(run.mcap, for Foxglove and ROS 2), or formats of installed packages.",
+            "(run.mcap, for Foxglove and ROS 2), rrd (run.rrd, for rerun), or formats of installed packages.",
             metavar="A,B,...",
             panel=_OUTPUT,
         ),

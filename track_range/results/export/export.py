@@ -154,6 +154,7 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
         settings=run.settings,
         start_utc_s=_start_utc_s(columns),
         provenance=source.provenance,
+        overlay=overlay if (overlay := run.folder / "overlay.mp4").is_file() else None,
     )
     with _output(settings.out), tempfile.TemporaryDirectory(prefix=".export-", dir=settings.out.parent) as temporary:
         folder = Path(temporary)

@@ -1,0 +1,72 @@
+"""`track-range view`: a finished run in the viewer of rerun."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from track_range.cli.console import console, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.errors import UserError
+from track_range.foundation.options import Options, option
+from track_range.foundation.telemetry import VIEWER_VARIABLES
+from track_range.results.export.export import export
+from track_range.results.export.settings import ExportSettings
+from track_range.results.export.source import is_run
+from track_range.results.formats.rerun_file import RERUN_FILE, RerunWriter
+
+
+class ViewError(UserError):
+    """The viewer cannot be started."""
+
+
+class ViewOptions(Options):
+    """Options of `track-range view`."""
+
+    run: Annotated[Path, option("Result folder of a run.", metavar="RUN", is_argument=True)]
+    web: Annotated[bool, option("Viewer as a page in the browser, served on this machine.")] = False
+
+
+def _view(options: ViewOptions) -> None:
+    RerunWriter().check_requirements()
+    path = recording_of(options.run)
+    print_line(console, f"Opening {path}; close the viewer or press Ctrl-C to end.")
+    try:
+        status = subprocess.run(
+            viewer_command(path, is_web=options.web), env={**os.environ, **VIEWER_VARIABLES}, check=False
+        ).returncode
+    except OSError as error:
+        raise ViewError(f"{path}: the viewer of rerun cannot be started ({error}).") from error
+    except KeyboardInterrupt:
+        return
+    if status > 0:
+        raise ViewError(
+            f"{path}: the viewer of rerun ended with status {status}; without a display, use track-range view --web."
+        )
+
+
+def recording_of(run: Path) -> Path:
+    """The run.rrd of a run; it is made from the other files of the run if there is none.
+
+    Raises:
+        ViewError: the folder does not contain a run.
+        OutputError: the file cannot be written.
+    """
+    path = run / RERUN_FILE
+    if not is_run(run):
+        raise ViewError(f"{run}: expected the result folder of a run, found none.")
+    if not path.is_file() or not path.stat().st_size:  # a killed run leaves an empty one
+        print_notes(console, export(ExportSettings(source=run, to="rrd", out=path)).notes)
+    return path
+
+
+def viewer_command(path: Path, *, is_web: bool) -> list[str]:
+    """Command line of the viewer."""
+    return [sys.executable, "-m", "rerun", *(["--web-viewer"] if is_web else []), str(path)]
+
+
+app = single_app(command(ViewOptions, _view))

@@ -1,0 +1,239 @@
+"""run.rrd: the tracks of a run for rerun, with a blueprint: video, bird's eye, 3-D scene and plots.
+
+    camera/image/video           overlay.mp4, logged at the end; H.264
+    camera/image/boxes           boxes in the image
+    world/camera, world/tracks   camera and cuboids (x right, y down, z forward)
+    birds_eye/tracks             the tracks from above: x right, y = -z
+    distance/track_ID, closing_speed/track_ID, log
+
+Timelines: `frame`, and `time` (UTC where the recording knows it, else seconds from the first frame).
+
+The file is written at the end of the run, since rerun-sdk hangs when it writes to a full disk; until then its content
+is in memory, as it is in the viewer. `track-range view` makes the file of a killed run from its rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_range.foundation import atomic_files
+from track_range.results.formats.extras import check_extra
+from track_range.results.formats.scene import TrackObject, track_objects
+from track_range.results.writers import RunInfo
+from track_range.run.frame_result import FrameResult
+
+RERUN_FILE = "run.rrd"
+
+APPLICATION = "track-range"
+"""Application id: the viewer stores changes of the blueprint by it."""
+
+_VIDEO, _BOXES, _TRACKS, _BIRDS_EYE = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
+_DISTANCE, _CLOSING, _LOG = "distance", "closing_speed", "log"
+
+_MAX_VIDEO_BYTES = 1_000_000_000
+"""Largest video that is embedded; the viewer holds it in memory."""
+
+_PREDICTED_ALPHA, _OBSERVED_ALPHA = 110, 255
+
+
+class RerunWriter:
+    """Writer of run.rrd. The last frame is held back, so that it can be discarded."""
+
+    files = (RERUN_FILE,)
+
+    def check_requirements(self) -> None:
+        """Check that rerun-sdk is installed.
+
+        Raises:
+            ExtraError: it is missing.
+        """
+        check_extra("rrd", "rerun", "rerun")
+
+    def open(self, info: RunInfo, folder: Path) -> None:
+        """Log the camera, the provenance and the blueprint."""
+        self.check_requirements()
+        import rerun as rr
+
+        self._info = info
+        self._recording = rr.RecordingStream(APPLICATION)
+        self._stream = rr.binary_stream(self._recording)
+        self._recording.send_blueprint(_blueprint(has_video=info.overlay is not None))
+        self._recording.send_property(
+            "provenance", rr.AnyValues(drop_untyped_nones=True, **_plain(info.provenance.metadata()))
+        )
+        self._log_camera()
+        self._held: FrameResult | None = None
+        self._frames: list[int] = []
+        self._times_s: list[float] = []
+        self._last_s, self._named = 0.0, set[int]()
+        self._set_time(0, 0.0)
+        self._log_notes(info.notes)
+        self._path = folder / RERUN_FILE
+        atomic_files.write_bytes(self._path, b"")  # so that a folder without space or permission is reported now
+
+    def write(self, result: FrameResult) -> None:
+        """Log the frame before this one, and hold this one."""
+        self._release()
+        self._held = result
+
+    def discard_last(self) -> None:
+        """Discard the frame that is held."""
+        self._held = None
+
+    def close(self, summary: Mapping[str, Any] | None) -> None:
+        """Log the last frame, the notes of the run and the video, and write the file."""
+        try:
+            self._release()
+            notes = (summary or {}).get("notes") or ()
+            self._log_notes(note for note in notes if note not in self._info.notes)
+            self._log_video()
+            atomic_files.write_bytes(self._path, self._stream.read() or b"")
+        finally:
+            self._recording.disconnect()
+
+    def _release(self) -> None:
+        """Log the held frame."""
+        if self._held is None:
+            return
+        result, self._held = self._held, None
+        time_s = result.time_s if math.isfinite(result.time_s) else self._last_s + 1 / self._info.fps
+        self._last_s = max(self._last_s, time_s)
+        self._frames.append(result.index)
+        self._times_s.append(self._last_s)
+        self._set_time(result.index, self._last_s)
+        self._log_objects(list(track_objects(result, self._info.camera)))
+
+    def _set_time(self, frame: int, time_s: float) -> None:
+        self._recording.set_time("frame", sequence=frame)
+        if self._info.start_utc_s is None:
+            self._recording.set_time("time", duration=time_s)
+        else:
+            self._recording.set_time("time", timestamp=self._info.start_utc_s + time_s)
+
+    def _log_camera(self) -> None:
+        import rerun as rr
+
+        camera = self._info.camera
+        pinhole = rr.Pinhole(
+            resolution=[camera.width_px, camera.height_px],
+            focal_length=[camera.fx_px, camera.fy_px],
+            principal_point=[camera.cx_px, camera.cy_px],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=3.0,
+        )
+        self._recording.log("world", rr.ViewCoordinates.RDF, static=True)
+        self._recording.log("world/camera", pinhole, static=True)
+        self._recording.log("birds_eye/camera", rr.Points2D([[0.0, 0.0]], labels=["camera"], radii=0.5), static=True)
+
+    def _log_objects(self, objects: Sequence[TrackObject]) -> None:
+        import rerun as rr
+
+        colours = [_rgba(shown) for shown in objects]
+        labels = [shown.label for shown in objects]
+        edges = np.array([shown.xyxy_px for shown in objects]).reshape(-1, 4)
+        boxes = rr.Boxes2D(array=edges + 0.5, array_format=rr.Box2DFormat.XYXY, colors=colours, labels=labels)
+        self._recording.log(_BOXES, boxes)  # rerun's pixels have their centres at 0.5
+        ranged = [shown for shown in objects if shown.is_ranged]
+        centres = np.array([shown.centre_m for shown in ranged]).reshape(-1, 3)
+        sizes = np.array([shown.size_m for shown in ranged]).reshape(-1, 3)
+        of_ranged: dict[str, Any] = {
+            "colors": [_rgba(shown) for shown in ranged],
+            "labels": [shown.label for shown in ranged],
+        }
+        self._recording.log(_TRACKS, rr.Boxes3D(centers=centres, sizes=sizes, **of_ranged))
+        above = np.stack([centres[:, 0], -centres[:, 2]], axis=1)
+        self._recording.log(_BIRDS_EYE, rr.Points2D(above, radii=0.8, **of_ranged))
+        for shown in objects:
+            self._log_scalars(shown)
+
+    def _log_scalars(self, shown: TrackObject) -> None:
+        import rerun as rr
+
+        paths = [f"{place}/track_{shown.track_id}" for place in (_DISTANCE, _CLOSING)]
+        if shown.track_id not in self._named:
+            self._named.add(shown.track_id)
+            style = rr.SeriesLines(colors=[shown.rgb], names=[f"{shown.class_name} {shown.track_id}"])
+            for path in paths:
+                self._recording.log(path, style, static=True)
+        for path, value in zip(paths, (shown.distance_m, shown.closing_mps), strict=True):
+            if math.isfinite(value):
+                self._recording.log(path, rr.Scalars(value))
+
+    def _log_notes(self, notes: Iterable[str]) -> None:
+        import rerun as rr
+
+        for note in notes:
+            self._recording.log(_LOG, rr.TextLog(note, level=rr.TextLogLevel.INFO))
+
+    def _log_video(self) -> None:
+        """The annotated video, with a reference to its frame for each frame of the run."""
+        import rerun as rr
+
+        path = self._info.overlay
+        if path is None or not path.is_file() or not self._frames:
+            return
+        if path.stat().st_size > _MAX_VIDEO_BYTES:
+            self._log_notes([f"{path.name} is not embedded, since it has more than {_MAX_VIDEO_BYTES / 1e9:.0f} GB."])
+            return
+        video = rr.AssetVideo(path=path)
+        try:
+            shown_ns = video.read_frame_timestamps_nanos()
+        except (RuntimeError, ValueError):  # the video of a killed run without a frame
+            return
+        n = min(len(shown_ns), len(self._frames))
+        times_s = np.array(self._times_s[:n])
+        start_s = self._info.start_utc_s
+        by_time = (
+            rr.TimeColumn("time", duration=times_s)
+            if start_s is None
+            else rr.TimeColumn("time", timestamp=start_s + times_s)
+        )
+        self._recording.log(_VIDEO, video, static=True)
+        self._recording.send_columns(
+            _VIDEO,
+            indexes=[rr.TimeColumn("frame", sequence=self._frames[:n]), by_time],
+            columns=rr.VideoFrameReference.columns_nanos(shown_ns[:n]),
+        )
+
+
+def _plain(metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Metadata with keys that are names of components."""
+    return {key.rpartition(".")[2]: value for key, value in metadata.items()}
+
+
+def _rgba(shown: TrackObject) -> tuple[int, int, int, int]:
+    return (*shown.rgb, _OBSERVED_ALPHA if shown.is_observed else _PREDICTED_ALPHA)
+
+
+def _blueprint(*, has_video: bool) -> Any:
+    """Arrangement of the views; the boxes are hidden where the video already shows them."""
+    import rerun.blueprint as rrb
+
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Spatial2DView(
+                    origin="camera/image",
+                    name="Video",
+                    overrides={_BOXES: rrb.EntityBehavior(visible=False)} if has_video else None,
+                ),
+                rrb.Tabs(
+                    rrb.Spatial2DView(origin="birds_eye", name="Bird's eye (m)"),
+                    rrb.Spatial3DView(origin="world", name="3-D scene"),
+                ),
+            ),
+            rrb.Vertical(
+                rrb.TimeSeriesView(origin=_DISTANCE, name="Distance (m)"),
+                rrb.TimeSeriesView(origin=_CLOSING, name="Closing speed (m/s)"),
+                rrb.TextLogView(origin=_LOG, name="Notes"),
+                row_shares=[3, 2, 1],
+            ),
+            column_shares=[3, 2],
+        ),
+        collapse_panels=True,
+    )
