@@ -7,7 +7,8 @@ from the default tracker. Heads at least 8 px wide and plates at least 12 px wid
 separately. An object is tracked in a frame if the box of a track has an IoU of at least 0.3 with its box, and a class
 with such a part (heads: person, bicycle, motorcycle; plates: car, motorcycle, bus, truck). `live` uses no later frames.
 
-Needless is the share of the image that is covered and is neither head nor plate.
+A road user is exposed if less than 0.9 of its head (8 px) or plate (12 px) is covered in at least one frame. Needless
+is the share of the image that is covered and is neither head nor plate.
 """
 
 from __future__ import annotations
@@ -53,6 +54,9 @@ CLASSES = {
 }
 """Classes of road users with each part."""
 
+COVERED_SHARE = 0.9
+"""Minimum covered fraction of a readable part; with less in one of its frames, its road user counts as exposed."""
+
 TRACKED_IOU = 0.3
 MIN_VISIBLE_SHARE = 0.1
 
@@ -66,11 +70,13 @@ class SeenPart:
     """A visible head or plate.
 
     Attributes:
+        user: row of its road user in the scene.
         part: head or plate.
         row, column: (P,) its pixels.
         is_tracked: whether a track shows its road user, by source of the boxes.
     """
 
+    user: int
     part: Part
     row: IntArray
     column: IntArray
@@ -173,7 +179,7 @@ def seen_parts(
             source: row in box_of and _is_shown(box_of[row], shown.select(np.isin(shown.class_id, CLASSES[which])))
             for source, shown in tracks.items()
         }
-        yield SeenPart(which, rows, columns, is_tracked)
+        yield SeenPart(row, which, rows, columns, is_tracked)
 
 
 def _is_shown(xyxy_px: FloatArray, tracks: Tracks) -> bool:
@@ -196,7 +202,8 @@ def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead:
     n_covered: dict[Key, int] = {}
     n_pixels: dict[Key, int] = {}
     n_needless = n_image = 0
-    for frames in drives:
+    exposed: dict[tuple[Part, bool], dict[tuple[int, int], bool]] = {}
+    for drive, frames in enumerate(drives):
         results = with_regions((frame.results[source] for frame in frames), look_ahead)
         for frame, (_, regions) in zip(frames, results, strict=True):
             mask = covered(regions, frame.shape)
@@ -208,8 +215,18 @@ def scores(drives: Sequence[Sequence[SeenFrame]], source: BoxSource, look_ahead:
                 for key in _keys(seen, source):
                     n_covered[key] = n_covered.get(key, 0) + n_in_mask
                     n_pixels[key] = n_pixels.get(key, 0) + len(seen.row)
+                    if key[1]:
+                        objects = exposed.setdefault((key[0], key[2]), {})
+                        is_exposed = n_in_mask < COVERED_SHARE * len(seen.row)
+                        objects[drive, seen.user] = objects.get((drive, seen.user), False) or is_exposed
     return {
         **{_name(key): n_covered[key] / n_pixels[key] for key in sorted(n_pixels)},
+        **{
+            f"{part.name.lower()}s exposed in a frame, {'tracked' if is_tracked else 'all'}": float(
+                np.mean(list(objects.values()))
+            )
+            for (part, is_tracked), objects in sorted(exposed.items())
+        },
         "needless": n_needless / n_image,
     }
 

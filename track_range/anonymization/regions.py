@@ -33,8 +33,8 @@ RIDER_SHARE = 0.36
 """Height of the rider's head region below the upper edge of the box of a bicycle or motorcycle, relative to the box."""
 
 ABOVE_BICYCLE, ABOVE_MOTORCYCLE = 0.75, 0.5
-"""Height of the rider's head region above the box of a bicycle or motorcycle without a detected person, relative to the
-box: a rider is 1.75 times as high as a bicycle, and 1.45 times as high as a motorcycle."""
+"""Height of the rider's head region above the box of a bicycle or motorcycle, relative to the box: a rider is 1.75
+times as high as a bicycle, and 1.45 times as high as a motorcycle."""
 
 PLATE_FROM, LARGE_VEHICLE_PLATE_FROM, PLATE_TO = 0.42, 0.5, 0.96
 """Upper edge of the plate region of cars and motorcycles, and of buses and trucks, and lower edge of both, as fractions
@@ -127,22 +127,11 @@ def _heads(boxes: Boxes) -> Regions:
 
 def _heads_of_riders(boxes: Boxes) -> Regions:
     cycles = boxes.select(np.isin(boxes.class_id, _CYCLES))
-    people = boxes.select(np.flatnonzero(boxes.class_id == _PERSON))
     x1, y1, x2, y2 = cycles.xyxy_px.T
     height_px = y2 - y1
     above = np.where(cycles.class_id == _BICYCLE, ABOVE_BICYCLE, ABOVE_MOTORCYCLE)
-    above = np.where(_have_rider(cycles.xyxy_px, people.xyxy_px), 0.0, above)
     edges = (x1, y1 - above * height_px, x2, y1 + RIDER_SHARE * height_px)
     return _widened(cycles, edges, HEAD_CELL * height_px * (1 + above))
-
-
-def _have_rider(cycles_px: FloatArray, people_px: FloatArray) -> BoolArray:
-    """(N,) whether a person's box (M, 4) starts above a bicycle's (N, 4), with its middle over the bicycle."""
-    x1, y1, x2, y2 = cycles_px.T[:, :, None]
-    middle_px = (people_px[:, 0] + people_px[:, 2]) / 2
-    is_over = (middle_px > x1) & (middle_px < x2)
-    reaches = (people_px[:, 1] < y1) & (people_px[:, 3] > y1) & (people_px[:, 3] < y2 + (y2 - y1) / 2)
-    return np.asarray((is_over & reaches).any(axis=1), np.bool_)
 
 
 def _plates(boxes: Boxes) -> Regions:

@@ -144,7 +144,7 @@ class RunSession:
         rig = self.source.calibration.path
         for path in [*input_files(self.settings), *([] if rig is None else [rig])]:
             for text in (os.path.realpath(path), str(path)):
-                note = note.replace(text, path.name)
+                note = note.replace(text, path.name) if os.sep in text else note
         return note.replace(str(Path.home()), "~")
 
     def _frame_mismatch_notes(self) -> list[str]:
