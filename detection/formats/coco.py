@@ -127,8 +127,8 @@ class _Reader:
 
     def fault(self, where: str, expected: str, value: object) -> LabelFileError:
         """An exception about a value, that the caller raises."""
-        found = "none" if value is None else quoted(value)
-        return LabelFileError(f"{self.path}, {where}: expected {expected}, found {found}.")
+        text = "none" if value is None else quoted(value)
+        return LabelFileError(f"{self.path}, {where}: expected {expected}, found {text}.")
 
     def integer(self, item: Mapping[str, Any], key: str, where: str, low: int, high: int) -> int:
         """An integer of an object; raises LabelFileError if it is missing or out of range."""

@@ -280,8 +280,8 @@ class _Content:
             raise self._fault(line, f"an integer from 0 to {high} as {key}", quoted(attributes.get(key, "")))
         return int(value)
 
-    def _fault(self, line: int, expected: str, found: str) -> LabelFileError:
-        return LabelFileError(f"{self._path}, line {line}: expected {expected}, found {found}.")
+    def _fault(self, line: int, expected: str, content: str) -> LabelFileError:
+        return LabelFileError(f"{self._path}, line {line}: expected {expected}, found {content}.")
 
 
 def _interpolated(path: Path, tracks: Sequence[_Track], *, has_repeated: bool) -> list[FloatArray]:

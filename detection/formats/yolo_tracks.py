@@ -200,8 +200,8 @@ def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
     frame_of: dict[Path, int] = {}
     file_of: dict[int, Path] = {}
     for file in files:
-        found = _LAST_NUMBER.search(file.stem)
-        frame = int(found[1]) if found else -1
+        number = _LAST_NUMBER.search(file.stem)
+        frame = int(number[1]) if number else -1
         if not 0 <= frame <= MAX_FRAME:
             raise LabelFileError(f"{file}: expected a frame number at the end of the name, such as NAME_000000.txt.")
         if (other := file_of.setdefault(frame, file)) != file:

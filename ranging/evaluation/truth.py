@@ -73,6 +73,7 @@ class Truth:
         closing_mps: (N,) closing speed, the decrease of the distance per second; NaN = unknown.
         protocol: description of the ground truth for users.
         notes: notes for the user about the file.
+        has_low_labels: whether low labels and tracks count, which KITTI's rules ignore.
     """
 
     frame: IntArray
@@ -84,6 +85,7 @@ class Truth:
     closing_mps: FloatArray
     protocol: str = KITTI_PROTOCOL
     notes: tuple[str, ...] = ()
+    has_low_labels: bool = False
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -134,6 +136,7 @@ def _of_table(path: Path, camera: PinholeCamera) -> Truth:
         closing_mps=np.full(len(table), np.nan),
         protocol=LABELS_PROTOCOL,
         notes=(*table.notes, *other_labels_note(table, path), origin),
+        has_low_labels=True,
     )
 
 

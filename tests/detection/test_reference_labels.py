@@ -73,7 +73,7 @@ FILES = {"coco": COCO, "cvat": CVAT, "kitti": KITTI, "mot": MOT}
 
 
 def make(folder: Path, name: str) -> Path:
-    """The reference file or folder of a format; the name of the file tells nothing about the format."""
+    """The reference file or folder of a format; its name does not depend on the format."""
     path = folder / "labels.dat"
     if name == "yolo":
         for file, text in YOLO.items():

@@ -131,7 +131,7 @@ def test_labels_and_images_for_training(run: Path, exported: dict[str, Path], sm
     assert label_format_of(folder).name == "yolo"
     assert cli("export", run, "--to", "yolo", "--out", folder)[0] == 0  # replaces the folder of an export
     assert {path.name for path in folder.iterdir()} == {"labels", "data.yaml"}
-    (folder / "notes.txt").write_text("mine")
+    (folder / "notes.txt").write_text("a note")
     status, _, error = cli("export", run, "--to", "yolo", "--out", folder)
     assert status == 1
     assert "data" in error

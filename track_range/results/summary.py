@@ -50,17 +50,19 @@ def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collec
 def track_scores(columns: Columns, truth: Truth | None, frames: IntArray) -> dict[str, Any]:
     """Section `tracks`: the number of tracks and, with ground truth, the MOT metrics over its classes.
 
-    As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks less than 25 px high.
+    As in KITTI's benchmark, labels less than 25 px high are ignored, and so are unmatched tracks less than 25 px high,
+    unless `truth.has_low_labels`.
     """
     track_id = columns["track_id"].astype(np.int64)
     counts: dict[str, Any] = {"n": len(np.unique(track_id)), "mota": None, "idf1": None, "idsw": None}
     if truth is None:
         return counts
     truth = truth.select(np.isin(truth.frame, frames))
-    counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= MIN_HEIGHT_PX)
+    min_height_px = 0.0 if truth.has_low_labels else MIN_HEIGHT_PX
+    counted = (truth.class_id >= 0) & (truth.xyxy_px[:, 3] - truth.xyxy_px[:, 1] >= min_height_px)
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     tracks = TrackedBoxes(columns["frame"].astype(np.int64), track_id, boxes_px(columns), class_id)
-    low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < MIN_HEIGHT_PX
+    low = tracks.xyxy_px[:, 3] - tracks.xyxy_px[:, 1] < min_height_px
     ignored_frame = np.concatenate([truth.frame[~counted], tracks.frame[low]])
     ignored_px = np.concatenate([truth.xyxy_px[~counted], tracks.xyxy_px[low]])
     labels = truth.select(counted)

@@ -170,8 +170,8 @@ class RunSettings(Options):
         Path | None,
         option(
             "Ground truth to measure the errors against: KITTI tracking labels, or a CSV with the columns "
-            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps; other columns "
-            "are ignored.",
+            "frame, id, class, x1, y1, x2, y2, distance_m and optionally visible_share, closing_mps (other columns "
+            "are ignored); or COCO, CVAT for video or YOLO labels with track ids.",
             panel=_INPUT,
         ),
     ] = None
@@ -203,8 +203,8 @@ class RunSettings(Options):
     detections: Annotated[
         Path | None,
         option(
-            "Recorded boxes instead of a detector: MOTChallenge's det.txt, KITTI labels or detections, or a "
-            "tracks.csv.",
+            "Recorded boxes instead of a detector: MOTChallenge's det.txt, KITTI labels or detections, a tracks.csv or "
+            "tracks.parquet, COCO, CVAT for video, or a folder of YOLO labels.",
             panel=_DETECTION,
         ),
     ] = None

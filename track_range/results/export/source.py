@@ -32,25 +32,25 @@ class RunSource:
 
     Attributes:
         run: its results.
-        found: section `found` of settings.yaml; empty without that file.
+        detected: section `found` of settings.yaml; empty without that file.
         camera: the left camera; None = unknown.
     """
 
     run: RunFolder
-    found: Mapping[str, Any]
+    detected: Mapping[str, Any]
     camera: PinholeCamera | None
 
     @property
     def provenance(self) -> Provenance:
         """Origin of the results, from settings.yaml."""
-        model = {key: self.found[key] for key in ("detector", "detections") if key in self.found}
-        rig = {key: self.found[key] for key in ("focal_px", "baseline_m", "image_size_px") if key in self.found}
+        model = {key: self.detected[key] for key in ("detector", "detections") if key in self.detected}
+        rig = {key: self.detected[key] for key in ("focal_px", "baseline_m", "image_size_px") if key in self.detected}
         return Provenance(model=model, rig=rig, settings_hash=settings_hash(self.run.settings))
 
     @property
     def fps(self) -> float | None:
         """Frame rate; None = unknown."""
-        fps = self.found.get("fps")
+        fps = self.detected.get("fps")
         return float(fps) if isinstance(fps, int | float) and fps > 0 else None
 
 
@@ -66,13 +66,15 @@ def open_run(folder: Path) -> RunSource:
         OutputError: the folder does not contain a run.
     """
     run = read_run_folder(folder)
-    found: Any = {}
+    detected: Any = {}
     if os.path.isfile(folder / "settings.yaml"):
         settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
-        found = settings.get("found") if isinstance(settings, dict) else {}
-    found = found if isinstance(found, dict) else {}
-    section = validated(DetectedCamera, found, f"{folder / 'settings.yaml'}, found", OutputError) if found else None
-    return RunSource(run, found, None if section is None else section.camera())
+        detected = settings.get("found") if isinstance(settings, dict) else {}
+    detected = detected if isinstance(detected, dict) else {}
+    section = (
+        validated(DetectedCamera, detected, f"{folder / 'settings.yaml'}, found", OutputError) if detected else None
+    )
+    return RunSource(run, detected, None if section is None else section.camera())
 
 
 def boxes_of_run(source: RunSource) -> BoxTable:

@@ -1,0 +1,112 @@
+"""What survives a round trip through each label format, with its precision, size and time.
+
+Boxes in 2,000 frames, of 10 tracks, with distances for 80 % of them, are written and read again:
+
+    edges, distance, score   largest difference; "-" = not in the format
+    ids, classes, predicted  share of the boxes for which the value is the same; "-" = not in the format
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.plain_tables import figure_text, plain_table
+from track_range.detection.classes import ROAD_CLASSES
+from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat
+
+_N_TRACKS = 10
+_SIZE_PX = (1242, 375)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this workload."""
+    parser.add_argument("--frames", type=int, default=2000, help="number of frames")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Print the table, and return its figures by format."""
+    table = _tracks(options.frames)
+    with tempfile.TemporaryDirectory() as folder:
+        figures = {
+            name: _figures(table, label_format, Path(folder) / name)
+            for name, label_format in LABEL_FORMATS.items()
+            if label_format.write is not None
+        }
+    heads = ("edges px", "distance m", "score", "ids %", "classes %", "predicted %", "MB", "write s", "read s")
+    shown = plain_table(f"Round trip of {len(table)} boxes in {options.frames} frames", "format", *heads)
+    for name, row in figures.items():
+        shown.add_row(
+            name,
+            figure_text(row["edges_px"], digits=5),
+            *(figure_text(row[key], digits=4) for key in ("distance_m", "score")),
+            *(figure_text(row[key], digits=0) for key in ("ids_pct", "classes_pct", "predicted_pct")),
+            *(figure_text(row[key], digits=1) for key in ("size_mb", "write_s", "read_s")),
+        )
+    Console(width=100).print(shown)
+    return figures
+
+
+def _tracks(n_frames: int) -> BoxTable:
+    rng = np.random.default_rng(1)
+    frame = np.repeat(np.arange(n_frames), _N_TRACKS)
+    track_id = np.tile(np.arange(1, _N_TRACKS + 1), n_frames)
+    first = rng.uniform([0, 0], [1100, 300], (len(frame), 2))
+    distance_m = np.where(rng.random(len(frame)) < 0.8, rng.uniform(2, 150, len(frame)), np.nan)
+    return BoxTable.of(
+        frame,
+        track_id,
+        [ROAD_CLASSES[number % len(ROAD_CLASSES)] for number in track_id.tolist()],
+        np.concatenate([first, first + rng.uniform(5, 70, (len(frame), 2))], axis=1) - 0.5,
+        score=rng.random(len(frame)),
+        observed=rng.random(len(frame)) < 0.9,
+        distance_m=distance_m,
+        sigma_m=distance_m / 20,
+        video=VideoFacts("drive", n_frames, 0, _SIZE_PX, 10.0),
+    )
+
+
+def _figures(table: BoxTable, label_format: LabelFormat, path: Path) -> dict[str, float | None]:
+    if label_format.write is None:
+        raise ValueError(f"{label_format.name}: expected a format that is written")
+    start_s = time.perf_counter()
+    label_format.write(table, path)
+    written_s = time.perf_counter()
+    back = label_format.read(path, VideoFacts(size_px=_SIZE_PX))
+    read_s = time.perf_counter()
+    if (back.track_id < 0).all():
+        table, back = _by_box(table), _by_box(back)
+    files = [file for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file()]
+    return {
+        "edges_px": float(np.abs(back.xyxy_px - table.xyxy_px).max()),
+        "distance_m": _error(back.distance_m, table.distance_m),
+        "score": _error(back.score, table.score),
+        "ids_pct": _share(back.track_id == table.track_id, is_there=bool((back.track_id >= 0).any())),
+        "classes_pct": _share(back.class_id == table.class_id, is_there=bool((back.class_id >= 0).any())),
+        "predicted_pct": _share(back.observed == table.observed, is_there=not back.observed.all()),
+        "size_mb": sum(file.stat().st_size for file in files) / 1e6,
+        "write_s": written_s - start_s,
+        "read_s": read_s - written_s,
+    }
+
+
+def _by_box(table: BoxTable) -> BoxTable:
+    """A table sorted by frame and position, which do not depend on identities."""
+    return table.select(np.lexsort((table.xyxy_px[:, 0], table.frame)))
+
+
+def _error(values: np.ndarray[Any, Any], expected: np.ndarray[Any, Any]) -> float | None:
+    """Largest difference of values that are known in both; None if there are none."""
+    both = np.isfinite(values) & np.isfinite(expected)
+    return float(np.abs(values - expected)[both].max()) if both.any() else None
+
+
+def _share(is_same: np.ndarray[Any, Any], *, is_there: bool) -> float | None:
+    return 100 * float(is_same.mean()) if is_there else None
