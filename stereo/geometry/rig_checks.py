@@ -150,8 +150,9 @@ def check_camera(camera: PinholeCamera, source: object) -> None:
     )
     if camera.width_px and min(margins) < _MIN_MARGIN:
         raise RigError(
-            f"{source}: expected a principal point inside the image of {camera.width_px}x{camera.height_px} px, found "
-            f"({camera.cx_px:g}, {camera.cy_px:g}); calibrate again."
+            f"{source}: expected a principal point inside the image of {camera.width_px}x{camera.height_px} px, at "
+            f"least {_MIN_MARGIN:.0%} of the side from its border, found ({camera.cx_px:g}, {camera.cy_px:g}); "
+            "calibrate again."
         )
     coefficients = camera.distortion
     is_plausible = all(abs(value) <= _MAX_DISTORTION for value in coefficients)  # not NaN

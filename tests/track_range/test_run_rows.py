@@ -86,9 +86,9 @@ def test_duplicate_track_in_a_frame() -> None:
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ([row(frame="-1"), row(time_s="")], "2 rows"),
+        ([row(frame="-1"), row(time_s="")], r"malformed .*2"),
         (["1,2,3", "4,5"], "2 rows"),
-        ([row(time_s="soon")], "soon"),
+        ([row(time_s="soon")], "'soon' in the column time_s in line 2"),
     ],
 )
 def test_file_of_malformed_rows_only(tmp_path: Path, lines: list[str], words: str) -> None:

@@ -247,8 +247,8 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     n_invalid = int(np.sum(~is_valid))
     if n_invalid and n_invalid == len(is_valid):
         raise OutputError(
-            f"{path}: expected rows with frame numbers, times, track IDs and boxes, found {n_invalid} rows that are "
-            "all malformed; repeat the run or restore the file."
+            f"{path}: expected rows with frame numbers, times, track IDs and boxes, found only malformed ones "
+            f"({n_invalid}); repeat the run or restore the file."
         )
     if n_invalid:
         missing.append(f"{n_invalid} of {len(is_valid)} rows of {path.name} are malformed and were ignored.")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from track_range.foundation.input_files import MAX_TABLE_BYTES, read_text, shortened
+from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.results.columns import Columns, result_columns
 from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError
@@ -24,6 +25,9 @@ _MAX_COLUMNS = 1000
 
 _MAX_CLASS = 200
 """Largest number of characters of a class name."""
+
+_INVALID_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.*)'", re.DOTALL)
+"""Message of pyarrow on a cell that is not a number: column from 0, line from 1, cell."""
 
 _MAX_PROBLEM = 150
 """Largest number of characters of the description of a problem."""
@@ -70,6 +74,7 @@ def read_tracks_csv(path: Path) -> Columns:
     from pyarrow import ArrowException
     from pyarrow import csv as arrow_csv
 
+    header: list[str] = []
     n_cells: list[int] = []  # of the rows that are skipped
     text = read_text(path, OutputError, "the tracks.csv of a run", max_bytes=MAX_TABLE_BYTES)
     try:
@@ -97,7 +102,7 @@ def read_tracks_csv(path: Path) -> Columns:
         if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
             raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
-        found = shortened(str(error) or "no header", _MAX_PROBLEM)
+        found = shortened(_problem(str(error), header), _MAX_PROBLEM)
         raise OutputError(
             f"{path}: expected the tracks.csv of a run, found {found}; repeat the run or restore the file."
         ) from error
@@ -105,3 +110,12 @@ def read_tracks_csv(path: Path) -> Columns:
         name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)
         for name, values in columns.items()
     }
+
+
+def _problem(reason: str, header: list[str]) -> str:
+    """What was found instead of rows, from an error of reading."""
+    invalid = _INVALID_NUMBER.search(reason)
+    if invalid is not None and int(invalid[1]) < len(header):
+        column, line, value = invalid.groups()
+        return f"{quoted(value)} in the column {header[int(column)]} in line {line}"
+    return reason or "no header"
