@@ -295,7 +295,7 @@ def test_results_of_a_run_are_anonymized(shared):
 def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     out = tmp_path / "out"
     inputs = ("--mono", shared / "film.mp4", "--detections", shared / "boxes.txt", "--lanes", "off")
-    formats = ("--write", "csv,mot,parquet,mcap", "--mcap-images")
+    formats = ("--write", "csv,mot,parquet,kitti,mcap,rrd", "--mcap-images")
     status, printed, complaint = cli(*inputs, *formats, "--anonymize", "--out", out)
     assert status == 0, complaint
     assert "not detected" in printed
@@ -304,6 +304,9 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
         content = file.read_bytes()
         for private in (b"Jane", b"48.8577", str(tmp_path).encode(), b"holiday"):
             assert private not in content, (file.name, private)
+    status, _, complaint = cli("export", out, "--to", "yolo", "--images", "--out", tmp_path / "yolo")
+    assert status == 2
+    assert "anonymized" in complaint
     plain = tmp_path / "plain"
     assert cli(*inputs, "--out", plain)[0] == 0
     assert (plain / "tracks.csv").read_bytes() == (out / "tracks.csv").read_bytes()
