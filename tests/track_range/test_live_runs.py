@@ -60,7 +60,7 @@ def test_one_camera_for_a_while(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     assert times_s[-1] < 0.5
     assert "Latency" in printed
     assert "<h3>Settings</h3>" in (out / "report.html").read_text()
-    assert all("secret" not in file.read_text() for file in out.iterdir() if file.suffix != ".mp4")
+    assert all(b"secret" not in file.read_bytes() for file in out.iterdir() if file.suffix != ".mp4")
     assert yaml.safe_load((out / "settings.yaml").read_text())["run"]["mono"] == camera.url
 
 

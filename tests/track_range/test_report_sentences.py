@@ -157,3 +157,11 @@ def test_stage_bars() -> None:
         {"name": "detect", "text": "8.0", "share_pct": 100.0},
     ]
     assert stage_bars({}) == speed_grids({}) == []
+
+
+def test_name_of_a_run_on_several_files() -> None:
+    assert (
+        run_name({"inputs": {"mono": ["/drives/a/1.mp4", "/drives/a/2.mp4", "/drives/a/3.mp4"]}})
+        == "a/1.mp4 and 2 more"
+    )
+    assert run_name({"inputs": {"left": "/drives/l.mp4", "right": ["/drives/r.mp4"]}}) == "drives/l.mp4 + drives/r.mp4"

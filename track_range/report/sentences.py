@@ -25,8 +25,15 @@ _FAR_M = 50.0
 def run_name(summary: Summary) -> str:
     """Name of a run: the names of its videos, each with its folder."""
     inputs = summary.get("inputs") or {}
-    named = [str(inputs[key]) for key in ("left", "right", "video", "mono") if inputs.get(key)]
-    return " + ".join("/".join(Path(name).parts[-2:]) for name in named) or "A run"
+    named = [_recording_name(inputs[key]) for key in ("left", "right", "video", "mono") if inputs.get(key)]
+    return " + ".join(named) or "A run"
+
+
+def _recording_name(value: Any) -> str:
+    """Name of a video with its folder; of several files, that of the first with the number of the others."""
+    files = value if isinstance(value, list) else [value]
+    name = "/".join(Path(str(files[0])).parts[-2:])
+    return name if len(files) == 1 else f"{name} and {len(files) - 1} more"
 
 
 def cards(summary: Summary) -> Iterator[dict[str, str]]:

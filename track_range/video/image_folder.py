@@ -148,8 +148,8 @@ def _numbered_images(folder: Path) -> list[tuple[int, Path]]:
     images = sorted((int(digits[-1]), entry) for digits, entry in numbers if digits)
     if not images:
         raise VideoError(
-            f"{folder}: expected numbered images (000000.png, 000001.png, ...), found none; give the folder that "
-            "contains them, or a video file."
+            f"{folder}: expected numbered images (000000.png, 000001.png, ...) or videos, found none; give the "
+            "folder that contains them, or a video file."
         )
     if images[-1][0] > _MAX_NUMBER:
         raise VideoError(f"{images[-1][1]}: expected a frame number of at most 19 digits; rename the images.")

@@ -102,6 +102,8 @@ def _video_name(settings: Mapping[str, Any]) -> str:
     """Name of the left or only video, without suffix and characters that some programs do not allow; "" = unknown."""
     stereo = settings.get("stereo")
     video = stereo[0] if isinstance(stereo, list) and stereo else settings.get("mono")
+    if isinstance(video, list):  # several files
+        video = video[0] if video else None
     stem = Path(str(video or "")).stem
     return "".join(character if character.isalnum() or character in "-_." else "_" for character in stem)[:100]
 
