@@ -26,6 +26,7 @@ from benchmarks import (
     stereo,
     torture,
     tracking,
+    writers,
 )
 
 WORKLOADS = {
@@ -48,6 +49,7 @@ WORKLOADS = {
     "startup": startup,
     "torture": torture,
     "stereo": stereo,
+    "writers": writers,
 }
 """Module of each workload, with `add_options(parser)` and `measure(options) -> figures`, which prints its tables."""
 
