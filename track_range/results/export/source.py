@@ -65,7 +65,7 @@ def open_run(folder: Path) -> RunSource:
     Raises:
         OutputError: the folder does not contain a run.
     """
-    run = read_run_folder(folder)
+    run = read_run_folder(folder, is_rounded=False)
     detected: Any = {}
     if os.path.isfile(folder / "settings.yaml"):
         settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
