@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +27,7 @@ from track_range.video.bags.bag import is_bag
 from track_range.video.bags.calibration import camera_of, rig_of
 from track_range.video.bags.decoding import CameraMessage, _ros_reader
 from track_range.video.frame import VideoError
-from track_range.video.names import BagTopic
+from track_range.video.names import BagTopic, Segments
 from track_range.video.reader import VideoReader
 from track_range.video.recording import open_recording
 
@@ -253,6 +256,35 @@ def test_rotated_raw_pair() -> None:
     in_right_m = rig.right_from_left[:3, :3] @ point_m + rig.right_from_left[:3, 3]
     np.testing.assert_allclose(turn @ in_right_m, point_m - [0.5, 0.0, 0.0], atol=1e-12)
     assert rig.left.distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "trip"
+    folder.mkdir()
+    for number in range(2):
+        monkeypatch.setattr("tests.track_range.bag_writers.START_NS", START_NS + number * 1_200_000_000)
+        write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images)
+    reader = VideoReader(BagTopic(folder, "/cam/image"))
+    assert [frame.index for frame in reader] == list(range(24))
+    assert reader.n_frames == 24
+    assert [frame.index for frame in VideoReader(folder, start_s=1.55, duration_s=0.2)] == [16, 17]
+    with pytest.raises(VideoError, match="one bag"):
+        VideoReader(Segments((folder / "trip_0.mcap", folder / "trip_1.mcap")))
+    (folder / "trip_1.mcap").rename(folder / "other.mcap")
+    with pytest.raises(VideoError, match=r"metadata\.yaml"):
+        VideoReader(folder)
+
+
+def test_journal_of_a_killed_recorder(tmp_path: Path, images: list[np.ndarray]) -> None:
+    bag = write(tmp_path / "bag", "sqlite3", ("/cam",), images)
+    file = next(bag.glob("*.db3"))
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("DELETE FROM messages WHERE id > 20")
+        database.commit()
+        copy = tmp_path / "copy"
+        shutil.copytree(bag, copy)  # with the journal, as after a kill
+    assert 0 < len(list(VideoReader(BagTopic(copy, "/cam/image_raw/compressed")))) < 12
 
 
 def test_settings_of_a_bag(tmp_path: Path, images: list[np.ndarray]) -> None:

@@ -58,6 +58,7 @@ def test_one_camera_for_a_while(boxes: Path, tmp_path: Path, cli: Cli) -> None:
     times_s = read_tracks_csv(out / "tracks.csv")["time_s"]
     assert times_s[0] >= 0
     assert times_s[-1] < 0.5
+    assert summary["utc"]["source"] == "clock of this computer"
     assert "Latency" in printed
     assert "<h3>Settings</h3>" in (out / "report.html").read_text()
     assert all(b"secret" not in file.read_bytes() for file in out.iterdir() if file.suffix != ".mp4")

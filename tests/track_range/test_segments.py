@@ -193,6 +193,12 @@ def test_pair_in_several_files(tmp_path: Path, trip: Trip) -> None:
     inputs.close()
 
 
+def test_results_in_the_folder_of_the_input(tmp_path: Path, trip: Trip) -> None:
+    trip(tmp_path / "trip", [*NAMES, "overlay.mp4"])
+    (tmp_path / "trip" / "settings.yaml").touch()
+    assert len(list(VideoReader(tmp_path / "trip"))) == 30
+
+
 def test_one_file_in_a_folder(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "trip", ["drive.mp4"])
     assert VideoReader(tmp_path / "trip").notes == ()

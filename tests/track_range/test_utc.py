@@ -6,6 +6,7 @@ import math
 from datetime import UTC, datetime
 from pathlib import Path
 
+import cv2
 import pytest
 
 from track_range.foundation.errors import UsageError
@@ -92,6 +93,15 @@ def test_time_of_a_run(tmp_path: Path, film) -> None:  # type: ignore[no-untyped
         assert [frame.utc_s - seconds(f"2026-01-31T{start}") for frame in frames] == pytest.approx([0.1, 0.2], abs=1e-5)
     frames = list(open_recording(film(tmp_path / "other.mp4", [0.0, 0.1]), focal_px=70.0).frames)
     assert all(math.isnan(frame.utc_s) for frame in frames)
+
+
+def test_time_of_an_image_folder(tmp_path: Path, level) -> None:  # type: ignore[no-untyped-def]
+    for number in range(2):
+        cv2.imwrite(str(tmp_path / f"{number:06}.png"), level(number))
+    (tmp_path / "timestamps.txt").write_text("2011-09-26 13:02:25.5\n2011-09-26 13:02:25.6\n")
+    utc = VideoReader(tmp_path).utc
+    assert utc is not None
+    assert (utc.start_s, utc.source, utc.is_local) == (seconds("2011-09-26T13:02:25.500"), "timestamps.txt", True)
 
 
 def test_start_utc_option() -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.images import IMAGE_SUFFIXES
+from track_range.video.bags.bag import is_bag
 from track_range.video.file import VideoFile, VideoHeader, count_packets
 from track_range.video.file_state import FileState
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
@@ -31,6 +32,9 @@ _MAX_FILES = 20_000
 
 _N_NOTES = 5
 """Largest number of messages about single files of a recording."""
+
+_RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")
+"""Names of the videos that a run writes."""
 
 _RATE_DIFFERENCE = 0.01
 """Relative difference up to which frame rates count as equal."""
@@ -259,6 +263,11 @@ def segment_files(name: Path | Segments) -> list[Path] | None:
         VideoError: no file matches a pattern, a folder contains both images and videos, or it cannot be read.
     """
     if isinstance(name, Segments):
+        bag = next((part for part in name.paths if is_bag(part)), None)
+        if bag is not None:
+            raise VideoError(
+                f"{bag}: expected video files, found an MCAP file or ROS bag; give one bag, or a folder with its files."
+            )
         return [path for part in name.paths for path in (segment_files(part) or [part])]
     if is_pattern(name):
         files = [path for path in matching_files(name) if path.is_file()]
@@ -267,13 +276,18 @@ def segment_files(name: Path | Segments) -> list[Path] | None:
                 f"{name}: no such file, and no file matches this pattern; give a video, folder or pattern."
             )
         return files
-    if not name.is_dir():
-        return None
+    return _videos_in(name) if name.is_dir() else None
+
+
+def _videos_in(name: Path) -> list[Path] | None:
+    """The video files of a folder; None if there are none. See `segment_files` for the errors."""
     try:
         files = sorted(path for path in name.iterdir() if path.name[0] != ".")
     except OSError as error:
         raise VideoError(f"{name}: the folder cannot be read ({describe(error)}); check its permissions.") from error
     videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
+    if (name / "settings.yaml").exists():  # results of a run in the folder of its input
+        videos = [path for path in videos if path.name not in _RESULT_VIDEOS]
     images = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES and any(map(str.isdigit, path.stem))]
     if videos and images:
         raise VideoError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,11 +42,18 @@ def open_bag(path: Path) -> Bag:
     """The opened bag.
 
     Raises:
-        VideoError: it cannot be read, is compressed as a whole, or a library is missing.
+        VideoError: it cannot be read, is compressed as a whole, the folder contains several bags, or a package is
+            missing.
     """
     if not path.is_dir():
         return _open_file(path)
     files = _files_in(path)
+    series = {re.sub(r"_?\d*(\.\w+)+$", "", file.name) for file in files}
+    if len(series) > 1 and not (path / "metadata.yaml").exists():
+        raise VideoError(
+            f"{path}: expected the files of one bag, found {shortened(files[0].name, 50)} and "
+            f"{shortened(files[-1].name, 50)} without metadata.yaml; give one file."
+        )
     return _open_file(files[0]) if len(files) == 1 else SplitBag(path, [_open_file(file) for file in files])
 
 

@@ -43,7 +43,17 @@ class SqliteFile:
             ) from error
 
     def _connected(self) -> sqlite3.Connection:
-        return sqlite3.connect(f"file:{quote(str(self.path.absolute()))}?mode=ro&immutable=1", uri=True)
+        """Connection that reads the file, with the journal that a recorder left that was killed."""
+        address = f"file:{quote(str(self.path.absolute()))}?mode=ro"
+        if Path(f"{self.path}-wal").exists():
+            try:
+                database = sqlite3.connect(address, uri=True)
+                database.execute("SELECT id FROM topics").fetchall()
+            except sqlite3.DatabaseError:  # such as a folder without write permission
+                pass
+            else:
+                return database
+        return sqlite3.connect(f"{address}&immutable=1", uri=True)
 
     def _count(self, database: sqlite3.Connection, topic_id: int) -> int | None:
         try:
