@@ -18,6 +18,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
 from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.frame_result import FrameResult
+from track_range.run.settings import without_folders
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -277,6 +278,25 @@ def shared(tmp_path_factory, film):
 
 def options(folder, **others):
     return {"detections": folder / "boxes.txt", "focal_px": 150, "lanes": "off", **others}
+
+
+def test_settings_without_folders():
+    settings = {
+        "stereo": ["/home/jane/a.mp4", ["/home/jane/b.mp4", "/home/jane/c.mp4"]],
+        "mono": "rtsp://camera/stream",
+        "detector": "road",
+        "rig": "/home/jane/rig.yaml",
+        "ego_speed": "50",
+        "focal_px": 700.0,
+    }
+    assert without_folders(settings) == {
+        "stereo": ["a.mp4", ["b.mp4", "c.mp4"]],
+        "mono": "rtsp://camera/stream",
+        "detector": "road",
+        "rig": "rig.yaml",
+        "ego_speed": "50",
+        "focal_px": 700.0,
+    }
 
 
 def test_results_of_a_run_are_anonymized(shared):
