@@ -34,8 +34,8 @@ from track_range.detection.formats.table_checks import check_identities, first_f
 from track_range.foundation.input_files import quoted
 from track_range.foundation.structured_text import read_json
 
-MAX_COCO_BYTES = 500_000_000
-"""Size limit, bytes: two million boxes, which take about 3 GB of memory while they are read."""
+MAX_COCO_BYTES = 250_000_000
+"""Size limit, bytes: about 1.2 million boxes, which take 2.5 GB of memory while they are read."""
 
 _DECIMALS = 3
 """Decimals of pixels and metres in written files."""

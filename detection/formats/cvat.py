@@ -63,6 +63,9 @@ _TOLERANCE_PX, _TOLERANCE_OF_SIZE, _TOLERANCE_OF_DISTANCE = 1.0, 0.02, 0.02
 """Largest difference between a written box and its interpolation: of an edge in px or as a fraction of the box's longer
 side, whichever is larger, and of the distance as a fraction of it."""
 
+_MAX_STEP = 50
+"""Largest number of boxes from one keyframe to the next, which limits the time to choose them."""
+
 _DECIMALS, _SCORE_DECIMALS = 3, 4
 
 _FRAME, _OUTSIDE, _DISTANCE, _SIGMA, _SCORE, _PREDICTED, _KEYFRAME = 0, 5, 6, 7, 8, 9, 10
@@ -459,19 +462,21 @@ def _keyframes(rows: BoxTable, is_last: BoolArray) -> BoolArray:
     is_keyframe[0] = True
     is_keyframe[1:] |= is_last[:-1]
     is_keyframe[1:] |= rows.observed[1:] != rows.observed[:-1]
+    is_keyframe[1:] |= np.diff(np.isnan(rows.distance_m))
+    is_keyframe[::_MAX_STEP] = True
     starts = np.flatnonzero(is_keyframe)
+    size_px = (rows.xyxy_px[:, 2:] - rows.xyxy_px[:, :2]).max(axis=1)
+    limit_px = np.maximum(_TOLERANCE_PX, _TOLERANCE_OF_SIZE * size_px)
+    limits = np.column_stack([*[limit_px] * 4, _TOLERANCE_OF_DISTANCE * rows.distance_m])
     pending = list(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True))
     while pending:  # Ramer, Douglas and Peucker: the box with the largest difference becomes a keyframe
         first, last = pending.pop()
         if last - first < 2:
             continue
-        share = (rows.frame[first + 1 : last] - rows.frame[first]) / (rows.frame[last] - rows.frame[first])
+        between = slice(first + 1, last)
+        share = (rows.frame[between] - rows.frame[first]) / (rows.frame[last] - rows.frame[first])
         line = values[first] + share[:, None] * (values[last] - values[first])
-        between = values[first + 1 : last]
-        size_px = np.maximum(between[:, 2] - between[:, 0], between[:, 3] - between[:, 1])
-        limit_px = np.maximum(_TOLERANCE_PX, _TOLERANCE_OF_SIZE * size_px)
-        limits = np.column_stack([*[limit_px] * 4, _TOLERANCE_OF_DISTANCE * between[:, 4]])
-        error = np.nan_to_num(np.abs(between - line) / limits).max(axis=1)
+        error = np.fmax.reduce(np.abs(values[between] - line) / limits[between], axis=1)  # ignores unknown distances
         if error.max() > 1:
             middle = first + 1 + int(np.argmax(error))
             is_keyframe[middle] = True

@@ -112,9 +112,9 @@ def _format_name(path: Path, expected: str) -> str:
         return _FIRST_CHARACTERS[first[0]]
     if "," not in first:
         return "kitti"
-    if first.startswith("frame,time_s,"):
-        return "tracks"
-    return "csv" if has_label_columns(path) else "mot"
+    if has_label_columns(path):
+        return "csv"
+    return "tracks" if first.startswith("frame,time_s,") else "mot"
 
 
 def _starts_as_parquet(path: Path, expected: str) -> bool:

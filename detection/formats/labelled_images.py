@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.formats.coco import MAX_COCO_BYTES
 from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
 from track_range.detection.formats.yolo_labels import YoloLabelReader
@@ -26,7 +27,7 @@ from track_range.foundation.arrays import BoolArray, Image
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
 from track_range.foundation.images import IMAGE_SUFFIXES
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, shortened
+from track_range.foundation.input_files import quoted, shortened
 from track_range.foundation.structured_text import read_json
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
@@ -186,7 +187,7 @@ def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, P
 
 def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
     """The images that a COCO file has labels for, by file name."""
-    document = read_json(file, LabelFileError, "COCO's labels", max_bytes=MAX_TABLE_BYTES)
+    document = read_json(file, LabelFileError, "COCO's labels", max_bytes=MAX_COCO_BYTES)
     try:
         road_of = _road_of_categories(document["categories"])
         labels: dict[Any, list[dict[str, Any]]] = {image["id"]: [] for image in document["images"]}

@@ -117,6 +117,20 @@ def test_truth_without_distances(exported: dict[str, Path], small_drive: Drive, 
 
 
 @pytest.mark.slow
+def test_frame_numbers_of_truth_are_noted(
+    exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli
+) -> None:
+    text = exported["coco"].read_text()
+    later = re.sub(r'"frame_index": (\d+)', lambda match: f'"frame_index": {int(match[1]) + 1}', text)
+    (tmp_path / "truth.json").write_text(later)
+    options = ("--mono", small_drive.left, "--rig", small_drive.rig, "--lanes", "off", "--no-overlay")
+    files = ("--detections", exported["coco"], "--truth", tmp_path / "truth.json", "--out", tmp_path / "out")
+    assert cli(*options, *files)[0] == 0
+    notes = " ".join(json.loads((tmp_path / "out/summary.json").read_text())["notes"])
+    assert [word in notes for word in ("start at 1", "frame 12, but", "increased by 1")] == [True] * 3
+
+
+@pytest.mark.slow
 def test_labels_and_images_for_training(run: Path, exported: dict[str, Path], small_drive: Drive, cli: Cli) -> None:
     folder, corrected = run.parent / "data", run.parent / "corrected"
     assert cli("export", run, "--to", "yolo", "--images", "--out", folder)[0] == 0

@@ -11,19 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from track_range.foundation.arrays import IntArray
 from track_range.overlay.outputs import missing_outputs, pictures
 from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.results.summary import range_scores, stage_times_ms, track_scores
 from track_range.results.table import RunTable
-from track_range.results.truth import MatchedTruth
+from track_range.results.truth import MatchedTruth, boxes_px
 from track_range.results.writers import RunInfo
 from track_range.run.box_source import BoxSource
 from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline import Pipeline
 from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
 from track_range.run.throughput import FrameMeter
+from track_range.tracking.frame_shift import frame_shift_note
 from track_range.video.recording import Recording
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")
@@ -57,6 +59,7 @@ class RunSession:
             without the estimation of the alignment (`alignment.look_s`).
         opened_s: seconds for opening the videos.
         stopped_by: error that ended the run early; None = not stopped.
+        frame_notes: messages for the user about the frame numbers of labels, known at the end of the run.
     """
 
     settings: RunSettings
@@ -73,6 +76,7 @@ class RunSession:
     wall_s: float = 0.0
     opened_s: float = 0.0
     stopped_by: BaseException | None = None
+    frame_notes: tuple[str, ...] = ()
 
     def add(self, result: FrameResult) -> None:
         """Add a finished frame.
@@ -130,6 +134,7 @@ class RunSession:
             *unused_options(self.settings),
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),
             *self._frame_mismatch_notes(),
+            *self.frame_notes,
             *(note for ranger in self.pipeline.rangers.values() if has_results for note in ranger.notes),
             # networks that fall back from the same device have the same note
             *(note for note in self.pipeline.notes if note not in (*boxes, *lanes)),
@@ -149,16 +154,35 @@ class RunSession:
 
     def _frame_mismatch_notes(self) -> list[str]:
         """Notes on files of boxes or labels without any frame number of the video."""
-        frames_of = {"--detections": self.boxes.frames}
-        if self.truth is not None:
-            frames_of["--truth"] = self.truth.frame
         processed = np.array(self.frame_index, np.int64)
         return [
             f"{option} has boxes for frames {frames.min()} to {frames.max()}, but none for the frames of the video, "
             f"{processed.min()} to {processed.max()}: check that it belongs to this video and how it counts frames."
-            for option, frames in frames_of.items()
+            for option, frames in self._labelled_frames().items()
             if len(frames) and len(processed) and not np.isin(frames, processed).any()
         ]
+
+    def _labelled_frames(self) -> dict[str, IntArray]:
+        """Frame numbers of the files of boxes or labels, by option."""
+        frames_of = {"--detections": self.boxes.frames}
+        return frames_of if self.truth is None else {**frames_of, "--truth": self.truth.frame}
+
+    def _frame_notes(self, columns: Columns) -> tuple[str, ...]:
+        """Notes on labels beyond the end of the video, and on ground truth whose frames are off by one."""
+        last = max(self.frame_index, default=-1)
+        is_whole = self.stopped_by is None and self.settings.duration_s is None and last >= 0
+        beyond = [
+            f"{option} has boxes up to frame {frames.max()}, but the last frame of the video is {last}; boxes "
+            "beyond it are ignored."
+            for option, frames in self._labelled_frames().items()
+            if is_whole and len(frames) and frames.min() <= last < frames.max()
+        ]
+        if self.truth is None:
+            return tuple(beyond)
+        labels = self.truth.select(self.truth.class_id >= 0)
+        frame = columns["frame"].astype(np.int64)
+        shift = frame_shift_note("--truth", labels.frame, labels.xyxy_px, frame, boxes_px(columns))
+        return (*beyond, *shift)
 
     def summary(self, columns: Columns, matched: MatchedTruth | None) -> dict[str, Any]:
         """Content of summary.json.
@@ -169,6 +193,7 @@ class RunSession:
         """
         source, calibration, rangers = self.source, self.source.calibration, self.pipeline.rangers.values()
         n_frames = len(self.frame_index)
+        self.frame_notes = self._frame_notes(columns)
         return {
             "frames": n_frames,
             "starts_s": round(self.starts_s, 6),
