@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from track_range.foundation.errors import UsageError
 from track_range.run.settings import save_settings, settings_from
@@ -15,7 +18,7 @@ from track_range.video.frame import VideoError
 from track_range.video.inputs import Inputs
 from track_range.video.names import Segments
 from track_range.video.reader import VideoReader
-from track_range.video.segment_times import SegmentFacts, SegmentPlan, arranged, natural_key
+from track_range.video.segment_times import SegmentFacts, SegmentPlan, arranged, natural_key, paired_starts_s
 from track_range.video.utc import Stamp, stamp_in_name
 
 Film = Callable[..., Path]
@@ -261,6 +264,37 @@ def test_contradictory_dates() -> None:
     plan = arranged(files, is_given_order=False)
     assert [name for name, _ in starts_s(plan)] == ["20260131_142530", "20260131_142630"]
     assert "contradict" in plan.notes[0]
+
+
+def test_pair_with_dates_in_utc_and_in_local_time() -> None:
+    left = arranged(
+        [facts("a", 60.0, created_s=1769869530.0), facts("b", 60.0, created_s=1769869690.0)], is_given_order=False
+    )
+    right = arranged([facts("20260131_152530.mp4", 60.0), facts("20260131_152811.mp4", 60.0)], is_given_order=False)
+    assert right.starts_s == (0.0, 161.0)
+    assert paired_starts_s(right, left) == left.starts_s == (0.0, 160.0)
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.1, 300.0), st.one_of(st.none(), st.integers(0, 10_000)), st.floats(-10.0, 1e6)),
+        min_size=1,
+        max_size=8,
+    )
+)
+@settings(max_examples=50)
+def test_times_increase(files: list[tuple[float, int | None, float]]) -> None:
+    given_files = [
+        SegmentFacts(Path(f"{number}.mp4"), first_s, duration_s, None if at is None else Stamp(at, "header"), None)
+        for number, (duration_s, at, first_s) in enumerate(files)
+    ]
+    try:
+        plan = arranged(given_files, is_given_order=True)
+    except VideoError as error:
+        assert "one camera" in str(error)  # noqa: PT017
+        return
+    assert sorted(file.path.name for file in plan.facts) == sorted(file.path.name for file in given_files)
+    assert all(later_s > earlier_s for earlier_s, later_s in itertools.pairwise(plan.starts_s))
 
 
 def test_overlap_is_noted() -> None:

@@ -109,7 +109,8 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
 
     Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
     """
-    if plan.clock_s and left.clock_s:
+    has_equal_clocks = plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
+    if plan.clock_s and left.clock_s and has_equal_clocks:
         starts_s = []
         for file, clock_s in zip(plan.facts, plan.clock_s, strict=True):
             nearest = min(range(len(left.clock_s)), key=lambda number: abs(left.clock_s[number] - clock_s))
@@ -118,7 +119,7 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
                 later_s = file.first_s - left.facts[nearest].first_s if abs(file.first_s) < _PARTNER_S else 0.0
             starts_s.append(left.starts_s[nearest] + later_s)
         return tuple(starts_s)
-    if not plan.clock_s and not left.clock_s and len(plan.facts) == len(left.facts):
+    if len(plan.facts) == len(left.facts):
         firsts_s = zip(plan.facts, left.facts, left.starts_s, strict=True)
         if _continuing(plan.facts) is None:
             return tuple(start_s + file.first_s - other.first_s for file, other, start_s in firsts_s)
