@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shutil
+import subprocess
 from collections import defaultdict
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +20,7 @@ from tests.track_range.test_mcap import CAMERA, START_S, frame, info
 from tests.track_range.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.cli.view import recording_of, viewer_command
 from track_range.foundation.errors import UserError
+from track_range.foundation.telemetry import VIEWER_VARIABLES
 from track_range.results.formats import extras
 from track_range.results.formats.scene import track_objects
 from track_range.results.output_files import OutputError
@@ -32,12 +38,12 @@ def write(folder: Path, n_frames: int = 4, **values: Any) -> Path:
 
 
 def rows_of(path: Path) -> Rows:
-    """Rows of each entity, with the columns that are not null."""
+    """Rows of each entity in the order of the frames, static ones first, with the columns that are not null."""
     rows = defaultdict(list)
     for chunk in rr.chunk.RrdReader(path).stream().to_chunks():
         for row in chunk.to_record_batch().to_pylist():
             rows[chunk.entity_path].append({name: value for name, value in row.items() if value is not None})
-    return dict(rows)
+    return {entity: sorted(given, key=lambda row: row.get("frame", -1)) for entity, given in rows.items()}
 
 
 def values(rows: Rows, entity: str, component: str) -> list[Any]:
@@ -128,3 +134,19 @@ def test_view(tmp_path: Path, inputs) -> None:  # noqa: F811
     with pytest.raises(UserError, match="nowhere"):
         recording_of(tmp_path / "nowhere")
     assert json.loads((tmp_path / "whole" / "summary.json").read_text())["frames"] == 20
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
+def test_viewer_makes_no_connection(tmp_path: Path) -> None:
+    """The viewer without a window, whether it can draw on this machine or not."""
+    command = viewer_command(write(tmp_path), is_web=False)
+    log = tmp_path / "calls.txt"
+    calls = ("strace", "-f", "-e", "trace=connect,bind,sendto,sendmmsg", "-o", str(log))
+    environment = {**os.environ, **VIEWER_VARIABLES, "HOME": str(tmp_path)}
+    with suppress(subprocess.TimeoutExpired):
+        subprocess.run([*calls, *command, "--headless"], env=environment, timeout=20, capture_output=True, check=False)
+    addresses = re.findall(r"sin6?_addr.*?[\"]([0-9a-f.:]+)[\"]", log.read_text())
+    assert addresses
+    assert set(addresses) <= {"127.0.0.1", "::1"}
+    assert not list(tmp_path.rglob("analytics*"))

@@ -65,8 +65,8 @@ def recording_of(run: Path) -> Path:
 
 
 def viewer_command(path: Path, *, is_web: bool) -> list[str]:
-    """Command line of the viewer."""
-    return [sys.executable, "-m", "rerun", *(["--web-viewer"] if is_web else []), str(path)]
+    """Command line of the viewer, which can be reached from this machine only."""
+    return [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", *(["--web-viewer"] if is_web else []), str(path)]
 
 
 app = single_app(command(ViewOptions, _view))

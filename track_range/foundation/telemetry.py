@@ -33,10 +33,20 @@ TELEMETRY_SWITCHES = (
 )
 
 
-VIEWER_VARIABLES = {"CI": "true"}
-"""Environment of Rerun's viewer: it collects no statistics in continuous integration, and has no other variable for it.
+_CLOSED_PORT = "http://127.0.0.1:9"
+"""Address at which nothing listens (the discard port)."""
 
-`rerun analytics disable` would record an event before it disables them.
+VIEWER_VARIABLES = {
+    "CI": "true",
+    "HTTPS_PROXY": _CLOSED_PORT,
+    "ALL_PROXY": _CLOSED_PORT,
+    "https_proxy": _CLOSED_PORT,
+    "NO_PROXY": "127.0.0.1,localhost",
+}
+"""Environment of Rerun's viewer, so that it makes no connection.
+
+In continuous integration it collects no statistics; it has no other variable for that, and `rerun analytics disable`
+records an event before it disables them. Its check for a newer version cannot be disabled, but uses a proxy.
 """
 
 
