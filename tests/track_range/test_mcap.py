@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -21,10 +22,13 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoders
+from pyarrow import parquet
 
 from tests.track_range.test_results import result
 from tests.track_range.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.foundation.errors import UserError
+from track_range.results.export.export import export
+from track_range.results.export.settings import ExportSettings
 from track_range.results.formats import extras
 from track_range.results.formats.mcap import LAYOUT
 from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_objects
@@ -375,3 +379,26 @@ def test_layout(foxglove: dict[str, Any]) -> None:
         assert field in foxglove["/tracks/ranges"][0][2]["tracks"][0]
     panels = re.findall(r"[A-Za-z0-9]+![a-z]+", json.dumps(layout["layout"]))
     assert sorted(panels) == sorted(layout["configById"])
+
+
+@pytest.mark.slow
+def test_export_of_a_killed_run(tmp_path: Path, inputs) -> None:  # noqa: F811
+    """All rows of a run of which only settings.yaml and tracks.arrows remain, in the full precision of the run."""
+    run = inputs(tmp_path, overlay=False, write="parquet,mcap")
+    frames = iter(run)
+    for _ in range(12):
+        next(frames)
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    for name in ("settings.yaml", "tracks.arrows"):
+        shutil.copy(tmp_path / name, killed)
+    list(frames)
+    export(ExportSettings(source=killed, to="mcap", out=tmp_path / "recovered.mcap"))
+    export(ExportSettings(source=killed, to="parquet", out=tmp_path / "recovered.parquet"))
+    whole, recovered = (messages(tmp_path / name)["/tracks/ranges"] for name in ("run.mcap", "recovered.mcap"))
+    assert [row[2] for row in recovered] == [row[2] for row in whole[: len(recovered)]]
+    assert len(recovered) >= 12
+    tables = [parquet.read_table(tmp_path / name) for name in ("tracks.parquet", "recovered.parquet")]
+    assert tables[1].equals(tables[0].slice(0, tables[1].num_rows))
+    for key in (b"track_range.settings_hash", b"track_range.schema_version", b"track_range.model"):
+        assert tables[1].schema.metadata[key] == tables[0].schema.metadata[key]
