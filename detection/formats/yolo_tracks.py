@@ -93,7 +93,7 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         )
     rows = [row for file in files for row in _rows(file, frame_of[file], len(names))]
     table = np.array([row.values for row in rows], np.float64).reshape(-1, _N_COLUMNS + 1)
-    score, track_id = _score_and_identity(path, rows)
+    score, track_id = _score_and_identity(rows)
     width, height = facts.size_px
     is_valid = np.asarray((table[:, 4:6] > 0).all(axis=1))
     table, score, track_id = table[is_valid], score[is_valid], track_id[is_valid]
@@ -121,11 +121,13 @@ class _Row:
         values: frame, class, centre x, centre y, width, height, and up to two more columns, NaN if there are none.
         n_columns: number of columns in the file.
         ends_with_integer: whether the last column is an integer, without a decimal point.
+        where: file and line, for messages.
     """
 
     values: list[float]
     n_columns: int
     ends_with_integer: bool
+    where: str
 
 
 def _rows(file: Path, frame: int, n_names: int) -> list[_Row]:
@@ -151,10 +153,10 @@ def _row(where: str, frame: int, cells: list[str], n_names: int) -> _Row:
             "data.yaml or classes.txt."
         )
     missing = [np.nan] * (_N_COLUMNS - len(cells))
-    return _Row([float(frame), *values, *missing], len(cells), _INTEGER.fullmatch(cells[-1]) is not None)
+    return _Row([float(frame), *values, *missing], len(cells), _INTEGER.fullmatch(cells[-1]) is not None, where)
 
 
-def _score_and_identity(path: Path, rows: Sequence[_Row]) -> tuple[FloatArray, IntArray]:
+def _score_and_identity(rows: Sequence[_Row]) -> tuple[FloatArray, IntArray]:
     """(N,) score, NaN if there is none, and (N,) identity, -1 if there is none.
 
     Identities are in the last column if it has integers throughout, which scores are not.
@@ -164,11 +166,12 @@ def _score_and_identity(path: Path, rows: Sequence[_Row]) -> tuple[FloatArray, I
     """
     longer = [row for row in rows if row.n_columns > _N_BOX]
     is_integer = all(row.ends_with_integer for row in longer)
-    if any(row.n_columns == _N_COLUMNS for row in longer) and not is_integer:
-        raise LabelFileError(
-            f"{path}: expected rows 'class cx cy w h score id', found seven columns without an integer at the end, "
-            "as of a polygon."
-        )
+    for row in longer:
+        if row.n_columns == _N_COLUMNS and not is_integer:
+            raise LabelFileError(
+                f"{row.where}: expected a row 'class cx cy w h score id', found seven columns, as of a polygon; other "
+                "rows do not end with an identity."
+            )
     has_ids = is_integer and any(row.values[row.n_columns] > 1 or row.n_columns == _N_COLUMNS for row in longer)
     score, track_id = np.full(len(rows), np.nan), np.full(len(rows), -1, np.int64)
     for index, row in enumerate(rows):

@@ -111,3 +111,51 @@ def test_no_boxes(tmp_path: Path, name: str) -> None:
         table = read_labels(tmp_path / "empty")
         assert len(table) == 0
         assert (table.video.n_frames, table.video.size_px) == (40, (1242, 375))
+
+
+def test_pycocotools_reads_an_export(tmp_path: Path) -> None:
+    coco = pytest.importorskip("pycocotools.coco")
+    boxes = [[9.5, 19.5, 29.5, 39.5], [0.5, 1.5, 3.5, 9.5]]
+    table = BoxTable.of([0, 3], [1, 2], ["car", "bus"], boxes, score=[0.5, 0.25], video=VIDEO)
+    assert LABEL_FORMATS["coco"].write is not None
+    LABEL_FORMATS["coco"].write(table, tmp_path / "labels.json")
+    data = coco.COCO(str(tmp_path / "labels.json"))
+    assert len(data.getImgIds()) == 40
+    (image_id,) = data.getImgIds(catIds=data.getCatIds(catNms=["bus"]))
+    assert data.loadImgs(image_id)[0]["file_name"] == "drive_000003.jpg"
+    assert [annotation["bbox"] for annotation in data.loadAnns(data.getAnnIds())] == [[10, 20, 20, 20], [1, 2, 3, 8]]
+
+
+@pytest.mark.parametrize(
+    ("first_line", "name"),
+    [
+        ("frame,time_s,id,class,x1,y1,x2,y2,visible_share,distance_m", "csv"),
+        ("frame,time_s,track_id,class,score,observed,x1_px", "tracks"),
+        ("1,-1,11,21,5,6,0.5", "mot"),
+        ("0 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1", "kitti"),
+        (' \n {"images": []', "coco"),
+        ("\ufeff<annotations>", "cvat"),
+        ("PAR1", "parquet"),
+    ],
+)
+def test_format_is_recognised_from_the_content(tmp_path: Path, first_line: str, name: str) -> None:
+    (tmp_path / "file.dat").write_text(f"{first_line}\n", encoding="utf-8")
+    assert label_format_of(tmp_path / "file.dat").name == name
+
+
+def test_kitti_folders_are_not_yolo(tmp_path: Path) -> None:
+    (tmp_path / "0000.txt").write_text("0 7 Car 0 1 -1.5 10 20 30 40 1.5 1.6 4.0 1.0 1.7 12.0 0.1\n")
+    assert label_format_of(tmp_path).name == "kitti"
+    (tmp_path / "0000.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+    assert label_format_of(tmp_path).name == "yolo"
+
+
+def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
+    boxes = np.tile([10.0, 10.0, 20.0, 20.0], (3, 1))
+    table = BoxTable.of([0, 1, 2], [5, 5, 5], ["car", "truck", "car"], boxes, video=VIDEO)
+    assert LABEL_FORMATS["cvat"].write is not None
+    notes = LABEL_FORMATS["cvat"].write(table, tmp_path / "a.xml")
+    back = read_labels(tmp_path / "a.xml")
+    assert back.class_name.tolist() == ["car", "truck", "car"]
+    assert back.track_id.tolist() == [5, 6, 5]
+    assert "several classes" in notes[0]
