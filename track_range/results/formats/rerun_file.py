@@ -32,7 +32,7 @@ RERUN_FILE = "run.rrd"
 APPLICATION = "track-range"
 """Application id: the viewer stores changes of the blueprint by it."""
 
-_VIDEO, _BOXES, _TRACKS, _BIRDS_EYE = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
+_VIDEO, _BOXES, _TRACKS, _TOP_VIEW = "camera/image/video", "camera/image/boxes", "world/tracks", "birds_eye/tracks"
 _DISTANCE, _CLOSING, _LOG = "distance", "closing_speed", "log"
 
 _MAX_VIDEO_BYTES = 1_000_000_000
@@ -147,7 +147,7 @@ class RerunWriter:
         }
         self._recording.log(_TRACKS, rr.Boxes3D(centers=centres, sizes=sizes, **of_ranged))
         above = np.stack([centres[:, 0], -centres[:, 2]], axis=1)
-        self._recording.log(_BIRDS_EYE, rr.Points2D(above, radii=0.8, **of_ranged))
+        self._recording.log(_TOP_VIEW, rr.Points2D(above, radii=0.8, **of_ranged))
         for shown in objects:
             self._log_scalars(shown)
 

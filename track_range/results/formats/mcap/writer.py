@@ -67,7 +67,7 @@ class McapWriter:
         self._mcap = foxglove.open_mcap(cast(BinaryIO, self._sink), context=self._context, writer_options=options)
         self._mcap.write_metadata("track_range", info.provenance.metadata())
         self._mcap.flush()
-        self._file = FrameFile(folder / MCAP_FILE, self._sink.taken())
+        self._file = FrameFile(folder / MCAP_FILE, self._sink.pop())
         self._has_gap = False
         self._log_notes(info.notes)
 
@@ -93,7 +93,7 @@ class McapWriter:
             self._log_notes(note for note in notes if note not in self._info.notes)
             self._mcap.close()
             if not self._has_gap:  # otherwise the positions in the index are wrong
-                self._file.add(self._sink.taken())
+                self._file.add(self._sink.pop())
         finally:
             for channel in self._channels.values():
                 channel.close()
@@ -117,7 +117,7 @@ class McapWriter:
         if is_due or time.monotonic() - self._chunk_began_s >= _CHUNK_S:
             self._mcap.flush()
             self._chunk_ns, self._chunk_began_s = time_ns, time.monotonic()
-            self._add(self._sink.taken())
+            self._add(self._sink.pop())
         self._log(messages, time_ns)
         self._held = None
 
@@ -152,14 +152,14 @@ class McapWriter:
 
 
 class _Sink:
-    """File of foxglove-sdk in memory, from which the chunks are taken; it never fails."""
+    """File of foxglove-sdk in memory, from which chunks are popped; it never fails."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._position = 0
 
-    def taken(self) -> bytes:
-        """Content since the last call."""
+    def pop(self) -> bytes:
+        """Content since the last call, which is removed."""
         content = b"".join(self._parts)
         self._parts.clear()
         return content
