@@ -16,6 +16,8 @@ from track_range.detection.formats.label_formats import label_format_of, read_la
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.simulation.drive import Drive
 
+pytestmark = pytest.mark.slow  # the run takes seconds
+
 Cli = Callable[..., Finished]
 FORMATS = ("kitti", "coco", "cvat", "mot")
 
@@ -52,7 +54,6 @@ def figures_of(cli: Cli, folder: Path, *options: object) -> dict[str, object]:
     return figures
 
 
-@pytest.mark.slow
 def test_kitti_of_a_run_against_its_cvat_export(run: Path, exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
     classes = set(read_labels(run / "tracks.csv").class_name.tolist())
     assert len(classes) > 1
@@ -65,7 +66,6 @@ def test_kitti_of_a_run_against_its_cvat_export(run: Path, exported: dict[str, P
             assert figures["notes"] == []
 
 
-@pytest.mark.slow
 def test_class_filters_both_sides(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
     table = read_labels(exported["coco"])
     for name in ("car", "person"):
@@ -74,7 +74,6 @@ def test_class_filters_both_sides(exported: dict[str, Path], tmp_path: Path, cli
         assert figures["combined"]["fp"] == 0  # type: ignore[index]
 
 
-@pytest.mark.slow
 def test_frames_shifted_by_one_are_noted(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
     text = exported["coco"].read_text()
     later = re.sub(r'"frame_index": (\d+)', lambda match: f'"frame_index": {int(match[1]) + 1}', text)
@@ -86,7 +85,6 @@ def test_frames_shifted_by_one_are_noted(exported: dict[str, Path], tmp_path: Pa
     assert read_labels(back).frame.tolist() == read_labels(exported["coco"]).frame.tolist()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["coco", "cvat"])
 def test_exported_boxes_as_truth_and_detections(
     run: Path, exported: dict[str, Path], small_drive: Drive, name: str, tmp_path: Path, cli: Cli
@@ -101,7 +99,6 @@ def test_exported_boxes_as_truth_and_detections(
     assert any("distances are those of its labels" in note for note in summary["notes"])
 
 
-@pytest.mark.slow
 def test_truth_without_distances(exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli) -> None:
     truth = tmp_path / "truth.xml"
     truth.write_text(re.sub(r'<attribute name="distance_m">.*?</attribute>', "", exported["cvat"].read_text()))
@@ -116,7 +113,6 @@ def test_truth_without_distances(exported: dict[str, Path], small_drive: Drive, 
     assert any("no distances" in note for note in summary["notes"])
 
 
-@pytest.mark.slow
 def test_frame_numbers_of_truth_are_noted(
     exported: dict[str, Path], small_drive: Drive, tmp_path: Path, cli: Cli
 ) -> None:
@@ -130,7 +126,6 @@ def test_frame_numbers_of_truth_are_noted(
     assert [word in notes for word in ("start at 1", "frame 12, but", "increased by 1")] == [True] * 3
 
 
-@pytest.mark.slow
 def test_labels_and_images_for_training(run: Path, exported: dict[str, Path], small_drive: Drive, cli: Cli) -> None:
     folder, corrected = run.parent / "data", run.parent / "corrected"
     assert cli("export", run, "--to", "yolo", "--images", "--out", folder)[0] == 0
@@ -143,13 +138,6 @@ def test_labels_and_images_for_training(run: Path, exported: dict[str, Path], sm
     images = sorted((folder / "images").iterdir())
     assert cv2.imread(str(images[0])).shape == (188, 620, 3)
     assert label_format_of(folder).name == "yolo"
-    assert cli("export", run, "--to", "yolo", "--out", folder)[0] == 0  # replaces the folder of an export
-    assert {path.name for path in folder.iterdir()} == {"labels", "data.yaml"}
-    (folder / "notes.txt").write_text("a note")
-    status, _, error = cli("export", run, "--to", "yolo", "--out", folder)
-    assert status == 1
-    assert "data" in error
-    assert (folder / "notes.txt").exists()
 
 
 def test_rows_of_a_run(run: Path, exported: dict[str, Path]) -> None:
@@ -184,49 +172,6 @@ def test_observed_only(run: Path, tmp_path: Path, cli: Cli) -> None:
         assert table.observed.all() == bool(options)
 
 
-def test_other_files_are_not_replaced(exported: dict[str, Path], run: Path, tmp_path: Path, cli: Cli) -> None:
-    other = tmp_path / "notes.txt"
-    other.write_text("a note, not labels")
-    for out in (other, run / "tracks.csv", exported["cvat"], tmp_path):
-        before = out.read_bytes() if out.is_file() else b""
-        status, _, error = cli("export", run, "--to", "coco", "--out", out)
-        assert status == 1
-        assert out.name in error
-        assert not before or out.read_bytes() == before
-    (tmp_path / "again").write_bytes(exported["coco"].read_bytes())
-    assert cli("export", run, "--to", "coco", "--out", tmp_path / "again")[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("options", "key_word"),
-    [
-        (("--to", "coco", "--images"), "yolo"),
-        (("--to", "coco", "--first-frame", "1"), "first-frame"),
-        (("--to", "coco", "--video", "a.mp4"), "video"),
-        (("--to", "excel"), "excel"),
-    ],
-)
-def test_contradictory_options(run: Path, tmp_path: Path, cli: Cli, options: tuple[str, ...], key_word: str) -> None:
-    status, _, error = cli("export", run, *options, "--out", tmp_path / "out")
-    assert status == 2
-    assert key_word in error
-    assert not (tmp_path / "out").exists()
-
-
-def test_labels_have_no_rows(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
-    status, _, error = cli("export", exported["coco"], "--to", "parquet", "--out", tmp_path / "out")
-    assert status == 2
-    assert "run" in error
-
-
-def test_mot_rows_become_persons(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
-    status, printed, _ = cli("export", exported["mot"], "--to", "coco", "--out", tmp_path / "out")
-    assert status == 0
-    assert "person" in printed
-    assert set(read_labels(tmp_path / "out").class_name.tolist()) == {"person"}
-
-
-@pytest.mark.slow
 def test_fit_to_corrected_labels(tmp_path: Path, cli: Cli) -> None:
     rng = np.random.default_rng(1)
     distance_m = rng.uniform(8, 60, 150)

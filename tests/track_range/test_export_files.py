@@ -1,0 +1,141 @@
+"""`track-range export` on small files: options, files that are not replaced, label files as input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.command_line import Finished
+from track_range.detection.formats.label_formats import LABEL_FORMATS, read_labels
+from track_range.results.columns import column_names
+
+Cli = Callable[..., Finished]
+VALUES = {"track_id": "3", "class": "car", "observed": "1", "x1_px": "1.5", "y1_px": "2", "x2_px": "9", "y2_px": "8.25"}
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """The folder of a run that was killed before its summary: three frames of one car, predicted in the last one."""
+    names = column_names()
+    rows = [{**VALUES, "frame": str(i), "time_s": f"{i / 10}", "fused_m": "12.5", "score": "0.9"} for i in range(3)]
+    rows[2]["observed"] = "0"
+    lines = [",".join(names), *(",".join(row.get(name, "") for name in names) for row in rows)]
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "tracks.csv").write_text("\n".join(lines) + "\n")
+    (folder / "settings.yaml").write_text(
+        "run: {mono: /videos/drive 1.mp4}\n"
+        "found: {image_size_px: [100, 50], principal_point_px: [50, 25], focal_px: 80, fps: 10.0}\n"
+    )
+    return folder
+
+
+@pytest.fixture
+def exported(run: Path, cli: Cli) -> dict[str, Path]:
+    """The run in the formats that are files."""
+    paths = {name: run.parent / f"labels-{name}" for name in ("kitti", "coco", "cvat", "mot")}
+    for name, path in paths.items():
+        assert cli("export", run, "--to", name, "--out", path)[0] == 0
+    return paths
+
+
+def test_killed_run(run: Path, exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+    for name, path in exported.items():
+        table = read_labels(path)
+        assert table.frame.tolist() == [0, 1, 2]
+        np.testing.assert_allclose(table.xyxy_px, [[1.5, 2, 9, 8.25]] * 3, atol=0.01)
+        assert table.track_id.tolist() == [3, 3, 3]
+        assert table.observed.tolist() == [True, True, name not in ("coco", "cvat")]
+    x, y, z = read_labels(exported["kitti"]).location_m[0]
+    np.testing.assert_allclose([x, y, z], [12.5 * (5.25 - 50) / 80, 12.5 * (8.25 - 25) / 80, 12.5], atol=6e-4)
+    assert cli("export", run, "--to", "yolo", "--out", tmp_path / "yolo", "--observed-only")[0] == 0
+    labels = [file.read_text() for file in sorted((tmp_path / "yolo/labels").iterdir())]
+    assert [len(text.splitlines()) for text in labels] == [1, 1, 0]
+    assert (tmp_path / "yolo/labels/drive_1_000000.txt").exists()
+
+
+def test_result_writers(run: Path, tmp_path: Path, cli: Cli) -> None:
+    assert cli("export", run, "--to", "parquet", "--out", tmp_path / "rows.parquet")[0] == 0
+    assert len(read_labels(tmp_path / "rows.parquet")) == 3
+    assert cli("export", run, "--to", "parquet", "--out", tmp_path / "rows.parquet", "--observed-only")[0] == 0
+    assert len(read_labels(tmp_path / "rows.parquet")) == 2
+    assert {path.name for path in tmp_path.iterdir()} == {"run", "rows.parquet"}
+
+
+@pytest.mark.parametrize(("first", "second"), [("coco", "cvat"), ("cvat", "mot"), ("kitti", "coco"), ("cvat", "yolo")])
+def test_label_files_as_input(exported: dict[str, Path], tmp_path: Path, cli: Cli, first: str, second: str) -> None:
+    out = tmp_path / "out"
+    assert cli("export", exported[first], "--to", second, "--out", out)[0] == 0
+    table = read_labels(out)
+    assert table.frame.tolist() == [0, 1, 2]
+    assert LABEL_FORMATS[second].has_classes == (table.class_id == 2).all()
+
+
+def test_yolo_needs_an_image_size(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+    status, _, error = cli("export", exported["kitti"], "--to", "yolo", "--out", tmp_path / "out")
+    assert status == 1
+    assert "--video" in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_yolo_folders_are_replaced_only_if_exported(run: Path, tmp_path: Path, cli: Cli) -> None:
+    folder = tmp_path / "data"
+    for _ in range(2):
+        assert cli("export", run, "--to", "yolo", "--out", folder)[0] == 0
+    assert {path.name for path in folder.iterdir()} == {"labels", "data.yaml"}
+    (folder / "notes.txt").write_text("a note")
+    status, _, error = cli("export", run, "--to", "yolo", "--out", folder)
+    assert status == 1
+    assert "data" in error
+    assert (folder / "notes.txt").exists()
+
+
+def test_first_frame_of_labels(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+    status, _, error = cli("export", exported["coco"], "--to", "kitti", "--first-frame", 1, "--out", tmp_path / "out")
+    assert status == 1
+    assert "first-frame" in error
+
+
+def test_other_files_are_not_replaced(exported: dict[str, Path], run: Path, tmp_path: Path, cli: Cli) -> None:
+    other = tmp_path / "notes.txt"
+    other.write_text("a note, not labels")
+    for out in (other, run / "tracks.csv", exported["cvat"], tmp_path):
+        before = out.read_bytes() if out.is_file() else b""
+        status, _, error = cli("export", run, "--to", "coco", "--out", out)
+        assert status == 1
+        assert out.name in error
+        assert not before or out.read_bytes() == before
+    (tmp_path / "again").write_bytes(exported["coco"].read_bytes())
+    assert cli("export", run, "--to", "coco", "--out", tmp_path / "again")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "key_word"),
+    [
+        (("--to", "coco", "--images"), "yolo"),
+        (("--to", "coco", "--first-frame", "1"), "first-frame"),
+        (("--to", "coco", "--video", "a.mp4"), "video"),
+        (("--to", "excel"), "excel"),
+    ],
+)
+def test_contradictory_options(run: Path, tmp_path: Path, cli: Cli, options: tuple[str, ...], key_word: str) -> None:
+    status, _, error = cli("export", run, *options, "--out", tmp_path / "out")
+    assert status == 2
+    assert key_word in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_labels_have_no_rows(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+    status, _, error = cli("export", exported["coco"], "--to", "parquet", "--out", tmp_path / "out")
+    assert status == 2
+    assert "run" in error
+
+
+def test_mot_rows_become_persons(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+    status, printed, _ = cli("export", exported["mot"], "--to", "coco", "--out", tmp_path / "out")
+    assert status == 0
+    assert "person" in printed
+    assert set(read_labels(tmp_path / "out").class_name.tolist()) == {"person"}
