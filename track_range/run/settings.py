@@ -284,8 +284,9 @@ class RunSettings(Options):
     write: Annotated[
         tuple[str, ...],
         option(
-            "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), mcap "
-            "(run.mcap, for Foxglove and ROS 2), rrd (run.rrd, for rerun), or formats of installed packages.",
+            "Formats of the result files: csv (tracks.csv), mot (mot.txt), parquet (tracks.parquet), kitti "
+            "(kitti.txt), mcap (run.mcap, for Foxglove and ROS 2), rrd (run.rrd, for rerun), or "
+            "formats of installed packages.",
             metavar="A,B,...",
             panel=_OUTPUT,
         ),
