@@ -10,6 +10,7 @@ import numpy as np
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.images import check_size
+from track_range.foundation.input_files import shortened
 from track_range.video.bags.bag import open_bag, topic_list
 from track_range.video.bags.container import DamagedError, Topic
 from track_range.video.bags.decoding import (
@@ -70,7 +71,9 @@ class BagVideo:
         try:
             first, times_s = self._first_image()
         except DamagedError as error:
-            raise VideoError(f"{name}: expected images ({self._topic.type}), found other messages: {error}.") from error
+            raise VideoError(
+                f"{name}: expected images ({self._topic.type}), found other messages: {shortened(str(error), 100)}."
+            ) from error
         self.first_time_s = times_s[0]
         self.height_px, self.width_px = first.shape[:2]
         check_size(name, (self.width_px, self.height_px), VideoError)
@@ -175,7 +178,7 @@ class BagVideo:
             )
         if not is_readable(topic):
             raise VideoError(
-                f"{self.path}: expected messages in CDR, ROS 1 or protobuf encoding, found {topic.encoding}; convert "
+                f"{self.path}: expected messages in CDR, ROS 1 or protobuf encoding, found {shortened(topic.encoding)}; convert "
                 "the bag."
             )
         return topic

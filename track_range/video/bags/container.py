@@ -11,10 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, Protocol
 
+from track_range.foundation.input_files import shortened
 from track_range.video.frame import VideoError
 
 MAX_RECORD_BYTES = 2**29
 """Size limit, bytes, of a record, compressed or not; chunks usually have 1 to 10 MB, the largest raw image 200 MB."""
+
+_MAX_TYPE = 100
+"""Largest number of characters of the name of a message type."""
 
 SCAN_BYTES = 500_000_000
 """Number of bytes of a file without an index that are searched for topics."""
@@ -93,7 +97,8 @@ class Bag(Protocol):
 
 
 def ros2_type(name: str) -> str:
-    """Name of a message type as ROS 2 writes it: sensor_msgs/Image -> sensor_msgs/msg/Image."""
+    """Name of a message type as ROS 2 writes it, printable: sensor_msgs/Image -> sensor_msgs/msg/Image."""
+    name = shortened(name, _MAX_TYPE)
     package, _, short = name.partition("/")
     return f"{package}/msg/{short}" if short and "/" not in short else name
 
