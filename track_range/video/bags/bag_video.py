@@ -178,8 +178,8 @@ class BagVideo:
             )
         if not is_readable(topic):
             raise VideoError(
-                f"{self.path}: expected messages in CDR, ROS 1 or protobuf encoding, found {shortened(topic.encoding)}; convert "
-                "the bag."
+                f"{self.path}: expected messages in CDR, ROS 1 or protobuf encoding, found {shortened(topic.encoding)}; "
+                "convert the bag."
             )
         return topic
 
