@@ -178,7 +178,7 @@ class BagVideo:
             )
         if not is_readable(topic):
             raise VideoError(
-                f"{self.path}: expected messages in CDR, ROS 1 or protobuf encoding, found {shortened(topic.encoding)}; "
+                f"{self.path}: expected messages encoded in CDR, ROS 1 or protobuf, got {shortened(topic.encoding)}; "
                 "convert the bag."
             )
         return topic
