@@ -24,7 +24,6 @@ from track_range.detection.formats.label_formats import label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
 from track_range.detection.formats.mot import xyxy_from_mot
 from track_range.detection.formats.table_checks import other_labels_note
-from track_range.detection.formats.yolo_tracks import is_yolo_folder
 from track_range.foundation.array_files import read_array
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table
@@ -150,8 +149,8 @@ def _is_empty(path: Path) -> bool:
 
 def _format_of(path: Path) -> str:
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
-        return "labels" if is_yolo_folder(path) else "kitti"
-    if label_format_of(path, "detections").name in ("coco", "cvat", "parquet"):
+        return "labels" if label_format_of(path, "detections").is_general else "kitti"
+    if label_format_of(path, "detections").is_general:
         return "labels"
     first = first_line(path, LabelFileError, "detections")
     if "," not in first:

@@ -44,6 +44,7 @@ class LabelFormat:
         read: returns the boxes of a file or folder; facts about the video fill in what the file does not state.
         write: writes a table to a path and returns notes on what the format could not hold; None = not written.
         has_classes: whether a box has a class.
+        is_general: whether detections and ground truth are read with `read`, without rules of a benchmark.
         is_folder: whether it is written as a folder with one file per frame.
         precision_px: largest difference of an edge that is written and read again; None = depends on the image size.
     """
@@ -53,6 +54,7 @@ class LabelFormat:
     read: Callable[[Path, VideoFacts], BoxTable]
     write: Callable[[BoxTable, Path], tuple[str, ...]] | None = None
     has_classes: bool = True
+    is_general: bool = False
     is_folder: bool = False
     precision_px: float | None = None
 
@@ -62,12 +64,12 @@ LABEL_FORMATS = {
     for label_format in (
         LabelFormat("mot", "MOTChallenge", read_mot_table, write_mot_table, has_classes=False, precision_px=0.01),
         LabelFormat("kitti", "KITTI", read_kitti_table, write_kitti_table, precision_px=0.005),
-        LabelFormat("coco", "COCO", read_coco, write_coco, precision_px=0.0005),
-        LabelFormat("cvat", "CVAT for video 1.1", read_cvat, write_cvat, precision_px=0.0005),
-        LabelFormat("yolo", "YOLO", read_yolo_folder, write_yolo, is_folder=True),
+        LabelFormat("coco", "COCO", read_coco, write_coco, is_general=True, precision_px=0.0005),
+        LabelFormat("cvat", "CVAT for video 1.1", read_cvat, write_cvat, is_general=True, precision_px=0.0005),
+        LabelFormat("yolo", "YOLO", read_yolo_folder, write_yolo, is_general=True, is_folder=True),
         LabelFormat("csv", "a CSV of labels", read_csv_table_of_labels),
         LabelFormat("tracks", "a tracks.csv", read_tracks_table),
-        LabelFormat("parquet", "a tracks.parquet", read_parquet_table),
+        LabelFormat("parquet", "a tracks.parquet", read_parquet_table, is_general=True),
     )
 }
 """All formats by name."""

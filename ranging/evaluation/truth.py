@@ -107,13 +107,9 @@ def read_truth(path: Path, camera: PinholeCamera, left_from_reference_m: FloatAr
         LabelFileError: the file cannot be read, or has no identities, or no distances (KITTI: no 3-D boxes), which are
             optional for COCO, CVAT and YOLO.
     """
-    if os.path.isdir(path) or label_format_of(path, "ground truth").name in _PLAIN_FORMATS:
+    if os.path.isdir(path) or label_format_of(path, "ground truth").is_general:
         return _of_table(path, camera)
     return _of_csv(path, camera) if is_label_csv(path) else _of_kitti(path, camera, left_from_reference_m)
-
-
-_PLAIN_FORMATS = ("coco", "cvat", "parquet")
-"""Formats whose boxes are used without the ignore rules of a benchmark."""
 
 
 def _of_table(path: Path, camera: PinholeCamera) -> Truth:
