@@ -122,6 +122,8 @@ class McapWriter:
         self._held = None
 
     def _add(self, chunk: bytes) -> None:
+        if self._has_gap:  # later chunks may need the schemas of the one that is missing
+            return
         try:
             self._file.add(chunk)
         except OSError:
