@@ -19,6 +19,9 @@ _MIN_IOU = 0.8
 _MAX_LOSS = 0.5
 """Largest ratio of 1 - mean IoU with and without the shift: a shift by one frame costs more than noise of the boxes."""
 
+_MIN_GAIN = 0.005
+"""Smallest gain of the mean IoU by the shift; boxes of static objects match at every shift."""
+
 
 def frame_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xyxy_px: FloatArray) -> int:
     """The number, -1, 0 or 1, that added to the frame numbers of boxes makes them match truth boxes best.
@@ -34,9 +37,9 @@ def frame_shift(truth_frame: IntArray, truth_px: FloatArray, frame: IntArray, xy
     """
     frames = np.unique(truth_frame)
     frames = frames[:: max(len(frames) // _MAX_FRAMES, 1)]
-    overlaps = {shift: _mean_iou(frames, (truth_frame, truth_px), (frame + shift, xyxy_px)) for shift in (-1, 0, 1)}
+    overlaps = {shift: _mean_iou(frames, (truth_frame, truth_px), (frame + shift, xyxy_px)) for shift in (0, -1, 1)}
     best = max(overlaps, key=lambda shift: overlaps[shift])
-    if overlaps[best] < _MIN_IOU or 1 - overlaps[best] > _MAX_LOSS * (1 - overlaps[0]):
+    if overlaps[best] < max(_MIN_IOU, overlaps[0] + _MIN_GAIN) or 1 - overlaps[best] > _MAX_LOSS * (1 - overlaps[0]):
         return 0
     return best
 
