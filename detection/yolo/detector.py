@@ -154,9 +154,9 @@ class YoloDetector:
             raise ValueError("expected an earlier call of detect")
         n_invalid = self.n_invalid
         by_class = np.append(min_score, _UNREACHABLE_SCORE)[self._road_class]  # index -1: no road class
-        found = self.decode(self._outputs, np.minimum(self._min_score, by_class))
+        detections = self.decode(self._outputs, np.minimum(self._min_score, by_class))
         self.n_invalid = n_invalid  # `detect` has counted them
-        return found
+        return detections
 
     def input_blob(self, image: Image) -> FloatArray32:
         """(1, 3, height, width) the network's input for `image`, as a copy."""

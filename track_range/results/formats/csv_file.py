@@ -102,9 +102,9 @@ def read_tracks_csv(path: Path) -> Columns:
         if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
             raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:
-        found = shortened(_problem(str(error), header), _MAX_PROBLEM)
+        problem = shortened(_problem(str(error), header), _MAX_PROBLEM)
         raise OutputError(
-            f"{path}: expected the tracks.csv of a run, found {found}; repeat the run or restore the file."
+            f"{path}: expected the tracks.csv of a run, found {problem}; repeat the run or restore the file."
         ) from error
     return {
         name: np.asarray(values.to_pylist(), np.str_) if name == "class" else np.asarray(values.to_numpy(), np.float64)
