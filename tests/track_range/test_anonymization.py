@@ -230,6 +230,7 @@ def test_results_before_an_error_are_delivered():
         next(frames)
 
 
+@pytest.mark.slow
 def test_candidates_are_independent_of_the_settings():
     path = find_model(DEFAULT_MODEL).path
     image = np.random.default_rng(0).integers(0, 256, (96, 160, 3), dtype=np.uint8)
@@ -299,6 +300,7 @@ def test_settings_without_folders():
     }
 
 
+@pytest.mark.slow
 def test_results_of_a_run_are_anonymized(shared):
     run = tr.Run.mono(shared / "film.mp4", **options(shared, anonymize=True, overlay=False))
     frames = list(run)
@@ -349,6 +351,7 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     assert json.loads((out / "summary.json").read_text())["inputs"]["mono"] == "film.mp4"
 
 
+@pytest.mark.slow
 def test_classes_that_are_not_tracked_are_covered(shared):
     run = tr.Run.mono(shared / "film.mp4", **options(shared, anonymize=True, classes=["car"], overlay=False))
     for frame in run:

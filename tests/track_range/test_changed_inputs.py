@@ -52,6 +52,7 @@ def overwritten(path: Path) -> None:
 CHANGES = [shortened, replaced, overwritten]
 
 
+@pytest.mark.slow
 def test_finished_frames_are_kept(tmp_path: Path, noise: Path) -> None:
     detections = tmp_path / "detections.txt"
     detections.write_text(

@@ -213,6 +213,7 @@ def test_run_with_parquet_only(tmp_path: Path, inputs) -> None:  # noqa: F811
     assert json.loads(metadata[b"track_range.model"]) == {"detections": "boxes.txt"}
 
 
+@pytest.mark.slow
 def test_rows_written_after_the_iteration(tmp_path: Path, inputs) -> None:  # noqa: F811
     list(inputs(tmp_path / "while", overlay=False))
     run = inputs(None, overlay=False)

@@ -288,6 +288,7 @@ def test_failing_overlay(tmp_path: Path, inputs: Callable[..., tr.Run], monkeypa
     assert 6 <= run.summary["frames"] <= 12
 
 
+@pytest.mark.slow
 def test_second_run_is_refused(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
     first = inputs(tmp_path / "out", overlay=False)
     frames = iter(first)
@@ -308,6 +309,7 @@ def test_second_run_is_refused(tmp_path: Path, inputs: Callable[..., tr.Run]) ->
     check_folder(tmp_path / "out", N_FRAMES)
 
 
+@pytest.mark.slow
 def test_unusable_input_leaves_the_folder_as_it_was(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
     out = tmp_path / "a" / "b" / "out"
     for name, options in (("missing.mp4", {}), ("missing.txt", {"detections": tmp_path / "missing.txt"})):
@@ -325,6 +327,7 @@ def test_unusable_input_leaves_the_folder_as_it_was(tmp_path: Path, inputs: Call
     )
 
 
+@pytest.mark.slow
 def test_run_that_is_opened_only(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
     run = inputs(tmp_path / "out").open()
     note = read_progress(tmp_path / "out")
@@ -338,6 +341,7 @@ def test_run_that_is_opened_only(tmp_path: Path, inputs: Callable[..., tr.Run]) 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_folder_of_a_run_killed_while_opening(tmp_path: Path, inputs: Callable[..., tr.Run]) -> None:
     ProgressNote("estimating the alignment", 4711, "2026-01-01 12:00:00+00:00").write(tmp_path)
     (tmp_path / "settings.yaml").write_text("of the killed run")
