@@ -31,7 +31,7 @@ from benchmarks.inputs.drives import REAL_DATA
 from benchmarks.inputs.tracking_sets import sequences_of
 from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.tracking.association import min_cost_matching

@@ -20,7 +20,7 @@ import numpy as np
 from track_range.detection.boxes import iou, share_inside
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.formats.image_truth import ANY_CLASS, ImageTruth
+from track_range.detection.formats.image_labels.image_truth import ANY_CLASS, ImageTruth
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 
 IOU_THRESHOLDS: FloatArray = np.linspace(0.5, 0.95, 10)

@@ -13,7 +13,7 @@ import numpy as np
 import track_range as tr
 from tests.detection.onnx_models import write_model
 from tests.stereo.board_scenes import drawn, rig, varied_poses
-from track_range.detection.formats.kitti import read_kitti
+from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.simulation.drive import Drive
 from track_range.stereo.calibration.boards import ChessBoard
 from track_range.video.reader import VideoReader

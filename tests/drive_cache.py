@@ -21,7 +21,7 @@ SOURCES = (
     *("track_range/simulation", "track_range/foundation", "track_range/video", "track_range/results/output_files.py"),
     *(
         "detection/classes.py",
-        "detection/formats/kitti.py",
+        "detection/formats/video_labels/kitti.py",
         "detection/formats/limits.py",
         "ranging/evaluation/box_surface.py",
     ),

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.damaged_text import check_damaged, damaged
-from track_range.detection.formats.yolo_labels import names_for_folder
+from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.models.metadata import ModelOptions, read_metadata
 from track_range.detection.training.data.data_yaml import read_data_yaml
 from track_range.foundation.errors import UserError

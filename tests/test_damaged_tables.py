@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from tests.damaged_text import check_damaged, damaged
 from tests.detection.darknet_networks import yolov3_tiny
 from track_range.detection.darknet.network import read_network
-from track_range.detection.formats.csv_labels import read_csv_labels
 from track_range.detection.formats.detection_files import read_detections
-from track_range.detection.formats.kitti import read_kitti, read_kitti_image
-from track_range.detection.formats.labelled_images import read_manifest
-from track_range.detection.formats.mot import read_mot
-from track_range.detection.formats.yolo_labels import YoloLabelReader
+from track_range.detection.formats.image_labels.labelled_images import read_manifest
+from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader
+from track_range.detection.formats.video_labels.csv_labels import read_csv_labels
+from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
+from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.fitting.box_csv import read_box_csv

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from track_range.api.parts import load_rig as load_rig
     from track_range.detection.detections import Detections as Detections
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
-    from track_range.detection.formats.kitti import LabelFileError as LabelFileError
+    from track_range.detection.formats.errors import LabelFileError as LabelFileError
     from track_range.detection.models.onnx_session import ModelError as ModelError
     from track_range.foundation.errors import ConfigError as ConfigError
     from track_range.foundation.errors import UsageError as UsageError
@@ -109,7 +109,7 @@ _MODULE_OF = {
     "VideoError": "video.frame",
     "RigError": "stereo.geometry.rig",
     "ModelError": "detection.models.onnx_session",
-    "LabelFileError": "detection.formats.kitti",
+    "LabelFileError": "detection.formats.errors",
     "MethodError": "ranging.method",
     "TrackerError": "tracking.registry",
     "WriterError": "results.writers",

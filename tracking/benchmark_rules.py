@@ -20,8 +20,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.detection.boxes import iou, share_inside
-from track_range.detection.formats.kitti import KittiLabels
-from track_range.detection.formats.mot import MotRows
+from track_range.detection.formats.video_labels.kitti import KittiLabels
+from track_range.detection.formats.video_labels.mot import MotRows
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking.tracked_boxes import TrackedBoxes
 

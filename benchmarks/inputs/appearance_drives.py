@@ -20,7 +20,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.formats.kitti import KittiLabels, read_kitti
+from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.camera.playback import HIDDEN, play_back
 from track_range.simulation.render.renderer import Renderer

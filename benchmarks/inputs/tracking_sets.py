@@ -15,8 +15,8 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
-from track_range.detection.formats.kitti import KittiLabels, read_kitti
-from track_range.detection.formats.mot import MotRows, read_mot
+from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
+from track_range.detection.formats.video_labels.mot import MotRows, read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.sequences.find import find_sequences
 from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned

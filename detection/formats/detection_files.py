@@ -19,11 +19,12 @@ from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
-from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
-from track_range.detection.formats.mot import xyxy_from_mot
 from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.video_labels.kitti import read_kitti
+from track_range.detection.formats.video_labels.mot import xyxy_from_mot
 from track_range.foundation.array_files import read_array
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table

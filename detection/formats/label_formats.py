@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts
-from track_range.detection.formats.coco import read_coco, write_coco
-from track_range.detection.formats.csv_labels import has_label_columns
-from track_range.detection.formats.cvat import read_cvat, write_cvat
-from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.formats.text_tables import (
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.video_labels.coco import read_coco, write_coco
+from track_range.detection.formats.video_labels.csv_labels import has_label_columns
+from track_range.detection.formats.video_labels.cvat import read_cvat, write_cvat
+from track_range.detection.formats.video_labels.text_tables import (
     read_csv_table_of_labels,
     read_kitti_table,
     read_mot_table,
@@ -24,7 +24,7 @@ from track_range.detection.formats.text_tables import (
     write_kitti_table,
     write_mot_table,
 )
-from track_range.detection.formats.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
+from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
 from track_range.foundation.input_files import first_line, open_regular, readable
 
 _PARQUET_MARK = b"PAR1"

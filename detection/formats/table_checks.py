@@ -8,7 +8,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.input_files import shortened
 
 _MOST_NAMED = 5

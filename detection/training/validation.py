@@ -11,7 +11,7 @@ from track_range.detection.boxes import are_valid_boxes, nms
 from track_range.detection.classes import ROAD_CLASSES, SAME_OBJECT_GROUP
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import DetectionScores, evaluate_detections
-from track_range.detection.formats.image_truth import ImageTruth
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.training.networks.network import AnchorNetwork
 from track_range.detection.yolo.decoders import RowDecoder
 from track_range.detection.yolo.input_format import InputFormat

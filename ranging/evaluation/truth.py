@@ -1,7 +1,7 @@
 """Truth: ground truth of a drive (boxes, identities, distances) from KITTI tracking labels or other label files.
 
 The distance is the z at which the ray through the label's box centre first meets the object, in the left camera's
-frame. A CSV file (`detection/formats/csv_labels.py`) contains it, with the closing speed. KITTI's labels have 3-D boxes
+frame. A CSV file (`video_labels/csv_labels.py`) contains it, with the closing speed. KITTI's labels have 3-D boxes
 in the frame of the rig's reference camera, which are shifted into that of the left camera; people and riders do not
 fill their boxes. COCO, CVAT and YOLO labels are used as they are; they may have distances, as attributes.
 """
@@ -18,10 +18,11 @@ import numpy.typing as npt
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import KITTI_IGNORED, map_to_road_classes
 from track_range.detection.formats.box_table import VideoFacts
-from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
-from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of, read_labels
 from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
+from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.stereo.geometry.camera import PinholeCamera

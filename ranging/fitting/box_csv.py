@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
 from track_range.foundation.arrays import FloatArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table

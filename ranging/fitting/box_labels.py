@@ -13,7 +13,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
 from track_range.detection.formats.table_checks import other_labels_note
 from track_range.ranging.fitting.labelled_boxes import FRAME_STEP_S, BoxSet

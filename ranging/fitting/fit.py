@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.errors import UsageError
 from track_range.ranging.evaluation.curve_comparison import CurveFit, compare_curves
 from track_range.ranging.fitting.box_csv import read_box_csv

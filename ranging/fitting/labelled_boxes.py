@@ -19,7 +19,8 @@ import numpy.typing as npt
 from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.detection_files import read_detections
-from track_range.detection.formats.kitti import KittiLabels, LabelFileError, read_kitti, read_kitti_image
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.input_files import first_line
 from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU

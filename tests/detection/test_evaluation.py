@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, evaluate_detections
-from track_range.detection.formats.image_truth import ANY_CLASS, ImageTruth, truth_of_kitti
-from track_range.detection.formats.kitti import read_kitti
+from track_range.detection.formats.image_labels.image_truth import ANY_CLASS, ImageTruth, truth_of_kitti
+from track_range.detection.formats.video_labels.kitti import read_kitti
 
 N = len(ROAD_CLASSES)
 CAR = ROAD_CLASSES.index("car")

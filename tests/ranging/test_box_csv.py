@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.ranging.evaluation.curve_comparison import compare_curves
 from track_range.ranging.fitting.box_csv import read_box_csv
 

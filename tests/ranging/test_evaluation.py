@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.ranging.evaluation.errors import MethodColumn, coverage_only, match_truth, score_closing, score_methods
 from track_range.ranging.evaluation.truth import CSV_PROTOCOL, KITTI_PROTOCOL, Truth, read_truth
 from track_range.stereo.geometry.camera import PinholeCamera

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from track_range.detection.formats.kitti import read_kitti
+from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.stereo.alignment.file import load_alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.stereo.rig_formats.reading import load_rig

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_range.calibration.board_images import board_images
-from track_range.detection.formats.labelled_images import ImageFileError
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError
 from track_range.video.frame import VideoError
 
 

@@ -10,7 +10,7 @@ import typer
 
 from track_range.cli.app import COMMANDS, _report_note, app, main
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.csv_labels import OPTIONAL, REQUIRED
+from track_range.detection.formats.video_labels.csv_labels import OPTIONAL, REQUIRED
 from track_range.detection.yolo.input_format import LETTERBOXES
 from track_range.results.writers import DEFAULT_WRITERS
 from track_range.run.settings import RunSettings

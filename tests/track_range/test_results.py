@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.formats.mot import read_mot
+from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.ranging.method import ErrorSource, RangingMethod
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods, registered

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.detection.formats.kitti import KittiLabels
-from track_range.detection.formats.mot import MotRows
+from track_range.detection.formats.video_labels.kitti import KittiLabels
+from track_range.detection.formats.video_labels.mot import MotRows
 from track_range.tracking.benchmark_rules import kitti_cleaned, mot_cleaned
 from track_range.tracking.tracked_boxes import TrackedBoxes
 

@@ -7,8 +7,8 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.detection.formats.kitti import read_kitti
-from track_range.detection.formats.mot import MotRows, read_mot
+from track_range.detection.formats.video_labels.kitti import read_kitti
+from track_range.detection.formats.video_labels.mot import MotRows, read_mot
 from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
 from track_range.tracking.evaluation import TrackingScores, evaluate_tracks

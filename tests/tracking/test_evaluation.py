@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.detection.formats.mot import read_mot
+from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
 from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 

@@ -9,7 +9,7 @@ import motmetrics
 import numpy as np
 import pytest
 
-from track_range.detection.formats.mot import read_mot
+from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.tracking.evaluation import TrackingCounts
 from track_range.tracking.motmetrics_comparison import REASONS, motmetrics_figures
 from track_range.tracking.similarity import Similarity

@@ -9,7 +9,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from tests.detection.onnx_models import write_model
-from track_range.detection.formats.kitti import read_kitti
+from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.models.onnx_session import ModelError, Runtime
 from track_range.tracking.reid import ReidModel
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from track_range.detection.formats.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
 from track_range.foundation.images import IMAGE_SUFFIXES
 from track_range.stereo.calibration.board_views import RejectedView

@@ -19,9 +19,9 @@ import numpy as np
 
 from track_range.calibration.drive_pairs import is_drive, open_pair, read_drive
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.formats.csv_labels import has_label_columns
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
+from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.errors import UsageError

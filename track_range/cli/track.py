@@ -8,7 +8,7 @@ from functools import partial
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.report.tables import Column, Grid, grid_of
 from track_range.run.progress import frame_progress
 from track_range.sequences.find import MOT_FOLDER, listed

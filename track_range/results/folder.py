@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray
 from track_range.foundation.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated

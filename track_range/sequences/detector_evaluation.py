@@ -18,8 +18,8 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.evaluation import MIN_BOXES, DetectionScores, evaluate_detections
-from track_range.detection.formats.image_truth import ImageTruth
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.progress import FrameProgress, no_frame_progress

@@ -13,10 +13,11 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable
-from track_range.detection.formats.kitti import LabelFileError, read_kitti
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of, read_labels
-from track_range.detection.formats.mot import read_mot
 from track_range.detection.formats.table_checks import other_labels_note
+from track_range.detection.formats.video_labels.kitti import read_kitti
+from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
 from track_range.foundation.input_files import first_line

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.kitti import KITTI_TYPE_OF, kitti_line
-from track_range.detection.formats.mot import mot_lines
+from track_range.detection.formats.video_labels.kitti import KITTI_TYPE_OF, kitti_line
+from track_range.detection.formats.video_labels.mot import mot_lines
 from track_range.results.output_files import write_text
 from track_range.sequences.find import KITTI_FOLDER, MOT_FOLDER
 from track_range.tracking.tracks import Tracks

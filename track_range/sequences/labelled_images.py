@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
-from track_range.detection.formats.image_truth import ImageTruth
-from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.formats.labelled_images import (
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.formats.image_labels.labelled_images import (
     ImageFileError,
     LabelFormat,
     LabelledImage,

@@ -12,7 +12,7 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.errors import UsageError
 from track_range.foundation.input_files import real_path
 from track_range.foundation.progress import FrameProgress, no_frame_progress

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_text
 from track_range.simulation.camera.drive_files import (

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
-from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import Image
 from track_range.foundation.structured_text import yaml_text
 from track_range.results.output_files import OutputError, make_folder, write_bytes, write_text

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.image_truth import ImageTruth
-from track_range.detection.formats.labelled_images import ImageFileError, LabelledImage, read_image
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError, LabelledImage, read_image
 from track_range.detection.training.data.augmentation import LabelledPixels
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 

@@ -29,16 +29,16 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 
 from track_range.detection.boxes import are_valid_boxes, iou
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.image_truth import ImageTruth
-from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.formats.labelled_images import (
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.formats.image_labels.labelled_images import (
     LabelledImage,
     images_in,
     of_split,
     read_labelled,
     read_manifest,
 )
-from track_range.detection.formats.yolo_labels import YoloLabelReader, names_in
+from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, names_in
 from track_range.foundation.arrays import IntArray
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
 from track_range.foundation.structured_text import read_yaml

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from track_range.detection.boxes import iou
-from track_range.detection.formats.kitti import read_kitti
+from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.simulation.drive import N_THREADS, DriveOptions, kitti_text, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig

@@ -16,8 +16,8 @@ from track_range.cli.console import console
 from track_range.cli.evaluate.detections import print_figures, write_figures
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.detection.formats.image_truth import ImageTruth
-from track_range.detection.formats.labelled_images import ImageFileError, images_in, read_image
+from track_range.detection.formats.image_labels.image_truth import ImageTruth
+from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.models.quantize import convert_fp16, quantize_int8
 from track_range.detection.yolo.detector import YoloDetector

@@ -8,8 +8,8 @@ import numpy as np
 
 from track_range.cli.console import console, print_line
 from track_range.cli.training.options import AnchorOptions
-from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.formats.labelled_images import LabelledImage
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.labelled_images import LabelledImage
 from track_range.detection.models.metadata import Anchors
 from track_range.detection.training.data.data_set import CachedImages
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml

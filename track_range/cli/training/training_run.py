@@ -13,7 +13,7 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.training.data import fitted_anchors, read_images
 from track_range.cli.training.options import TrainOptions
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.training.data.augmentation import AugmentationSettings
 from track_range.detection.training.data.data_set import TrainingSets
 from track_range.detection.training.data.data_yaml import TrainingData, read_data_yaml

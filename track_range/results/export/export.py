@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from track_range.detection.formats.box_table import BoxTable, frames_listed
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
-from track_range.detection.formats.yolo_tracks import DATA_YAML, WRITTEN_MARK
+from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.atomic_files import atomic_path, describe
 from track_range.foundation.errors import UsageError
 from track_range.results.columns import Columns, methods_measured

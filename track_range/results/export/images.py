@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 
 from track_range.detection.formats.box_table import VideoFacts
-from track_range.detection.formats.coco import image_name
+from track_range.detection.formats.video_labels.coco import image_name
 from track_range.foundation.arrays import Image
 from track_range.run.build import open_input
 from track_range.run.settings import settings_from

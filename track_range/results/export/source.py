@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
 from track_range.foundation.structured_text import read_yaml
 from track_range.foundation.validation import validated

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from track_range.detection.formats.text_tables import kitti_lines
+from track_range.detection.formats.video_labels.text_tables import kitti_lines
 from track_range.results.formats.row_file import RowFile
 from track_range.results.run_boxes import table_of_frame
 from track_range.results.writers import RunInfo

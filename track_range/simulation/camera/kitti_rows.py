@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.ranging.evaluation.box_surface import surface_distance_m
 from track_range.simulation.world.road_shape import yaw_rotation

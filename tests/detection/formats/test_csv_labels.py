@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from track_range.detection.formats.csv_labels import is_label_csv, read_csv_labels
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.video_labels.csv_labels import is_label_csv, read_csv_labels
 
 HEADER = "frame,id,class,x1,y1,x2,y2,distance_m"
 FULL = HEADER + ",visible_share,closing_mps"

@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
-from track_range.detection.formats.csv_labels import DONT_CARE, read_csv_labels
-from track_range.detection.formats.kitti import LabelFileError, kitti_line, kitti_type_of, read_kitti
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
-from track_range.detection.formats.mot import mot_lines, read_mot
 from track_range.detection.formats.table_checks import check_identities, ignored_note
+from track_range.detection.formats.video_labels.csv_labels import DONT_CARE, read_csv_labels
+from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
+from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular, quoted

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.csv_tables import CsvTable, read_csv_table

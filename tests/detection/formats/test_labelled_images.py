@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.image_truth import ANY_CLASS
-from track_range.detection.formats.kitti import LabelFileError
-from track_range.detection.formats.labelled_images import (
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.image_truth import ANY_CLASS
+from track_range.detection.formats.image_labels.labelled_images import (
     ImageFileError,
     images_in,
     of_split,

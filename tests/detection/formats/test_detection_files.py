@@ -5,7 +5,7 @@ import pytest
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.detection_files import read_detections, xyxy_from_mot
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 
 KITTI = "{frame} -1 {kind} -1 -1 -10 1 2 11 12 -1 -1 -1 -1000 -1000 -1000 -10 {score}\n"
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.models.metadata import names_of
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text

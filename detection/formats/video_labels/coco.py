@@ -28,7 +28,7 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
 from track_range.foundation.input_files import quoted

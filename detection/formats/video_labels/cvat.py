@@ -33,10 +33,10 @@ import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities
-from track_range.detection.formats.xml_events import parse_xml
+from track_range.detection.formats.video_labels.xml_events import parse_xml
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.input_files import open_regular, quoted, shortened
 from track_range.foundation.numeric_text import number

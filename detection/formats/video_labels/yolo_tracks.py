@@ -25,11 +25,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
-from track_range.detection.formats.coco import image_name
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
-from track_range.detection.formats.yolo_labels import names_for_folder
+from track_range.detection.formats.video_labels.coco import image_name
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.images import IMAGE_SUFFIXES, header_size_px

@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.errors import UserError
 from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
 from track_range.foundation.numeric_text import numbers
 
@@ -51,10 +51,6 @@ _LIMITS = {
 
 _INTEGERS = (0, 1, 3)
 """Columns without the type that are integers: frame, track id, occlusion."""
-
-
-class LabelFileError(UserError):
-    """An invalid label or detection file; the message names the file, the line and the expected content."""
 
 
 @dataclass(frozen=True, slots=True)

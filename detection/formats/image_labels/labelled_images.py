@@ -5,7 +5,7 @@
     coco   one JSON file: images, annotations (bbox x y w h in pixels, iscrowd), categories
 
 YOLO and COCO labels use the corner convention (the image's left edge is 0); half a pixel is subtracted, so that pixel
-centres are at integers. KITTI labels are used without change (`detection.formats.kitti`).
+centres are at integers. KITTI labels are used without change (`detection.formats.video_labels.kitti`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from typing import Any, Literal
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
-from track_range.detection.formats.coco import MAX_COCO_BYTES
-from track_range.detection.formats.image_truth import ImageTruth, truth_of_kitti
-from track_range.detection.formats.kitti import LabelFileError, read_kitti, read_kitti_image
-from track_range.detection.formats.yolo_labels import YoloLabelReader
+from track_range.detection.formats.errors import LabelFileError
+from track_range.detection.formats.image_labels.image_truth import ImageTruth, truth_of_kitti
+from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader
+from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
+from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation import images as image_files
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.foundation.csv_tables import read_csv_table

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES
-from track_range.detection.formats.kitti import KittiLabels
+from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 ANY_CLASS = -1

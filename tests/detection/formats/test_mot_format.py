@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.detections import Detections
-from track_range.detection.formats.mot import MotFormatError, MotRows, mot_lines, read_mot
+from track_range.detection.formats.video_labels.mot import MotFormatError, MotRows, mot_lines, read_mot
 from track_range.tracking.tracks import Tracks
 
 

@@ -12,11 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.damaged_text import MAX_MESSAGE, check_damaged, damaged
-from tests.detection.test_reference_labels import COCO, CVAT, SIZE, YOLO
+from tests.detection.formats.test_reference_labels import COCO, CVAT, SIZE, YOLO
 from track_range.detection.formats.box_table import VideoFacts
-from track_range.detection.formats.coco import MAX_COCO_BYTES
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
+from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
 from track_range.foundation.errors import UserError
 
 BOMB = (

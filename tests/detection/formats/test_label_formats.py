@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
-from track_range.detection.formats.kitti import LabelFileError
+from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, label_format_of, read_labels
 
 VIDEO = VideoFacts("drive", n_frames=40, size_px=(1242, 375), fps=10.0)
