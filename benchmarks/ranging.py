@@ -38,7 +38,7 @@ from track_range.run.pipeline import noise_shares
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
-from track_range.video.file import VideoFile
+from track_range.video.files.video_file import VideoFile
 
 CAMERA = PinholeCamera(721.5, 721.5, 609.6, 172.9, 1242, 375)
 """Camera of KITTI."""

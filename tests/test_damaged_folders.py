@@ -18,7 +18,7 @@ from track_range.foundation.errors import UserError
 from track_range.foundation.structured_text import yaml_text
 from track_range.results.columns import column_names
 from track_range.results.folder import read_run_folder
-from track_range.video.image_folder import ImageFolder
+from track_range.video.files.image_folder import ImageFolder
 
 SUMMARY = {"frames": 3, "wall_s": 1.5, "starts_s": 0.0, "notes": ["A note."], "tracks": {"n": 1}, "focal_px": 700.0}
 SETTINGS = {"track_range_settings": 1, "run": {"mono": "a.mp4", "focal_px": 700.0}, "found": {"fps": 10.0}}

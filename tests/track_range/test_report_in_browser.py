@@ -18,7 +18,7 @@ from track_range.overlay.colours import method_colours
 from track_range.report.comparison import ComparedRun
 from track_range.report.page import write_comparison, write_report
 from track_range.results.columns import column_names
-from track_range.video.writer import VideoWriter
+from track_range.video.writing.video_writer import VideoWriter
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (extra dev)")
 

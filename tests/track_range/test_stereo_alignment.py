@@ -8,7 +8,7 @@ from track_range.stereo.alignment.file import save_alignment
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError
-from track_range.video.auto_alignment import PairAlignment, find_alignment
+from track_range.video.pairs.auto_alignment import PairAlignment, find_alignment
 
 RIG = kitti_like_rig(width_px=620, height_px=188)
 

@@ -21,7 +21,7 @@ from track_range.foundation.arrays import Image
 from track_range.foundation.images import IMAGE_SUFFIXES
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.video.frame import TIME_EPSILON_S
-from track_range.video.pairing import StereoVideo
+from track_range.video.pairs.pairing import StereoVideo
 from track_range.video.reader import VideoReader
 
 _MAX_VIDEO_SHOTS = 300

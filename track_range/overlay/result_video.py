@@ -14,7 +14,7 @@ from track_range.foundation.arrays import Image
 from track_range.run.frame_result import FrameResult
 from track_range.run.prefetch import lower_thread_priority
 from track_range.run.stage_clock import StageClock
-from track_range.video.writer import MAX_HELD_FRAMES, VideoWriter
+from track_range.video.writing.video_writer import MAX_HELD_FRAMES, VideoWriter
 
 _QUANTIZER = 28
 """Constant quantizer of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)."""

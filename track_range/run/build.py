@@ -17,8 +17,8 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import Tracker
+from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M
 from track_range.video.recording import Recording, open_recording
-from track_range.video.uncalibrated import ASSUMED_BASELINE_M
 
 
 def open_input(settings: RunSettings, progress: StepProgress = no_progress) -> Recording:

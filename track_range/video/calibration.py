@@ -16,12 +16,12 @@ from track_range.stereo.geometry.rectification import Rectifier, Undistorter
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.geometry.rig_checks import check_camera, check_rig, fitted_to_size
 from track_range.stereo.rig_formats.reading import find_rig, left_from_reference_m, load_camera, load_rig
-from track_range.video.auto_alignment import PairAlignment
 from track_range.video.bags.calibration import camera_of, is_undistorted, rig_of
 from track_range.video.inputs import Inputs
 from track_range.video.names import VideoName, files_of
+from track_range.video.pairs.auto_alignment import PairAlignment
+from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
 from track_range.video.reader import VideoReader
-from track_range.video.uncalibrated import ASSUMED_BASELINE_M, UncalibratedPair, camera_of_focal_length
 
 CalibrationKind = Literal["rig", "focal length", "estimated"]
 """Source of the metric scale: a file, a given focal length, or the sizes of road users."""

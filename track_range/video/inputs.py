@@ -12,9 +12,9 @@ from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.pair import LivePair
 from track_range.video.live.reader import LiveReader
-from track_range.video.look_ahead import LookAhead
 from track_range.video.names import VideoName
-from track_range.video.pairing import StereoVideo
+from track_range.video.pairs.look_ahead import LookAhead
+from track_range.video.pairs.pairing import StereoVideo
 from track_range.video.reader import VideoReader
 from track_range.video.threads import MAX_LOOK_AHEAD_BYTES
 from track_range.video.utc import UtcStart

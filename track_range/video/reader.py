@@ -12,11 +12,11 @@ from track_range.foundation.atomic_files import describe
 from track_range.foundation.input_files import quoted
 from track_range.video.bags.bag import is_bag
 from track_range.video.bags.bag_video import BagVideo
-from track_range.video.file import VideoFile
+from track_range.video.files.image_folder import ImageFolder
+from track_range.video.files.video_file import VideoFile
 from track_range.video.frame import VideoError, VideoFrame
-from track_range.video.image_folder import ImageFolder
 from track_range.video.names import BagTopic, RecordedName, Segments
-from track_range.video.segments import SegmentedVideo, segment_files
+from track_range.video.segments.segmented_video import SegmentedVideo, segment_files
 from track_range.video.threads import DECODER_THREADS
 from track_range.video.utc import UtcStart
 

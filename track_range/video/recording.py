@@ -18,13 +18,13 @@ from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import StereoRig
-from track_range.video.auto_alignment import ESTIMATION_SPAN_S, find_alignment
 from track_range.video.bags.bag import is_bag
 from track_range.video.calibration import Calibration, find_calibration
 from track_range.video.frame import VideoError
 from track_range.video.inputs import Images, Inputs
 from track_range.video.names import BagTopic, VideoName, video_name
-from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
+from track_range.video.pairs.auto_alignment import ESTIMATION_SPAN_S, find_alignment
+from track_range.video.pairs.pair_monitor import MAX_CHECKED_PAIRS, Monitor, PairMonitor, SyncMonitor
 from track_range.video.utc import UtcStart, parsed_utc
 
 _N_ROW_PAIRS = 3

@@ -21,7 +21,7 @@ from track_range.video.bags.decoding import (
     camera_message,
     is_readable,
 )
-from track_range.video.file_state import FileState
+from track_range.video.files.file_state import FileState
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 from track_range.video.names import BagTopic
 from track_range.video.utc import UtcStart

@@ -18,7 +18,7 @@ from track_range.video.frame import VideoError
 from track_range.video.inputs import Inputs
 from track_range.video.names import Segments
 from track_range.video.reader import VideoReader
-from track_range.video.segment_times import SegmentFacts, SegmentPlan, arranged, natural_key, paired_starts_s
+from track_range.video.segments.segment_times import SegmentFacts, SegmentPlan, arranged, natural_key, paired_starts_s
 from track_range.video.utc import Stamp, stamp_in_name
 
 Film = Callable[..., Path]

@@ -14,7 +14,7 @@ from contextlib import closing
 
 from track_range.video.frame import VideoFrame
 from track_range.video.live.pair import LivePair
-from track_range.video.pairing import StereoVideo
+from track_range.video.pairs.pairing import StereoVideo
 
 Pair = tuple[VideoFrame, VideoFrame]
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.video.frame import VideoError
-from track_range.video.pairing import StereoVideo
+from track_range.video.pairs.pairing import StereoVideo
 from track_range.video.reader import VideoReader
 
 Level = Callable[..., np.ndarray]

@@ -14,11 +14,11 @@ from pathlib import Path
 from track_range.foundation.atomic_files import describe
 from track_range.foundation.images import IMAGE_SUFFIXES
 from track_range.video.bags.bag import is_bag
-from track_range.video.file import VideoFile, VideoHeader, count_packets
-from track_range.video.file_state import FileState
+from track_range.video.files.file_state import FileState
+from track_range.video.files.video_file import VideoFile, VideoHeader, count_packets
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
 from track_range.video.names import Segments, is_pattern, matching_files
-from track_range.video.segment_times import SegmentFacts, arranged, paired_starts_s
+from track_range.video.segments.segment_times import SegmentFacts, arranged, paired_starts_s
 from track_range.video.utc import UtcStart
 
 VIDEO_SUFFIXES = frozenset(

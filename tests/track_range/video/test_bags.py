@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 
-from tests.track_range.bag_writers import START_NS, write_foxglove, write_ros1, write_ros2
 from tests.track_range.test_results import result
+from tests.track_range.video.bag_writers import START_NS, write_foxglove, write_ros1, write_ros2
 from track_range.foundation.errors import UsageError
 from track_range.results.writers import OpenWriters, RunInfo
 from track_range.run.settings import save_settings, settings_from
@@ -141,7 +141,7 @@ def test_missing_topic_lists_the_topics(tmp_path: Path, images: list[np.ndarray]
 
 
 def test_raw_pair_is_rectified(tmp_path: Path, images: list[np.ndarray], monkeypatch: Any) -> None:
-    monkeypatch.setattr("tests.track_range.bag_writers.K", [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0])
+    monkeypatch.setattr("tests.track_range.video.bag_writers.K", [75.0, 0.0, 31.5, 0.0, 75.0, 23.5, 0.0, 0.0, 1.0])
     bag = write(tmp_path / "bag", "sqlite3", BOTH, images)
     recording = open_recording(
         bag, bag, topics=[f"{side}/image_raw/compressed" for side in BOTH], align="off", has_checks=False
@@ -262,7 +262,7 @@ def test_bag_in_several_files(tmp_path: Path, images: list[np.ndarray], monkeypa
     folder = tmp_path / "trip"
     folder.mkdir()
     for number in range(2):
-        monkeypatch.setattr("tests.track_range.bag_writers.START_NS", START_NS + number * 1_200_000_000)
+        monkeypatch.setattr("tests.track_range.video.bag_writers.START_NS", START_NS + number * 1_200_000_000)
         write_foxglove(folder / f"trip_{number}.mcap", ("/cam",), images)
     reader = VideoReader(BagTopic(folder, "/cam/image"))
     assert [frame.index for frame in reader] == list(range(24))

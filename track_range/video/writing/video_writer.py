@@ -21,8 +21,8 @@ from av.video.frame import PictureType
 from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image, check_shape
-from track_range.video.fragment_file import BUFFER_BYTES, FragmentFile
 from track_range.video.frame import VideoError
+from track_range.video.writing.fragment_file import BUFFER_BYTES, FragmentFile
 
 _ENCODER = "libx264"
 _TICKS_HZ = 90_000

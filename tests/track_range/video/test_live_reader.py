@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.track_range.live_servers import N_LEVELS, RATE_HZ, cameras, number_of, served, sound
 from tests.track_range.overlay_results import result
+from tests.track_range.video.live_servers import N_LEVELS, RATE_HZ, cameras, number_of, served, sound
 from track_range.live_view.view import LiveView
 from track_range.video.frame import VideoError
 from track_range.video.live import reader as live_reader

@@ -6,7 +6,7 @@ import pytest
 
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.geometry.rig import RigError
-from track_range.video.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor, SyncMonitor
+from track_range.video.pairs.pair_monitor import MAX_CHECKED_PAIRS, PairMonitor, SyncMonitor
 
 SIZE_PX = (480, 260)
 

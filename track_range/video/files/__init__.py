@@ -1,0 +1,1 @@
+"""Video files and folders of numbered images as sequences of frames."""

@@ -1,0 +1,1 @@
+"""Pairs of videos: pairing by time, alignment and checks."""

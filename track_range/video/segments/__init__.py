@@ -1,0 +1,1 @@
+"""Recordings in several files, as dashcams write them."""
