@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
-from track_range.foundation.numeric_text import number, numbers
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.files.numeric_text import number, numbers
 
 _MPS_PER_KMH = 1 / 3.6
 _MAX_SPEED_MPS = 120.0

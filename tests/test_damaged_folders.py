@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.damaged_text import MAX_MESSAGE, damaged
 from track_range.foundation.errors import UserError
-from track_range.foundation.structured_text import yaml_text
+from track_range.foundation.files.structured_text import yaml_text
 from track_range.results.columns import column_names
 from track_range.results.folder import read_run_folder
 from track_range.video.files.image_folder import ImageFolder

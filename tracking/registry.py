@@ -17,7 +17,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.input_files import quoted
 from track_range.tracking.tracker import Tracker, TrackerOptions
 from track_range.tracking.tracks import Tracks
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.detection.models.onnx_session import ModelError
-from track_range.foundation.input_files import MAX_TEXT_BYTES, read_bytes
-from track_range.foundation.numeric_text import number, numbers
+from track_range.foundation.files.input_files import MAX_TEXT_BYTES, read_bytes
+from track_range.foundation.files.numeric_text import number, numbers
 
 _ALIASES = {"network": "net", "conv": "convolutional", "max": "maxpool"}
 """Short and alternative names of sections."""

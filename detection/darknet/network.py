@@ -24,7 +24,7 @@ from track_range.detection.darknet.layers import (
     Upsample,
     YoloHead,
 )
-from track_range.foundation.input_files import quoted, shortened
+from track_range.foundation.files.input_files import quoted, shortened
 
 
 def read_network(path: Path) -> Network:

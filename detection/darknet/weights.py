@@ -24,7 +24,7 @@ import numpy.typing as npt
 from track_range.detection.darknet.layers import Convolution, Network
 from track_range.detection.models.onnx_session import ModelError
 from track_range.foundation.arrays import FloatArray32
-from track_range.foundation.input_files import open_regular, readable
+from track_range.foundation.files.input_files import open_regular, readable
 
 _EPSILON = 0.00001
 """Number added to the variance of batch norm, as in AlexeyAB's Darknet."""

@@ -25,11 +25,11 @@ from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
 from track_range.detection.formats.table_checks import other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import xyxy_from_mot
-from track_range.foundation.array_files import read_array
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.csv_tables import read_csv_table
-from track_range.foundation.input_files import MAX_TABLE_BYTES, first_line, quoted, read_text
-from track_range.foundation.numeric_text import are_integers, number
+from track_range.foundation.files.array_files import read_array
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, first_line, quoted, read_text
+from track_range.foundation.files.numeric_text import are_integers, number
 
 _MOT_COLUMNS = range(7, 11)
 """Numbers of columns that MOTChallenge's files have."""

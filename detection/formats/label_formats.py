@@ -25,7 +25,7 @@ from track_range.detection.formats.video_labels.text_tables import (
     write_mot_table,
 )
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder, read_yolo_folder, write_yolo
-from track_range.foundation.input_files import first_line, open_regular, readable
+from track_range.foundation.files.input_files import first_line, open_regular, readable
 
 _PARQUET_MARK = b"PAR1"
 """First bytes of a Parquet file."""

@@ -9,7 +9,7 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable
 from track_range.detection.formats.errors import LabelFileError
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.input_files import shortened
 
 _MOST_NAMED = 5
 """Largest number of labels that a note names."""

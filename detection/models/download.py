@@ -20,7 +20,7 @@ from urllib.parse import urlparse
 from track_range.detection.darknet.importer import import_darknet
 from track_range.detection.models.catalogue import CatalogueEntry, ModelFile
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.input_files import shortened
 
 Progress = Callable[[int, int | None], None]
 """Called with the number of bytes downloaded so far, and the total if the server reports it."""

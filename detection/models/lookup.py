@@ -12,8 +12,8 @@ from typing import Literal
 
 from track_range.detection.models.catalogue import CATALOGUE, CatalogueEntry, entry_named
 from track_range.detection.models.onnx_session import ModelError
-from track_range.foundation.cache_folder import cache_folder
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.cache_folder import cache_folder
+from track_range.foundation.files.input_files import shortened
 
 PACKAGED_FOLDER = Path(__file__).parents[1] / "weights"
 """Folder of the models that are part of track-range."""

@@ -21,8 +21,8 @@ from typing import Any
 
 from track_range.detection.models.onnx_session import ModelError
 from track_range.detection.yolo.input_format import placement_and_grey
-from track_range.foundation.input_files import MAX_TEXT_BYTES, quoted, shortened
-from track_range.foundation.structured_text import parse_json, read_yaml
+from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, shortened
+from track_range.foundation.files.structured_text import parse_json, read_yaml
 
 _MAX_REASON = 160
 """Longest description of an invalid value, in characters."""

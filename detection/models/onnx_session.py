@@ -18,7 +18,7 @@ import onnxruntime as ort
 
 from track_range.foundation.arrays import FloatArray32
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import check_regular, quoted, real_path, shortened
+from track_range.foundation.files.input_files import check_regular, quoted, real_path, shortened
 
 Device = Literal["auto", "cpu", "cuda", "tensorrt"]
 

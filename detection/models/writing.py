@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from track_range.detection.models.onnx_session import ModelError
-from track_range.foundation.atomic_files import atomic_folder, describe
+from track_range.foundation.files.atomic_files import atomic_folder, describe
 
 
 @contextlib.contextmanager

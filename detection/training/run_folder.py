@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from track_range.detection.training.errors import CheckpointError
-from track_range.foundation.atomic_files import atomic_path, describe, write_text
+from track_range.foundation.files.atomic_files import atomic_path, describe, write_text
 
 LAST, BEST, RESULTS = "last.pt", "best.pt", "results.csv"
 

@@ -25,8 +25,8 @@ from track_range.detection.training.losses.assignment import Cells
 from track_range.detection.training.networks.network import AnchorNetwork, placed
 from track_range.detection.training.networks.onnx_weights import yolov5_of_export
 from track_range.foundation.arrays import IntArray
-from track_range.foundation.input_files import quoted
-from track_range.foundation.structured_text import parse_json
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.structured_text import parse_json
 
 MIN_OBJECTNESS = 0.1
 """Smallest objectness of a teacher's cell that is a positive."""

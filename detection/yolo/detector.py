@@ -20,7 +20,7 @@ from track_range.detection.models.onnx_session import BoundNetwork, ModelError, 
 from track_range.detection.yolo.layouts import YoloModel, identify_layout
 from track_range.detection.yolo.letterbox import Letterbox, rectangular_input_hw
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, IntArray
-from track_range.foundation.input_files import quoted, shortened
+from track_range.foundation.files.input_files import quoted, shortened
 
 _MAX_BOUND = 8
 """Largest number of input sizes whose buffers are cached; binding a new size costs one run of the network."""

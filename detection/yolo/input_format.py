@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from track_range.detection.yolo.letterbox import Letterbox, Placement
 from track_range.foundation.arrays import Image
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.input_files import quoted
 
 Colours = Literal["rgb", "bgr"]
 

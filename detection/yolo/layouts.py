@@ -34,7 +34,7 @@ from track_range.detection.yolo.decoders import (
     RowDecoder,
 )
 from track_range.detection.yolo.input_format import InputFormat, placement_and_grey
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.input_files import shortened
 
 _EXPORT_HINT = "n = number of cells; export with batch size 1 and without NMS"
 """Advice at the end of the message on unknown outputs."""

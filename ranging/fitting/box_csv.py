@@ -17,8 +17,8 @@ from track_range.detection.classes import ROAD_CLASS_OF
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.csv_tables import CsvTable, read_csv_table
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.files.input_files import quoted
 from track_range.ranging.fitting.labelled_boxes import BoxSet
 
 COLUMNS = ("class", "x1", "y1", "x2", "y2", "distance_m", "fx", "fy", "cx", "cy", "track", "sequence")

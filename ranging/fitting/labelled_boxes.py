@@ -22,7 +22,7 @@ from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.kitti import KittiLabels, read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.input_files import first_line
+from track_range.foundation.files.input_files import first_line
 from track_range.ranging.evaluation.errors import BANDS_M, MIN_IOU
 from track_range.ranging.evaluation.truth import MAX_OCCLUDED, surface_of_labels_m
 from track_range.stereo.geometry.camera import PinholeCamera

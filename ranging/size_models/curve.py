@@ -14,9 +14,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from track_range.foundation.atomic_files import describe, write_text
 from track_range.foundation.errors import UserError
-from track_range.foundation.structured_text import read_json
+from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.structured_text import read_json
 from track_range.foundation.validation import Integer, validated
 from track_range.ranging.size_models import cuboid_sizes, log_linear, tables
 from track_range.ranging.size_models.size_model import StoredSizeModel

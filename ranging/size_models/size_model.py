@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.input_files import quoted
 from track_range.foundation.validation import Number
 from track_range.stereo.geometry.camera import PinholeCamera
 

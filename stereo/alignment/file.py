@@ -19,7 +19,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from track_range.foundation.structured_text import read_yaml, yaml_text
+from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import Number, Version1, validated
 from track_range.stereo.alignment.model import UNCORRECTED_SIGMA_PX, Alignment
 from track_range.stereo.geometry.rig import RigError

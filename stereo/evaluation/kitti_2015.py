@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.foundation.errors import UserError
-from track_range.foundation.images import read_image
+from track_range.foundation.files.images import read_image
 from track_range.stereo.geometry.frames import ImageView
 from track_range.stereo.geometry.rectification import Rectifier
 from track_range.stereo.geometry.rig import RigError, StereoRig

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.input_files import quoted, shortened
+from track_range.foundation.files.input_files import quoted, shortened
 from track_range.foundation.validation import Integer
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig

@@ -16,8 +16,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.input_files import quoted
-from track_range.foundation.structured_text import parse_yaml
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.structured_text import parse_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError
 from track_range.stereo.geometry.rig_checks import MAX_SIDE_PX, Calibration

@@ -25,8 +25,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.input_files import quoted, read_text, shortened
-from track_range.foundation.structured_text import parse_json, parse_yaml
+from track_range.foundation.files.input_files import quoted, read_text, shortened
+from track_range.foundation.files.structured_text import parse_json, parse_yaml
 from track_range.foundation.validation import Integer, Number, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rectification import distortion_coefficients, stereo_rectification

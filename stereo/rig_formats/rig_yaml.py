@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.structured_text import parse_yaml, yaml_text
+from track_range.foundation.files.structured_text import parse_yaml, yaml_text
 from track_range.foundation.validation import Number, PositiveNumber, Version1, validated
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig

@@ -18,7 +18,7 @@ import track_range as tr
 from tests.documented_commands import PAGES, python_blocks
 from tests.track_range.test_results import result, writing
 from tests.track_range.test_write_failures import file_size_limit, inputs  # noqa: F401
-from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.files.structured_text import read_yaml
 from track_range.report.run_folders import report
 from track_range.results.columns import column_names, result_columns, rounded
 from track_range.results.folder import read_run_folder, read_run_rows

@@ -17,7 +17,7 @@ import track_range as tr
 from tests.track_range.test_results import result, writing
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.errors import UserError
-from track_range.foundation.folder_lock import FolderLockError, locked_folder
+from track_range.foundation.files.folder_lock import FolderLockError, locked_folder
 from track_range.overlay.result_video import ResultVideo, VideoFormat
 from track_range.report.run_folders import report
 from track_range.results.formats.csv_file import read_tracks_csv

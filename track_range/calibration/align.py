@@ -15,7 +15,7 @@ from track_range.calibration.drive_pairs import LEFT, RIGHT, open_pair
 from track_range.calibration.reference_pairs import reference_pairs
 from track_range.calibration.settings import AlignmentSettings
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import real_path
+from track_range.foundation.files.input_files import real_path
 from track_range.foundation.progress import StepProgress, no_progress
 from track_range.results.output_files import check_outputs, write_text
 from track_range.stereo.alignment.feature_tracks import row_offset_px

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from track_range.detection.formats.image_labels.labelled_images import ImageFileError, images_in, read_image
 from track_range.foundation.arrays import Image
-from track_range.foundation.images import IMAGE_SUFFIXES
+from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.stereo.calibration.board_views import RejectedView
 from track_range.video.frame import TIME_EPSILON_S
 from track_range.video.pairs.pairing import StereoVideo

@@ -23,8 +23,8 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID, are_plausible_boxes
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.csv_tables import CsvTable, read_csv_table
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.stereo.evaluation.kitti_2015 import StereoPair, is_kitti_2015, read_pairs
 from track_range.stereo.geometry.rig import StereoRig

@@ -236,7 +236,7 @@ def _is_run(arguments: list[str]) -> bool:
 def _print_error(message: str) -> None:
     from rich.console import Console
 
-    from track_range.foundation.input_files import printable
+    from track_range.foundation.files.input_files import printable
 
     # no emoji: ":X:" may be a part of the user's text
     Console(stderr=True, emoji=False).print(

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from track_range.foundation.input_files import printable
+from track_range.foundation.files.input_files import printable
 from track_range.report.tables import Grid, grids
 
 console = Console()

@@ -12,7 +12,7 @@ from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import Lazy, lazy_app, single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import real_path
+from track_range.foundation.files.input_files import real_path
 from track_range.foundation.options import Options, option
 from track_range.report.tables import Column, grid_of
 from track_range.stereo.geometry.camera import PinholeCamera

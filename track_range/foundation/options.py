@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.fields import FieldInfo
 
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.input_files import shortened
 from track_range.foundation.validation import first_problem
 
 

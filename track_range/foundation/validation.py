@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
-from track_range.foundation.input_files import quoted, shortened
+from track_range.foundation.files.input_files import quoted, shortened
 
 _Model = TypeVar("_Model", bound=BaseModel)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.foundation.input_files import real_path
+from track_range.foundation.files.input_files import real_path
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.report.tables import Grid

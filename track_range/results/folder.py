@@ -18,7 +18,7 @@ from pydantic import BaseModel
 
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.arrays import BoolArray
-from track_range.foundation.structured_text import read_json, read_yaml
+from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
 from track_range.ranging.evaluation.truth import Truth, read_truth
 from track_range.results.columns import Columns, column_names, methods_measured, no_rows, rounded

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from track_range.foundation import atomic_files
-from track_range.foundation.atomic_files import describe
 from track_range.foundation.errors import UserError
-from track_range.foundation.folder_lock import locked_folder
+from track_range.foundation.files import atomic_files
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.folder_lock import locked_folder
 
 
 class OutputError(UserError):
@@ -18,7 +18,7 @@ class OutputError(UserError):
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8 (see `foundation.atomic_files`).
+    """Write a text file atomically, in UTF-8 (see `foundation.files.atomic_files`).
 
     Raises:
         OutputError: the file cannot be written.
@@ -27,7 +27,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file atomically (see `foundation.atomic_files`).
+    """Write a binary file atomically (see `foundation.files.atomic_files`).
 
     Raises:
         OutputError: the file cannot be written.

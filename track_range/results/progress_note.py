@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from track_range.foundation.atomic_files import describe, write_text
 from track_range.foundation.errors import UserError
-from track_range.foundation.folder_lock import is_locked
-from track_range.foundation.structured_text import read_json
+from track_range.foundation.files.atomic_files import describe, write_text
+from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.files.structured_text import read_json
 from track_range.results.output_files import OutputError
 
 PROGRESS_FILE = "progress.json"

@@ -16,8 +16,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from track_range.foundation.arrays import Image
-from track_range.foundation.atomic_files import describe
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.atomic_files import describe
 from track_range.results.output_files import OutputError
 from track_range.results.provenance import Provenance
 

@@ -13,8 +13,8 @@ from track_range.detection.models.metadata import ModelOptions
 from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.errors import ConfigError, UsageError
-from track_range.foundation.input_files import quoted, read_text, shortened
-from track_range.foundation.numeric_text import number
+from track_range.foundation.files.input_files import quoted, read_text, shortened
+from track_range.foundation.files.numeric_text import number
 
 _MAX_NAME = 200
 """Largest number of characters of a class name."""

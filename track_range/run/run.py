@@ -22,7 +22,7 @@ from rich.console import Console
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
-from track_range.foundation.input_files import real_path
+from track_range.foundation.files.input_files import real_path
 from track_range.overlay.outputs import overlay_picture
 from track_range.overlay.result_video import Draw
 from track_range.ranging.evaluation.truth import read_truth

@@ -20,7 +20,7 @@ from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import first_line
+from track_range.foundation.files.input_files import first_line
 from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,

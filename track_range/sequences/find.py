@@ -19,9 +19,9 @@ from typing import Literal
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME
 from track_range.detection.formats.video_labels.yolo_tracks import is_yolo_folder
-from track_range.foundation.atomic_files import describe
-from track_range.foundation.input_files import quoted, read_text, real_path
-from track_range.foundation.numeric_text import number
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.input_files import quoted, read_text, real_path
+from track_range.foundation.files.numeric_text import number
 
 Kind = Literal["det", "gt"]
 """Detections or ground truth, as in MOTChallenge's file names."""

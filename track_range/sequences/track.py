@@ -14,7 +14,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.formats.detection_files import RecordedDetections, read_detections
 from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.errors import UsageError
-from track_range.foundation.input_files import real_path
+from track_range.foundation.files.input_files import real_path
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.results.output_files import OutputError, locked_output, make_folder
 from track_range.run.settings import check_tracker

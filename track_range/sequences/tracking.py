@@ -11,7 +11,7 @@ import numpy as np
 
 from track_range.detection.formats.detection_files import RecordedDetections
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.foundation.atomic_files import describe
+from track_range.foundation.files.atomic_files import describe
 from track_range.sequences.find import SequenceFile
 from track_range.tracking.offline_refinement import OfflineRefinement
 from track_range.tracking.registry import checked_tracks

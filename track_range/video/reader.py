@@ -8,8 +8,8 @@ from collections.abc import Generator, Iterator
 from contextlib import closing
 from pathlib import Path
 
-from track_range.foundation.atomic_files import describe
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.input_files import quoted
 from track_range.video.bags.bag import is_bag
 from track_range.video.bags.bag_video import BagVideo
 from track_range.video.files.image_folder import ImageFolder

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.input_files import quoted
 
 ZONE_SPAN_S = 14 * 3600.0
 """Largest difference, s, between local time and UTC (Kiribati)."""

@@ -23,13 +23,13 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth, t
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader
 from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
-from track_range.foundation import images as image_files
 from track_range.foundation.arrays import BoolArray, Image
-from track_range.foundation.csv_tables import read_csv_table
 from track_range.foundation.errors import UserError
-from track_range.foundation.images import IMAGE_SUFFIXES
-from track_range.foundation.input_files import quoted, shortened
-from track_range.foundation.structured_text import read_json
+from track_range.foundation.files import images as image_files
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.images import IMAGE_SUFFIXES
+from track_range.foundation.files.input_files import quoted, shortened
+from track_range.foundation.files.structured_text import read_json
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 

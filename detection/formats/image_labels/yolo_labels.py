@@ -17,9 +17,9 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.models.metadata import names_of
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
-from track_range.foundation.numeric_text import numbers
-from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.files.numeric_text import numbers
+from track_range.foundation.files.structured_text import read_yaml
 
 _NAME_FILES = ("classes.txt", "data.yaml", "data.yml", "obj.names")
 """Files that may have the class names, in the order in which they are tried."""

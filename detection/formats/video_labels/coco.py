@@ -31,8 +31,8 @@ from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, Vid
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
-from track_range.foundation.input_files import quoted
-from track_range.foundation.structured_text import read_json
+from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.structured_text import read_json
 
 MAX_COCO_BYTES = 250_000_000
 """Size limit, bytes: about 1.2 million boxes, which take 2.5 GB of memory while they are read."""

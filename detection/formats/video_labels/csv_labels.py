@@ -29,8 +29,8 @@ from track_range.detection.classes import ROAD_CLASS_OF, ROAD_CLASSES, map_to_ro
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.csv_tables import CsvTable, read_csv_table
-from track_range.foundation.input_files import first_line, quoted
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.files.input_files import first_line, quoted
 
 REQUIRED = ("frame", "id", "class", "x1", "y1", "x2", "y2", "distance_m")
 """Required columns."""

@@ -38,8 +38,8 @@ from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE
 from track_range.detection.formats.table_checks import check_identities
 from track_range.detection.formats.video_labels.xml_events import parse_xml
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.input_files import open_regular, quoted, shortened
-from track_range.foundation.numeric_text import number
+from track_range.foundation.files.input_files import open_regular, quoted, shortened
+from track_range.foundation.files.numeric_text import number
 
 MAX_CVAT_BYTES = 500_000_000
 """Size limit, bytes: about two million boxes."""

@@ -24,8 +24,8 @@ import numpy.typing as npt
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
-from track_range.foundation.numeric_text import numbers
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.files.numeric_text import numbers
 
 _TRACKING_COLUMNS = 17
 """Number of columns of tracking labels, without the score."""

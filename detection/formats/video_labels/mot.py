@@ -19,8 +19,8 @@ import numpy as np
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_FRAME, MAX_ID
 from track_range.foundation.arrays import FloatArray, IntArray, check_shape
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
-from track_range.foundation.numeric_text import numbers
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.files.numeric_text import numbers
 
 _FIRST_PIXEL = 1  # `xyxy_from_mot` is the inverse
 _FIRST_FRAME = 1

@@ -19,8 +19,8 @@ from track_range.detection.formats.video_labels.csv_labels import DONT_CARE, rea
 from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
 from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.csv_tables import read_csv_table
-from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular, quoted
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
 
 # fmt: off
 _MOT_CLASSES: Mapping[int, str] = {

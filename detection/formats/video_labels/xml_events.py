@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn, Protocol
 from xml.parsers import expat
 
-from track_range.foundation.input_files import readable, shortened
+from track_range.foundation.files.input_files import readable, shortened
 
 MAX_DEPTH = 16
 """Largest depth of nested elements."""

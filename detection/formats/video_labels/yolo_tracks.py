@@ -31,11 +31,18 @@ from track_range.detection.formats.limits import MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
 from track_range.detection.formats.video_labels.coco import image_name
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.foundation.atomic_files import describe
-from track_range.foundation.images import IMAGE_SUFFIXES, header_size_px
-from track_range.foundation.input_files import MAX_TABLE_BYTES, first_line, open_regular, quoted, read_text, readable
-from track_range.foundation.numeric_text import numbers
-from track_range.foundation.structured_text import read_yaml, yaml_text
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.images import IMAGE_SUFFIXES, header_size_px
+from track_range.foundation.files.input_files import (
+    MAX_TABLE_BYTES,
+    first_line,
+    open_regular,
+    quoted,
+    read_text,
+    readable,
+)
+from track_range.foundation.files.numeric_text import numbers
+from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.validation import PositiveNumber, validated
 
 DATA_YAML = "data.yaml"

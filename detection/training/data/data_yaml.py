@@ -40,8 +40,8 @@ from track_range.detection.formats.image_labels.labelled_images import (
 )
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader, names_in
 from track_range.foundation.arrays import IntArray
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
-from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, real_path, shortened
+from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 
 _MAX_PATH = 1000

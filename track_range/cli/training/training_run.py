@@ -26,7 +26,7 @@ from track_range.detection.training.schedule import SGD, ScheduleSettings
 from track_range.detection.training.settings import TrainingSettings, best_precision, usable_device
 from track_range.detection.training.teacher import Teacher
 from track_range.detection.training.train import Training, prepare_torch
-from track_range.foundation.folder_lock import locked_folder
+from track_range.foundation.files.folder_lock import locked_folder
 from track_range.report.detection_tables import class_grid
 from track_range.report.figures import training_chart
 from track_range.results.output_files import OutputError, make_folder

@@ -16,8 +16,8 @@ from track_range.detection.formats.box_table import BoxTable, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
-from track_range.foundation.atomic_files import atomic_path, describe
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.export.images import frames_of_run, frames_of_video, write_images
 from track_range.results.export.settings import ExportSettings

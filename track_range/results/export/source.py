@@ -14,7 +14,7 @@ import numpy as np
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
-from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
 from track_range.results.output_files import OutputError

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
 from track_range.results.columns import Columns, result_columns
 from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from track_range.foundation.atomic_files import atomic_path
-from track_range.foundation.input_files import MAX_TABLE_BYTES, check_regular, shortened
+from track_range.foundation.files.atomic_files import atomic_path
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
 from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
 from track_range.results.columns import Columns, result_columns
 from track_range.results.formats.row_file import FrameFile

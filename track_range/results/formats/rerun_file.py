@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.foundation import atomic_files
+from track_range.foundation.files import atomic_files
 from track_range.results.formats.extras import check_extra
 from track_range.results.formats.scene import TrackObject, track_objects
 from track_range.results.writers import RunInfo

@@ -9,8 +9,8 @@ from pathlib import Path
 import yaml
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.input_files import open_regular, shortened
-from track_range.foundation.structured_text import read_yaml
+from track_range.foundation.files.input_files import open_regular, shortened
+from track_range.foundation.files.structured_text import read_yaml
 from track_range.video.bags.container import Bag, Topic
 from track_range.video.bags.mcap_file import EXPECTED, McapFile
 from track_range.video.bags.ros1_file import MAGIC as ROS1_MAGIC

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.foundation.images import check_size
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.images import check_size
+from track_range.foundation.files.input_files import shortened
 from track_range.video.bags.bag import open_bag, topic_list
 from track_range.video.bags.container import DamagedError, Topic
 from track_range.video.bags.decoding import (

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.input_files import quoted
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.video.bags.decoding import CameraMessage

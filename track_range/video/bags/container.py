@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, Protocol
 
-from track_range.foundation.input_files import shortened
+from track_range.foundation.files.input_files import shortened
 from track_range.video.frame import VideoError
 
 MAX_RECORD_BYTES = 2**29

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from av.video.codeccontext import VideoCodecContext
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.foundation.images import MAX_PIXELS, decode_image
-from track_range.foundation.input_files import quoted
+from track_range.foundation.files.images import MAX_PIXELS, decode_image
+from track_range.foundation.files.input_files import quoted
 from track_range.video.bags.container import DAMAGE, DamagedError, Topic, missing_library
 
 COMPRESSED_TYPES = ("sensor_msgs/msg/CompressedImage", "foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from track_range.foundation.input_files import open_regular
+from track_range.foundation.files.input_files import open_regular
 from track_range.video.bags.container import (
     DAMAGE,
     MAX_RECORD_BYTES,

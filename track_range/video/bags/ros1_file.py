@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
-from track_range.foundation.input_files import open_regular
+from track_range.foundation.files.input_files import open_regular
 from track_range.video.bags.container import DAMAGE, MAX_RECORD_BYTES, DamagedError, Topic, decompressed, ros2_type
 from track_range.video.bags.mcap_file import EXPECTED
 from track_range.video.frame import VideoError

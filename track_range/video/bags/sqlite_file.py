@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from urllib.parse import quote
 
-from track_range.foundation.input_files import check_regular
+from track_range.foundation.files.input_files import check_regular
 from track_range.video.bags.container import DAMAGE, Topic, ros2_type
 from track_range.video.bags.mcap_file import EXPECTED
 from track_range.video.frame import VideoError

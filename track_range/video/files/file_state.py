@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.foundation.input_files import open_regular
+from track_range.foundation.files.input_files import open_regular
 from track_range.video.frame import VideoError
 
 _N_SAMPLES, _SAMPLE_BYTES = 16, 4096

@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.foundation.atomic_files import describe
-from track_range.foundation.images import IMAGE_SUFFIXES, read_image
-from track_range.foundation.input_files import check_regular, read_bytes
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.images import IMAGE_SUFFIXES, read_image
+from track_range.foundation.files.input_files import check_regular, read_bytes
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
 from track_range.video.utc import ZONE_SPAN_S, UtcStart
 

@@ -29,7 +29,7 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image
-from track_range.foundation.images import MAX_PIXELS, check_size, header_size_px
+from track_range.foundation.files.images import MAX_PIXELS, check_size, header_size_px
 from track_range.video.files.decode_log import DecodeLog
 from track_range.video.files.file_state import FileState
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later

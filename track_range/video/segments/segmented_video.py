@@ -11,8 +11,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.foundation.atomic_files import describe
-from track_range.foundation.images import IMAGE_SUFFIXES
+from track_range.foundation.files.atomic_files import describe
+from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.video.bags.bag import is_bag
 from track_range.video.files.file_state import FileState
 from track_range.video.files.video_file import VideoFile, VideoHeader, count_packets

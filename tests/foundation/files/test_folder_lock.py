@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from track_range.foundation.folder_lock import (
+from track_range.foundation.files.folder_lock import (
     LOCK_FILE,
     FolderLock,
     FolderLockError,
@@ -23,7 +23,7 @@ from track_range.foundation.folder_lock import (
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from track_range.foundation.folder_lock import FolderLock
+from track_range.foundation.files.folder_lock import FolderLock
 lock = FolderLock(Path(sys.argv[1]))
 os.kill(os.getpid(), signal.SIGKILL)
 """

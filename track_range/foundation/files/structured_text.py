@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from track_range.foundation.input_files import MAX_TEXT_BYTES, quoted, read_text, shortened
+from track_range.foundation.files.input_files import MAX_TEXT_BYTES, quoted, read_text, shortened
 
 MAX_DEPTH = 32
 """Largest depth of nested lists and mappings."""

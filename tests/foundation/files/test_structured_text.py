@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.structured_text import (
+from track_range.foundation.files.structured_text import (
     MAX_DEPTH,
     MAX_YAML_VALUES,
     parse_json,

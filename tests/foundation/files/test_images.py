@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.images import MAX_SIDE_PX, header_size_px, read_image
+from track_range.foundation.files.images import MAX_SIDE_PX, header_size_px, read_image
 
 IMAGE = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
 

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from track_range.foundation.input_files import open_regular, quoted, shortened
+from track_range.foundation.files.input_files import open_regular, quoted, shortened
 
 MAX_ARRAY_BYTES = 4_000_000_000
 """Size limit, bytes, of arrays: 2 million embeddings of 512 numbers."""

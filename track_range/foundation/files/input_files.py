@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from track_range.foundation.atomic_files import describe
+from track_range.foundation.files.atomic_files import describe
 
 MAX_TEXT_BYTES = 1_000_000
 """Size limit, bytes, of files that a person or a calibration program writes: rigs, settings, data.yaml."""

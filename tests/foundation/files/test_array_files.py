@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.foundation.array_files import read_array
+from track_range.foundation.files.array_files import read_array
 
 
 class ArrayError(Exception):

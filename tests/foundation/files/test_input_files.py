@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from track_range.foundation import input_files
-from track_range.foundation.input_files import (
+from track_range.foundation.files import input_files
+from track_range.foundation.files.input_files import (
     check_regular,
     first_line,
     printable,

@@ -21,8 +21,8 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
-from track_range.foundation.atomic_files import describe
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.atomic_files import describe
 
 LOCK_FILE = ".running"
 

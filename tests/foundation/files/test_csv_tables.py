@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from track_range.foundation.csv_tables import CsvTable, read_csv_table
+from track_range.foundation.files.csv_tables import CsvTable, read_csv_table
 
 
 class TableError(Exception):

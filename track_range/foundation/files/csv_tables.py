@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
-from track_range.foundation.input_files import MAX_TABLE_BYTES, quoted, read_text
-from track_range.foundation.numeric_text import number
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text
+from track_range.foundation.files.numeric_text import number
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 
