@@ -34,7 +34,7 @@ from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import MethodContext
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import create_rangers, methods
-from track_range.run.pipeline import noise_shares
+from track_range.run.pipeline.pipeline import noise_shares
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -21,7 +21,7 @@ from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.fitting.box_csv import read_box_csv
 from track_range.results.columns import column_names
 from track_range.results.folder import read_run_rows
-from track_range.run.detector_options import class_names
+from track_range.run.options.detector_options import class_names
 from track_range.sequences.find import find_sequences
 from track_range.stereo.geometry.camera import PinholeCamera
 

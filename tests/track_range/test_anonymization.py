@@ -16,8 +16,8 @@ from track_range.anonymization.regions import MIN_CELL_PX, Boxes, Regions, regio
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
-from track_range.run.detector_options import DetectorOptions, open_detector
 from track_range.run.frame_result import FrameResult
+from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import without_folders
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.geometry.frames import Frame

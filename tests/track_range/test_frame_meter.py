@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.track_range.overlay_results import result
-from track_range.run.throughput import FrameMeter
+from track_range.run.pipeline.throughput import FrameMeter
 
 
 @dataclass

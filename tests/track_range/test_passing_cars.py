@@ -9,7 +9,7 @@ from track_range.foundation.arrays import FloatArray, Image
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.run.frame_result import FrameResult
-from track_range.run.pipeline import Pipeline
+from track_range.run.pipeline.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks

@@ -11,7 +11,7 @@ from track_range.ranging.methods.ground_plane import GroundRanger
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.run.box_source import boxes_of
-from track_range.run.pipeline import Pipeline
+from track_range.run.pipeline.pipeline import Pipeline
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.registry import TrackerError

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.run.prefetch import prefetch
+from track_range.run.pipeline.prefetch import prefetch
 
 WAIT_S = 20.0  # long enough for any machine; exceeded only if something hangs
 

@@ -27,7 +27,7 @@ from track_range.results.output_files import OutputError
 from track_range.results.progress_note import ProgressNote, read_progress
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, registered_writer
-from track_range.run.stage_clock import StageClock
+from track_range.run.pipeline.stage_clock import StageClock
 from track_range.video.frame import VideoError
 from track_range.video.reader import VideoReader
 from track_range.video.writing.fragment_file import FragmentFile

@@ -17,9 +17,9 @@ from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL
 from track_range.detection.models.onnx_session import Device, Runtime
 from track_range.foundation.arrays import Image
-from track_range.run.detector_options import DetectorOptions, open_detector
+from track_range.run.options.detector_options import DetectorOptions, open_detector
+from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.ready_model import ready_model
-from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.geometry.rig import RigError, StereoRig
 from track_range.stereo.rig_formats.reading import load_calibration
 from track_range.tracking.registry import checked_tracks, create_tracker

@@ -32,7 +32,7 @@ from socketserver import TCPServer
 from typing import TYPE_CHECKING
 
 from track_range.foundation.errors import ConfigError
-from track_range.run.prefetch import lower_thread_priority
+from track_range.run.pipeline.prefetch import lower_thread_priority
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer

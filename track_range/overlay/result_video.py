@@ -12,8 +12,8 @@ from typing import Self
 
 from track_range.foundation.arrays import Image
 from track_range.run.frame_result import FrameResult
-from track_range.run.prefetch import lower_thread_priority
-from track_range.run.stage_clock import StageClock
+from track_range.run.pipeline.prefetch import lower_thread_priority
+from track_range.run.pipeline.stage_clock import StageClock
 from track_range.video.writing.video_writer import MAX_HELD_FRAMES, VideoWriter
 
 _QUANTIZER = 28

@@ -14,7 +14,7 @@ from track_range.detection.detections import Detections
 from track_range.detection.detector import Detector, checked_detections
 from track_range.detection.formats.detection_files import read_detections
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.run.detector_options import DetectorOptions, open_detector
+from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
 from track_range.stereo.geometry.frames import Frame
 

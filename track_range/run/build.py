@@ -10,9 +10,9 @@ from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
 from track_range.run.box_source import BoxSource
-from track_range.run.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
+from track_range.run.options.tracker_options import open_tracker_options
+from track_range.run.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
-from track_range.run.tracker_options import open_tracker_options
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
 from track_range.tracking.registry import create_tracker

@@ -35,13 +35,13 @@ from track_range.run.build import open_input, open_pipeline
 from track_range.run.frame_result import FrameResult
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
 from track_range.run.outputs import RunFolder, check_folder
-from track_range.run.prefetch import short_switch_interval
+from track_range.run.pipeline.prefetch import short_switch_interval
+from track_range.run.pipeline.throughput import FrameMeter
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.progress import frame_progress, step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, settings_from
-from track_range.run.throughput import FrameMeter
 from track_range.video.recording import Recording
 
 if TYPE_CHECKING:

@@ -22,9 +22,9 @@ from track_range.results.truth import MatchedTruth, boxes_px
 from track_range.results.writers import RunInfo
 from track_range.run.box_source import BoxSource
 from track_range.run.frame_result import FrameResult
-from track_range.run.pipeline import Pipeline
+from track_range.run.pipeline.pipeline import Pipeline
+from track_range.run.pipeline.throughput import FrameMeter
 from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
-from track_range.run.throughput import FrameMeter
 from track_range.tracking.frame_shift import frame_shift_note
 from track_range.video.recording import Recording
 

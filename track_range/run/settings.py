@@ -19,7 +19,7 @@ from track_range.foundation.options import Options, option
 from track_range.foundation.validation import first_problem
 from track_range.results.output_files import write_text
 from track_range.results.provenance import SCHEMA_VERSION
-from track_range.run.detector_fields import (
+from track_range.run.options.detector_fields import (
     Device,
     anchors_option,
     device_option,
@@ -28,7 +28,7 @@ from track_range.run.detector_fields import (
     size_option,
     threads_option,
 )
-from track_range.run.tracker_fields import reid_option, tracker_option
+from track_range.run.options.tracker_fields import reid_option, tracker_option
 from track_range.video.live.address import live_address
 from track_range.video.names import Segments, VideoName, files_of, stem_of, video_name
 from track_range.video.utc import parsed_utc

@@ -23,7 +23,7 @@ from track_range.detection.formats.image_labels.image_truth import ImageTruth
 from track_range.detection.yolo.detector import YoloDetector, YoloSettings
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.progress import FrameProgress, no_frame_progress
-from track_range.run.detector_options import DetectorOptions, open_detector, thresholds
+from track_range.run.options.detector_options import DetectorOptions, open_detector, thresholds
 from track_range.sequences.labelled_images import LabelledFrames, LabelledSource
 
 LOWEST_SCORE = 0.001

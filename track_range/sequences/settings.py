@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from track_range.foundation.options import Options, option
-from track_range.run.detector_fields import (
+from track_range.run.options.detector_fields import (
     Device,
     anchors_option,
     device_option,
@@ -15,7 +15,7 @@ from track_range.run.detector_fields import (
     size_option,
     threads_option,
 )
-from track_range.run.tracker_fields import reid_option, tracker_option
+from track_range.run.options.tracker_fields import reid_option, tracker_option
 
 TruthFormat = Literal["mot", "kitti", "csv", "coco", "cvat", "yolo"]
 

@@ -17,8 +17,8 @@ from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import real_path
 from track_range.foundation.progress import FrameProgress, no_frame_progress
 from track_range.results.output_files import OutputError, locked_output, make_folder
+from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.settings import check_tracker
-from track_range.run.tracker_options import open_tracker_options
 from track_range.sequences.files import write_kitti, write_mot
 from track_range.sequences.find import (
     KITTI_FOLDER,

@@ -16,7 +16,7 @@ from track_range.cli.parameters import command
 from track_range.foundation.options import option
 from track_range.report.detection_tables import accuracy_grid, class_grid, speed_grid
 from track_range.results.output_files import write_text
-from track_range.run.detector_options import DetectorOptions, class_names
+from track_range.run.options.detector_options import DetectorOptions, class_names
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.sequences.detector_evaluation import evaluate_source, open_candidates

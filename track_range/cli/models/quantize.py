@@ -24,8 +24,14 @@ from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray32, Image
 from track_range.foundation.options import Options, option
 from track_range.results.output_files import make_folder
-from track_range.run.detector_fields import anchors_option, letterbox_option, names_option, size_option, threads_option
-from track_range.run.detector_options import DetectorOptions, class_names, open_detector
+from track_range.run.options.detector_fields import (
+    anchors_option,
+    letterbox_option,
+    names_option,
+    size_option,
+    threads_option,
+)
+from track_range.run.options.detector_options import DetectorOptions, class_names, open_detector
 from track_range.run.progress import frame_progress
 from track_range.run.ready_model import ready_model
 from track_range.sequences.detector_evaluation import WORKING_SCORE, evaluate, open_candidates

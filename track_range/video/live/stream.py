@@ -17,7 +17,7 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from track_range.foundation.files.images import MAX_PIXELS
-from track_range.run.prefetch import lower_thread_priority
+from track_range.run.pipeline.prefetch import lower_thread_priority
 from track_range.video.frame import VideoError, VideoFrame, counted, is_neutral
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.clock import StreamClock

@@ -30,8 +30,8 @@ from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
-from track_range.run.prefetch import prefetch
-from track_range.run.stage_clock import StageClock
+from track_range.run.pipeline.prefetch import prefetch
+from track_range.run.pipeline.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.registry import checked_tracks

@@ -1,0 +1,1 @@
+"""Options of the detector and of the tracker that commands share."""
