@@ -82,8 +82,3 @@ def strictly_later(stamp_s: float | None, last_s: float | None, *, interval_s: f
     if stamp_s is None:
         return 0.0 if last_s is None else last_s + interval_s
     return stamp_s if last_s is None or stamp_s > last_s + TIME_EPSILON_S else None
-
-
-def counted(n: int, noun: str, plural: str | None = None) -> str:
-    """A number with its noun: `1 frame`, `2 frames`; the default plural appends an s."""
-    return f"{n} {noun if n == 1 else plural or noun + 's'}"

@@ -153,6 +153,11 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def counted(n: int, noun: str, plural: str | None = None) -> str:
+    """A number with its noun: `1 frame`, `2 frames`; the default plural appends an s."""
+    return f"{n} {noun if n == 1 else plural or noun + 's'}"
+
+
 def quoted(value: object, max_characters: int = _MAX_QUOTED) -> str:
     """A value as Python writes it, shortened to a number of characters, for messages."""
     return shortened(

@@ -10,7 +10,7 @@ import numpy as np
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import check_size
-from track_range.foundation.files.input_files import shortened
+from track_range.foundation.files.input_files import counted, shortened
 from track_range.video.bags.bag import open_bag, topic_list
 from track_range.video.bags.container import DamagedError, Topic
 from track_range.video.bags.decoding import (
@@ -22,7 +22,7 @@ from track_range.video.bags.decoding import (
     is_readable,
 )
 from track_range.video.files.file_state import FileState
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
 from track_range.video.names import BagTopic
 from track_range.video.utc import UtcStart
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 
-from track_range.video.frame import counted
+from track_range.foundation.files.input_files import counted
 
 _GAP_INTERVALS = 2.5
 """Time step, in nominal frame intervals, above which a gap is reported; the jitter of phone cameras is smaller."""

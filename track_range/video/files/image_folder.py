@@ -19,8 +19,8 @@ import numpy as np
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES, read_image
-from track_range.foundation.files.input_files import check_regular, read_bytes
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
+from track_range.foundation.files.input_files import check_regular, counted, read_bytes
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
 from track_range.video.utc import ZONE_SPAN_S, UtcStart
 
 _MAX_NUMBER = 2**63 - 1

@@ -30,9 +30,10 @@ from av.video.stream import VideoStream
 
 from track_range.foundation.arrays import Image
 from track_range.foundation.files.images import MAX_PIXELS, check_size, header_size_px
+from track_range.foundation.files.input_files import counted
 from track_range.video.files.decode_log import DecodeLog
 from track_range.video.files.file_state import FileState
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted, is_neutral, strictly_later
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, is_neutral, strictly_later
 from track_range.video.threads import DECODER_THREADS
 from track_range.video.utc import Stamp, UtcStart, stamp_in_header, stamp_in_name, start_of
 

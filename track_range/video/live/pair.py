@@ -11,7 +11,8 @@ from collections.abc import Generator
 
 import numpy as np
 
-from track_range.video.frame import VideoError, VideoFrame, counted
+from track_range.foundation.files.input_files import counted
+from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.live.reader import LiveReader
 from track_range.video.live.stream import SILENCE_S
 

@@ -7,7 +7,8 @@ import threading
 import time
 from collections.abc import Generator
 
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
+from track_range.foundation.files.input_files import counted
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.stream import SILENCE_S, LiveStream
 from track_range.video.utc import UtcStart

@@ -17,8 +17,9 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from track_range.foundation.files.images import MAX_PIXELS
+from track_range.foundation.files.input_files import counted
 from track_range.run.pipeline.prefetch import lower_thread_priority
-from track_range.video.frame import VideoError, VideoFrame, counted, is_neutral
+from track_range.video.frame import VideoError, VideoFrame, is_neutral
 from track_range.video.live.address import LiveAddress
 from track_range.video.live.clock import StreamClock
 from track_range.video.threads import LIVE_FRAMES

@@ -14,8 +14,9 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
 
+from track_range.foundation.files.input_files import counted
 from track_range.run.pipeline.prefetch import prefetch
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.video.reader import VideoReader
 from track_range.video.threads import FRAMES_AHEAD
 

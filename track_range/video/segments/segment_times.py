@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from track_range.video.frame import VideoError, counted
+from track_range.foundation.files.input_files import counted
+from track_range.video.frame import VideoError
 from track_range.video.utc import STAMP_RESOLUTION_S, Stamp, UtcStart, start_of
 
 _TOLERANCE_S = 1.5 * STAMP_RESOLUTION_S

@@ -13,10 +13,11 @@ from pathlib import Path
 
 from track_range.foundation.files.atomic_files import describe
 from track_range.foundation.files.images import IMAGE_SUFFIXES
+from track_range.foundation.files.input_files import counted
 from track_range.video.bags.bag import is_bag
 from track_range.video.files.file_state import FileState
 from track_range.video.files.video_file import VideoFile, VideoHeader, count_packets
-from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame, counted
+from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.video.names import Segments, is_pattern, matching_files
 from track_range.video.segments.segment_times import SegmentFacts, arranged, paired_starts_s
 from track_range.video.utc import UtcStart
