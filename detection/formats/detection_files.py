@@ -20,7 +20,7 @@ from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
 from track_range.detection.detections import Descriptors, Detections
 from track_range.detection.formats.box_table import BoxTable, VideoFacts
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.label_formats import label_format_of
+from track_range.detection.formats.label_formats import is_blank, label_format_of
 from track_range.detection.formats.limits import MAX_FRAME, are_plausible_boxes
 from track_range.detection.formats.table_checks import other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
@@ -143,9 +143,10 @@ def _boxes_of(table: BoxTable) -> Detections:
 
 
 def _is_empty(path: Path) -> bool:
-    if os.path.isdir(path) or first_line(path, LabelFileError, "detections"):
-        return False
-    return not read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES).strip()
+    return (
+        is_blank(path, "detections")
+        and not read_text(path, LabelFileError, "detections", max_bytes=MAX_TABLE_BYTES).strip()
+    )
 
 
 def _format_of(path: Path) -> str:

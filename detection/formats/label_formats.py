@@ -102,6 +102,17 @@ def read_labels(path: Path, video: VideoFacts = NO_FACTS, *, expected: str = "la
     return label_format_of(path, expected).read(path, video)
 
 
+def is_blank(path: Path, expected: str) -> bool:
+    """Whether a file has no text in its first 64 kB; False for folders and Parquet files.
+
+    Raises:
+        LabelFileError: the file cannot be read.
+    """
+    if os.path.isdir(path) or _starts_as_parquet(path, expected):
+        return False
+    return not first_line(path, LabelFileError, expected)
+
+
 def _format_name(path: Path, expected: str) -> str:
     if os.path.isdir(path):  # unlike Path.is_dir, False for a name that is too long
         return "yolo" if is_yolo_folder(path) else "kitti"

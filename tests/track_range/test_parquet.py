@@ -18,15 +18,20 @@ import track_range as tr
 from tests.documented_commands import PAGES, python_blocks
 from tests.track_range.test_results import result, writing
 from tests.track_range.test_write_failures import file_size_limit, inputs  # noqa: F401
+from track_range.detection.formats.detection_files import read_detections
+from track_range.detection.formats.errors import LabelFileError
 from track_range.foundation.files.structured_text import read_yaml
+from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.report.run_folders import report
 from track_range.results.columns import column_names, result_columns, rounded
 from track_range.results.folder import read_run_folder, read_run_rows
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_arrows, read_tracks_parquet
 from track_range.results.output_files import OutputError
-from track_range.results.provenance import SCHEMA_VERSION, settings_hash
+from track_range.results.provenance import settings_hash
 from track_range.results.replay import frames_of_rows
+from track_range.sequences.evaluation import evaluate_tracks
+from track_range.sequences.settings import TrackEvaluationSettings
 
 PARQUET, ARROWS = "tracks.parquet", "tracks.arrows"
 
@@ -163,9 +168,29 @@ def test_newer_schema_version(run_file: Path) -> None:
     parquet.write_table(table.replace_schema_metadata(newer), run_file)
     with pytest.raises(OutputError, match=r"tracks\.parquet: .*schema_version.*7.*update"):
         read_tracks_parquet(run_file)
+    newer[b"track_range.schema_version"] = b"1" + b"0" * 30
+    parquet.write_table(table.replace_schema_metadata(newer), run_file)
+    with pytest.raises(OutputError, match="schema_version"):
+        read_tracks_parquet(run_file)
     newer[b"track_range.schema_version"] = b"many"
     parquet.write_table(table.replace_schema_metadata(newer), run_file)
     assert len(read_tracks_parquet(run_file)["frame"]) == 10
+
+
+def test_rows_as_labels(run_file: Path) -> None:
+    """Parquet is binary, also where readers look at the first line of text: as detections and as tracks."""
+    frames = read_detections(run_file).frame
+    assert frames.tolist() == list(range(5))  # predicted boxes are no detections
+    truth = run_file.with_name("truth.csv")
+    rows = "".join(f"{frame},3,car,1,2,3,4.5,12\n" for frame in range(5))
+    truth.write_text(f"frame,id,class,x1,y1,x2,y2,distance_m\n{rows}")
+    settings = TrackEvaluationSettings(truth=truth, results=run_file, road_class="car")
+    assert evaluate_tracks(settings)["combined"]["hota"] == pytest.approx(100)
+    table = parquet.read_table(run_file)
+    newer = {**table.schema.metadata, b"track_range.schema_version": b"2"}
+    parquet.write_table(table.replace_schema_metadata(newer), run_file)
+    with pytest.raises(LabelFileError, match=r"tracks\.parquet: .*schema_version"):
+        read_detections(run_file)
 
 
 def test_damaged_parquet(run_file: Path) -> None:

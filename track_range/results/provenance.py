@@ -1,6 +1,7 @@
 """Provenance: software, model, calibration and settings that results were made with; stored in the result files.
 
-`SCHEMA_VERSION` is the version of all result files of a run together: docs/schema.md lists what it promises.
+`foundation.schema_version.SCHEMA_VERSION` is the version of all result files of a run together: docs/schema.md lists
+what it promises.
 """
 
 from __future__ import annotations
@@ -12,11 +13,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any
 
-SCHEMA_VERSION = 1
-"""Version of the result files; increased when a column, key or unit changes its meaning or is removed."""
-
-_PREFIX = "track_range."
-"""Prefix of the keys in the metadata of files, so that they differ from those of other programs."""
+from track_range.foundation.schema_version import METADATA_PREFIX, SCHEMA_VERSION
 
 _NOT_HASHED = ("out", "table", "write")
 """Settings that do not affect the results."""
@@ -56,7 +53,7 @@ class Provenance:
             "settings_hash": self.settings_hash,
             "utc": json.dumps(self.utc, sort_keys=True),
         }
-        return {f"{_PREFIX}{key}": value for key, value in values.items()}
+        return {f"{METADATA_PREFIX}{key}": value for key, value in values.items()}
 
 
 def settings_hash(run: Mapping[str, Any]) -> str:
@@ -67,9 +64,3 @@ def settings_hash(run: Mapping[str, Any]) -> str:
     hashed = {key: value for key, value in run.items() if key not in _NOT_HASHED}
     text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
-
-
-def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
-    """Schema version in the metadata of an Arrow schema; None without a valid one."""
-    text = (metadata or {}).get(f"{_PREFIX}schema_version".encode(), b"")
-    return int(text) if text.isdigit() and len(text) < 10 else None

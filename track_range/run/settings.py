@@ -16,9 +16,9 @@ from pydantic import Field, ValidationError, field_serializer, field_validator, 
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, option
+from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
 from track_range.results.output_files import write_text
-from track_range.results.provenance import SCHEMA_VERSION
 from track_range.run.options.detector_fields import (
     Device,
     anchors_option,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -14,13 +13,12 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes, road_class_ids
 from track_range.detection.formats.box_table import NO_FACTS, BoxTable
 from track_range.detection.formats.errors import LabelFileError
-from track_range.detection.formats.label_formats import label_format_of, read_labels
+from track_range.detection.formats.label_formats import is_blank, label_format_of, read_labels
 from track_range.detection.formats.table_checks import other_labels_note
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.input_files import first_line
 from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,
@@ -101,7 +99,7 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
 
 def _form_of(path: Path) -> TruthFormat:
     """The format of a file of ground truth; an empty one is taken to be KITTI's."""
-    if not os.path.isdir(path) and not first_line(path, LabelFileError, "ground truth"):
+    if is_blank(path, "ground truth"):
         return "kitti"
     name = label_format_of(path, "ground truth").name
     if name not in get_args(TruthFormat):
@@ -148,18 +146,12 @@ def _shift_note(name: str, truth: TrackedBoxes, tracks: TrackedBoxes) -> tuple[s
     return frame_shift_note(name, truth.frame, truth.xyxy_px, tracks.frame, tracks.xyxy_px)
 
 
-def _first_line(path: Path) -> str:
-    if os.path.isdir(path):
-        return "labels"
-    return first_line(path, LabelFileError, "tracks or ground truth")
-
-
 def _empty_truth_notes(truth: Iterable[SequenceFile]) -> tuple[str, ...]:
     """A note on each file of ground truth without objects."""
     return tuple(
         f"{file.path}: the file is empty, so all tracks of {file.name} are false positives."
         for file in truth
-        if not _first_line(file.path)
+        if is_blank(file.path, "ground truth")
     )
 
 
@@ -193,8 +185,7 @@ def _cleaned(
 def _read_results(path: Path, road_class: str) -> TrackedBoxes:
     """Tracks of one class with frames from 0, read from MOT rows (frames from 1, no class) or KITTI rows."""
     class_id = ROAD_CLASSES.index(road_class)
-    first = _first_line(path)
-    if not first:
+    if is_blank(path, "tracks"):
         return _tracked(path, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 4)), class_id)
     form = label_format_of(path, "tracks").name
     if form == "mot":

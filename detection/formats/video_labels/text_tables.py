@@ -21,6 +21,7 @@ from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted
+from track_range.foundation.schema_version import check_schema_version
 
 # fmt: off
 _MOT_CLASSES: Mapping[int, str] = {
@@ -129,6 +130,7 @@ def read_parquet_table(path: Path, video: VideoFacts) -> BoxTable:
     check_regular(path, LabelFileError, "the tracks.parquet of a run", max_bytes=MAX_TABLE_BYTES)
     try:
         file = pq.ParquetFile(path)
+        check_schema_version(path, file.schema_arrow.metadata, LabelFileError)
         names = file.schema_arrow.names
         if missing := [name for name in (*_COLUMNS, "class") if name not in names]:
             raise LabelFileError(

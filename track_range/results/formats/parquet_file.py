@@ -16,11 +16,11 @@ import numpy as np
 
 from track_range.foundation.files.atomic_files import atomic_path
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
+from track_range.foundation.schema_version import check_schema_version
 from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
 from track_range.results.columns import Columns, result_columns
 from track_range.results.formats.row_file import FrameFile
 from track_range.results.output_files import OutputError
-from track_range.results.provenance import SCHEMA_VERSION, schema_version_of
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 
@@ -257,12 +257,7 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     """
     from pyarrow import types
 
-    schema_version = schema_version_of(schema.metadata)
-    if schema_version is not None and schema_version > SCHEMA_VERSION:
-        raise OutputError(
-            f"{path}: expected schema_version {SCHEMA_VERSION} or earlier, found {schema_version}; a newer track-range "
-            "wrote this file, update with `pip install --upgrade track-range`."
-        )
+    check_schema_version(path, schema.metadata, OutputError)
     if len(schema) > _MAX_COLUMNS or len(set(schema.names)) < len(schema):
         raise ValueError("columns")
 

@@ -1,0 +1,40 @@
+"""Version of the result files, and the check of those that another version wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+SCHEMA_VERSION = 1
+"""Version of the result files; increased when a column, key or unit changes its meaning or is removed."""
+
+METADATA_PREFIX = "track_range."
+"""Prefix of the keys in the metadata of files, so that they differ from those of other programs."""
+
+_MAX_DIGITS = 9
+"""Number of digits to which a version is read; longer ones are newer in any case."""
+
+
+def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
+    """Schema version in the metadata of an Arrow schema; None without a valid one."""
+    text = (metadata or {}).get(f"{METADATA_PREFIX}schema_version".encode(), b"")
+    return int(text[:_MAX_DIGITS]) if text.isdigit() else None
+
+
+def check_schema_version(path: Path, metadata: Mapping[bytes, bytes] | None, error: type[Exception]) -> None:
+    """Check that a Parquet file or Arrow stream is not of a newer version; one without a version is accepted.
+
+    Args:
+        path: the file, for the message.
+        metadata: metadata of its schema.
+        error: class of the error.
+
+    Raises:
+        error: the file was written by a newer version.
+    """
+    schema_version = schema_version_of(metadata)
+    if schema_version is not None and schema_version > SCHEMA_VERSION:
+        raise error(
+            f"{path}: expected schema_version {SCHEMA_VERSION} or earlier, found {schema_version}; a newer track-range "
+            "wrote this file, update with `pip install --upgrade track-range`."
+        )
