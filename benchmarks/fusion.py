@@ -19,7 +19,7 @@ from rich.console import Console
 
 from benchmarks.inputs.simulated_drives import FPS
 from benchmarks.plain_tables import figure_text, plain_table
-from track_range.cli.run import run_and_print
+from track_range.cli.commands.run import run_and_print
 from track_range.detection.lanes.nets import CLASSICAL
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.ranging.evaluation.errors import MethodColumn, score_rows

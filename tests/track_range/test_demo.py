@@ -3,7 +3,7 @@
 import pyarrow as pa
 import pytest
 
-from track_range.cli.demo import accuracy_lines, track_grid
+from track_range.cli.commands.demo import accuracy_lines, track_grid
 
 
 def rows(*values):

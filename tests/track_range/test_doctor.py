@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from track_range.cli import doctor
+from track_range.cli.commands import doctor
 from track_range.detection.models import lookup
 
 

@@ -18,7 +18,7 @@ import rerun as rr
 
 from tests.track_range.test_mcap import CAMERA, START_S, frame, info
 from tests.track_range.test_write_failures import file_size_limit, inputs  # noqa: F401
-from track_range.cli.view import recording_of, viewer_command
+from track_range.cli.commands.view import recording_of, viewer_command
 from track_range.foundation.errors import UserError
 from track_range.foundation.telemetry import VIEWER_VARIABLES
 from track_range.results.formats import extras

@@ -1,1 +1,1 @@
-"""The command line: one module per command."""
+"""The command line: the application, its help pages and its output; the commands are in `commands`."""

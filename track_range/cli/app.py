@@ -21,7 +21,7 @@ PROGRAM = "track-range"
 
 COMMANDS = {
     "run": Lazy(
-        "track_range.cli.run",
+        "track_range.cli.commands.run",
         "Track road users in one video or a stereo pair and measure their distances.",
         "The word 'run' may be omitted. Writes tracks.csv, mot.txt, overlay.mp4, report.html and summary.json.",
         (
@@ -32,17 +32,17 @@ COMMANDS = {
         ),
     ),
     "demo": Lazy(
-        "track_range.cli.demo",
+        "track_range.cli.commands.demo",
         "Simulate a short stereo drive, process it, and print a summary.",
         examples=("track-range demo --out demo",),
     ),
     "report": Lazy(
-        "track_range.cli.report",
+        "track_range.cli.commands.report",
         "Rewrite the report of a run, or compare several runs on one page.",
         examples=("track-range report drive-1", "track-range report drive-1 drive-2 --out comparison.html"),
     ),
     "export": Lazy(
-        "track_range.cli.export",
+        "track_range.cli.commands.export",
         "Write a finished run or a label file in another format.",
         "Formats: parquet, mcap and rrd (runs only), kitti, coco, cvat, mot and yolo. An existing file is replaced "
         "only if it has this format.",
@@ -52,14 +52,14 @@ COMMANDS = {
         ),
     ),
     "view": Lazy(
-        "track_range.cli.view",
+        "track_range.cli.commands.view",
         "Show a finished run in the viewer of rerun.",
         "Video, bird's eye and plots. Writes run.rrd to the folder of the run if it is not there. Requires the extra "
         "rerun.",
         ("track-range view drive-1", "track-range view drive-1 --web"),
     ),
     "calibrate": Lazy(
-        "track_range.cli.calibrate",
+        "track_range.cli.commands.calibrate",
         "Calibrate a camera or a stereo pair from images of a board.",
         "The board is a chessboard or a ChArUco board. Prints the residual of every view and the standard deviation of "
         "every parameter (jackknife over views).",
@@ -69,9 +69,9 @@ COMMANDS = {
             "track-range calibrate --mono boards/ --board charuco:11x8:30:22 --out rig.yaml",
         ),
     ),
-    "rig": Lazy("track_range.cli.rig", "Show or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr)."),
+    "rig": Lazy("track_range.cli.commands.rig", "Show or convert calibration files (rig.yaml, KITTI, OpenCV, Kalibr)."),
     "align": Lazy(
-        "track_range.cli.align",
+        "track_range.cli.commands.align",
         "Estimate the disparity error of a calibrated stereo pair.",
         "It is estimated from drives past static objects, or from objects at known distances.",
         (
@@ -80,25 +80,25 @@ COMMANDS = {
         ),
     ),
     "track": Lazy(
-        "track_range.cli.track",
+        "track_range.cli.commands.track",
         "Track recorded detections, without a detector and without distances.",
         examples=(
             "track-range track MOT17/train --images MOT17/train --out tracks",
             "track-range track det.txt --tracker sort --out tracks",
         ),
     ),
-    "evaluate": Lazy("track_range.cli.evaluate", "Evaluate tracks, distances, detectors or stereo matchers."),
+    "evaluate": Lazy("track_range.cli.commands.evaluate", "Evaluate tracks, distances, detectors or stereo matchers."),
     "fit": Lazy(
-        "track_range.cli.fit",
+        "track_range.cli.commands.fit",
         "Fit the size curves of the mono method to labelled images from your camera.",
         examples=(
             "track-range fit --labels label_02/ --calib calib/ --out curves.json",
             "track-range fit --csv boxes.csv --focal-px 1150 --out curves.json",
         ),
     ),
-    "models": Lazy("track_range.cli.models", "List, download, inspect, import or quantize detectors."),
+    "models": Lazy("track_range.cli.commands.models", "List, download, inspect, import or quantize detectors."),
     "train": Lazy(
-        "track_range.cli.training.train",
+        "track_range.cli.commands.training.train",
         "Train a detector on labelled images and export it as an ONNX file.",
         "The file can be used with --detector. Requires PyTorch.",
         (
@@ -107,13 +107,13 @@ COMMANDS = {
         ),
     ),
     "anchors": Lazy(
-        "track_range.cli.training.anchors",
+        "track_range.cli.commands.training.anchors",
         "Fit anchors to the boxes of a data set (k-means++).",
         "Prints the anchors and their mean best IoU with the boxes, and that of the networks' default anchors.",
         ("track-range anchors --data data.yaml --size 640 --clusters 9",),
     ),
     "simulate": Lazy(
-        "track_range.cli.simulate",
+        "track_range.cli.commands.simulate",
         "Simulate a stereo drive with exact ground truth, or labelled images.",
         "Labelled images can be used to train detectors.",
         (
@@ -122,7 +122,7 @@ COMMANDS = {
         ),
     ),
     "doctor": Lazy(
-        "track_range.cli.doctor",
+        "track_range.cli.commands.doctor",
         "Print versions, codecs and folders of the installation, and test it.",
         "The test uses 1 s of simulated video. Include the output in bug reports. Exit status 1 = a check failed.",
         ("track-range doctor", "track-range doctor --json"),

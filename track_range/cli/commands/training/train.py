@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from track_range.cli.commands.training.options import TrainOptions
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.cli.training.options import TrainOptions
 from track_range.detection.training.requirements import check_torch
 
 
 def _train(options: TrainOptions) -> None:
     check_torch()
-    from track_range.cli.training.training_run import train  # imports PyTorch
+    from track_range.cli.commands.training.training_run import train  # imports PyTorch
 
     train(options)
 

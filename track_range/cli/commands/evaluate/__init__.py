@@ -7,7 +7,7 @@ from track_range.cli.lazy import Lazy, lazy_app
 app = lazy_app(
     {
         "tracks": Lazy(
-            "track_range.cli.evaluate.tracks",
+            "track_range.cli.commands.evaluate.tracks",
             "HOTA, MOTA, IDF1 and related metrics of tracks.",
             "Follows the evaluation rules of KITTI or MOTChallenge, depending on the format of the ground truth.",
             (
@@ -16,12 +16,12 @@ app = lazy_app(
             ),
         ),
         "stereo": Lazy(
-            "track_range.cli.evaluate.stereo",
+            "track_range.cli.commands.evaluate.stereo",
             "Distance errors of stereo matchers on pairs with true disparities.",
             examples=("track-range evaluate stereo --pairs kitti2015/ --matcher patch,sgbm",),
         ),
         "detections": Lazy(
-            "track_range.cli.evaluate.detections",
+            "track_range.cli.commands.evaluate.detections",
             "Average precision and speed of detectors on labelled images.",
             "Exits with status 1 if a detector could not be evaluated or an image could not be read.",
             (
@@ -30,7 +30,7 @@ app = lazy_app(
             ),
         ),
         "ranges": Lazy(
-            "track_range.cli.evaluate.ranges",
+            "track_range.cli.commands.evaluate.ranges",
             "Distance errors of the ranging methods on labelled boxes, without a video.",
             examples=(
                 "track-range evaluate ranges --labels label_02/ --calib calib/",

@@ -12,8 +12,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from track_range.cli.commands.evaluate.detections import print_figures, write_figures
 from track_range.cli.console import console
-from track_range.cli.evaluate.detections import print_figures, write_figures
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.detection.formats.image_labels.image_truth import ImageTruth

@@ -176,12 +176,12 @@ show_app = single_app(command(ShowOptions, _show))
 app = lazy_app(
     {
         "show": Lazy(
-            "track_range.cli.rig:show_app",
+            "track_range.cli.commands.rig:show_app",
             "Show angles of view, baseline, and metres per pixel of disparity.",
             examples=("track-range rig show rig.yaml", "track-range rig show calib.txt --size 1242x375"),
         ),
         "convert": Lazy(
-            "track_range.cli.rig:convert_app",
+            "track_range.cli.commands.rig:convert_app",
             "Convert a calibration file to rig.yaml or OpenCV's stereo_calib.",
             examples=("track-range rig convert calib.txt rig.yaml --size 1242x375",),
         ),

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from track_range.cli.commands.training.options import AnchorOptions
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.cli.training.options import AnchorOptions
 from track_range.detection.training.requirements import check_torch
 
 
 def _anchors(options: AnchorOptions) -> None:
     check_torch()
-    from track_range.cli.training.data import print_anchors  # imports PyTorch
+    from track_range.cli.commands.training.data import print_anchors  # imports PyTorch
 
     print_anchors(options)
 

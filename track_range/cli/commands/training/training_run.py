@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from track_range.cli.commands.training.data import fitted_anchors, read_images
+from track_range.cli.commands.training.options import TrainOptions
 from track_range.cli.console import console, print_grid, print_line
-from track_range.cli.training.data import fitted_anchors, read_images
-from track_range.cli.training.options import TrainOptions
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.training.data.augmentation import AugmentationSettings

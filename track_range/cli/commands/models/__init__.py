@@ -7,24 +7,24 @@ from track_range.cli.lazy import Lazy, lazy_app
 app = lazy_app(
     {
         "list": Lazy(
-            "track_range.cli.models.files:list_app",
+            "track_range.cli.commands.models.files:list_app",
             "List the packaged, downloaded and downloadable detectors.",
             examples=("track-range models list",),
         ),
         "pull": Lazy(
-            "track_range.cli.models.files:pull_app",
+            "track_range.cli.commands.models.files:pull_app",
             "Download a detector into the cache folder and verify its checksum.",
             "Detectors come from the releases of their projects.",
             ("track-range models pull yolov5n",),
         ),
         "info": Lazy(
-            "track_range.cli.models.info",
+            "track_range.cli.commands.models.info",
             "Show the layout, input format, classes and origin of a detector.",
             "Attributes that the file does not contain are shown with their assumed values.",
             ("track-range models info road", "track-range models info best.onnx"),
         ),
         "import": Lazy(
-            "track_range.cli.models.files:import_app",
+            "track_range.cli.commands.models.files:import_app",
             "Convert a Darknet network (.cfg and .weights) to an ONNX file.",
             examples=(
                 "track-range models import yolov4-tiny.cfg yolov4-tiny.weights \\\n"
@@ -32,7 +32,7 @@ app = lazy_app(
             ),
         ),
         "quantize": Lazy(
-            "track_range.cli.models.quantize",
+            "track_range.cli.commands.models.quantize",
             "Write INT8 and FP16 copies of a detector and compare them with it.",
             "Size, speed and accuracy are compared, on the labels if given, else on the boxes of the original.",
             ("track-range models quantize road --images images/ --out copies",),

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
+from track_range.cli.commands.run import run_and_print
 from track_range.cli.console import console, print_grid, print_line
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
-from track_range.cli.run import run_and_print
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.options import Options, option
 from track_range.report.tables import NOTHING, Column, Grid, figure, grid_of

@@ -1,0 +1,1 @@
+"""The commands: one module per command, one package per group of commands."""
