@@ -1,0 +1,1 @@
+"""Fleets: many recordings on a cluster, one result data set."""

@@ -1,0 +1,1 @@
+"""Inputs of a fleet: clips from folders, patterns and manifests."""

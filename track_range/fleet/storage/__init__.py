@@ -1,0 +1,1 @@
+"""Storage of a fleet: local folders, object stores and web servers."""
