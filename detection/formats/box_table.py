@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,13 @@ class VideoFacts:
     fps: float | None = None
     is_rectified: bool = False
     provenance: Mapping[str, str] = field(default_factory=dict)
+
+
+class Written(NamedTuple):
+    """Result of writing a table: the number of boxes in the file, and notes for the user on what it cannot hold."""
+
+    n_boxes: int
+    notes: tuple[str, ...] = ()
 
 
 NO_FACTS = VideoFacts()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts
+from track_range.detection.formats.box_table import NO_FACTS, BoxTable, VideoFacts, Written
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.video_labels.coco import read_coco, write_coco
 from track_range.detection.formats.video_labels.csv_labels import has_label_columns
@@ -42,7 +42,7 @@ class LabelFormat:
         name: name on the command line.
         title: name for messages.
         read: returns the boxes of a file or folder; facts about the video fill in what the file does not state.
-        write: writes a table to a path and returns notes on what the format could not hold; None = not written.
+        write: writes a table to a path; None = not written.
         has_classes: whether a box has a class.
         is_general: whether detections and ground truth are read with `read`, without rules of a benchmark.
         is_folder: whether it is written as a folder with one file per frame.
@@ -52,7 +52,7 @@ class LabelFormat:
     name: str
     title: str
     read: Callable[[Path, VideoFacts], BoxTable]
-    write: Callable[[BoxTable, Path], tuple[str, ...]] | None = None
+    write: Callable[[BoxTable, Path], Written] | None = None
     has_classes: bool = True
     is_general: bool = False
     is_folder: bool = False

@@ -1,7 +1,9 @@
-"""Checks of label files that apply to several formats: identities and the first frame number."""
+"""Checks of label files that apply to several formats: identities, frame numbers, names of images, and notes."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +11,16 @@ import numpy as np
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.formats.box_table import BoxTable
 from track_range.detection.formats.errors import LabelFileError
-from track_range.foundation.files.input_files import shortened
+from track_range.detection.formats.limits import MAX_FRAME
+from track_range.foundation.files.input_files import counted, quoted, shortened
 
 _MOST_NAMED = 5
 """Largest number of labels that a note names."""
+
+_LAST_NUMBER = re.compile(r"(\d+)\D*$")
+
+_MAX_DIGITS = 18
+"""Largest number of digits of a number in a file name."""
 
 
 def check_identities(table: BoxTable, path: Path) -> None:
@@ -27,6 +35,31 @@ def check_identities(table: BoxTable, path: Path) -> None:
             f"{path}: expected each track id at most once per frame, got id {table.track_id[row]} twice in frame "
             f"{table.frame[row]}."
         )
+
+
+def frame_in_name(name: str) -> int | None:
+    """The last number in a name without suffix, which is the frame number; None if there is none up to `MAX_FRAME`."""
+    match = _LAST_NUMBER.search(name)
+    if match is None or len(match[1]) > _MAX_DIGITS or int(match[1]) > MAX_FRAME:
+        return None
+    return int(match[1])
+
+
+def check_names(names: Iterable[str], path: Path) -> None:
+    """Check that names without suffix differ only in their last number, as those of the frames of one video.
+
+    Raises:
+        LabelFileError: they do not.
+    """
+    first: tuple[str, str] | None = None
+    for name in names:
+        start = name[: match.start()] if (match := _LAST_NUMBER.search(name)) else name
+        first = first or (start, name)
+        if start != first[0]:
+            raise LabelFileError(
+                f"{path}: expected images of one video, with names that differ only in the frame number, found "
+                f"{quoted(first[1])} and {quoted(name)}."
+            )
 
 
 def first_frame_note(path: Path, first: int, n_frames: int) -> tuple[str, ...]:
@@ -61,5 +94,10 @@ def other_labels_note(table: BoxTable, path: Path) -> tuple[str, ...]:
 
 def ignored_note(path: Path, n_ignored: int, reason: str) -> tuple[str, ...]:
     """A note on the number of boxes that were ignored for a reason, such as "without width or height"."""
-    boxes = "1 box" if n_ignored == 1 else f"{n_ignored} boxes"
-    return (f"{path.name}: ignored {boxes} {reason}.",) if n_ignored else ()
+    return (f"{path.name}: ignored {counted(n_ignored, 'box', 'boxes')} {reason}.",) if n_ignored else ()
+
+
+def omitted_regions_note(table: BoxTable) -> tuple[str, ...]:
+    """A note on the regions of a table that is written in a format without regions."""
+    n_regions = int(table.is_region.sum())
+    return (f"Regions that are not evaluated, which this format does not have: {n_regions}.",) if n_regions else ()

@@ -19,6 +19,7 @@ from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import counted
 from track_range.sequences.find import (
     KITTI_FOLDER,
     MOT_FOLDER,
@@ -117,7 +118,7 @@ def _truth_table(path: Path, notes: list[str]) -> BoxTable:
     notes += [*table.notes, *other_labels_note(table, path)]
     if n_regions := int(table.is_region.sum()):
         notes.append(
-            f"{path.name}: {n_regions} regions that are not evaluated are left out; tracks in them count as false."
+            f"{path.name}: ignored {counted(n_regions, 'region')} of the ground truth; tracks in them count as false."
         )
     return table
 

@@ -9,15 +9,14 @@ Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the le
 coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has distance_m, sigma_m and predicted.
 `iscrowd` marks regions of many objects, which are not evaluated. When reading, the identity is `track_id` or
 `instance_id`, also in `attributes` (as CVAT writes it); the frame number is `frame_index`, `frame_id`, or the last
-number in `file_name`. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave et al.,
-"TAO", ECCV 2020, for videos.)
+number in `file_name`. Attributes may be texts: CVAT writes those of input type text so. (Lin et al., "Microsoft COCO",
+ECCV 2014, and https://cocodataset.org/#format-data; Dave et al., "TAO", ECCV 2020, for videos.)
 """
 
 from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -27,11 +26,18 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
+from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
-from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
+from track_range.detection.formats.table_checks import (
+    check_identities,
+    check_names,
+    first_frame_note,
+    frame_in_name,
+    ignored_note,
+)
 from track_range.foundation.files.input_files import quoted
+from track_range.foundation.files.numeric_text import number
 from track_range.foundation.files.structured_text import read_json
 
 MAX_COCO_BYTES = 250_000_000
@@ -44,7 +50,6 @@ _SCORE_DECIMALS = 4
 
 _FRAME_KEYS = ("frame_index", "frame_id")
 _IDENTITY_KEYS = ("track_id", "instance_id")
-_LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
 _MAX_TEXT = 200
 """Largest number of characters of a name."""
@@ -53,9 +58,6 @@ _MAX_SIDE_PX = 65_535
 """Largest width or height of an image."""
 
 _MAX_FPS = 10_000.0
-
-_MAX_DIGITS = 18
-"""Largest number of digits of a number in a file name."""
 
 
 @dataclass(slots=True)
@@ -85,6 +87,8 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
     names = reader.category_names()
     frame_of, notes = reader.frames()
     rows = reader.rows(frame_of, names)
+    if rows.xyxy and np.max(rows.xyxy) <= 1:
+        raise LabelFileError(f"{path}: expected each bbox in pixels, found only fractions of the image size.")
     table = BoxTable.of(
         rows.frame,
         rows.track_id,
@@ -156,8 +160,16 @@ class _Reader:
     def number(self, item: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:
         """A number of an object; NaN if it is missing or null."""
         value = item.get(key)
-        if value is None:
-            return math.nan
+        return math.nan if value is None else self._in_range(value, key, where, low, high)
+
+    def attribute(self, item: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:
+        """A number of an object with its attributes, which may be a text; NaN if it is missing, null or empty."""
+        value = item.get(key)
+        if isinstance(value, str):
+            value = number(value) if value.strip() else None
+        return math.nan if value is None else self._in_range(value, key, where, low, high)
+
+    def _in_range(self, value: object, key: str, where: str, low: float, high: float) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             raise self.fault(where, f"a number from {low:g} to {high:g} as {key}", value)
         return float(value)
@@ -199,6 +211,8 @@ class _Reader:
             frame_of[number] = (
                 self._number_in_name(image, where) if key is None else self.integer(image, key, where, 0, MAX_FRAME)
             )
+        if key is None:
+            check_names((str(Path(image["file_name"]).with_suffix("")) for image in images), self.path)
         numbers = sorted(frame_of.values())
         for frame, after in pairwise(numbers):
             if frame == after:
@@ -219,10 +233,10 @@ class _Reader:
 
     def _number_in_name(self, image: Mapping[str, Any], where: str) -> int:
         name = self.text(image, "file_name", where)
-        number = _LAST_NUMBER.search(Path(name).stem)
-        if number is None or len(number[1]) > _MAX_DIGITS or int(number[1]) > MAX_FRAME:
+        frame = frame_in_name(Path(name).stem)
+        if frame is None:
             raise self.fault(where, "a frame_index, or a file_name with a frame number", name)
-        return int(number[1])
+        return frame
 
     def video_facts(self, frame_of: Mapping[int | str, int], video: VideoFacts) -> VideoFacts:
         """Name, number of frames, image size and frame rate; those of `video` where the file states none.
@@ -279,16 +293,16 @@ class _Reader:
                 rows.n_empty += 1
                 continue
             attributes = item.get("attributes")
-            both = item | attributes if isinstance(attributes, dict) else item
+            both = attributes | item if isinstance(attributes, dict) else item
             rows.frame.append(frame_of[image])
             rows.track_id.append(self._identity(item, both, where))
             rows.class_name.append(names[category])
             rows.xyxy.append((x, y, x + width, y + height))
             rows.is_region.append(item.get("iscrowd") in (1, True))
-            rows.score.append(self.number(item, "score", where, -1e6, 1e6))
-            rows.observed.append(both.get("predicted") is not True)
-            rows.distance_m.append(self.number(both, "distance_m", where, 0.0, MAX_DISTANCE_M))
-            rows.sigma_m.append(self.number(both, "sigma_m", where, 0.0, MAX_DISTANCE_M))
+            rows.score.append(self.attribute(both, "score", where, -1e6, 1e6))
+            rows.observed.append(str(both.get("predicted")).lower() != "true")
+            rows.distance_m.append(self.attribute(both, "distance_m", where, 0.0, MAX_DISTANCE_M))
+            rows.sigma_m.append(self.attribute(both, "sigma_m", where, 0.0, MAX_DISTANCE_M))
         return rows
 
     def _identity(self, item: Mapping[str, Any], both: Mapping[str, Any], where: str) -> int:
@@ -301,7 +315,7 @@ class _Reader:
 
     def _bbox(self, item: Mapping[str, Any], where: str) -> tuple[float, ...]:
         bbox = item.get("bbox")
-        if bbox is None and item.get("segmentation") is not None:
+        if bbox is None and item.get("segmentation"):
             kind = "an RLE mask" if isinstance(item["segmentation"], dict) else "a polygon"
             raise LabelFileError(f"{self.path}, {where}: expected a bbox, found only {kind}; export boxes.")
         if not isinstance(bbox, list) or len(bbox) != 4 or not all(map(_is_coordinate, bbox)) or min(bbox[2:]) < 0:
@@ -317,7 +331,7 @@ def _size(size_px: tuple[int, ...] | None) -> str:
     return "x".join(map(str, size_px or ()))
 
 
-def write_coco(table: BoxTable, path: Path) -> tuple[str, ...]:
+def write_coco(table: BoxTable, path: Path) -> Written:
     """Write a table as a COCO data set, with all frames of the video as images.
 
     Raises:
@@ -334,7 +348,7 @@ def write_coco(table: BoxTable, path: Path) -> tuple[str, ...]:
         file.write('],\n"annotations": [\n')
         file.writelines(_lines(_annotations(table, categories)))
         file.write("]\n}\n")
-    return ()
+    return Written(len(table))
 
 
 def image_name(video: VideoFacts, frame: int) -> str:

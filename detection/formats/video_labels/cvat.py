@@ -12,7 +12,8 @@ Frames count from 0. Boxes have the corner convention: the left edge of the imag
 than with pixel centres at integers. `outside="1"` ends the visible part of a track, which has no box in that frame.
 Between two boxes of a track, all four edges are interpolated linearly, as in CVAT. The attributes distance_m, sigma_m,
 score and predicted are optional; CVAT keeps those that the labels of its task declare. It repeats the attributes of a
-keyframe until the next one; distances are interpolated between keyframes instead.
+keyframe until the next one; distances are interpolated between keyframes instead. Tracks with the label dontcare are
+regions that are not evaluated.
 
 Written files list every box, and mark as keyframes those from which the others can be interpolated to 1 px or 2 % of
 the box, and to 2 % of the distance, so that a person has fewer boxes to correct. (CVAT's documentation, "XML annotation
@@ -32,13 +33,14 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
+from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities
+from track_range.detection.formats.video_labels.csv_labels import DONT_CARE
 from track_range.detection.formats.video_labels.xml_events import parse_xml
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.foundation.files.input_files import open_regular, quoted, shortened
+from track_range.foundation.files.input_files import counted, open_regular, quoted, shortened
 from track_range.foundation.files.numeric_text import number
 
 MAX_CVAT_BYTES = 500_000_000
@@ -114,6 +116,7 @@ def read_cvat(path: Path, video: VideoFacts) -> BoxTable:
         np.repeat(np.array([track.track_id for track in tracks], np.int64), counts),
         [track.label for track, count in zip(tracks, counts, strict=True) for _ in range(count)],
         columns[:, 1:5] - HALF_PIXEL_PX,
+        is_region=np.repeat(np.array([track.label.lower() == DONT_CARE for track in tracks], np.bool_), counts),
         score=columns[:, _SCORE],
         observed=columns[:, _PREDICTED] == 0,
         distance_m=columns[:, _DISTANCE],
@@ -180,7 +183,7 @@ class _Content:
 
     def _add_shape(self, name: str, attributes: Mapping[str, str], line: int) -> None:
         if name in _SHAPES:
-            raise self._fault(line, "tracks of boxes", f"a {name} in track {self.tracks[-1].track_id}")
+            raise self._fault(line, "tracks of boxes", f"the shape {name} in track {self.tracks[-1].track_id}")
         if name != "box":
             return
         if number(attributes.get("rotation", "0")) != 0:
@@ -261,7 +264,7 @@ class _Content:
         """Notes for the user on tracks without boxes, open ends, and exports of a part of the video."""
         notes = []
         if empty := sum(not track.boxes for track in self.tracks):
-            notes.append(f"{self._path.name}: ignored {empty} tracks without boxes.")
+            notes.append(f"{self._path.name}: ignored {counted(empty, 'track')} without boxes.")
         first, last = self.integer_of_meta("start_frame"), self.integer_of_meta("stop_frame")
         if (first and last is not None) or (self._root == "job" and last is not None):
             notes.append(
@@ -272,8 +275,8 @@ class _Content:
         n_open = sum(end[_OUTSIDE] == 0 and last is not None and end[_FRAME] < last for end in ends)
         if n_open:
             notes.append(
-                f"{self._path.name}: {n_open} tracks end without a box that is marked as outside; they end with their "
-                "last box."
+                f"{self._path.name}: no box is marked as outside at the end of {counted(n_open, 'track')}; the last "
+                "box is taken to be the end."
             )
         return tuple(notes)
 
@@ -351,13 +354,14 @@ def _between(boxes: FloatArray, steps: FloatArray, counts: IntArray) -> FloatArr
     return filled
 
 
-def write_cvat(table: BoxTable, path: Path) -> tuple[str, ...]:
-    """Write a table as CVAT for video 1.1, where each track has one class; returns notes on changed identities.
+def write_cvat(table: BoxTable, path: Path) -> Written:
+    """Write a table as CVAT for video 1.1, where each track has one class; regions have the label dontcare.
 
     Raises:
         OSError: the file cannot be written.
     """
     frames = frames_listed(table)
+    table = replace(table, class_name=np.where(table.is_region, DONT_CARE, table.class_name))
     ids, notes = _identities(table)
     order = np.argsort(ids, kind="stable")
     track_ids, starts = np.unique(ids[order], return_index=True)
@@ -367,7 +371,7 @@ def write_cvat(table: BoxTable, path: Path) -> tuple[str, ...]:
         for track_id, rows in zip(track_ids.tolist(), np.split(order, starts[1:]), strict=False):
             file.writelines(_track_lines(table.select(rows), track_id, frames.stop))
         file.write("</annotations>\n")
-    return notes
+    return Written(len(table), notes)
 
 
 def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
@@ -376,7 +380,8 @@ def _identities(table: BoxTable) -> tuple[IntArray, tuple[str, ...]]:
     is_new = ids < 0
     n_new, next_id = int(is_new.sum()), int(ids.max(initial=-1)) + 1
     ids[is_new] = next_id + np.arange(n_new)
-    notes = [f"{n_new} boxes without an identity are written as tracks of one frame."] if n_new else []
+    n_boxes = n_new - int(table.is_region.sum())
+    notes = [f"Boxes without an identity, each written as a track of one frame: {n_boxes}."] if n_boxes else []
     _, class_number = np.unique(table.class_name, return_inverse=True)
     pairs, first, pair_number = np.unique(np.stack([ids, class_number]), axis=1, return_index=True, return_inverse=True)
     is_other = np.append(False, np.diff(pairs[0]) == 0) if len(first) else np.zeros(0, np.bool_)

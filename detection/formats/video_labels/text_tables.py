@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.detection.boxes import are_valid_boxes
-from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.box_table import BoxTable, VideoFacts, Written
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID, are_plausible_boxes
-from track_range.detection.formats.table_checks import check_identities, ignored_note
+from track_range.detection.formats.table_checks import check_identities, ignored_note, omitted_regions_note
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE, read_csv_labels
 from track_range.detection.formats.video_labels.kitti import kitti_line, kitti_type_of, read_kitti
 from track_range.detection.formats.video_labels.mot import mot_lines, read_mot
@@ -181,19 +181,19 @@ def _integers(values: FloatArray, rows: npt.NDArray[Any]) -> IntArray:
     return np.asarray(values[rows], np.int64)
 
 
-def write_mot_table(table: BoxTable, path: Path) -> tuple[str, ...]:
-    """Write a table as MOTChallenge rows, with the score 1 where it is unknown; returns a note on omitted regions.
+def write_mot_table(table: BoxTable, path: Path) -> Written:
+    """Write a table as MOTChallenge rows, with the score 1 where it is unknown, and without regions.
 
     Raises:
         OSError: the file cannot be written.
     """
-    rows, notes = _without_regions(table, "MOTChallenge's results")
+    rows = table.select(~table.is_region)
     rows = replace(rows, score=np.where(np.isnan(rows.score), 1.0, rows.score))
     _write_frames(rows, path, mot_lines)
-    return notes
+    return Written(len(rows), omitted_regions_note(table))
 
 
-def write_kitti_table(table: BoxTable, path: Path) -> tuple[str, ...]:
+def write_kitti_table(table: BoxTable, path: Path) -> Written:
     """Write a table as rows of KITTI tracking results; regions become DontCare.
 
     The location is written where it is known; where only the distance is, it is the z of a location with unknown x
@@ -203,7 +203,7 @@ def write_kitti_table(table: BoxTable, path: Path) -> tuple[str, ...]:
         OSError: the file cannot be written.
     """
     _write_frames(table, path, kitti_lines)
-    return ()
+    return Written(len(table))
 
 
 def kitti_lines(rows: BoxTable, frame: int) -> list[str]:
@@ -223,9 +223,3 @@ def _write_frames(table: BoxTable, path: Path, lines_of: Callable[[BoxTable, int
     with path.open("w", encoding="utf-8", newline="\n") as file:
         for frame, rows in zip(frames.tolist(), np.split(np.arange(len(table)), starts[1:]), strict=False):
             file.writelines(lines_of(table.select(rows), frame))
-
-
-def _without_regions(table: BoxTable, where: str) -> tuple[BoxTable, tuple[str, ...]]:
-    n_regions = int(table.is_region.sum())
-    notes = (f"{n_regions} regions that are not evaluated are not written: {where} have none.",) if n_regions else ()
-    return table.select(~table.is_region), notes

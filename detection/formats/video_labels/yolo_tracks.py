@@ -24,11 +24,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from track_range.detection.boxes import xyxy_from_cxcywh
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, frames_listed
+from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.yolo_labels import names_for_folder
 from track_range.detection.formats.limits import MAX_FRAME, MAX_ID
-from track_range.detection.formats.table_checks import check_identities, first_frame_note, ignored_note
+from track_range.detection.formats.table_checks import (
+    check_identities,
+    check_names,
+    first_frame_note,
+    frame_in_name,
+    ignored_note,
+    omitted_regions_note,
+)
 from track_range.detection.formats.video_labels.coco import image_name
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.foundation.files.atomic_files import describe
@@ -53,7 +60,6 @@ WRITTEN_MARK = "# Written by track-range export."
 _DECIMALS = 8
 """Decimals of fractions: 1e-5 px in an image of 1000 px."""
 
-_LAST_NUMBER = re.compile(r"(\d{1,18})\D*$")
 _INTEGER = re.compile(r"\d+")
 _N_BOX, _N_COLUMNS = 5, 7
 """Numbers of columns of a box, and of a box with score and identity."""
@@ -91,7 +97,8 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         raise LabelFileError(f"{path}: expected YOLO labels such as labels/NAME_000000.txt, found none.")
     frame_of = _frames(path, files)
     frames = sorted(frame_of.values())
-    names = names_for_folder(folder) or ROAD_CLASSES
+    stated_names = names_for_folder(folder)
+    names = stated_names or ROAD_CLASSES
     facts = replace(_with_facts(path, folder, video), first_frame=frames[0])
     if facts.size_px is None:
         raise LabelFileError(
@@ -112,12 +119,21 @@ def read_yolo_folder(path: Path, video: VideoFacts) -> BoxTable:
         score=score,
         video=facts,
         notes=(
+            *(() if stated_names else (_no_names_note(path),)),
             *first_frame_note(path, frames[0], len(frames)),
             *ignored_note(path, len(is_valid) - len(table), "without width or height"),
         ),
     )
     check_identities(result, path)
     return result
+
+
+def _no_names_note(path: Path) -> str:
+    return (
+        f"{path.name}: there is no data.yaml or classes.txt with class names, so the numbers are taken to be 0 "
+        f"{ROAD_CLASSES[0]}, 1 {ROAD_CLASSES[1]} to {len(ROAD_CLASSES) - 1} {ROAD_CLASSES[-1]}; the numbers of COCO "
+        "differ from 4 on."
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,21 +221,21 @@ def _frames(path: Path, files: Sequence[Path]) -> dict[Path, int]:
     """Frame number by label file.
 
     Raises:
-        LabelFileError: a name has no number, or two files have the same one.
+        LabelFileError: a name has no number, two files have the same one, or the names are of several videos.
     """
     frame_of: dict[Path, int] = {}
     file_of: dict[int, Path] = {}
     for file in files:
-        number = _LAST_NUMBER.search(file.stem)
-        frame = int(number[1]) if number else -1
-        if not 0 <= frame <= MAX_FRAME:
+        frame = frame_in_name(file.stem)
+        if frame is None:
             raise LabelFileError(f"{file}: expected a frame number at the end of the name, such as NAME_000000.txt.")
         if (other := file_of.setdefault(frame, file)) != file:
             raise LabelFileError(
-                f"{path}: expected one file for each frame of one video, found {quoted(other.name)} and "
-                f"{quoted(file.name)} for frame {frame}."
+                f"{path}: expected one file for each frame of one video, found {quoted(str(other.relative_to(path)))} "
+                f"and {quoted(str(file.relative_to(path)))} for frame {frame}."
             )
         frame_of[file] = frame
+    check_names((file.stem for file in files), path)
     return frame_of
 
 
@@ -263,8 +279,8 @@ def _image_size_px(path: Path, labels: Path) -> tuple[int, int] | None:
     return None
 
 
-def write_yolo(table: BoxTable, path: Path) -> tuple[str, ...]:
-    """Write a table as folder `path` with labels and data.yaml; returns notes on what the format cannot hold.
+def write_yolo(table: BoxTable, path: Path) -> Written:
+    """Write a table as folder `path` with labels and data.yaml.
 
     Boxes are clipped to the image. Identities, scores, distances and regions are not written.
 
@@ -288,12 +304,9 @@ def write_yolo(table: BoxTable, path: Path) -> tuple[str, ...]:
         name = Path(image_name(table.video, frame)).with_suffix(".txt")
         (path / "labels" / name).write_text("".join(lines), encoding="utf-8", newline="\n")
     (path / DATA_YAML).write_text(_data_yaml(table.video, names), encoding="utf-8", newline="\n")
-    notes = []
-    if n_outside := int((~is_visible).sum()):
-        notes.append(f"{n_outside} boxes outside the image are not written.")
-    if n_regions := int(table.is_region.sum()):
-        notes.append(f"{n_regions} regions that are not evaluated are not written: YOLO labels have none.")
-    return tuple(notes)
+    n_outside = int((~is_visible & ~table.is_region).sum())
+    notes = (f"Boxes outside the image, which are not written: {n_outside}.",) if n_outside else ()
+    return Written(len(rows), (*notes, *omitted_regions_note(table)))
 
 
 def _line(table: BoxTable, edges: FloatArray, row: int, names: Sequence[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,15 @@ def changed(path: tuple[str | int, ...], value: Any) -> str:
         (changed(("annotations", 0, "bbox"), [1, 2, 3]), "bbox"),
         (changed(("annotations", 0, "bbox"), [1, 2, -3, 4]), "bbox"),
         (changed(("annotations", 0, "bbox"), [1, 2, True, 4]), "bbox"),
-        (changed(("annotations", 0, "bbox"), None), "polygon"),
+        (changed(("annotations", 0, "bbox"), None), "found none"),
+        (
+            changed(("annotations", 0), {"image_id": 1, "category_id": 3, "segmentation": [[1, 2, 3, 4, 5, 6]]}),
+            "polygon",
+        ),
+        (changed(("annotations", 0, "bbox"), ["10", "20", "20", "20"]), "bbox"),
+        (changed(("annotations", 0, "attributes"), {"distance_m": "near"}), "distance_m"),
+        (re.sub(r'"bbox": \[.*?\]', '"bbox": [0.1, 0.2, 0.2, 0.2]', COCO), "fractions"),
+        (re.sub(r'"frame_index": ., "video_id": 1', '"x": 0', COCO).replace("a_000002", "b_000002"), "one video"),
         (changed(("annotations", 0), {"image_id": 1, "category_id": 3, "segmentation": {"counts": "a"}}), "RLE"),
         (changed(("annotations", 0, "track_id"), "x"), "track_id"),
         (changed(("annotations", 0, "score"), 1e9), "score"),
@@ -106,6 +115,7 @@ def test_large_coco_is_refused_by_its_size(tmp_path: Path) -> None:
         ("<html></html>", "element"),
         ('<annotations><image id="0" name="a.png"></image></annotations>', "CVAT for video"),
         (CVAT.replace("<box ", "<polygon ").replace("</box>", "</polygon>"), "polygon"),
+        (CVAT.replace("<box ", "<points ").replace("</box>", "</points>"), "shape points"),
         (CVAT.replace('z_order="0"', 'rotation="12.5"'), "rotation"),
         (CVAT.replace('frame="2"', 'frame="x"'), "frame"),
         (CVAT.replace('frame="2"', 'frame="3"'), "the last of the task"),
@@ -141,6 +151,7 @@ def test_bad_cvat(tmp_path: Path, content: str, key_word: str) -> None:
         ("labels/a_000000.txt", "1 " + "0.5 " * 20, "polygon"),
         ("labels/a_000000.txt", "1 nan 0.5 0.1 0.1", "fractions"),
         ("labels/b_000002.txt", "1 0.5 0.5 0.1 0.1", "one file for each frame"),
+        ("labels/b_000003.txt", "1 0.5 0.5 0.1 0.1", "one video"),
         ("labels/notes.txt", "1 0.5 0.5 0.1 0.1", "frame number"),
         ("labels/a_99999999999999999.txt", "1 0.5 0.5 0.1 0.1", "frame number"),
         ("data.yaml", "names: {0: a, 1: b}\nvideo: {width: wide}", "video"),

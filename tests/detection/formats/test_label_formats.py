@@ -103,7 +103,7 @@ def test_no_boxes(tmp_path: Path, name: str) -> None:
     empty = BoxTable.of([], [], [], [], video=VIDEO)
     label_format = LABEL_FORMATS[name]
     assert label_format.write is not None
-    assert label_format.write(empty, tmp_path / "empty") == ()
+    assert label_format.write(empty, tmp_path / "empty") == (0, ())
     if name in ("mot", "kitti"):
         with pytest.raises(LabelFileError, match="empty"):
             read_labels(tmp_path / "empty")
@@ -150,11 +150,25 @@ def test_kitti_folders_are_not_yolo(tmp_path: Path) -> None:
     assert label_format_of(tmp_path).name == "yolo"
 
 
+@pytest.mark.parametrize("name", ["coco", "cvat", "kitti", "mot", "yolo"])
+def test_regions(tmp_path: Path, name: str) -> None:
+    """Regions stay regions, or are left out with a note; they never become objects."""
+    boxes = np.tile([10.0, 10.0, 20.0, 20.0], (2, 1))
+    table = BoxTable.of([0, 0], [5, -1], ["car", "person"], boxes, is_region=[False, True], video=VIDEO)
+    label_format = LABEL_FORMATS[name]
+    assert label_format.write is not None
+    n_written, notes = label_format.write(table, tmp_path / "out")
+    back = read_labels(tmp_path / "out", VIDEO)
+    assert len(back) == n_written == (1 if name in ("mot", "yolo") else 2)
+    assert back.is_region.sum() == n_written - 1
+    assert any("Regions" in note for note in notes) == (n_written == 1)
+
+
 def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
     boxes = np.tile([10.0, 10.0, 20.0, 20.0], (3, 1))
     table = BoxTable.of([0, 1, 2], [5, 5, 5], ["car", "truck", "car"], boxes, video=VIDEO)
     assert LABEL_FORMATS["cvat"].write is not None
-    notes = LABEL_FORMATS["cvat"].write(table, tmp_path / "a.xml")
+    notes = LABEL_FORMATS["cvat"].write(table, tmp_path / "a.xml").notes
     back = read_labels(tmp_path / "a.xml")
     assert back.class_name.tolist() == ["car", "truck", "car"]
     assert back.track_id.tolist() == [5, 6, 5]

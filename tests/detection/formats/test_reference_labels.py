@@ -7,6 +7,7 @@ columns 50 to 54, rows 10 to 29. With pixel centres at integers, the car's outer
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -223,7 +224,7 @@ def test_yolo_with_score_and_identity(tmp_path: Path) -> None:
     assert table.frame.tolist() == [1, 2, 2]
     assert table.track_id.tolist() == [3, -1, 3]
     np.testing.assert_array_equal(table.score, [0.9, np.nan, 0.8])
-    assert "start at 1" in table.notes[0]
+    assert [word in " ".join(table.notes) for word in ("class names", "start at 1")] == [True, True]
 
 
 def test_yolo_size_from_an_image(tmp_path: Path) -> None:
@@ -244,3 +245,16 @@ def test_coco_of_cvat(tmp_path: Path) -> None:
     table = read_labels(path)
     assert (table.frame.tolist(), table.track_id.tolist(), table.class_id.tolist()) == ([5], [7], [2])
     assert "names of the images" in table.notes[0]
+
+
+@pytest.mark.parametrize("attributes", [(12.5, "", True, 0.75), ("12.500", None, "true", "0.75")])
+def test_text_attributes_of_coco(tmp_path: Path, attributes: tuple[object, ...]) -> None:
+    """CVAT writes attributes of the input type text as texts, and empty ones as empty texts."""
+    document = json.loads(COCO)
+    names = ("distance_m", "sigma_m", "predicted", "score")
+    document["annotations"][0]["attributes"] = dict(zip(names, attributes, strict=True))
+    path = tmp_path / "coco"
+    path.write_text(json.dumps(document))
+    table = read_labels(path)
+    assert (table.distance_m[0], table.score[0], table.observed.tolist()) == (12.5, 0.75, [False, True, True])
+    assert np.isnan(table.sigma_m).all()

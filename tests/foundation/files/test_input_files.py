@@ -64,6 +64,8 @@ def test_links_are_followed(tmp_path):
         ("a,b\n".encode("utf-16-le"), "line 1: .*null"),
         (b"a\nb\n\xff", "line 3: .*encoding"),
         (b"a\n\0", "line 2: .*null"),
+        (b"PK\x03\x04\x14\0", "ZIP archive; unpack"),
+        (b"\x1f\x8b\x08\0", "gzip"),
     ],
 )
 def test_other_encodings(tmp_path, content, word):

@@ -31,6 +31,9 @@ _MAX_QUOTED = 60
 _START_BYTES = 65_536
 """Number of bytes that `first_line` reads."""
 
+_ARCHIVES = {b"PK\x03\x04": "a ZIP archive", b"\x1f\x8b": "a gzip archive", b"7z\xbc\xaf": "a 7z archive"}
+"""Kinds of archives by their first bytes."""
+
 _UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 """Byte order marks of text in UTF-16 and UTF-32, which spreadsheets and Windows' editors write."""
 
@@ -177,6 +180,8 @@ def printable(text: str) -> str:
 
 def _decoded(content: bytes, path: Path, error: type[Exception], expected: str, *, is_complete: bool = True) -> str:
     """Text of a file's content in UTF-8; the last character may be incomplete unless `is_complete`."""
+    if archive := next((kind for mark, kind in _ARCHIVES.items() if content.startswith(mark)), None):
+        raise error(f"{path}: expected {expected} as text, found {archive}; unpack it first.")
     if content.startswith(_UTF_16_MARKS):
         raise error(f"{path}: expected {expected} as text in UTF-8, found UTF-16; save the file as UTF-8.")
     try:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.detection.formats.box_table import BoxTable, frames_listed
+from track_range.detection.formats.box_table import BoxTable, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
@@ -33,7 +33,7 @@ from track_range.results.output_files import OutputError, make_folder
 from track_range.results.replay import frames_of_rows
 from track_range.results.writers import RunInfo, create_writer, writer_names
 
-_Write = Callable[[BoxTable, Path], tuple[str, ...]]
+_Write = Callable[[BoxTable, Path], Written]
 
 _MARKS = {"parquet": b"PAR1", "mcap": b"\x89MCAP", "rrd": b"RRF"}
 """First bytes of the files that only result writers write."""
@@ -50,7 +50,7 @@ class Exported:
     """Result of an export.
 
     Attributes:
-        n_boxes: number of boxes.
+        n_boxes: number of boxes that are written.
         n_images: number of images.
         notes: notes for the user.
     """
@@ -112,11 +112,12 @@ def _export_labels(
     if not label_format.is_folder:
         check_replaceable(settings.out, settings.to)
         with _output(settings.out), atomic_path(settings.out) as partial:
-            return Exported(len(table), 0, (*notes, *write(table, partial)))
+            written = write(table, partial)
+            return Exported(written.n_boxes, 0, (*notes, *written.notes))
     with _replaced_folder(settings.out) as folder:
-        notes = (*notes, *write(table, folder))
+        written = write(table, folder)
         n_images = _write_images(settings, table, folder) if settings.images else 0
-    return Exported(len(table), n_images, notes)
+    return Exported(written.n_boxes, n_images, (*notes, *written.notes))
 
 
 def _write_images(settings: ExportSettings, table: BoxTable, folder: Path) -> int:

@@ -146,4 +146,4 @@ def named_boxes(table: BoxTable) -> tuple[BoxTable, tuple[str, ...]]:
     n_unnamed = int(np.count_nonzero(table.class_name == ""))
     if not n_unnamed:
         return table, ()
-    return table.with_class(0), (f"{n_unnamed} boxes have no class in the input and are written as person.",)
+    return table.with_class(0), (f"Boxes without a class in the input, which are written as person: {n_unnamed}.",)
