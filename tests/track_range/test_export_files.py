@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from tests.command_line import Finished
 from track_range.detection.formats.label_formats import LABEL_FORMATS, read_labels
+from track_range.foundation.files.folder_lock import locked_folder
 from track_range.results.columns import column_names
 
 Cli = Callable[..., Finished]
@@ -63,6 +66,50 @@ def test_result_writers(run: Path, tmp_path: Path, cli: Cli) -> None:
     assert cli("export", run, "--to", "parquet", "--out", tmp_path / "rows.parquet", "--observed-only")[0] == 0
     assert len(read_labels(tmp_path / "rows.parquet")) == 2
     assert {path.name for path in tmp_path.iterdir()} == {"run", "rows.parquet"}
+
+
+def test_links_are_written_to(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """As devices are: an export to /dev/null must not replace it by a file."""
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    for name in ("parquet", "mcap"):
+        (tmp_path / "target").write_bytes(b"")
+        assert cli("export", run, "--to", name, "--out", tmp_path / "link")[0] == 0
+        assert (tmp_path / "link").is_symlink()
+        assert (tmp_path / "target").stat().st_size > 0
+
+
+def test_run_is_not_replaced(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """Neither the rows that are read, nor files in the folder of a run in progress."""
+    assert cli("export", run, "--to", "parquet", "--out", tmp_path / "tracks.parquet")[0] == 0
+    (tmp_path / "tracks.parquet").rename(run / "tracks.parquet")
+    status, _, error = cli("export", run, "--to", "parquet", "--observed-only", "--out", run / "tracks.parquet")
+    assert status == 1
+    assert "input" in error
+    assert len(read_labels(run / "tracks.parquet")) == 3
+    with locked_folder(run):
+        status, _, error = cli("export", run, "--to", "mcap", "--out", run / "run.mcap")
+        assert cli("export", run, "--to", "mcap", "--out", tmp_path / "run.mcap")[0] == 0
+    assert status == 1
+    assert "a run is writing" in error
+
+
+def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:
+    """That of the run, also with values that only YAML has; an earlier version has the calibration in summary.json."""
+    settings = (run / "settings.yaml").read_text()
+    kinds = ("detections: boxes.txt", "calibration: rig", "rig: /home/a/rig.yaml", "versions: {track-range: 0.9.9}")
+    found = settings.replace("fps: 10.0", f"fps: 10.0, {', '.join(kinds)}").replace("run: {", "run: {1: 2026-01-31, ")
+    for text, kind, version in ((found, "rig", b"0.9.9"), (settings, "focal length", None)):
+        (run / "settings.yaml").write_text(text)
+        (run / "summary.json").write_text('{"frames": 3, "calibration": "focal length"}')
+        assert cli("export", run, "--to", "parquet", "--out", tmp_path / "rows")[0] == 0
+        metadata = pq.read_schema(tmp_path / "rows").metadata
+        rig = json.loads(metadata[b"track_range.rig"])
+        assert (rig["calibration"], rig["focal_px"]) == (kind, 80)
+        assert version in (None, metadata[b"track_range.version"])
+        assert metadata[b"track_range.settings_hash"].startswith(b"sha256:")
+        if version is not None:
+            assert rig["file"] == "rig.yaml"
+            assert json.loads(metadata[b"track_range.model"]) == {"detections": "boxes.txt"}
 
 
 @pytest.mark.parametrize(("first", "second"), [("coco", "cvat"), ("cvat", "mot"), ("kitti", "coco"), ("cvat", "yolo")])

@@ -24,6 +24,8 @@ from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.report.run_folders import report
 from track_range.results.columns import column_names, result_columns, rounded
+from track_range.results.export.export import export
+from track_range.results.export.settings import ExportSettings
 from track_range.results.folder import read_run_folder, read_run_rows
 from track_range.results.formats.csv_file import read_tracks_csv
 from track_range.results.formats.parquet_file import read_tracks_arrows, read_tracks_parquet
@@ -233,9 +235,26 @@ def test_run_with_parquet_only(tmp_path: Path, inputs) -> None:  # noqa: F811
     run = read_yaml(alone / "settings.yaml", OutputError, "settings")["run"]
     summary = json.loads((alone / "summary.json").read_text())
     assert metadata[b"track_range.settings_hash"].decode() == summary["settings_hash"] == settings_hash(run)
+    export(ExportSettings(source=alone, to="parquet", out=tmp_path / "exported"))
+    assert parquet.read_schema(tmp_path / "exported").metadata == metadata
     assert summary["schema_version"] == SCHEMA_VERSION
     assert json.loads(metadata[b"track_range.rig"])["focal_px"] == 60
     assert json.loads(metadata[b"track_range.model"]) == {"detections": "boxes.txt"}
+
+
+def test_settings_hash() -> None:
+    """It depends on the inputs and options, not on the order of the keys and on the output files."""
+    run = {"mono": "/a.mp4", "focal_px": 900.0, "sgbm_options": {"a": 1, "b": [1, 2]}}
+    written = {
+        "sgbm_options": {"b": [1, 2], "a": 1},
+        "out": "/b",
+        "write": ["csv"],
+        "overlay": False,
+        "mcap_images": True,
+    }
+    assert settings_hash(run) == settings_hash({**written, "focal_px": 900.0, "mono": "/a.mp4"})
+    for other in ({"mono": "/b.mp4"}, {"focal_px": 901.0}, {"sgbm_options": {"a": 2, "b": [1, 2]}}):
+        assert settings_hash(run) != settings_hash({**run, **other})
 
 
 @pytest.mark.slow

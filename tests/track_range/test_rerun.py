@@ -20,6 +20,7 @@ from tests.track_range.test_mcap import CAMERA, START_S, frame, info
 from tests.track_range.test_write_failures import file_size_limit, inputs  # noqa: F401
 from track_range.cli.commands.view import recording_of, viewer_command
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.folder_lock import locked_folder
 from track_range.foundation.telemetry import VIEWER_VARIABLES
 from track_range.results.formats import extras
 from track_range.results.formats.scene import track_objects
@@ -103,6 +104,15 @@ def test_last_frame_is_discarded(tmp_path: Path) -> None:
     assert [row["frame"] for row in rows if "frame" in row] == [0, 3]
 
 
+def test_no_file_before_the_end(tmp_path: Path) -> None:
+    """A killed run leaves no empty file, which the viewer would refuse."""
+    writers = OpenWriters(("rrd",), info(), tmp_path)
+    writers.write(frame(0))
+    assert list(tmp_path.iterdir()) == []
+    writers.close(None)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
+
+
 def test_full_disk(tmp_path: Path) -> None:
     writers = OpenWriters(("rrd",), info(), tmp_path)
     writers.write(frame(0))
@@ -124,13 +134,15 @@ def test_view(tmp_path: Path, inputs) -> None:  # noqa: F811
         list(inputs(folder, write="csv,mot,parquet,rrd" if name == "whole" else "csv"))
         if name == "killed":
             (folder / "summary.json").unlink()
-            (folder / "run.rrd").touch()
         path = recording_of(folder)
         rows = rows_of(path)
         references = [row for row in rows["/camera/image/video"] if "frame" in row]
         assert [row["frame"] for row in references] == list(range(20))
         assert len(values(rows, "/distance/track_1", ":scalars")) > 10
         assert str(path) in viewer_command(path, is_web=True)
+    (tmp_path / "killed" / "run.rrd").unlink()
+    with locked_folder(tmp_path / "killed"), pytest.raises(UserError, match="in progress"):
+        recording_of(tmp_path / "killed")
     with pytest.raises(UserError, match="nowhere"):
         recording_of(tmp_path / "nowhere")
     assert json.loads((tmp_path / "whole" / "summary.json").read_text())["frames"] == 20

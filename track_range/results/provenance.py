@@ -8,15 +8,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Self
 
 from track_range.foundation.schema_version import METADATA_PREFIX, SCHEMA_VERSION
 
-_NOT_HASHED = ("out", "table", "write")
-"""Settings that do not affect the results."""
+_NOT_HASHED = frozenset(
+    ("out", "table", "write", "mcap_profile", "mcap_images", "overlay", "disparity", "overlay_disparity")
+)
+"""Settings of the output files, which do not affect the rows."""
+
+_MODEL = ("detector", "detections")
+_RIG = ("focal_px", "baseline_m", "image_size_px")
+"""Properties of the model and of the calibration in section `found` of settings.yaml."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +46,25 @@ class Provenance:
     settings_hash: str = ""
     utc: Mapping[str, Any] = field(default_factory=dict)
 
+    @classmethod
+    def of_found(cls, found: Mapping[str, Any], settings_hash: str) -> Self:
+        """Origin of the results of a run, from section `found` of its settings.yaml.
+
+        Args:
+            found: properties of the opened inputs; a file of an earlier version may lack some.
+            settings_hash: hash of the settings.
+        """
+        versions, file, utc = found.get("versions"), found.get("rig"), found.get("utc")
+        of_run = versions.get("track-range") if isinstance(versions, Mapping) else None
+        rig = {"calibration": found.get("calibration"), "file": os.path.basename(str(file)) if file else None}
+        return cls(
+            version=of_run if isinstance(of_run, str) else version("track-range"),
+            model={key: found[key] for key in _MODEL if key in found},
+            rig={**rig, **{key: found[key] for key in _RIG if key in found}},
+            settings_hash=settings_hash,
+            utc=utc if isinstance(utc, Mapping) else {},
+        )
+
     def section(self) -> dict[str, Any]:
         """Values for summary.json and settings.yaml."""
         return {"schema_version": self.schema_version, "settings_hash": self.settings_hash}
@@ -48,10 +74,10 @@ class Provenance:
         values = {
             "version": self.version,
             "schema_version": str(self.schema_version),
-            "model": json.dumps(self.model, sort_keys=True),
-            "rig": json.dumps(self.rig, sort_keys=True),
+            "model": _canonical(self.model),
+            "rig": _canonical(self.rig),
             "settings_hash": self.settings_hash,
-            "utc": json.dumps(self.utc, sort_keys=True),
+            "utc": _canonical(self.utc),
         }
         return {f"{METADATA_PREFIX}{key}": value for key, value in values.items()}
 
@@ -59,8 +85,20 @@ class Provenance:
 def settings_hash(run: Mapping[str, Any]) -> str:
     """SHA-256 of section `run` of a settings.yaml in canonical JSON, without the settings of the output files.
 
-    Two runs have the same hash if they read the same paths with the same options.
+    Two runs have the same hash if they read the same paths with the same options, whatever they write.
     """
-    hashed = {key: value for key, value in run.items() if key not in _NOT_HASHED}
-    text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    text = _canonical({key: value for key, value in run.items() if key not in _NOT_HASHED})
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _canonical(section: Mapping[str, Any]) -> str:
+    """JSON with sorted keys; dates and other values that only YAML has are written as text."""
+    return json.dumps(_plain(section), sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    return value if value is None or isinstance(value, str | int | float) else str(value)

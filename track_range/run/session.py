@@ -107,15 +107,7 @@ class RunSession:
     @property
     def provenance(self) -> Provenance:
         """Origin of the results, for the result files."""
-        calibration, detected = self.source.calibration, self.detected()
-        rig = {key: detected[key] for key in ("focal_px", "baseline_m", "image_size_px")}
-        file = None if calibration.path is None else calibration.path.name
-        return Provenance(
-            model=self.boxes.description,
-            rig={"calibration": calibration.kind, "file": file, **rig},
-            settings_hash=settings_hash(absolute_settings(self.settings)),
-            utc={} if self.source.utc is None else self.source.utc.summary(),
-        )
+        return Provenance.of_found(self.detected(), settings_hash(absolute_settings(self.settings)))
 
     @property
     def notes(self) -> list[str]:
@@ -230,12 +222,14 @@ class RunSession:
         return {
             **self.boxes.description,
             "rig": None if rig is None else rig.name if self.settings.anonymize else str(rig),
+            "calibration": source.calibration.kind,
             "focal_px": camera.fx_px,
             "focal_y_px": camera.fy_px,
             "principal_point_px": [camera.cx_px, camera.cy_px],
             "baseline_m": source.rig.baseline_m if source.rig else None,
             "image_size_px": list(source.size_px),
             "fps": source.fps,
+            "utc": None if source.utc is None else source.utc.summary(),
             "versions": _versions(),
         }
 

@@ -19,6 +19,7 @@ from track_range.foundation.options import Options, option
 from track_range.foundation.schema_version import SCHEMA_VERSION
 from track_range.foundation.validation import first_problem
 from track_range.results.output_files import write_text
+from track_range.results.provenance import settings_hash
 from track_range.run.options.detector_fields import (
     Device,
     anchors_option,
@@ -491,10 +492,12 @@ def save_settings(settings: RunSettings, path: Path, *, detected: dict[str, Any]
         path: the file.
         detected: properties of the opened inputs; None = not known yet.
     """
+    run = absolute_settings(settings)
     content = {
         "track_range_settings": 1,
         "schema_version": SCHEMA_VERSION,
-        "run": absolute_settings(settings),
+        "settings_hash": settings_hash(run),
+        "run": run,
     }
     if detected is not None:
         content["found"] = detected

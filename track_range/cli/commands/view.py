@@ -12,6 +12,7 @@ from track_range.cli.console import console, print_line, print_notes
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import command
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.options import Options, option
 from track_range.foundation.telemetry import VIEWER_VARIABLES
 from track_range.results.export.export import export
@@ -59,7 +60,12 @@ def recording_of(run: Path) -> Path:
     path = run / RERUN_FILE
     if not is_run(run):
         raise ViewError(f"{run}: expected the result folder of a run, found none.")
-    if not path.is_file() or not path.stat().st_size:  # a killed run leaves an empty one
+    if not path.is_file():  # not written, or the run was killed
+        if is_locked(run):
+            raise ViewError(
+                f"{run}: the run is in progress; wait for its end, or export it with `track-range export --to rrd` to "
+                "another folder."
+            )
         print_notes(console, export(ExportSettings(source=run, to="rrd", out=path)).notes)
     return path
 

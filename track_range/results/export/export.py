@@ -17,7 +17,8 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
 from track_range.detection.formats.video_labels.yolo_tracks import DATA_YAML, WRITTEN_MARK
 from track_range.foundation.errors import UsageError
-from track_range.foundation.files.atomic_files import atomic_path, describe
+from track_range.foundation.files.atomic_files import atomic_path, describe, write_bytes
+from track_range.foundation.files.folder_lock import is_locked
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.export.images import frames_of_run, frames_of_video, write_images
 from track_range.results.export.settings import ExportSettings
@@ -28,6 +29,7 @@ from track_range.results.export.source import (
     is_run,
     named_boxes,
     open_run,
+    run_files,
 )
 from track_range.results.output_files import OutputError, make_folder
 from track_range.results.replay import frames_of_rows
@@ -71,8 +73,7 @@ def export(settings: ExportSettings) -> Exported:
     """
     source = open_run(settings.source) if is_run(settings.source) else None
     _check(settings, source)
-    if os.path.realpath(settings.out) == os.path.realpath(settings.source):
-        raise OutputError(f"{settings.out}: this input would be overwritten; choose another --out.")
+    _check_out(settings)
     label_format = LABEL_FORMATS.get(settings.to)
     if label_format is not None and label_format.write is not None:
         return _export_labels(settings, label_format, label_format.write, source)
@@ -94,6 +95,24 @@ def _check(settings: ExportSettings, source: RunSource | None) -> None:
         )
     if settings.images and source is None and settings.video is None:
         raise UsageError("--images requires --video, the video that the labels belong to.")
+
+
+def _check_out(settings: ExportSettings) -> None:
+    """Check that the output is neither an input nor in the folder of a run in progress.
+
+    Raises:
+        OutputError: it is.
+    """
+    out = settings.out
+    inputs = [settings.source, *run_files(settings.source)]
+    if settings.video is not None:
+        inputs.append(settings.video)
+    if os.path.realpath(out) in {os.path.realpath(path) for path in inputs}:
+        raise OutputError(f"{out}: this input would be overwritten; choose another --out.")
+    if is_locked(out.parent):
+        raise OutputError(
+            f"{out}: a run is writing to this folder; wait for its end, or choose an --out in another folder."
+        )
 
 
 def _export_labels(
@@ -165,9 +184,17 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
                 writer.write(result)
         finally:
             writer.close(run.summary)
-        with atomic_path(settings.out) as partial:
-            shutil.move(folder / writer.files[0], partial)
+        _move(folder / writer.files[0], settings.out)
     return Exported(len(columns["frame"]), 0, run.missing)
+
+
+def _move(file: Path, out: Path) -> None:
+    """Move a finished file to `out`; devices and symbolic links are written to, not replaced (see `atomic_path`)."""
+    with atomic_path(out) as partial:
+        if partial == out:
+            write_bytes(out, file.read_bytes())
+        else:
+            shutil.move(file, partial)
 
 
 def _start_utc_s(columns: Columns) -> float | None:

@@ -23,7 +23,8 @@ from track_range.results.run_boxes import table_of_rows
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.video.reader import VideoReader
 
-_RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "summary.json")
+_RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "tracks.arrows", "summary.json")
+"""Files of a run that an export reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,18 +35,19 @@ class RunSource:
         run: its results.
         detected: section `found` of settings.yaml; empty without that file.
         camera: the left camera; None = unknown.
+        settings_hash: hash of the settings.
     """
 
     run: RunFolder
     detected: Mapping[str, Any]
     camera: PinholeCamera | None
+    settings_hash: str
 
     @property
     def provenance(self) -> Provenance:
-        """Origin of the results, from settings.yaml."""
-        model = {key: self.detected[key] for key in ("detector", "detections") if key in self.detected}
-        rig = {key: self.detected[key] for key in ("focal_px", "baseline_m", "image_size_px") if key in self.detected}
-        return Provenance(model=model, rig=rig, settings_hash=settings_hash(self.run.settings))
+        """Origin of the results, from settings.yaml and, for runs of earlier versions, summary.json."""
+        earlier = {key: self.run.summary[key] for key in ("calibration", "utc") if key in self.run.summary}
+        return Provenance.of_found({**earlier, **self.detected}, self.settings_hash)
 
     @property
     def fps(self) -> float | None:
@@ -59,6 +61,11 @@ def is_run(path: Path) -> bool:
     return any(os.path.isfile(path / name) for name in _RUN_FILES)
 
 
+def run_files(folder: Path) -> list[Path]:
+    """The files of a run that an export reads."""
+    return [folder / name for name in _RUN_FILES]
+
+
 def open_run(folder: Path) -> RunSource:
     """The results of a run.
 
@@ -67,14 +74,19 @@ def open_run(folder: Path) -> RunSource:
     """
     run = read_run_folder(folder, is_rounded=False)
     detected: Any = {}
+    recorded_hash: Any = None
     if os.path.isfile(folder / "settings.yaml"):
         settings = read_yaml(folder / "settings.yaml", OutputError, "the settings of a run")
-        detected = settings.get("found") if isinstance(settings, dict) else {}
+        if isinstance(settings, dict):
+            detected, recorded_hash = settings.get("found"), settings.get("settings_hash")
     detected = detected if isinstance(detected, dict) else {}
     section = (
         validated(DetectedCamera, detected, f"{folder / 'settings.yaml'}, found", OutputError) if detected else None
     )
-    return RunSource(run, detected, None if section is None else section.camera())
+    camera = None if section is None else section.camera()
+    return RunSource(
+        run, detected, camera, recorded_hash if isinstance(recorded_hash, str) else settings_hash(run.settings)
+    )
 
 
 def boxes_of_run(source: RunSource) -> BoxTable:
