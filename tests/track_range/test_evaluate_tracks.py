@@ -110,6 +110,29 @@ def test_invalid_results(kitti, tmp_path, cli, name, text, word):
     assert (status, word in errors) == (1, True), errors
 
 
+def test_truth_in_cvat(tmp_path, cli):
+    """A car in two frames and a person, tracked without classes: all tracks count as cars."""
+    box = '<box frame="{}" outside="{}" occluded="0" keyframe="1" xtl="{}" ytl="10.5" xbr="{}" ybr="50.5"/>'
+    car = box.format(0, 0, 100.5, 140.5) + box.format(1, 0, 100.5, 140.5) + box.format(2, 1, 100.5, 140.5)
+    person = box.format(0, 0, 300.5, 340.5) + box.format(1, 1, 300.5, 340.5)
+    tracks = f'<track id="0" label="car">{car}</track><track id="1" label="person">{person}</track>'
+    truth, results, figures = (tmp_path / name for name in ("truth.xml", "results.txt", "figures.json"))
+    truth.write_text(f"<annotations>{tracks}</annotations>")
+    results.write_text(mot_rows((1, 7, 100), (2, 7, 100), (1, 8, 300)))
+    options = ("evaluate", "tracks", "--truth", truth, "--results", results, "--json", figures)
+    assert cli(*options, "--class", "car")[0] == 0
+    read = json.loads(figures.read_text())
+    assert (read["combined"]["fp"], read["combined"]["fn"], read["combined"]["motp"]) == (1, 0, 100.0)
+    assert any("no class" in note for note in read["notes"])
+    results.write_text(kitti_rows((0, 7, "Car", 100), (1, 7, "Car", 100), (0, 8, "Pedestrian", 300)))
+    assert cli(*options, "--class", "car")[0] == 0
+    read = json.loads(figures.read_text())
+    assert (read["combined"]["hota"], read["combined"]["n"], read["notes"]) == (100.0, 2, [])
+    status, _, error = cli(*options, "--format", "coco")
+    assert status == 1
+    assert "truth.xml" in error
+
+
 def test_wrong_usage(kitti, tmp_path, cli):
     for options, expected, word in (
         (("--class", "zebra"), 1, "zebra"),

@@ -64,8 +64,9 @@ def evaluate_tracks(settings: TrackEvaluationSettings) -> dict[str, Any]:
         name = _class_of(form, settings.road_class)
         boxes = {labels.name: _cleaned(labels, tracks, form, name) for labels, tracks in pairs}
     else:
-        tables = {labels.name: _truth_table(labels.path, notes) for labels, _ in pairs}
+        tables = {labels.name: _truth_table(labels.path, settings.truth_format, notes) for labels, _ in pairs}
         name = _class_of_labels(tables.values(), settings.road_class)
+        notes += [note for _, tracks in pairs for note in _no_classes_note(tracks.path, name)]
         boxes = {
             labels.name: (_boxes_of(tables[labels.name], name, labels.path), _read_results(tracks.path, name))
             for labels, tracks in pairs
@@ -108,12 +109,15 @@ def _form_of(path: Path) -> TruthFormat:
     return cast(TruthFormat, name)
 
 
-def _truth_table(path: Path, notes: list[str]) -> BoxTable:
-    """The labels of a file in one of the formats without rules for boxes that are ignored.
+def _truth_table(path: Path, form: TruthFormat | None, notes: list[str]) -> BoxTable:
+    """The labels of a file in one of the formats without rules for boxes that are ignored; notes are appended.
 
     Raises:
-        LabelFileError: the file cannot be read, or has boxes without identities.
+        LabelFileError: the file cannot be read, or has another format than `form`.
     """
+    label_format = label_format_of(path, "ground truth")
+    if form not in (None, label_format.name):
+        raise LabelFileError(f"{path}: expected the format {form} (--format), found {label_format.title}.")
     table = read_labels(path, NO_FACTS, expected="ground truth")
     notes += [*table.notes, *other_labels_note(table, path)]
     if n_regions := int(table.is_region.sum()):
@@ -121,6 +125,13 @@ def _truth_table(path: Path, notes: list[str]) -> BoxTable:
             f"{path.name}: ignored {counted(n_regions, 'region')} of the ground truth; tracks in them count as false."
         )
     return table
+
+
+def _no_classes_note(path: Path, road_class: str) -> tuple[str, ...]:
+    """A note on results without classes, which `--class` cannot filter."""
+    if is_blank(path, "tracks") or label_format_of(path, "tracks").name != "mot":
+        return ()
+    return (f"{path.name}: rows of MOTChallenge have no class, so all tracks count as {road_class}.",)
 
 
 def _boxes_of(table: BoxTable, road_class: str, path: Path) -> TrackedBoxes:
