@@ -160,7 +160,9 @@ def test_foxglove_annotations(foxglove: dict[str, Any]) -> None:
     message = foxglove["/camera/annotations"][0][2]
     car, light = message.points
     assert [(point.x, point.y) for point in car.points] == [(1.5, 2.5), (3.5, 2.5), (3.5, 5.0), (1.5, 5.0)]
-    assert {pair.key: pair.value for pair in car.metadata}["distance_m"] == "12.000"
+    figures, predicted = ({pair.key: pair.value for pair in box.metadata} for box in (car, light))
+    assert (figures["distance_m"], figures["class"], figures["observed"]) == ("12.000", "car", "true")
+    assert predicted["observed"] == "false"
     assert car.outline_color.a == 1.0
     assert light.outline_color.a < 1.0  # predicted
     assert [text.text for text in message.texts] == ["car 3  12.0 ± 0.5 m", "traffic light 7"]
@@ -201,8 +203,8 @@ def ros2(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 def test_ros2_topics(ros2: dict[str, Any]) -> None:
     expected = {
-        "/camera/calibration": "sensor_msgs/msg/CameraInfo",
-        "/camera/image": "sensor_msgs/msg/CompressedImage",
+        "/camera/camera_info": "sensor_msgs/msg/CameraInfo",
+        "/camera/image/compressed": "sensor_msgs/msg/CompressedImage",
         "/camera/detections": "vision_msgs/msg/Detection2DArray",
         "/tracks/detections": "vision_msgs/msg/Detection3DArray",
         "/tracks/ranges": "diagnostic_msgs/msg/DiagnosticArray",
@@ -218,10 +220,10 @@ def test_ros2_topics(ros2: dict[str, Any]) -> None:
 
 
 def test_ros2_messages(ros2: dict[str, Any]) -> None:
-    calibration = ros2["/camera/calibration"][0][2]
+    calibration = ros2["/camera/camera_info"][0][2]
     assert list(calibration.k) == [700.0, 0, 20.0, 0, 710.0, 30.0, 0, 0, 1]
     assert (calibration.width, calibration.height, calibration.distortion_model) == (50, 50, "plumb_bob")
-    image = ros2["/camera/image"][3][2]
+    image = ros2["/camera/image/compressed"][3][2]
     np.testing.assert_allclose(cv2.imdecode(np.frombuffer(bytes(image.data), np.uint8), 1), 24, atol=2)
     flat = ros2["/camera/detections"][0][2].detections
     assert [(d.id, d.results[0].hypothesis.class_id, d.results[0].hypothesis.score) for d in flat] == [
@@ -239,7 +241,8 @@ def test_ros2_messages(ros2: dict[str, Any]) -> None:
     assert [len(message.detections) for _, _, message in ros2["/tracks/detections"]] == [1, 1, 0, 1]
     status = ros2["/tracks/ranges"][0][2].status[0]
     assert (status.name, status.message) == ("track 3", "car")
-    assert {value.key: float(value.value) for value in status.values}["closing_mps"] == 2.0
+    figures = {value.key: float(value.value) for value in status.values}
+    assert (figures["closing_mps"], figures["observed"]) == (2.0, 1)
     (transform,) = ros2["/tf"][0][2].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("vehicle", "camera")
     assert ros2["/rosout"][0][2].msg == "a note at the end"
@@ -253,20 +256,20 @@ def test_ros2_header(tmp_path: Path) -> None:
 # -- times, provenance, discarded frames ----------------------------------------------------------------------------
 
 
-def test_frames_without_time_and_start(tmp_path: Path) -> None:
-    """Replayed frames without rows have no time; without a start, times count from 1970."""
+def test_frames_without_rows_and_start(tmp_path: Path) -> None:
+    """Replayed frames without rows have times between those of others; without a start, times count from 1970."""
     with RunTable() as table:
-        for index in (0, 1, 3):
+        for index in (1, 3):
             table.append(frame(index))
         rows = table.to_columns(is_rounded=False)
     writers = OpenWriters(("mcap",), info(settings={}), tmp_path)
-    for replayed in frames_of_rows(rows, range(5), ("fused",)):
+    for replayed in frames_of_rows(rows, range(5), ("fused",), 10.0):
         writers.write(replayed)
     writers.close(None)
     read = messages(tmp_path / "run.mcap")
     assert [time for _, time, _ in read["/camera/annotations"]] == [i * 10**8 for i in range(5)]
     assert "/camera/image" not in read
-    assert [len(message["tracks"]) for _, _, message in read["/tracks/ranges"]] == [2, 2, 0, 2, 0]
+    assert [len(message["tracks"]) for _, _, message in read["/tracks/ranges"]] == [0, 2, 0, 2, 0]
 
 
 def test_last_frame_is_discarded(tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_replayed_rows_are_the_same(run_file: Path, tmp_path: Path) -> None:
     rows = read_run_rows(run_file, [])
     (tmp_path / "again").mkdir()
     with writing(tmp_path / "again", ("parquet",)) as again:
-        for frame in frames_of_rows(rows, range(5), ("mono", "fused", "fused_kf")):
+        for frame in frames_of_rows(rows, range(5), ("mono", "fused", "fused_kf"), 10.0):
             again.write(frame)
     assert parquet.read_table(tmp_path / "again" / PARQUET).equals(parquet.read_table(run_file))
 

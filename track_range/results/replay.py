@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
-from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ranges import Ranges
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.truth import boxes_px
@@ -19,14 +18,18 @@ from track_range.tracking.tracks import Tracks
 _NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
-def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterable[str]) -> Iterator[FrameResult]:
-    """One result per frame; frames without tracks have the time NaN, and numbers have the precision of the rows.
+def frames_of_rows(
+    columns: Columns, frame_index: Iterable[int], methods: Iterable[str], fps: float
+) -> Iterator[FrameResult]:
+    """One result per frame; numbers have the precision of the rows, and the UTC of frames without tracks is unknown.
 
     Args:
         columns: rows in the order of their frames, `RunTable.to_columns()`.
         frame_index: numbers of all frames of the run, in order.
         methods: names of the distances that were measured.
+        fps: nominal frame rate.
     """
+    time_s = _Times(columns, fps)
     utc_s = columns.get("utc", np.full(len(columns["frame"]), np.nan))  # files of earlier versions have none
     measured = [name for name in methods_with_sigma() if name in set(methods)]
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
@@ -37,7 +40,7 @@ def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterab
         rows = slice(first, last)
         ids = track_id[rows]
         yield FrameResult(
-            frame=_frame(index, columns["time_s"][rows], utc_s[rows]),
+            frame=Frame(index, time_s.at(index), _NO_IMAGE, None, float(utc_s[first]) if last > first else math.nan),
             tracks=Tracks(ids, boxes[rows], class_id[rows], columns["score"][rows], observed[rows]),
             ranges={
                 name: Ranges(ids, columns[f"{name}_m"][rows], columns[f"{name}_sigma_m"][rows]) for name in measured
@@ -50,8 +53,23 @@ def frames_of_rows(columns: Columns, frame_index: Iterable[int], methods: Iterab
         )
 
 
-def _frame(index: int, time_s: FloatArray, utc_s: FloatArray) -> Frame:
-    """A frame without image; its times are those of its rows, NaN if there are none."""
-    if not len(time_s):
-        return Frame(index, math.nan, _NO_IMAGE, None)
-    return Frame(index, float(time_s[0]), _NO_IMAGE, None, float(utc_s[0]))
+class _Times:
+    """Times of the frames of a run: those of the rows, interpolated or at the frame rate where there are none.
+
+    Args:
+        columns: rows in the order of their frames.
+        fps: nominal frame rate.
+    """
+
+    def __init__(self, columns: Columns, fps: float) -> None:
+        self._frame, rows = np.unique(columns["frame"], return_index=True)
+        self._time_s = columns["time_s"][rows]
+        self._fps = fps
+
+    def at(self, index: int) -> float:
+        """Time of a frame in seconds."""
+        if not len(self._frame):
+            return index / self._fps
+        nearest = np.clip(index, self._frame[0], self._frame[-1])
+        time_s = np.interp(nearest, self._frame, self._time_s) + (index - nearest) / self._fps
+        return max(float(time_s), 0.0)

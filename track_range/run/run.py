@@ -355,7 +355,7 @@ class Run:
         try:
             rows = session.table.to_columns(is_rounded=False)
             with RunFolder(session, self._prepare(folder), has_videos=False) as files:
-                for result in frames_of_rows(rows, session.frame_index, session.methods):
+                for result in frames_of_rows(rows, session.frame_index, session.methods, session.source.fps):
                     files.write(result)
                 self._finish(files)
         finally:

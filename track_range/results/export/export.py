@@ -167,10 +167,11 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
     frames = frames_listed(boxes_of_run(source))
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
+    fps = source.fps or _DEFAULT_FPS
     info = RunInfo(
         camera=camera,
         rig=None,
-        fps=source.fps or _DEFAULT_FPS,
+        fps=fps,
         settings=run.settings,
         start_utc_s=_start_utc_s(columns),
         provenance=source.provenance,
@@ -180,7 +181,7 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
         folder = Path(temporary)
         writer.open(info, folder)
         try:
-            for result in frames_of_rows(columns, frames, methods_measured(columns)):
+            for result in frames_of_rows(columns, frames, methods_measured(columns), fps):
                 writer.write(result)
         finally:
             writer.close(run.summary)

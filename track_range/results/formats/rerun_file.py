@@ -101,8 +101,7 @@ class RerunWriter:
         if self._held is None:
             return
         result, self._held = self._held, None
-        time_s = result.time_s if math.isfinite(result.time_s) else self._last_s + 1 / self._info.fps
-        self._last_s = max(self._last_s, time_s)
+        self._last_s = max(self._last_s, result.time_s)
         self._frames.append(result.index)
         self._times_s.append(self._last_s)
         self._set_time(result.index, self._last_s)

@@ -163,10 +163,6 @@ def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
     for shown in objects:
         x1, y1, x2, y2 = (value + _CORNER_PX for value in shown.xyxy_px)
         colour = _colour(shown.rgb, 1.0 if shown.is_observed else _PREDICTED_ALPHA)
-        metadata = [
-            fox.KeyValuePair(key="track_id", value=str(shown.track_id)),
-            *(fox.KeyValuePair(key=name, value=f"{value:.3f}") for name, value in shown.figures.items()),
-        ]
         points.append(
             fox.PointsAnnotation(
                 timestamp=time,
@@ -174,7 +170,7 @@ def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
                 points=[fox.Point2(x=x, y=y) for x, y in ((x1, y1), (x2, y1), (x2, y2), (x1, y2))],
                 outline_color=colour,
                 thickness=2.0,
-                metadata=metadata,
+                metadata=_metadata(shown),
             )
         )
         texts.append(
@@ -190,6 +186,14 @@ def _annotations(objects: Sequence[TrackObject], time: Timestamp) -> bytes:
     return fox.ImageAnnotations(timestamp=time, points=points, texts=texts).encode()
 
 
+def _metadata(shown: TrackObject) -> list[fox.KeyValuePair]:
+    """Identity, class, whether the box is observed, and the known figures."""
+    figures = {name: f"{value:.3f}" for name, value in shown.figures.items()}
+    observed = "true" if shown.is_observed else "false"
+    values = {"track_id": str(shown.track_id), "class": shown.class_name, "observed": observed, **figures}
+    return [fox.KeyValuePair(key=key, value=value) for key, value in values.items()]
+
+
 def _entity(shown: TrackObject, time: Timestamp) -> fox.SceneEntity:
     x, y, z = shown.centre_m
     width, height, length = shown.size_m
@@ -198,10 +202,7 @@ def _entity(shown: TrackObject, time: Timestamp) -> fox.SceneEntity:
         timestamp=time,
         frame_id=CAMERA_FRAME,
         id=f"track {shown.track_id}",
-        metadata=[
-            fox.KeyValuePair(key="class", value=shown.class_name),
-            *(fox.KeyValuePair(key=name, value=f"{value:.3f}") for name, value in shown.figures.items()),
-        ],
+        metadata=_metadata(shown),
         cubes=[
             fox.CubePrimitive(
                 pose=fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=upright),

@@ -1,6 +1,6 @@
 """Ros2Profile: CDR messages of ROS 2 (Humble and later), encoded with rosbags.
 
-/camera/calibration sensor_msgs/CameraInfo, /camera/image sensor_msgs/CompressedImage,
+/camera/camera_info sensor_msgs/CameraInfo, /camera/image/compressed sensor_msgs/CompressedImage,
 /camera/detections vision_msgs/Detection2DArray, /tracks/detections vision_msgs/Detection3DArray,
 /tracks/ranges diagnostic_msgs/DiagnosticArray (for plots), /tf tf2_msgs/TFMessage, /rosout rcl_interfaces/Log
 """
@@ -14,10 +14,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from track_range.results.formats.mcap.messages import (
-    CALIBRATION,
     DETECTIONS_2D,
     DETECTIONS_3D,
-    IMAGE,
     NANOSECONDS,
     RANGES,
     TRANSFORMS,
@@ -28,7 +26,8 @@ from track_range.results.formats.mcap.messages import (
 from track_range.results.formats.scene import CAMERA_FRAME, VEHICLE_FRAME, VEHICLE_FROM_CAMERA_XYZW, TrackObject
 from track_range.stereo.geometry.camera import PinholeCamera
 
-LOG = "/rosout"
+CALIBRATION, IMAGE, LOG = "/camera/camera_info", "/camera/image/compressed", "/rosout"
+"""Topics where image_transport, RViz and other nodes of ROS expect them."""
 
 _VISION_MESSAGES = {
     "Point2D": "float64 x\nfloat64 y",
@@ -196,9 +195,9 @@ class Ros2Profile:
 
     def _status(self, shown: TrackObject) -> Any:
         """Figures of a track as text, which PlotJuggler converts to curves."""
+        figures = {"observed": float(shown.is_observed), **shown.figures}
         values = [
-            self._new("diagnostic_msgs/msg/KeyValue", key=name, value=f"{value:.6g}")
-            for name, value in shown.figures.items()
+            self._new("diagnostic_msgs/msg/KeyValue", key=name, value=f"{value:.6g}") for name, value in figures.items()
         ]
         return self._new(
             "diagnostic_msgs/msg/DiagnosticStatus",

@@ -8,7 +8,6 @@ chunks but the last; a file without an index at its end is read by Foxglove and 
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -100,12 +99,8 @@ class McapWriter:
             self._file.close()
 
     def _time_ns(self, time_s: float) -> int:
-        """Time of a frame; frames that were reconstructed without rows follow the one before by a frame period."""
-        if math.isfinite(time_s):
-            time_ns = self._start_ns + round(time_s * NANOSECONDS)
-        else:
-            time_ns = self._last_ns + round(NANOSECONDS / self._info.fps)
-        self._last_ns = max(self._last_ns, time_ns)
+        """Time of a frame, which is never before that of an earlier frame."""
+        self._last_ns = max(self._last_ns, self._start_ns + round(time_s * NANOSECONDS))
         return self._last_ns
 
     def _release(self) -> None:
