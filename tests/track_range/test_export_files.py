@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -144,6 +145,21 @@ def test_first_frame_of_labels(exported: dict[str, Path], tmp_path: Path, cli: C
     status, _, error = cli("export", exported["coco"], "--to", "kitti", "--first-frame", 1, "--out", tmp_path / "out")
     assert status == 1
     assert "first-frame" in error
+
+
+def test_labels_beyond_the_video(exported: dict[str, Path], tmp_path: Path, cli: Cli) -> None:
+    video = tmp_path / "video"
+    video.mkdir()
+    for frame in range(2):
+        cv2.imwrite(str(video / f"{frame}.png"), np.zeros((50, 100, 3), np.uint8))
+    options = ("--to", "yolo", "--video", video, "--out", tmp_path / "out")
+    status, printed, _ = cli("export", exported["kitti"], *options)
+    assert status == 0
+    assert "frame 2" in printed
+    assert len(list((tmp_path / "out/labels").iterdir())) == 3
+    status, _, error = cli("export", exported["kitti"], *options, "--images")
+    assert status == 1
+    assert "frame 2" in error
 
 
 def test_other_files_are_not_replaced(exported: dict[str, Path], run: Path, tmp_path: Path, cli: Cli) -> None:

@@ -129,22 +129,27 @@ def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxT
         first_frame: number of the video's first frame in the file.
 
     Raises:
-        LabelFileError: the file cannot be read, or has boxes before the first or after the last frame.
+        LabelFileError: the file cannot be read, or has boxes before the first frame.
         VideoError: the video cannot be read.
     """
-    table = label_format_of(path).read(path, VideoFacts() if video is None else _facts(video))
+    facts = VideoFacts() if video is None else _facts(video)
+    table = label_format_of(path).read(path, facts)
     if first_frame:
         if len(table) and table.frame[0] < first_frame:
             raise LabelFileError(
                 f"{path}: expected frame numbers from {first_frame} (--first-frame), found {table.frame[0]}."
             )
         n_frames = table.video.n_frames
-        facts = replace(
+        shifted = replace(
             table.video,
-            n_frames=n_frames if n_frames is None or video is not None else max(n_frames - first_frame, 1),
+            n_frames=n_frames if n_frames is None or facts.n_frames is not None else max(n_frames - first_frame, 1),
             first_frame=max(table.video.first_frame - first_frame, 0),
         )
-        table = replace(table, frame=table.frame - first_frame, video=facts)
+        table = replace(table, frame=table.frame - first_frame, video=shifted)
+    last = int(table.frame.max(initial=-1))
+    if facts.n_frames is not None and last >= facts.n_frames:
+        note = f"{path.name} has boxes up to frame {last}, but the last frame of the video is {facts.n_frames - 1}."
+        table = replace(table, notes=(*table.notes, note))
     return table
 
 
