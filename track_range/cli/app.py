@@ -31,6 +31,7 @@ COMMANDS = {
             "track-range --settings drive-1/settings.yaml",
         ),
     ),
+    "fleet": Lazy("track_range.cli.commands.fleet", "Process many recordings on the workers of a Ray cluster."),
     "demo": Lazy(
         "track_range.cli.commands.demo",
         "Simulate a short stereo drive, process it, and print a summary.",

@@ -13,6 +13,7 @@ from track_range.detection.classes import ROAD_CLASSES, road_class_ids
 from track_range.detection.detections import Detections
 from track_range.detection.detector import Detector, checked_detections
 from track_range.detection.formats.detection_files import read_detections
+from track_range.detection.yolo.detector import YoloDetector
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings
@@ -49,6 +50,7 @@ def open_box_source(
     ready_model: Callable[[str], Path],
     *,
     size_px: tuple[int, int] | None = None,
+    opened: Callable[[Path, DetectorOptions], YoloDetector] = open_detector,
 ) -> BoxSource:
     """The detector or the recorded detections of the settings.
 
@@ -57,6 +59,7 @@ def open_box_source(
         rectified_boxes: converts (N, 4) boxes of the recorded images to rectified pixels.
         ready_model: returns the file of a model by name or path, downloading it first if necessary.
         size_px: (width, height) of the recorded images, which YOLO labels need; None = unknown.
+        opened: returns the detector of a file and options.
 
     Raises:
         ModelError, DownloadError, LabelFileError: the detector or the file cannot be used.
@@ -66,7 +69,7 @@ def open_box_source(
     if settings.detections is not None:
         return _recorded(settings.detections, class_id, rectified_boxes, size_px)
     path = ready_model(settings.detector or "")
-    network = open_detector(path, DetectorOptions.of(settings))
+    network = opened(path, DetectorOptions.of(settings))
     detector: Detector = network
     session = network.session
     description = {

@@ -34,6 +34,7 @@ from track_range.run.box_source import BoxSource, boxes_of, open_box_source
 from track_range.run.build import open_input, open_pipeline
 from track_range.run.frame_result import FrameResult
 from track_range.run.interrupts import defer_interrupts, ignore_interrupts
+from track_range.run.options.detector_options import open_detector
 from track_range.run.outputs import RunFolder, check_folder
 from track_range.run.pipeline.prefetch import short_switch_interval
 from track_range.run.pipeline.throughput import FrameMeter
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from track_range.detection.detector import Detector
+    from track_range.run.opened_detectors import OpenedDetectors
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
     from track_range.tracking.tracker import Tracker
@@ -79,6 +81,7 @@ class Run:
         detector: Detector | None = None,
         tracker: Tracker | None = None,
         progress: bool | Console = False,
+        opened_detectors: OpenedDetectors | None = None,
     ) -> None:
         """Prepare a run; nothing is opened yet.
 
@@ -87,6 +90,7 @@ class Run:
             detector: an object with `detect(image) -> Detections`, instead of the model of the settings.
             tracker: an object with `update(detections, time_s, image) -> Tracks`, instead of that in the settings.
             progress: whether to show progress bars (also in a notebook), or the Rich console to show them on.
+            opened_detectors: detectors that are used again instead of being opened for this run; None = none.
 
         Raises:
             ConfigError: both a detector and recorded detections are given.
@@ -98,6 +102,7 @@ class Run:
         named = {key: _class_name(value) for key, value in objects.items() if value is not None}
         self.settings = settings.model_copy(update=named)
         self._detector, self._tracker = detector, tracker
+        self._open_detector = opened_detectors or open_detector
         self._console = progress if isinstance(progress, Console) else Console(quiet=not progress)
         self._folder: Path | None = settings.out
         self._prepared: PreparedFolder | None = None
@@ -225,6 +230,7 @@ class Run:
             recording.calibration.rectified_boxes,
             lambda name: ready_model(name, self._console),
             size_px=recording.size_px,
+            opened=self._open_detector,
         )
 
     def close(self) -> None:

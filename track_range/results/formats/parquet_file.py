@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from track_range.foundation.files.atomic_files import atomic_path
+from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
 from track_range.foundation.schema_version import check_schema_version
 from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
@@ -120,14 +120,35 @@ def _convert(stream_path: Path, path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
+    with _Stream(stream_path) as stream, atomic_path(path) as partial:
+        _write_batches(partial, stream.schema, stream)
+
+
+def _write_batches(path: Path, schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> None:
     from pyarrow import parquet
 
-    with _Stream(stream_path) as stream, atomic_path(path) as partial:
-        # other numbers hardly repeat
-        coded = [name for name in ("frame", "time_s", "track_id", "class") if name in stream.schema.names]
-        with parquet.ParquetWriter(partial, stream.schema, compression="zstd", use_dictionary=coded) as writer:
-            for table in _grouped(stream.schema, stream):
-                writer.write_table(table)
+    # other numbers hardly repeat
+    coded = [name for name in ("frame", "time_s", "track_id", "class") if name in schema.names]
+    with parquet.ParquetWriter(path, schema, compression="zstd", use_dictionary=coded) as writer:
+        for table in _grouped(schema, batches):
+            writer.write_table(table)
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write rows as Parquet, as for tracks.parquet: the same rows give the same bytes.
+
+    Args:
+        path: the file.
+        table: rows in full precision; the metadata of its schema are those of the file.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    try:
+        with atomic_path(path, is_flushed=False) as partial:
+            _write_batches(partial, table.schema, table.to_batches())
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({describe(error)}).") from error
 
 
 def _grouped(schema: pa.Schema, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Table]:

@@ -1,0 +1,28 @@
+"""`track-range fleet`: many recordings on the workers of a Ray cluster."""
+
+from __future__ import annotations
+
+from track_range.cli.lazy import Lazy, lazy_app
+
+app = lazy_app(
+    {
+        "run": Lazy(
+            "track_range.cli.commands.fleet.run",
+            "Process many recordings on this machine or on a Ray cluster.",
+            "The same command continues after an interruption: clips that are complete and unchanged are skipped. All "
+            "options of `track-range run` except those of inputs and outputs apply to every clip. Exit status 3 = some "
+            "clips failed. Requires the extra fleet.",
+            (
+                "track-range fleet run recordings/ --out results",
+                "track-range fleet run drives/ --pattern '{clip}_left.mp4,{clip}_right.mp4' \\\n"
+                "      --rig 'rigs/{clip}.yaml' --out results --workers 4",
+                "track-range fleet run clips.csv --out s3://bucket/results --address auto",
+            ),
+        ),
+        "status": Lazy(
+            "track_range.cli.commands.fleet.status",
+            "Show the progress of a fleet, during a run and after it.",
+            examples=("track-range fleet status results",),
+        ),
+    },
+)

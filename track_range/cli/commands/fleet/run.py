@@ -1,0 +1,71 @@
+"""`track-range fleet run`: many recordings on the workers of a Ray cluster."""
+
+from __future__ import annotations
+
+from inspect import Parameter
+from typing import Any
+
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import given_values, parameters, with_parameters
+from track_range.fleet.settings import FleetSettings
+from track_range.run.settings import RunSettings
+
+_REFUSED = ("stereo", "mono", "truth", "detections", "start_utc", "table")
+"""Options of a run that are hidden here and refused, with what to do instead."""
+
+_MAX_NAMED = 10
+"""Largest number of failed clips that are named at the end."""
+
+
+def _fleet_run(**values: Any) -> None:
+    from track_range.cli.console import console, print_line
+    from track_range.fleet.engine.progress import progress_text
+    from track_range.fleet.errors import ClipsFailedError
+    from track_range.fleet.fleet_run import run_fleet
+    from track_range.fleet.inputs.listing import clips_of
+    from track_range.fleet.output.status import duration_text
+
+    settings = FleetSettings.of(given_values(FleetSettings, values))
+    options = {
+        name: value
+        for name, value in given_values(RunSettings, values).items()
+        if name not in FleetSettings.model_fields
+    }
+    clips = clips_of(settings.recordings, settings.pattern, settings.rig)
+    if settings.dry_run:
+        _print_plan(settings, options, clips)
+        return
+    result = run_fleet(settings, options, clips, console=console)
+    counts = result.counts
+    print_line(console, f"{progress_text(counts)}; {counts.skipped} of them before, in {duration_text(result.wall_s)}")
+    print_line(console, f"Results in {settings.out}")
+    if result.failed:
+        raise ClipsFailedError(failures_text(result.failed, counts.total))
+
+
+def failures_text(failed: list[tuple[str, str]], total: int) -> str:
+    """Sentence with the names and errors of the failed clips, the first ones of many."""
+    from track_range.foundation.files.input_files import shortened
+
+    named = "\n".join(f"  {shortened(name)}: {error}" for name, error in failed[:_MAX_NAMED])
+    more = f"\n  and {len(failed) - _MAX_NAMED} more, see clips.parquet" if len(failed) > _MAX_NAMED else ""
+    return f"{len(failed)} of {total} clips failed (--retry-failed repeats them):\n{named}{more}"
+
+
+def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Any) -> None:
+    """Print what would be processed."""
+    raise NotImplementedError
+
+
+def _parameters() -> list[Parameter]:
+    """Options of the fleet and of its runs; those that are refused are hidden."""
+    own = parameters(FleetSettings)
+    names = {parameter.name for parameter in own}
+    shared = [parameter for parameter in parameters(RunSettings, is_only_given=True) if parameter.name not in names]
+    for parameter in shared:
+        if parameter.name in _REFUSED:
+            parameter.annotation.__metadata__[0].hidden = True
+    return [*own, *shared]
+
+
+app = single_app(with_parameters(_fleet_run, _parameters()))

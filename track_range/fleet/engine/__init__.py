@@ -1,0 +1,1 @@
+"""Engine of a fleet: Ray's cluster, workers, driver, attempts and limits."""

@@ -1,0 +1,340 @@
+"""Processing of one clip in a worker: fetch, run, publish.
+
+    fetch -> compare the content -> open -> frames -> tracks.parquet -> other files -> record (the clip is complete)
+
+A clip that cannot be processed is a record with an error. Only storage that refuses the results ends the fleet.
+"""
+
+from __future__ import annotations
+
+import errno
+import platform
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from track_range.fleet.engine.fingerprint import content_hash, fingerprint
+from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
+from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.output.data_set import TRACKS_FILE, publish_files, publish_record, publish_tracks
+from track_range.fleet.output.record import ClipRecord
+from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.fetch import FetchedClip, fetched
+from track_range.fleet.storage.location import Location
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import printable
+from track_range.run.opened_detectors import OpenedDetectors
+from track_range.run.run import Run
+from track_range.run.settings import RunSettings, settings_from
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_DETECTORS = OpenedDetectors()
+"""Detector of this process, which its clips share."""
+
+_MAX_ERROR = 600
+"""Longest error of a clip, in characters."""
+
+_N_PUBLISHING, _PAUSE_S = 4, 2.0
+"""Attempts to publish while the network fails, and the pause after the first, s; it doubles."""
+
+_FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_pct", "within_1_sigma", "within_2_sigma")
+"""Figures of a method in clips.parquet where there is ground truth, if the summary has them."""
+
+
+class _PublishingError(Exception):
+    """The results cannot be written; the fleet ends."""
+
+
+class _UnchangedError(Exception):
+    """The content of the files is that of the complete result."""
+
+
+def run_clip(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Outcome:
+    """Process a clip and publish its results.
+
+    Args:
+        task: the clip.
+        plan: of the fleet.
+        progress: updated while the clip is processed.
+    """
+    clip_run = _ClipRun(task, plan, progress)
+    try:
+        return clip_run.outcome()
+    except _PublishingError as error:
+        return Outcome(clip_run.failed("internal", str(error)), fatal=str(error))
+
+
+class _ClipRun:
+    """Processing of one clip."""
+
+    def __init__(self, task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> None:
+        self._task, self._plan, self._progress = task, plan, progress
+        self._clip = task.clip
+        self._out = Location.of(plan.out)
+        self._start_s = time.perf_counter()
+        self._run_s = 0.0
+        self._names: dict[str, str] = {}
+        self._record = ClipRecord(
+            clip=self._clip.name,
+            status="failed",
+            attempts=task.attempt,
+            left=str(Location.of(self._clip.left)),
+            right="" if self._clip.right is None else str(Location.of(self._clip.right)),
+            settings_hash=plan.settings_hash,
+            version=plan.version,
+            node=platform.node(),
+            labels=dict(self._clip.labels),
+        )
+
+    def outcome(self) -> Outcome:
+        """Process the clip."""
+        _reset_peak_memory()
+        try:
+            with ExitStack() as stack:
+                self._progress.phase = "fetching"
+                folder = stack.enter_context(_scratch_folder(self._plan.cache_dir))
+                local = stack.enter_context(fetched(self._clip, folder / "inputs", self._plan.cache_bytes))
+                self._names = local_names(self._clip, local.clip)
+                self._add_inputs(local)
+                self._process(local.clip, folder)
+            return Outcome(self._record.row(), is_published=True)
+        except _UnchangedError:
+            return Outcome(self._record.row(), is_unchanged=True)
+        except StorageError as error:
+            return self._failure("fetch", error, is_transient=error.is_transient)
+        except UserError as error:
+            return self._failure("input", error)
+        except MemoryError as error:
+            return self._failure("memory", error, is_transient=True)
+        except Exception as error:
+            return self._failure("internal", error)
+
+    def failed(self, kind: str, message: str) -> dict[str, Any]:
+        """Row of the clip with an error."""
+        text = printable(" ".join(self._without_scratch(message).split()))[:_MAX_ERROR]
+        return self._with_times(replace(self._record, status="failed", error=text, error_kind=kind)).row()
+
+    def _failure(self, kind: str, error: Exception, *, is_transient: bool = False) -> Outcome:
+        if _is_full(error):
+            raise _PublishingError(
+                f"no space left for the clip {self._clip.name} on {platform.node()}: {error}"
+            ) from error
+        message = str(error)
+        if kind == "internal":
+            message = f"unexpected error, {type(error).__name__}: {message or 'no text'} ({_place(error)})"
+        if kind == "memory":
+            message = message or "the memory of the machine is not enough for this clip"
+        return Outcome(self.failed(kind, message), is_transient=is_transient)
+
+    def _add_inputs(self, local: FetchedClip) -> None:
+        """Add the fingerprint of the files to the record.
+
+        Raises:
+            _UnchangedError: the clip is complete, its files have only been touched.
+        """
+        self._record = replace(
+            self._record,
+            inputs=fingerprint(self._clip, {role: (file.size, file.mtime_ns) for role, file in local.files.items()}),
+            content_hash=content_hash(self._clip, {role: file.sha256 for role, file in local.files.items()}),
+        )
+        if self._task.known_hash and self._record.content_hash == self._task.known_hash:
+            raise _UnchangedError
+
+    def _process(self, clip: Clip, folder: Path) -> None:
+        """Run the clip with local files, and publish the results."""
+        progress, plan = self._progress, self._plan
+        settings = clip_settings(plan.options, clip)
+        names = () if settings.write == ("csv", "mot", "parquet") and "write" not in plan.options else settings.write
+        has_files = plan.has_reports or bool(set(names) - {"parquet"}) or settings.overlay or settings.disparity
+        run_folder = folder / "run" if has_files else None
+        settings = settings.model_copy(update={"out": run_folder, "write": tuple(set(names) - {"parquet"})})
+        start_s = time.perf_counter()
+        progress.phase = "opening"
+        with Run(settings, opened_detectors=_DETECTORS) as run:
+            progress.video_s = _video_s(run, progress.video_s)
+            progress.phase = "processing"
+            for _ in run:
+                progress.frames += 1
+        self._run_s = time.perf_counter() - start_s
+        progress.phase = "publishing"
+        summary = run.summary
+        table = run.session.table.to_arrow(is_rounded=False)
+        metadata = {**run.session.provenance.metadata(), **self._metadata()}
+        write_tracks(folder / TRACKS_FILE, table, metadata)
+        self._record = self._with_summary(summary, table.num_rows, run)
+        files = {} if run_folder is None else _published_files(run_folder, has_report=plan.has_reports)
+        with _publishing():
+            publish_tracks(self._out, self._clip.name, folder / TRACKS_FILE)
+            publish_files(self._out, self._clip.name, files)
+            self._record = self._with_times(self._record)
+            publish_record(self._out, self._record.row())
+
+    def _metadata(self) -> dict[str, str]:
+        return {
+            "track_range.settings_hash": self._plan.settings_hash,
+            "track_range.content_hash": self._record.content_hash,
+            "track_range.clip": self._clip.name,
+        }
+
+    def _with_summary(self, summary: Mapping[str, Any], n_rows: int, run: Run) -> ClipRecord:
+        session = run.session
+        fps = session.source.fps or 0.0
+        n_frames = int(summary["frames"])
+        seconds = session.last_s - session.starts_s + (1 / fps if fps else 0.0) if n_frames else 0.0
+        methods: Mapping[str, Mapping[str, Any]] = summary["methods"]
+        figures = {
+            name: {figure: values[figure] for figure in _FIGURES if _is_number(values.get(figure))}
+            for name, values in methods.items()
+        }
+        alignment = {key: float(value) for key, value in summary.get("alignment", {}).items() if _is_number(value)}
+        utc = summary["utc"] or {}
+        return replace(
+            self._record,
+            status="done",
+            frames=n_frames,
+            rows=n_rows,
+            tracks=int(summary["tracks"]["n"]),
+            seconds=round(seconds, 6),
+            calibration=str(summary["calibration"]),
+            start_utc=str(utc.get("start_utc", utc.get("start", "")) or ""),
+            warnings=[self._without_scratch(note) for note in summary["notes"]],
+            stages_ms=summary["stages_ms"],
+            coverage={name: values.get("coverage") for name, values in methods.items()},
+            errors={name: values for name, values in figures.items() if values},
+            alignment=alignment,
+        )
+
+    def _with_times(self, record: ClipRecord) -> ClipRecord:
+        wall_s = time.perf_counter() - self._start_s
+        return replace(
+            record,
+            wall_s=round(wall_s, 3),
+            overhead_s=round(wall_s - self._run_s, 3),
+            peak_memory_mb=round(_peak_memory_bytes() / 1e6, 1),
+            finished_utc=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        )
+
+    def _without_scratch(self, text: str) -> str:
+        """A text with the addresses of the recordings instead of the paths of their local copies."""
+        for local, name in self._names.items():
+            text = text.replace(local, name)
+        return text
+
+
+def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
+    """Settings of the run of a clip.
+
+    Args:
+        options: options that all clips have in common.
+        clip: the clip, with local files; its settings have precedence.
+
+    Raises:
+        UsageError: a setting of the clip is invalid, or does not suit its video.
+    """
+    video: dict[str, Any] = {"mono": clip.left} if clip.right is None else {"stereo": (clip.left, clip.right)}
+    own: dict[str, Any] = dict(clip.settings)
+    if len([topic for topic in str(own.get("topics", "")).split(",") if topic]) > 1 and clip.right is None:
+        video = {"stereo": (clip.left,)}
+    shared = {key: value for key, value in options.items() if not (key == "focal_px" and "rig" in own)}
+    return settings_from({**shared, **video, **own})
+
+
+def local_names(clip: Clip, local: Clip) -> dict[str, str]:
+    """Addresses of the files of a clip by the paths of their local copies."""
+    names = local.named_files()
+    return {
+        path: str(Location.of(address))
+        for role, address in clip.named_files().items()
+        if (path := names.get(role, address)) != address
+    }
+
+
+def write_tracks(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> None:
+    """Write the rows of a clip; the same rows give the same bytes."""
+    from track_range.results.formats.parquet_file import write_table
+
+    write_table(path, table.replace_schema_metadata(dict(metadata)))
+
+
+def _published_files(folder: Path, *, has_report: bool) -> dict[str, Path]:
+    """Files of a run by name, without those that contain paths of this machine, and the report only if requested."""
+    left_out = {"settings.yaml", TRACKS_FILE} | (set() if has_report else {"report.html", "summary.json"})
+    return {
+        file.name: file
+        for file in sorted(folder.iterdir())
+        if file.is_file() and file.name not in left_out and file.name[0] != "."
+    }
+
+
+@contextmanager
+def _publishing() -> Iterator[None]:
+    try:
+        yield
+    except StorageError as error:
+        raise _PublishingError(str(error)) from error
+
+
+@contextmanager
+def _scratch_folder(parent: Path | None) -> Iterator[Path]:
+    try:
+        if parent is not None:
+            parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix="track-range-fleet-", dir=parent))
+    except OSError as error:
+        raise _PublishingError(f"{parent or tempfile.gettempdir()}: cannot be written ({error.strerror}).") from error
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Whether a full disk is the cause of an error."""
+    while error is not None:
+        if getattr(error, "kind", "") == "full":
+            return True
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _place(error: Exception) -> str:
+    """File and line at which an error was raised."""
+    at = error.__traceback__
+    while at is not None and at.tb_next is not None:
+        at = at.tb_next
+    return "unknown place" if at is None else f"{Path(at.tb_frame.f_code.co_filename).name}, line {at.tb_lineno}"
+
+
+def _video_s(run: Run, otherwise: float) -> float:
+    """Duration of an opened video, s."""
+    fps = run.session.source.fps
+    return run.n_frames / fps if run.n_frames and fps else otherwise
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _reset_peak_memory() -> None:
+    """Reset the largest resident memory of this process (Linux); elsewhere it is that since the start."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak_memory_bytes() -> int:
+    try:
+        text = Path("/proc/self/status").read_text()
+        return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -1,0 +1,222 @@
+"""The Ray cluster of a fleet: one of this machine alone for the time of the run, or an existing one.
+
+A cluster of this machine listens on the loopback interface only, with a random token, so that other users of the
+machine cannot run code in it; nothing is written to the home folder. Its files are in the temporary folder, and are
+removed at the end.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from track_range.fleet.errors import FleetError
+from track_range.fleet.settings import FleetSettings
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import counted, shortened
+from track_range.foundation.telemetry import disable_telemetry
+
+_OBJECT_STORE_BYTES = 80 * 2**20
+"""Object store of a cluster of this machine: Ray's minimum is 75 MB, and only settings and records pass through it."""
+
+_MAX_FOLDER = 40
+"""Longest temporary folder for Ray, whose sockets have paths of at most 107 characters."""
+
+_FOLDER_PREFIX = "tr-ray-"
+
+_LOCAL_VARIABLES = {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # the address of the node is that of the loopback interface
+}
+"""Environment of a cluster of this machine."""
+
+
+_TOKEN = secrets.token_hex(32)
+"""Token of the clusters of this process; Ray reads it once."""
+
+
+class RayMissingError(UserError):
+    """Ray is not installed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Cluster of a fleet.
+
+    Attributes:
+        is_local: whether it is of this machine alone.
+        node: id of the node of this driver.
+        n_workers: number of workers to start.
+    """
+
+    is_local: bool
+    node: str
+    n_workers: int
+
+
+@contextmanager
+def connected(settings: FleetSettings) -> Iterator[Cluster]:
+    """The cluster of the settings, until the end of the block.
+
+    Raises:
+        RayMissingError: Ray is not installed.
+        FleetError: there is no cluster at the address, or no node of it is large enough for a worker.
+    """
+    disable_telemetry()
+    if find_spec("ray") is None:
+        raise RayMissingError("fleet run requires the package ray: install it with pip install 'track-range[fleet]'.")
+    if settings.address is None:
+        with _local_cluster(settings) as cluster:
+            yield cluster
+        return
+    with _existing_cluster(settings) as cluster:
+        yield cluster
+
+
+@contextmanager
+def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
+    n_cores = _n_cores()
+    n_requested = settings.workers or max(1, n_cores // settings.threads)
+    # Ray requires a token on a new cluster, and would write one to the home folder
+    variables = {**_LOCAL_VARIABLES, "RAY_AUTH_TOKEN": os.environ.get("RAY_AUTH_TOKEN", _TOKEN)}
+    with _environment(variables), _ray_folder() as folder:
+        import ray
+
+        try:
+            _init(
+                address="local",
+                num_cpus=max(n_cores, n_requested * settings.threads),
+                include_dashboard=False,
+                object_store_memory=_OBJECT_STORE_BYTES,
+                _temp_dir=str(folder),
+            )
+            n_workers = _fitting(settings, n_requested)
+            yield Cluster(True, ray.get_runtime_context().get_node_id(), n_workers)
+        finally:
+            ray.shutdown()
+
+
+@contextmanager
+def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
+    import ray
+
+    is_ours = not ray.is_initialized()
+    try:
+        if is_ours:
+            _init(address=settings.address)
+        n_cores = int(sum(node["Resources"].get("CPU", 0) for node in _nodes() if node["Alive"]))
+        n_requested = settings.workers or max(1, n_cores // settings.threads)
+        yield Cluster(False, ray.get_runtime_context().get_node_id(), n_requested)
+    finally:
+        if is_ours:
+            ray.shutdown()
+
+
+def _init(**options: Any) -> None:
+    """Start or join a cluster.
+
+    Raises:
+        FleetError: it cannot be started or reached.
+    """
+    import ray
+
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    try:
+        ray.init(log_to_driver=False, configure_logging=False, **options)
+    except (ConnectionError, RuntimeError, ValueError, TimeoutError, OSError, ray.exceptions.RayError) as error:
+        if options["address"] == "local":
+            raise FleetError(f"Ray cannot be started on this machine ({_reason(error)}).") from error
+        raise FleetError(
+            f"--address {shortened(options['address'])}: expected a running Ray cluster ({_reason(error)}); start one "
+            "with `ray start --head`, or omit --address."
+        ) from error
+
+
+def _fitting(settings: FleetSettings, n_requested: int) -> int:
+    """Number of workers for which this machine has memory and GPUs.
+
+    Raises:
+        FleetError: there is too little for the requested number.
+    """
+    import ray
+
+    resources: Mapping[str, float] = ray.cluster_resources()  # type: ignore[no-untyped-call]
+    fitting = n_requested
+    needs = {"memory": float(settings.worker_memory_bytes), "GPU": settings.gpus_per_worker}
+    for name, needed in needs.items():
+        if needed and (n_fitting := int(resources.get(name, 0.0) / needed)) < fitting:
+            fitting = n_fitting
+            if settings.workers is None and fitting:
+                continue
+            available = resources.get(name, 0.0)
+            if name == "memory":
+                raise FleetError(
+                    f"--worker-memory {settings.worker_memory}: expected memory for {counted(n_requested, 'worker')}, "
+                    f"found {available / 1e9:.1f} GB for all of them; give fewer --workers or less memory."
+                )
+            raise FleetError(
+                f"--gpus-per-worker {needed:g}: expected GPUs for {counted(n_requested, 'worker')}, found "
+                f"{available:g}; give fewer --workers or a smaller fraction."
+            )
+    return fitting
+
+
+def _nodes() -> list[dict[str, Any]]:
+    import ray
+
+    nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
+    return nodes
+
+
+def _n_cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _reason(error: BaseException) -> str:
+    return shortened(" ".join(str(error).split()).rstrip("."), 120)
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Context with variables of the environment, which Ray's processes inherit."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _ray_folder() -> Iterator[Path]:
+    """Folder for Ray's sockets and logs; those of drivers that were killed are removed."""
+    parent = Path(tempfile.gettempdir())
+    if len(str(parent)) > _MAX_FOLDER - 20:
+        parent = Path("/tmp")  # noqa: S108 - the folder below has a random name and is only for this user
+    for old in parent.glob(f"{_FOLDER_PREFIX}*-*"):
+        pid = old.name.removeprefix(_FOLDER_PREFIX).partition("-")[0]
+        if pid.isdigit() and not Path(f"/proc/{pid}").exists() and Path("/proc/self").exists():
+            shutil.rmtree(old, ignore_errors=True)
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=f"{_FOLDER_PREFIX}{os.getpid()}-", dir=parent))
+    except OSError as error:
+        raise FleetError(f"{parent}: cannot be written ({error.strerror}); set TMPDIR to another folder.") from error
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):
+            shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,201 @@
+"""Plan of a fleet: what every worker has to know, and the hash of the settings that all clips have in common."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from track_range.detection.models.lookup import find_model
+from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.output.record import Row
+from track_range.fleet.settings import FleetSettings
+from track_range.foundation.errors import UsageError
+from track_range.foundation.files.input_files import open_regular
+from track_range.foundation.files.numeric_text import number
+from track_range.run.settings import RunSettings, settings_from
+
+REFUSED: Mapping[str, str] = {
+    "stereo": "the recordings are arguments: `track-range fleet run DIR --pattern '{clip}_left.mp4,{clip}_right.mp4'`",
+    "mono": "the recordings are arguments: `track-range fleet run DIR`",
+    "truth": "ground truth belongs to a clip; give it in the column truth of a manifest",
+    "detections": "recorded detections belong to a clip; give them in the column detections of a manifest",
+    "start_utc": "the start of a recording belongs to a clip; give it in the column start_utc of a manifest",
+    "table": "it would be overwritten by every clip; use `track-range fleet report`",
+}
+"""Options of a run that a fleet does not take, and what to do instead."""
+
+OWN = ("out", "threads", "rig")
+"""Options of a run that are options of a fleet with another meaning."""
+
+_NOT_HASHED = ("stereo", "mono", "out", "table", "threads")
+"""Settings of a run that do not change the published files of a clip, or belong to the clip."""
+
+_SHARED_FILES = ("detector", "names", "align", "lanes", "curves", "reid")
+"""Settings of a run that are, or may be, files which all clips share."""
+
+_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ClipTask:
+    """A clip for a worker.
+
+    Attributes:
+        clip: the clip.
+        attempt: number of the attempt, from 1.
+        known_hash: content hash of the complete result, if the files have only been touched since; "" = none.
+    """
+
+    clip: Clip
+    attempt: int = 1
+    known_hash: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Answer of a worker about a clip.
+
+    Attributes:
+        row: record of the clip, by column.
+        is_published: whether the worker has published the record.
+        is_unchanged: whether the content of the files is that of the complete result; only `inputs` of the row counts.
+        is_transient: whether the failure may not repeat itself.
+        fatal: why the fleet cannot continue, one sentence; "" = it can.
+    """
+
+    row: Row
+    is_published: bool = False
+    is_unchanged: bool = False
+    is_transient: bool = False
+    fatal: str = ""
+
+
+@dataclass(slots=True)
+class ClipProgress:
+    """Progress of the clip that a worker is at; written by one thread and read by another.
+
+    Attributes:
+        clip: name of the clip; "" = none.
+        phase: "idle", "fetching", "opening", "processing" or "publishing".
+        frames: frames processed.
+        video_s: duration of the video, s; 0 = not known yet.
+    """
+
+    clip: str = ""
+    phase: str = "idle"
+    frames: int = 0
+    video_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetPlan:
+    """What every worker has to know.
+
+    Attributes:
+        out: folder of the results, as text.
+        options: options of the runs by name of the setting.
+        threads: CPU threads of a worker.
+        has_reports: whether the report of each run is published.
+        cache_dir: folder for remote recordings; None = the temporary folder.
+        cache_bytes: size limit of a remote clip.
+        settings_hash: hash of the settings that all clips have in common.
+        shared: SHA-256 of the files that all clips share, by setting.
+        version: version of track-range.
+    """
+
+    out: str
+    options: Mapping[str, Any]
+    threads: int = 1
+    has_reports: bool = False
+    cache_dir: Path | None = None
+    cache_bytes: int = 20 * 10**9
+    settings_hash: str = ""
+    shared: Mapping[str, str] = field(default_factory=dict)
+    version: str = field(default_factory=lambda: version("track-range"))
+
+
+Process = Callable[[ClipTask, FleetPlan, ClipProgress], Outcome]
+"""Processes a clip in a worker."""
+
+
+def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan:
+    """Plan of the settings.
+
+    Args:
+        settings: of the fleet.
+        options: given options of the runs, by name of the setting.
+
+    Raises:
+        UsageError: an option is invalid, or one that a fleet does not take.
+        ModelError, ConfigError: a shared file cannot be read.
+    """
+    for name in options:
+        if name in REFUSED:
+            raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {REFUSED[name]}.")
+    _check_ego_speed(options)
+    given = {"overlay": False, **options, "threads": settings.threads}
+    # the names of the videos do not matter: two, because some options require a pair
+    checked = settings_from(
+        {**given, "stereo": ("left.mp4", "right.mp4")} if _is_pair(given) else {**given, "mono": "clip.mp4"}
+    )
+    shared = {name: _sha256(path) for name, path in _shared_files(checked).items()}
+    return FleetPlan(
+        out=settings.out,
+        options={**given, **{name: str(path) for name, path in _shared_files(checked).items() if name in given}},
+        threads=settings.threads,
+        has_reports=settings.reports,
+        cache_dir=settings.cache_dir,
+        cache_bytes=settings.cache_bytes,
+        settings_hash=_settings_hash(checked, shared, has_reports=settings.reports),
+        shared=shared,
+    )
+
+
+def _is_pair(options: Mapping[str, Any]) -> bool:
+    """Whether options require a stereo pair."""
+    return bool(options.get("disparity") or options.get("overlay_disparity") or len(options.get("topics", ())) > 1)
+
+
+def _check_ego_speed(options: Mapping[str, Any]) -> None:
+    value = options.get("ego_speed")
+    if value is not None and number(str(value)) != number(str(value)):
+        raise UsageError(
+            "--ego-speed: expected a number of km/h for all clips; give files in the column ego_speed of a manifest."
+        )
+
+
+def _shared_files(settings: RunSettings) -> dict[str, Path]:
+    """Existing files of the settings that all clips share."""
+    files: dict[str, Path] = {}
+    for name in _SHARED_FILES:
+        value = getattr(settings, name)
+        if name == "detector" and value is not None:
+            model = find_model(value)
+            if model.origin != "catalogue" or model.entry is None:
+                files[name] = model.path.absolute()
+        elif value is not None and Path(value).is_file():
+            files[name] = Path(value).absolute()
+    return files
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open_regular(path, UsageError, "a file of the settings") as file:
+        while block := file.read(_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _settings_hash(settings: RunSettings, shared: Mapping[str, str], *, has_reports: bool) -> str:
+    """Hash of the settings in canonical JSON: files by their content, and the version of track-range."""
+    values = settings.model_dump(mode="json", exclude_none=True)
+    hashed = {key: value for key, value in values.items() if key not in _NOT_HASHED}
+    hashed.update({name: f"sha256:{digest}" for name, digest in shared.items()})
+    content = {"run": hashed, "reports": has_reports, "version": version("track-range")}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"

@@ -1,0 +1,108 @@
+"""Worker: the actor that processes clips in its own process, one after the other."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome, Process
+
+_PAGE_BYTES = resource.getpagesize()
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerInfo:
+    """A worker that has started.
+
+    Attributes:
+        pid: its process.
+        host: its machine.
+        node: id of its node in Ray's cluster.
+        version: its version of track-range.
+    """
+
+    pid: int
+    host: str
+    node: str
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerState:
+    """State of a worker at one moment.
+
+    Attributes:
+        clip: name of the clip that it is at; "" = none.
+        phase: see `ClipProgress`.
+        frames: frames processed of the clip.
+        video_s: duration of the clip's video, s; 0 = not known yet.
+        memory_bytes: resident memory of its process.
+    """
+
+    clip: str
+    phase: str
+    frames: int
+    video_s: float
+    memory_bytes: int
+
+
+class Worker:
+    """Actor of a fleet.
+
+    Args:
+        plan: of the fleet.
+        process: processes a clip.
+    """
+
+    def __init__(self, plan: FleetPlan, process: Process) -> None:
+        limit_threads(plan.threads)
+        self._plan, self._process = plan, process
+        self._progress = ClipProgress()
+
+    def info(self) -> WorkerInfo:
+        """Process, machine and version."""
+        from importlib.metadata import version
+
+        import ray
+
+        node = ray.get_runtime_context().get_node_id()
+        return WorkerInfo(os.getpid(), platform.node(), node, version("track-range"))
+
+    def run(self, task: ClipTask) -> Outcome:
+        """Process a clip."""
+        self._progress = ClipProgress(clip=task.clip.name)
+        try:
+            return self._process(task, self._plan, self._progress)
+        finally:
+            self._progress = ClipProgress()
+
+    def state(self) -> WorkerState:
+        """Progress and memory at this moment; called in another thread while `run` is at work."""
+        progress = self._progress
+        return WorkerState(progress.clip, progress.phase, progress.frames, progress.video_s, resident_bytes())
+
+
+def limit_threads(n_threads: int) -> None:
+    """Limit the threads of the libraries in this process; has to be called before they are imported.
+
+    Linear algebra gets one thread whatever the number is: its sums, and with them the last digits of the results,
+    depend on the number of threads.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    import cv2
+
+    cv2.setNumThreads(n_threads)
+
+
+def resident_bytes() -> int:
+    """Resident memory of this process."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_BYTES
+    except (OSError, ValueError, IndexError):
+        largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return largest if sys.platform == "darwin" else largest * 1024

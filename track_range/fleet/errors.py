@@ -1,0 +1,17 @@
+"""Errors of a fleet."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from track_range.foundation.errors import UserError
+
+
+class FleetError(UserError):
+    """The fleet cannot run, or cannot continue; what is complete stays."""
+
+
+class ClipsFailedError(UserError):
+    """Some clips failed; the message names them."""
+
+    exit_status: ClassVar[int] = 3

@@ -1,0 +1,271 @@
+"""Results of a fleet, in a local folder or an object store.
+
+    OUT/fleet.json                          state of the run (`output.state`)
+    OUT/clips.parquet                       one row per clip, compiled from the journal now and then
+    OUT/journal/NAME.json                   row of a clip that is newer than clips.parquet
+    OUT/tracks/clip=NAME/tracks.parquet     rows of a clip
+    OUT/runs/clip=NAME/...                  other files of a clip
+
+NAME is percent-encoded, as in other partitioned data sets. A clip is complete when its row is in the journal or in
+clips.parquet; all else is written before. Every file is replaced as a whole, so that nothing exists twice or in part,
+and the file of a repeated clip has the name of the first.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote, unquote
+
+from track_range.fleet.errors import FleetError
+from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
+from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.location import Location
+from track_range.foundation.files.input_files import shortened
+from track_range.foundation.files.structured_text import parse_json
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+CLIPS_FILE, JOURNAL, TRACKS, RUNS, TRACKS_FILE = "clips.parquet", "journal", "tracks", "runs", "tracks.parquet"
+
+_COMPILE_S, _COMPILE_SHARE = 10.0, 20.0
+"""Shortest time between two compilations, s, and relative to the time that one takes."""
+
+_N_CONNECTIONS = 16
+"""Requests to the storage at a time."""
+
+
+def partition(name: str) -> str:
+    """Name of the folder of a clip."""
+    return f"clip={encoded(name)}"
+
+
+def encoded(name: str) -> str:
+    """Name of a clip in the names of files."""
+    return quote(name, safe="")
+
+
+def tracks_location(out: Location, name: str) -> Location:
+    """Location of the rows of a clip."""
+    return out.child(TRACKS, partition(name), TRACKS_FILE)
+
+
+def publish_tracks(out: Location, name: str, file: Path) -> None:
+    """Publish the rows of a clip; they count once its record is published.
+
+    Raises:
+        StorageError: they cannot be written.
+    """
+    tracks_location(out, name).upload(file)
+
+
+def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:
+    """Publish other files of a clip, by name.
+
+    Raises:
+        StorageError: one of them cannot be written.
+    """
+    folder = out.child(RUNS, partition(name))
+    for file_name, file in files.items():
+        folder.child(file_name).upload(file)
+
+
+def publish_record(out: Location, row: Row) -> None:
+    """Publish the record of a clip, after which the clip is complete.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    text = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    _journal_location(out, row["clip"]).write_bytes(text.encode())
+
+
+def journal_row(out: Location, name: str) -> Row | None:
+    """The row of a clip in the journal; None without one.
+
+    Raises:
+        StorageError: the storage cannot be read.
+    """
+    location = _journal_location(out, name)
+    return _row_in(location) if location.exists() else None
+
+
+def read_clips(out: Location) -> pa.Table:
+    """The rows of all clips, those in the journal included.
+
+    Raises:
+        FleetError: clips.parquet is damaged, or of a newer version.
+        StorageError: the storage cannot be read.
+    """
+    table = _compiled(out)
+    rows = _journal_rows(out, _journal_names(out))
+    return merged_table(table, rows) if rows else table
+
+
+class ClipTable:
+    """The rows of a fleet in the driver, with the journal as the source of those that are not compiled.
+
+    Attributes:
+        table: compiled rows.
+        newer: rows that are newer than those, by name of the clip.
+    """
+
+    def __init__(self, out: Location) -> None:
+        """Read the rows of earlier runs.
+
+        Raises:
+            FleetError: clips.parquet is damaged, or of a newer version.
+            StorageError: the storage cannot be read.
+        """
+        self._out = out
+        self.table = _compiled(out)
+        names = _journal_names(out)
+        self.newer: dict[str, Row] = _journal_rows(out, names)
+        self._in_journal: set[str] = set(names)
+        self._next_s = 0.0
+
+    def add(self, row: Row, *, is_in_journal: bool) -> None:
+        """Add or replace the row of a clip.
+
+        Args:
+            row: the row.
+            is_in_journal: whether a worker has published it; otherwise only the next compilation does.
+        """
+        self.newer[row["clip"]] = row
+        if is_in_journal:
+            self._in_journal.add(row["clip"])
+
+    def touch(self, name: str, inputs: str) -> None:
+        """Set the fingerprint of the inputs of a clip whose result is unchanged."""
+        row = self.newer.get(name) or self.compiled_row(name)
+        if row is not None:
+            self.add({**row, "inputs": inputs}, is_in_journal=False)
+
+    def compile_if_due(self) -> None:
+        """Write clips.parquet if enough time has passed since the last time; see `compile`."""
+        if self.newer and time.monotonic() >= self._next_s:
+            self.compile()
+
+    def compile(self) -> None:
+        """Write clips.parquet, then remove the rows in it from the journal.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        start_s = time.monotonic()
+        if self.newer:
+            merged = merged_table(self.table, self.newer)
+            write_clips(self._out, merged)
+            self.table, self.newer = merged, {}
+        self._clear_journal()
+        end_s = time.monotonic()
+        self._next_s = end_s + max(_COMPILE_S, _COMPILE_SHARE * (end_s - start_s))
+
+    def _clear_journal(self) -> None:
+        compiled = self._in_journal - self.newer.keys()
+        with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
+            list(threads.map(self._remove, compiled))
+        self._in_journal -= compiled
+
+    def _remove(self, name: str) -> None:
+        with suppress(StorageError):  # a row that stays in the journal is compiled again by the next run
+            _journal_location(self._out, name).remove()
+
+    def compiled_row(self, name: str) -> Row | None:
+        """The compiled row of a clip; None without one."""
+        import pyarrow.compute as pc
+
+        index = pc.index(self.table["clip"], name).as_py()
+        return None if index < 0 else dict(self.table.slice(index, 1).to_pylist()[0])
+
+    def failed(self, names: Collection[str]) -> list[tuple[str, str]]:
+        """Names and errors of the failed clips among `names`."""
+        import pyarrow.compute as pc
+
+        failed = self.table.filter(pc.equal(self.table["status"], "failed")).select(["clip", "error"])
+        rows = {row["clip"]: row["error"] for row in failed.to_pylist()}
+        for name, row in self.newer.items():
+            rows.pop(name, None)
+            if row["status"] == "failed":
+                rows[name] = row["error"]
+        return sorted((name, error) for name, error in rows.items() if name in names)
+
+
+def write_clips(out: Location, table: pa.Table) -> None:
+    """Write clips.parquet.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    from pyarrow import parquet
+
+    buffer = io.BytesIO()
+    parquet.write_table(table, buffer, compression="zstd")
+    out.child(CLIPS_FILE).write_bytes(buffer.getvalue())
+
+
+def _compiled(out: Location) -> pa.Table:
+    from pyarrow import ArrowException, parquet
+
+    location = out.child(CLIPS_FILE)
+    if not location.exists():
+        return records_table([])
+    try:
+        table = parquet.read_table(io.BytesIO(location.read_bytes()))
+        version = int((table.schema.metadata or {}).get(b"track_range.fleet_schema_version", b""))
+        table.column("clip"), table.column("settings_hash")
+    except (ArrowException, OSError, ValueError, LookupError) as error:
+        raise FleetError(
+            f"{location}: expected the table of a fleet, found a damaged or other file ({shortened(str(error))}); "
+            "choose another --out, or remove the file to process all clips again."
+        ) from error
+    if version > SCHEMA_VERSION:
+        raise FleetError(
+            f"{location}: expected version {SCHEMA_VERSION} or earlier, found {version}; a newer track-range wrote "
+            "this file, update with `pip install --upgrade track-range`."
+        )
+    return table
+
+
+def _journal_location(out: Location, name: str) -> Location:
+    return out.child(JOURNAL, f"{encoded(name)}.json")
+
+
+def _journal_names(out: Location) -> list[str]:
+    """Names of the clips in the journal."""
+    folder = out.child(JOURNAL)
+    try:
+        names = [entry.name for entry in folder.list()] if folder.exists() else []
+    except StorageError as error:
+        if error.kind != "missing":  # the last object was removed meanwhile
+            raise
+        names = []
+    # hidden files are those of a write that was killed
+    return [unquote(name.removesuffix(".json")) for name in names if name.endswith(".json") and name[0] != "."]
+
+
+def _journal_rows(out: Location, names: Sequence[str]) -> dict[str, Row]:
+    """Rows in the journal; one that is damaged or was removed meanwhile is left out, so that its clip is repeated."""
+    with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
+        rows: Iterable[Row | None] = threads.map(lambda name: _row_in(_journal_location(out, name)), names)
+        return {row["clip"]: row for row in rows if row is not None}
+
+
+def _row_in(location: Location) -> Row | None:
+    try:
+        row: Any = parse_json(location.read_bytes().decode(), location, FleetError, "a record")
+    except (FleetError, UnicodeDecodeError):
+        return None
+    except StorageError:
+        if location.exists():
+            raise
+        return None
+    is_row = isinstance(row, dict) and isinstance(row.get("clip"), str) and row.get("status") in ("done", "failed")
+    return row if is_row else None

@@ -1,0 +1,164 @@
+"""ClipRecord: the row of a clip in clips.parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Row = dict[str, Any]
+"""Values of a record by column."""
+
+SCHEMA_VERSION = 1
+"""Version of clips.parquet; increased when a column changes its meaning or is removed."""
+
+_TEXT, _INTEGER, _NUMBER = "text", "integer", "number"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipRecord:
+    """Result of a clip; the fields up to `node` are the first columns of clips.parquet, in this order.
+
+    Attributes:
+        clip: name, the text that `{clip}` matched.
+        status: "done" or "failed".
+        error: reason of the failure, one sentence; "" = none.
+        error_kind: "", "input", "crash", "memory", "timeout", "fetch" or "internal".
+        attempts: number of attempts.
+        left: path or address of the left or only video.
+        right: that of the right video; "" = one camera.
+        inputs: files of the clip with size and time of change, and its settings, as JSON.
+        content_hash: hash of the content of the files and of the clip's settings; "" = not read.
+        settings_hash: hash of the settings that all clips have in common.
+        version: version of track-range.
+        frames: number of frames.
+        rows: number of rows in tracks.parquet.
+        tracks: number of tracks.
+        seconds: duration of the processed video, s.
+        wall_s: time for the clip in the worker, s.
+        overhead_s: part of `wall_s` that is not the run: fetching, hashing, publishing.
+        calibration: kind of calibration.
+        alignment_px: vertical offset or disparity error of the pair, px; None = not estimated.
+        start_utc: UTC of the first frame, ISO 8601; "" = unknown.
+        warnings: notes of the run.
+        node: name of the machine.
+        peak_memory_mb: largest resident memory of the worker during the clip, MB.
+        finished_utc: end of the attempt, ISO 8601.
+        stages_ms: time of each stage, ms per frame; columns `STAGE_ms`.
+        coverage: share of boxes with a distance by method; columns `METHOD_coverage`.
+        errors: figures by method where there is ground truth; columns `METHOD_FIGURE`.
+        labels: other placeholders of the pattern or columns of the manifest; columns of these names.
+    """
+
+    clip: str
+    status: str
+    error: str = ""
+    error_kind: str = ""
+    attempts: int = 1
+    left: str = ""
+    right: str = ""
+    inputs: str = ""
+    content_hash: str = ""
+    settings_hash: str = ""
+    version: str = ""
+    frames: int | None = None
+    rows: int | None = None
+    tracks: int | None = None
+    seconds: float | None = None
+    wall_s: float | None = None
+    overhead_s: float | None = None
+    calibration: str = ""
+    start_utc: str = ""
+    warnings: Sequence[str] = ()
+    node: str = ""
+    peak_memory_mb: float | None = None
+    finished_utc: str = ""
+    stages_ms: Mapping[str, float] = field(default_factory=dict)
+    coverage: Mapping[str, float | None] = field(default_factory=dict)
+    errors: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
+    alignment: Mapping[str, float | None] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    def row(self) -> Row:
+        """Values by column; labels with the name of another column have the prefix `label_`."""
+        row: Row = {name: getattr(self, name) for name in _FIXED}
+        row["warnings"] = list(self.warnings)
+        row.update({f"{stage}_ms": value for stage, value in self.stages_ms.items()})
+        row.update({f"{method}_coverage": value for method, value in self.coverage.items()})
+        for method, figures in self.errors.items():
+            row.update({f"{method}_{name}": value for name, value in figures.items()})
+        row.update({f"alignment_{name}": value for name, value in self.alignment.items()})
+        for name, text in self.labels.items():
+            row[name if name not in row else f"label_{name}"] = text
+        return row
+
+
+_GROUPS = ("stages_ms", "coverage", "errors", "alignment", "labels")
+_FIXED: Mapping[str, str] = {
+    column.name: _INTEGER if "int" in str(column.type) else _NUMBER if "float" in str(column.type) else _TEXT
+    for column in fields(ClipRecord)
+    if column.name not in _GROUPS
+}
+"""Kind of the columns that every clips.parquet has."""
+
+
+def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
+    """Table of rows with the fixed columns first, then the figures and labels by name; null = not known."""
+    import pyarrow as pa
+
+    rows = list(rows)
+    others = sorted({name for row in rows for name in row} - set(_FIXED))
+    types = {name: _arrow_type(name, rows) for name in (*_FIXED, *others)}
+    arrays = [pa.array([_converted(row.get(name), kind) for row in rows], kind) for name, kind in types.items()]
+    metadata = {"track_range.fleet_schema_version": str(SCHEMA_VERSION)}
+    return pa.Table.from_arrays(arrays, schema=pa.schema(list(types.items()), metadata=metadata))
+
+
+def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Table:
+    """The table with rows added or replaced, by name of the clip and in its order."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    added = records_table(rows.values())
+    if base.num_rows and rows:
+        base = base.filter(pc.invert(pc.is_in(base["clip"], value_set=pa.array(list(rows), pa.string()))))
+    base, added = _with_equal_types(base, added)
+    table = pa.concat_tables([base, added], promote_options="default").sort_by("clip")
+    others = sorted(set(table.column_names) - set(_FIXED))
+    return table.select([*_FIXED, *others]).replace_schema_metadata(added.schema.metadata)
+
+
+def _with_equal_types(base: pa.Table, added: pa.Table) -> tuple[pa.Table, pa.Table]:
+    """Both tables with text for the columns whose types differ."""
+    import pyarrow as pa
+
+    for name in set(base.column_names) & set(added.column_names):
+        if base.schema.field(name).type != added.schema.field(name).type:
+            base, added = (
+                table.set_column(table.column_names.index(name), name, table[name].cast(pa.string()))
+                for table in (base, added)
+            )
+    return base, added
+
+
+def _arrow_type(name: str, rows: Sequence[Mapping[str, Any]]) -> Any:
+    import pyarrow as pa
+
+    if name == "warnings":
+        return pa.list_(pa.string())
+    if name in _FIXED:
+        return {_TEXT: pa.string(), _INTEGER: pa.int64(), _NUMBER: pa.float64()}[_FIXED[name]]
+    values = [row[name] for row in rows if row.get(name) is not None]
+    is_number = bool(values) and all(isinstance(value, int | float) for value in values)
+    return pa.float64() if is_number else pa.string()
+
+
+def _converted(value: Any, kind: Any) -> Any:
+    import pyarrow as pa
+
+    if value is None or not pa.types.is_string(kind) or isinstance(value, str):
+        return value
+    return str(value)
