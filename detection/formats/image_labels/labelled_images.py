@@ -10,26 +10,27 @@ centres are at integers. KITTI labels are used without change (`detection.format
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES, map_to_road_classes
+from track_range.detection.formats.box_table import HALF_PIXEL_PX
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader
-from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
+from track_range.detection.formats.table_checks import ignored_note
+from track_range.detection.formats.video_labels.coco import CocoFile
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, Image
 from track_range.foundation.errors import UserError
 from track_range.foundation.files import images as image_files
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.images import IMAGE_SUFFIXES
-from track_range.foundation.files.input_files import quoted, shortened
-from track_range.foundation.files.structured_text import read_json
+from track_range.foundation.files.input_files import quoted
 
 LabelFormat = Literal["yolo", "kitti", "coco"]
 
@@ -188,34 +189,39 @@ def _yolo_reader(folder: Path, names: Sequence[str] | None) -> Callable[[Path, P
 
 def _coco(paths: Sequence[Path], file: Path) -> list[LabelledImage]:
     """The images that a COCO file has labels for, by file name."""
-    document = read_json(file, LabelFileError, "COCO's labels", max_bytes=MAX_COCO_BYTES)
-    try:
-        road_of = _road_of_categories(document["categories"])
-        labels: dict[Any, list[dict[str, Any]]] = {image["id"]: [] for image in document["images"]}
-        for label in document["annotations"]:
-            if label["category_id"] in road_of:
-                labels[label["image_id"]].append(label)
-        by_name = {Path(image["file_name"]).name: labels[image["id"]] for image in document["images"]}
-        return [
-            LabelledImage(path, _coco_truth(by_name[path.name], road_of), False)
-            for path in paths
-            if path.name in by_name
-        ]
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise LabelFileError(
-            f"{file}: expected COCO's images, annotations and categories, found other content "
-            f"({shortened(f'{type(error).__name__}: {error}')})."
-        ) from error
+    coco = CocoFile.read(file)
+    names, images = coco.category_names(), coco.images()
+    rows = coco.rows({image_id: number for number, image_id in enumerate(images)}, names)
+    class_id = map_to_road_classes(rows.class_name)
+    order = np.argsort(rows.frame, kind="stable")
+    order = order[class_id[order] >= 0]
+    number, class_id, is_region = (
+        np.array(rows.frame, np.int64)[order],
+        class_id[order],
+        np.array(rows.is_region)[order],
+    )
+    boxes = (np.array(rows.xyxy, np.float64).reshape(-1, 4) - HALF_PIXEL_PX)[order]
+    number_of = _numbers_by_name(coco, {path.name for path in paths})
+    labelled: list[LabelledImage] = []
+    for path in paths:
+        if (image := number_of.get(path.name)) is not None:
+            of_image = slice(*np.searchsorted(number, [image, image + 1]))
+            truth = ImageTruth.of(boxes[of_image], class_id[of_image], is_region=is_region[of_image])
+            notes = () if labelled else ignored_note(file, rows.n_empty, "without width or height")
+            labelled.append(LabelledImage(path, truth, False, notes))
+    return labelled
 
 
-def _road_of_categories(categories: Sequence[Mapping[str, Any]]) -> dict[Any, int]:
-    """Road class id by COCO category id; other categories are left out."""
-    road = map_to_road_classes([str(category["name"]) for category in categories])
-    return {category["id"]: int(i) for category, i in zip(categories, road, strict=True) if i >= 0}
+def _numbers_by_name(coco: CocoFile, names: Collection[str]) -> dict[str, int]:
+    """Number of the image, in the order of the file, by its name without folder, for some names.
 
-
-def _coco_truth(labels: Sequence[Mapping[str, Any]], road_of: Mapping[Any, int]) -> ImageTruth:
-    xywh = np.array([label["bbox"] for label in labels], np.float64).reshape(-1, 4)
-    boxes = np.concatenate([xywh[:, :2], xywh[:, :2] + xywh[:, 2:]], axis=1) - 0.5
-    class_id = [road_of[label["category_id"]] for label in labels]
-    return ImageTruth.of(boxes, class_id, is_region=[bool(label.get("iscrowd", 0)) for label in labels])
+    Raises:
+        LabelFileError: two images have one of the names.
+    """
+    numbers: dict[str, int] = {}
+    for number, image in enumerate(coco.images().values()):
+        where = f"images[{number}]"
+        name = Path(coco.text(image, "file_name", where)).name
+        if name in names and numbers.setdefault(name, number) != number:
+            raise LabelFileError(f"{coco.path}, {where}: expected each file name once, found {quoted(name)} twice.")
+    return numbers

@@ -61,8 +61,11 @@ _MAX_FPS = 10_000.0
 
 
 @dataclass(slots=True)
-class _Rows:
-    """Columns of the annotations."""
+class CocoRows:
+    """Columns of the annotations, with `xyxy` in the corner convention and `frame` the number of the image.
+
+    Annotations without width or height are left out; `n_empty` counts them.
+    """
 
     frame: list[int] = field(default_factory=list)
     track_id: list[int] = field(default_factory=list)
@@ -83,7 +86,7 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
         LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, has several videos, contradictory or
             unknown ids, annotations without a box, or implausible numbers.
     """
-    reader = _Reader(path, read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES))
+    reader = CocoFile.read(path)
     names = reader.category_names()
     frame_of, notes = reader.frames()
     rows = reader.rows(frame_of, names)
@@ -107,11 +110,20 @@ def read_coco(path: Path, video: VideoFacts) -> BoxTable:
 
 
 @dataclass(frozen=True, slots=True)
-class _Reader:
-    """Reader of the sections of one file."""
+class CocoFile:
+    """Sections of one file, which are checked when they are read."""
 
     path: Path
     document: Any
+
+    @classmethod
+    def read(cls, path: Path) -> CocoFile:
+        """The content of a file.
+
+        Raises:
+            LabelFileError: the file cannot be read, is larger than `MAX_COCO_BYTES`, or is not JSON.
+        """
+        return cls(path, read_json(path, LabelFileError, "a COCO data set", max_bytes=MAX_COCO_BYTES))
 
     def section(self, key: str) -> list[dict[str, Any]]:
         """The objects of a list at the top of the file.
@@ -191,28 +203,39 @@ class _Reader:
                 )
         return names
 
+    def images(self) -> dict[int | str, dict[str, Any]]:
+        """Images by id, in the order of the file.
+
+        Raises:
+            LabelFileError: an id occurs twice, or is not an id.
+        """
+        images: dict[int | str, dict[str, Any]] = {}
+        for index, image in enumerate(self.section("images")):
+            where = f"images[{index}]"
+            number = self.key(image, "id", where)
+            if images.setdefault(number, image) is not image:
+                raise LabelFileError(
+                    f"{self.path}, {where}: expected each image id once, found {quoted(number)} twice."
+                )
+        return images
+
     def frames(self) -> tuple[dict[int | str, int], tuple[str, ...]]:
         """Frame number by image id, and notes for the user.
 
         Raises:
             LabelFileError: an image id or a frame occurs twice, there are several videos, or no frame numbers.
         """
-        images, notes = self.section("images"), []
-        self._check_one_video(images)
-        key = next((key for key in _FRAME_KEYS if any(key in image for image in images)), None)
-        frame_of: dict[int | str, int] = {}
-        for index, image in enumerate(images):
-            where = f"images[{index}]"
-            number = self.key(image, "id", where)
-            if number in frame_of:
-                raise LabelFileError(
-                    f"{self.path}, {where}: expected each image id once, found {quoted(number)} twice."
-                )
-            frame_of[number] = (
-                self._number_in_name(image, where) if key is None else self.integer(image, key, where, 0, MAX_FRAME)
-            )
+        images, notes = self.images(), []
+        self._check_one_video(list(images.values()))
+        key = next((key for key in _FRAME_KEYS if any(key in image for image in images.values())), None)
+        frame_of = {
+            number: self._number_in_name(image, f"images[{index}]")
+            if key is None
+            else self.integer(image, key, f"images[{index}]", 0, MAX_FRAME)
+            for index, (number, image) in enumerate(images.items())
+        }
         if key is None:
-            check_names((str(Path(image["file_name"]).with_suffix("")) for image in images), self.path)
+            check_names((str(Path(image["file_name"]).with_suffix("")) for image in images.values()), self.path)
         numbers = sorted(frame_of.values())
         for frame, after in pairwise(numbers):
             if frame == after:
@@ -274,13 +297,17 @@ class _Reader:
             is_rectified=video.is_rectified or is_rectified,
         )
 
-    def rows(self, frame_of: Mapping[int | str, int], names: Mapping[int | str, str]) -> _Rows:
+    def rows(self, frame_of: Mapping[int | str, int], names: Mapping[int | str, str]) -> CocoRows:
         """Columns of all annotations.
+
+        Args:
+            frame_of: number by image id.
+            names: name by category id.
 
         Raises:
             LabelFileError: an annotation is invalid, or refers to an unknown image or category.
         """
-        rows = _Rows()
+        rows = CocoRows()
         for index, item in enumerate(self.section("annotations")):
             where = f"annotations[{index}]"
             image, category = self.key(item, "image_id", where), self.key(item, "category_id", where)

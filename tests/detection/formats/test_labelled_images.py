@@ -140,18 +140,32 @@ def test_coco(folder):
     ("text", "message"),
     [
         ("{", "COCO"),
-        ("{}", "'categories'"),
+        ("{}", "categories"),
         ("[]", "COCO"),
-        (json.dumps(coco_document(images=[])), "KeyError: 7"),
+        (json.dumps(coco_document(images=[])), "image_id"),
+        (json.dumps(coco_document(images=[{"id": 7, "file_name": "a.png"}] * 2)), "image id"),
+        (json.dumps(coco_document(images=[{"id": i, "file_name": f"{i}/a.png"} for i in (7, 8)])), "file name"),
+        (json.dumps(coco_document(categories=[{"id": 17, "name": "cat"}])), "category_id"),
+        (json.dumps(coco_document(categories=[{"id": 3, "name": name} for name in ("car", "cat")])), "category id"),
+        (json.dumps(coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": [9, 9, -4, 4]}])), "bbox"),
+        (json.dumps(coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": ["9"] * 4}])), "bbox"),
     ],
 )
 def test_invalid_coco_file(folder, text, message):
     file = folder / "instances.json"
     file.write_text(text)
-    with pytest.raises(LabelFileError, match=rf"instances\.json.*: .*{message}"):
+    with pytest.raises(LabelFileError, match=rf"instances\.json.*{message}"):
         read_labelled(folder / "images", file, "coco")
     with pytest.raises(LabelFileError, match=r"none\.json"):
         read_labelled(folder / "images", folder / "none.json", "coco")
+
+
+def test_empty_boxes_of_coco(folder):
+    file = folder / "instances.json"
+    file.write_text(json.dumps(coco_document(annotations=[{"image_id": 7, "category_id": 3, "bbox": [10, 5, 0, 4]}])))
+    (item,) = read_labelled(folder / "images", file, "coco")
+    assert len(item.truth.class_id) == 0
+    assert "1 box" in item.notes[0]
 
 
 def test_manifest_split_and_completeness(folder):
