@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -310,3 +311,48 @@ def test_thousand_files_are_arranged() -> None:
     plan = arranged(files[::-1], is_given_order=False)
     assert plan.starts_s[-1] == 60.0 * (len(files) - 1)
     assert sorted(["a10", "a9", "b1"], key=natural_key) == ["a9", "a10", "b1"]
+
+
+def copied(source: Path, target: Path, from_s: float, until_s: float) -> Path:
+    """A part of a video without encoding it again, with time stamps from 0."""
+    with av.open(str(source)) as whole, av.open(str(target), "w") as part:
+        stream = whole.streams.video[0]
+        copy = part.add_stream_from_template(stream)
+        first = None
+        for packet in whole.demux(stream):
+            if packet.pts is None or not from_s - 1e-6 <= float(packet.pts * packet.time_base) < until_s - 1e-6:
+                continue
+            first = packet.dts if first is None else first
+            packet.pts, packet.dts, packet.stream = packet.pts - first, packet.dts - first, copy
+            part.mux(packet)
+    return target
+
+
+@pytest.mark.parametrize("names", [("1.mp4", "2.mp4", "3.mp4"), tuple(NAMES)])
+def test_repeated_second_is_skipped(tmp_path: Path, film: Film, names: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(1)
+    pictures = [rng.integers(0, 255, (48, 64, 3), dtype=np.uint8) for _ in range(40)]
+    whole = film(tmp_path / "whole.mp4", [k / 10 for k in range(40)], images=pictures, codec="mjpeg")
+    (tmp_path / "trip").mkdir()
+    parts_s = ((0.0, 2.0), (1.0, 3.0), (2.0, 4.0))
+    for name, (from_s, until_s) in zip(names, parts_s, strict=True):
+        copied(whole, tmp_path / "trip" / name, from_s, until_s)
+    reader = VideoReader(tmp_path / "trip")
+    frames, expected = list(reader), list(VideoReader(whole))
+    assert [frame.time_s for frame in frames] == pytest.approx([frame.time_s for frame in expected], abs=1e-4)
+    assert all(np.array_equal(a.image, b.image) for a, b in zip(frames, expected, strict=True))
+    assert any("2 overlaps" in note for note in reader.notes)
+
+
+def test_missing_file_of_an_undated_pair(tmp_path: Path, trip: Trip) -> None:
+    trip(tmp_path / "left", ["l1.mp4", "l3.mp4"])
+    trip(tmp_path / "right", ["r1.mp4", "r2.mp4", "r3.mp4"])
+    with pytest.raises(VideoError, match=r"right: .*found 3"):
+        Inputs.open(tmp_path / "left", tmp_path / "right")
+
+
+def test_file_of_another_size_is_named(tmp_path: Path, trip: Trip, film: Film) -> None:
+    trip(tmp_path / "trip", ["clip1.mp4", "clip3.mp4"])
+    film(tmp_path / "trip" / "clip0.mp4", [0.0, 0.1], images=[np.zeros((32, 48, 3), np.uint8)] * 2)
+    with pytest.raises(VideoError, match=r"clip0\.mp4: .*64x48"):
+        VideoReader(tmp_path / "trip")

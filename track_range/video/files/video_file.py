@@ -13,7 +13,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -229,6 +229,26 @@ def count_packets(path: Path) -> tuple[int, float]:
                 stamps = [min(stamps), max(stamps)] if stamps else []
         span_s = float((stamps[1] - stamps[0]) * reading.time_base) if len(stamps) > 1 else 0.0
         return n_frames, span_s + 1 / reading.fps
+
+
+def compressed_frames(path: Path, *, last_s: float | None = None) -> Generator[tuple[float, bytes], None, None]:
+    """Time stamp, s, and content of the compressed frames of a file, in its order.
+
+    Args:
+        path: the file.
+        last_s: only about the last seconds, from a keyframe at least that long before the end; None = all.
+
+    Raises:
+        VideoError: the file cannot be read.
+    """
+    with closing(_Reading(path, FileState.of(path))) as reading:
+        container, start_us = reading.container, reading.container.start_time or 0
+        if last_s is not None and container.duration:
+            with suppress(av.FFmpegError):  # some formats cannot seek
+                container.seek(start_us + max(0, container.duration - round(last_s * av.time_base)))
+        for packet in reading.packets:
+            if packet is not None and packet.size and not packet.is_discard and packet.pts is not None:
+                yield float(packet.pts * reading.time_base), bytes(packet)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,14 +3,15 @@
 time stamps that continue from file to file (exact)  >  creation times of the headers, or times in the names (1 s)
 >  the given order, or the natural order of the names (no gaps can be seen)
 
-start of file i+1 = end of file i        unless the times of the headers or names show a gap or an overlap
+start of file i+1 = end of file i        unless the times of the headers or names show a gap or an overlap, or the first
+                                         frames of file i+1 are the last ones of file i
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +27,9 @@ _NOTED_GAP_S = 0.25
 
 _CONTINUOUS_S = 1.0
 """Largest overlap, s, of two files with continuing time stamps."""
+
+_EQUAL_DURATION_S = 1.0
+"""Largest difference, s, between the durations of the left and right recording if they have different cuts."""
 
 _PARTNER_S = 2.0
 """Largest difference, s, between the start times of the left and right file of a pair."""
@@ -49,6 +53,10 @@ class SegmentFacts:
     in_name: Stamp | None
 
 
+Repeated = Callable[[SegmentFacts, SegmentFacts], float]
+"""Function (file, next file) -> length of their overlap in s; 0 = none."""
+
+
 @dataclass(frozen=True, slots=True)
 class SegmentPlan:
     """Files in the order of time.
@@ -68,12 +76,16 @@ class SegmentPlan:
     notes: tuple[str, ...] = field(default=())
 
 
-def arranged(files: Sequence[SegmentFacts], *, is_given_order: bool) -> SegmentPlan:
+def arranged(
+    files: Sequence[SegmentFacts], *, is_given_order: bool, repeated_s: Repeated = lambda _before, _after: 0.0
+) -> SegmentPlan:
     """The files in the order of time.
 
     Args:
         files: at least one file.
         is_given_order: whether the order of `files` was chosen by the user; it is used if no times are known.
+        repeated_s: function (file, next file) -> length, s, of the beginning of the next file that repeats the end of
+            the file, from their content; 0 = none.
 
     Raises:
         VideoError: the files are those of several cameras.
@@ -95,20 +107,26 @@ def arranged(files: Sequence[SegmentFacts], *, is_given_order: bool) -> SegmentP
         notes.append(
             f"{counted(len(files), 'file')} without usable dates joined in the {order}, without gaps between them."
         )
-        ends_s = itertools.accumulate((file.duration_s for file in ordered[:-1]), initial=ordered[0].first_s)
-        utc = start_of(ordered[0].in_header, ordered[0].in_name, ordered[0].duration_s)
-        return SegmentPlan(tuple(ordered), tuple(ends_s), (), utc, tuple(notes))
+        gaps_s = [-repeated_s(one, other) for one, other in itertools.pairwise(ordered)]
+        steps_s = (file.duration_s + gap_s for file, gap_s in zip(ordered, gaps_s, strict=False))
+        starts_s = itertools.accumulate(steps_s, initial=ordered[0].first_s)
+        # equal dates are those of a copy or of the end of an editor's work: they follow the recording
+        utc = start_of(ordered[0].in_header, ordered[0].in_name, sum(file.duration_s for file in ordered))
+        return SegmentPlan(tuple(ordered), tuple(starts_s), (), utc, (*notes, *_cut_notes(ordered, gaps_s)))
     if is_given_order and [file for file, _ in clock] != list(files):
         notes.append(
             f"{_first_name(files)}: the files were given in another order than that of their times, which is used."
         )
-    return _by_clock(clock, notes)
+    return _by_clock(clock, notes, repeated_s)
 
 
 def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
     """Start times of the right files of a pair on the time axis of the left ones.
 
     Files of a pair that start within 2 s are assumed to start together, since their dates have a resolution of 1 s.
+
+    Raises:
+        VideoError: the files have no dates, and one side lacks files of the other.
     """
     has_equal_clocks = plan.utc is not None and left.utc is not None and plan.utc.is_local == left.utc.is_local
     if plan.clock_s and left.clock_s and has_equal_clocks:
@@ -124,7 +142,21 @@ def paired_starts_s(plan: SegmentPlan, left: SegmentPlan) -> tuple[float, ...]:
         firsts_s = zip(plan.facts, left.facts, left.starts_s, strict=True)
         if _continuing(plan.facts) is None:
             return tuple(start_s + file.first_s - other.first_s for file, other, start_s in firsts_s)
+    elif _continuing(plan.facts) is None or _continuing(left.facts) is None:
+        _check_equal_durations(plan, left)
     return plan.starts_s
+
+
+def _check_equal_durations(plan: SegmentPlan, left: SegmentPlan) -> None:
+    """Check that different numbers of undated left and right files cover the same time, so that no file is missing."""
+    durations_s = [sum(file.duration_s for file in side.facts) for side in (left, plan)]
+    shortest_s = min(file.duration_s for side in (left, plan) for file in side.facts)
+    if abs(durations_s[0] - durations_s[1]) > min(_EQUAL_DURATION_S, shortest_s / 2):
+        raise VideoError(
+            f"{plan.facts[0].path.parent}: expected {counted(len(left.facts), 'file')} as in "
+            f"{left.facts[0].path.parent}, found {len(plan.facts)}, and not all have dates in their names or headers; "
+            "give the files that belong together, as in --stereo L1 R1 --stereo L2 R2."
+        )
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -139,8 +171,8 @@ def _by_time_stamps(files: list[SegmentFacts], notes: list[str]) -> SegmentPlan:
     return SegmentPlan(tuple(files), starts_s, (), utc, (*notes, *_cut_notes(files, gaps_s)))
 
 
-def _by_clock(clock: list[tuple[SegmentFacts, Stamp]], notes: list[str]) -> SegmentPlan:
-    """The plan from dates with a resolution of 1 s: jumps in time only where the dates prove them."""
+def _by_clock(clock: list[tuple[SegmentFacts, Stamp]], notes: list[str], repeated_s: Repeated) -> SegmentPlan:
+    """The plan from dates with a resolution of 1 s: jumps in time only where the dates or equal frames prove them."""
     files = [file for file, _ in clock]
     stamps_s = [stamp.time_s for _, stamp in clock]
     start_s, starts_s, gaps_s = files[0].first_s, [files[0].first_s], []
@@ -151,7 +183,9 @@ def _by_clock(clock: list[tuple[SegmentFacts, Stamp]], notes: list[str]) -> Segm
         if missing_s < -_TOLERANCE_S:
             if -missing_s > min(before.duration_s, after.duration_s) / 2:
                 raise _several_cameras(before.path, after.path)
-            gap_s = missing_s
+            gap_s = -repeated_s(before, after) or missing_s
+        elif missing_s <= _TOLERANCE_S and (overlap_s := repeated_s(before, after)):
+            gap_s = -overlap_s
         elif dated_s - end_s > _TOLERANCE_S:
             gap_s = dated_s - end_s
         else:

@@ -6,6 +6,7 @@ headers of all files -> order and times (`segment_times`) -> one file open at a 
 from __future__ import annotations
 
 import filecmp
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from track_range.video.files.file_state import FileState
 from track_range.video.files.video_file import VideoFile, VideoHeader, count_packets
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.video.names import Segments, is_pattern, matching_files
+from track_range.video.segments.repeated_frames import repeated_s
 from track_range.video.segments.segment_times import SegmentFacts, arranged, paired_starts_s
 from track_range.video.utc import UtcStart
 
@@ -36,6 +38,9 @@ _N_NOTES = 5
 
 _RESULT_VIDEOS = ("overlay.mp4", "disparity.mp4")
 """Names of the videos that a run writes."""
+
+_CUT_STEP_S = 1e-4
+"""Frames of two files closer than this, s, are the same one: more than the rounding of time stamps, 1/90000 s."""
 
 _RATE_DIFFERENCE = 0.01
 """Relative difference up to which frame rates count as equal."""
@@ -90,7 +95,8 @@ class SegmentedVideo:
         if len(paths) > _MAX_FILES:
             raise VideoError(f"{name}: expected at most {_MAX_FILES} files, found {len(paths)}; select fewer files.")
         segments = self._segments_of(paths)
-        plan = arranged([segment.facts for segment in segments], is_given_order=isinstance(name, Segments))
+        facts = [segment.facts for segment in segments]
+        plan = arranged(facts, is_given_order=isinstance(name, Segments), repeated_s=repeated_s)
         by_path = {segment.path: segment for segment in segments}
         self.plan = plan
         self._segments = [by_path[facts.path] for facts in plan.facts]
@@ -145,14 +151,14 @@ class SegmentedVideo:
             if not is_last and start_s + segment.facts.duration_s + 1 / self.fps <= from_s:
                 n_before += self._counted_frames(segment)
                 continue
-            video, n_read = self._opened(segment), 0
+            video, n_read, earliest_s = self._opened(segment), 0, last_s + _CUT_STEP_S
             if video is not None:
                 later_s = start_s - video.first_time_s
                 with closing(video.frames(from_s - later_s, until_s - later_s)) as frames:
                     for frame in frames:
                         n_read = frame.index + 1
                         time_s = frame.time_s + later_s
-                        if time_s > last_s + TIME_EPSILON_S:
+                        if time_s > earliest_s:
                             last_s = time_s
                             yield VideoFrame(n_before + frame.index, time_s, frame.image, frame.decoded)
                 self._add_notes(video.notes)
@@ -306,15 +312,17 @@ def _have_equal_content(one: Path, other: Path) -> bool:
 
 
 def _check_sizes(segments: Sequence[_Segment]) -> None:
-    first = segments[0]
-    for segment in segments:
-        if sorted(segment.header.size_px) != sorted(first.header.size_px):  # one may be rotated
-            raise _other_size(segment.path, segment.header.size_px, first.header.size_px)
+    sizes = Counter(tuple(sorted(segment.header.size_px)) for segment in segments)  # one may be rotated
+    (usual, _), *others = sizes.most_common()
+    if others:
+        expected = next(segment for segment in segments if tuple(sorted(segment.header.size_px)) == usual)
+        other = next(segment for segment in segments if tuple(sorted(segment.header.size_px)) != usual)
+        raise _other_size(other.path, other.header.size_px, expected.header.size_px)
 
 
 def _other_size(path: Path, size_px: tuple[int, int], expected_px: tuple[int, int]) -> VideoError:
     return VideoError(
-        f"{path}: expected images of {expected_px[0]}x{expected_px[1]} px as in the other files, got "
+        f"{path}: expected images of {expected_px[0]}x{expected_px[1]} px as in other files, got "
         f"{size_px[0]}x{size_px[1]}; select files of one camera and setting."
     )
 
