@@ -94,6 +94,22 @@ def test_run_is_not_replaced(run: Path, tmp_path: Path, cli: Cli) -> None:
     assert "a run is writing" in error
 
 
+@pytest.mark.parametrize("name", ["parquet", "mcap", "rrd", "kitti"])
+@pytest.mark.parametrize(("column", "value"), [("class", "c" * 150), ("fused_m", "inf"), ("time_s", "9e9")])
+def test_unusual_rows(run: Path, tmp_path: Path, cli: Cli, name: str, column: str, value: str) -> None:
+    """A class of another program, and numbers that no run writes, in one row of three."""
+    header, *rows = (run / "tracks.csv").read_text().splitlines()
+    place = header.split(",").index(column)
+    cells = rows[1].split(",")
+    rows[1] = ",".join([*cells[:place], value, *cells[place + 1 :]])
+    (run / "tracks.csv").write_text("\n".join([header, *rows]) + "\n")
+    status, printed, error = cli("export", run, "--to", name, "--out", tmp_path / "out")
+    assert (status, error) == (0, "")
+    n_rows = 3 if column == "fused_m" or (column, name) == ("class", "kitti") else 2
+    assert f"{n_rows} boxes" in printed
+    assert b"inf" not in (tmp_path / "out").read_bytes() or name != "kitti"
+
+
 def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:
     """That of the run, also with values that only YAML has; an earlier version has the calibration in summary.json."""
     settings = (run / "settings.yaml").read_text()

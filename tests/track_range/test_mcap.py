@@ -29,7 +29,6 @@ from tests.track_range.test_write_failures import file_size_limit, inputs  # noq
 from track_range.foundation.errors import UserError
 from track_range.results.export.export import export
 from track_range.results.export.settings import ExportSettings
-from track_range.results.formats import extras
 from track_range.results.formats.mcap import LAYOUT
 from track_range.results.formats.scene import VEHICLE_FROM_CAMERA_XYZW, track_objects
 from track_range.results.output_files import OutputError
@@ -272,6 +271,22 @@ def test_frames_without_rows_and_start(tmp_path: Path) -> None:
     assert [len(message["tracks"]) for _, _, message in read["/tracks/ranges"]] == [0, 2, 0, 2, 0]
 
 
+def test_notes_at_the_first_frame(tmp_path: Path) -> None:
+    """A run that starts later in the video has no message before its first frame."""
+    writers = OpenWriters(("mcap",), info(settings={}, notes=("a note",)), tmp_path)
+    writers.write(frame(7))
+    writers.close(None)
+    (note,) = messages(tmp_path / "run.mcap")["/log"]
+    assert (note[1], note[2].message) == (7 * 10**8, "a note")
+
+
+@pytest.mark.parametrize("start_s", [-1e9, 2.0**31, 9e9])
+@pytest.mark.parametrize("profile", ["foxglove", "ros2"])
+def test_times_outside_the_format(tmp_path: Path, start_s: float, profile: str) -> None:
+    path = write(tmp_path, info(profile, settings={"mcap_profile": profile}, start_utc_s=start_s))
+    assert {0 <= time <= 2**31 * 10**9 for _, time, _ in messages(path)["/tracks/ranges"]} == {True}
+
+
 def test_last_frame_is_discarded(tmp_path: Path) -> None:
     writers = OpenWriters(("mcap",), info(), tmp_path)
     for index in range(3):
@@ -350,9 +365,11 @@ def test_full_disk(tmp_path: Path) -> None:
     assert len(times) >= 10
 
 
-def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"mcap.*pip install 'track-range\[mcap\]'"):
+@pytest.mark.parametrize("package", ["foxglove", "rosbags"])
+def test_missing_package(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, f"{package}.typesys", raising=False)
+    with pytest.raises(UserError, match=rf"mcap.*{package}:.*pip install 'track-range\[mcap\]'"):
         create_writers(("csv", "mcap"))
 
 

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from collections import defaultdict
 from contextlib import suppress
 from pathlib import Path
@@ -22,7 +23,6 @@ from track_range.cli.commands.view import recording_of, viewer_command
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.folder_lock import locked_folder
 from track_range.foundation.telemetry import VIEWER_VARIABLES
-from track_range.results.formats import extras
 from track_range.results.formats.scene import track_objects
 from track_range.results.output_files import OutputError
 from track_range.results.writers import OpenWriters, create_writers
@@ -121,7 +121,7 @@ def test_full_disk(tmp_path: Path) -> None:
 
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(UserError, match=r"pip install 'track-range\[rerun\]'"):
         create_writers(("rrd",))
 

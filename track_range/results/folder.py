@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel
 
 from track_range.detection.formats.errors import LabelFileError
@@ -43,7 +44,10 @@ _MAX_FRAME = 1e9
 """Largest plausible frame number: a year at 30 Hz."""
 
 _MAX_VALUE = 1e10
-"""Largest plausible absolute value of a time, distance, speed or score; seconds since 1970 are smaller."""
+"""Largest plausible absolute value of a distance, speed or score."""
+
+_LATEST = {"time_s": 1e9, "utc": 4e9}
+"""Largest plausible times in seconds: 30 years of video, and the year 2096."""
 
 _MAX_EDGE_PX = 1e6
 """Largest plausible pixel coordinate."""
@@ -257,7 +261,12 @@ def read_run_rows(path: Path, missing: list[str]) -> dict[str, Any]:
     n_rows = int(np.sum(is_valid))
     # Columns that an earlier version did not write are empty, except sigmas, which mark the methods to be scored.
     empty = {name: np.full(n_rows, np.nan) for name in column_names() if not name.endswith("_sigma_m")}
-    return empty | {name: values[is_valid] for name, values in columns.items()}
+    return empty | {name: _finite(values[is_valid]) for name, values in columns.items()}
+
+
+def _finite(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Values with NaN, not measured, for infinite ones."""
+    return values if values.dtype.kind == "U" else np.where(np.isinf(values), np.nan, values)
 
 
 def _read_rows(path: Path) -> tuple[Columns, bool]:
@@ -282,7 +291,7 @@ def valid_rows(columns: Columns) -> BoolArray:
     is_valid: BoolArray = np.isfinite(columns["time_s"]) & np.isfinite(edges).all(axis=1)
     is_valid &= (np.abs(edges) <= _MAX_EDGE_PX).all(axis=1)
     for name in columns.keys() - {"frame", "track_id", "class"}:
-        is_valid &= ~np.isfinite(columns[name]) | (np.abs(columns[name]) <= _MAX_VALUE)
+        is_valid &= ~np.isfinite(columns[name]) | (np.abs(columns[name]) <= _LATEST.get(name, _MAX_VALUE))
     for number, lowest, highest in ((frame, 0, _MAX_FRAME), (track_id, 1, _LARGEST)):
         is_valid &= (number >= lowest) & (number <= highest) & (number == np.floor(number))
     rows = np.flatnonzero(is_valid)

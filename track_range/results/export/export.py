@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from track_range.detection.classes import map_to_road_classes
 from track_range.detection.formats.box_table import BoxTable, Written, frames_listed
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import LABEL_FORMATS, LabelFormat, label_format_of
@@ -161,9 +162,13 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
     if camera is None:
         raise OutputError(f"{run.folder}: expected settings.yaml with the camera of the run, found none.")
     columns = run.columns
+    is_written = map_to_road_classes([str(name) for name in columns["class"]]) >= 0
+    notes = run.missing
+    if n_unknown := int(np.count_nonzero(~is_written)):
+        notes = (*notes, f"{n_unknown} rows have a class that is not a road class, and are not written.")
     if settings.observed_only:
-        is_observed = columns["observed"] != 0
-        columns = {name: values[is_observed] for name, values in columns.items()}
+        is_written &= columns["observed"] != 0
+    columns = {name: values[is_written] for name, values in columns.items()}
     frames = frames_listed(boxes_of_run(source))
     writer = create_writer(settings.to)
     check_replaceable(settings.out, settings.to)
@@ -186,7 +191,7 @@ def _export_rows(settings: ExportSettings, source: RunSource) -> Exported:
         finally:
             writer.close(run.summary)
         _move(folder / writer.files[0], settings.out)
-    return Exported(len(columns["frame"]), 0, run.missing)
+    return Exported(len(columns["frame"]), 0, notes)
 
 
 def _move(file: Path, out: Path) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.util import find_spec
 
 from track_range.foundation.errors import UserError
+from track_range.foundation.files.input_files import shortened
 from track_range.foundation.telemetry import disable_telemetry
 
 
@@ -25,17 +25,17 @@ def check_extra(format_name: str, extra: str, *packages: str) -> None:
         ExtraError: one of them is not installed.
     """
     disable_telemetry()
-    missing = [package for package in packages if find_spec(package) is None]
-    if missing:
-        raise ExtraError(
-            f"the format {format_name} requires the package {', '.join(missing)}: install it with "
-            f"pip install 'track-range[{extra}]'."
-        )
     for package in packages:
+        top_level = package.partition(".")[0]
         try:
             import_module(package)
         except ImportError as error:
+            if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == top_level:
+                raise ExtraError(
+                    f"the format {format_name} requires the package {top_level}: install it with "
+                    f"pip install 'track-range[{extra}]'."
+                ) from error
             raise ExtraError(
-                f"the format {format_name}: the package {package} cannot be imported ({error}); reinstall it with "
-                f"pip install --force-reinstall 'track-range[{extra}]'."
+                f"the format {format_name}: the package {top_level} cannot be imported ({shortened(str(error))}); "
+                f"reinstall it with pip install --force-reinstall 'track-range[{extra}]'."
             ) from error

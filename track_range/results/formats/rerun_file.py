@@ -72,8 +72,7 @@ class RerunWriter:
         self._frames: list[int] = []
         self._times_s: list[float] = []
         self._last_s, self._named = 0.0, set[int]()
-        self._set_time(0, 0.0)
-        self._log_notes(info.notes)
+        self._first_notes = info.notes
         self._path = folder / RERUN_FILE
 
     def write(self, result: FrameResult) -> None:
@@ -89,6 +88,7 @@ class RerunWriter:
         """Log the last frame, the notes of the run and the video, and write the file."""
         try:
             self._release()
+            self._log_first_notes()
             notes = (summary or {}).get("notes") or ()
             self._log_notes(note for note in notes if note not in self._info.notes)
             self._log_video()
@@ -105,6 +105,7 @@ class RerunWriter:
         self._frames.append(result.index)
         self._times_s.append(self._last_s)
         self._set_time(result.index, self._last_s)
+        self._log_first_notes()
         self._log_objects(list(track_objects(result, self._info.camera)))
 
     def _set_time(self, frame: int, time_s: float) -> None:
@@ -162,6 +163,11 @@ class RerunWriter:
         for path, value in zip(paths, (shown.distance_m, shown.closing_mps), strict=True):
             if math.isfinite(value):
                 self._recording.log(path, rr.Scalars(value))
+
+    def _log_first_notes(self) -> None:
+        """Log the notes that precede the first frame, at its time."""
+        self._log_notes(self._first_notes)
+        self._first_notes = ()
 
     def _log_notes(self, notes: Iterable[str]) -> None:
         import rerun as rr

@@ -27,6 +27,9 @@ FOXGLOVE, ROS2 = "foxglove", "ros2"
 
 _EXTRA = "mcap"
 
+_MAX_TIME_NS = (2**31 - 1) * NANOSECONDS
+"""Latest time of ROS, in 2038; times are from 1970 to this one."""
+
 _CHUNK_S = 1.0
 """Duration of a chunk in the recording, and maximum time between two chunks while writing, s."""
 
@@ -53,7 +56,8 @@ class McapWriter:
         self._info = info
         self._has_images = bool(info.settings.get("mcap_images", False))
         self._profile = _profile(str(info.settings.get("mcap_profile", FOXGLOVE)), info)
-        self._start_ns = round((info.start_utc_s or 0.0) * 1e6) * 1000  # float64 holds microseconds since 1970
+        start_us = round((info.start_utc_s or 0.0) * 1e6)  # float64 holds microseconds since 1970
+        self._start_ns = min(max(start_us * 1000, 0), _MAX_TIME_NS)
         self._held: tuple[int, list[Message]] | None = None
         self._last_ns = self._start_ns
         self._chunk_ns, self._chunk_began_s = self._start_ns, time.monotonic()
@@ -68,7 +72,7 @@ class McapWriter:
         self._mcap.flush()
         self._file = FrameFile(folder / MCAP_FILE, self._sink.pop())
         self._has_gap = False
-        self._log_notes(info.notes)
+        self._first_notes = info.notes
 
     def write(self, result: FrameResult) -> None:
         """Write the frame before this one, and hold this one."""
@@ -88,8 +92,9 @@ class McapWriter:
         """Write the last frame, the notes of the run and the index."""
         try:
             self._release()
+            self._log_first_notes(self._last_ns)
             notes = (summary or {}).get("notes") or ()
-            self._log_notes(note for note in notes if note not in self._info.notes)
+            self._log_notes((note for note in notes if note not in self._info.notes), self._last_ns)
             self._mcap.close()
             if not self._has_gap:  # otherwise the positions in the index are wrong
                 self._file.add(self._sink.pop())
@@ -100,7 +105,7 @@ class McapWriter:
 
     def _time_ns(self, time_s: float) -> int:
         """Time of a frame, which is never before that of an earlier frame."""
-        self._last_ns = max(self._last_ns, self._start_ns + round(time_s * NANOSECONDS))
+        self._last_ns = min(max(self._last_ns, self._start_ns + round(time_s * NANOSECONDS)), _MAX_TIME_NS)
         return self._last_ns
 
     def _release(self) -> None:
@@ -113,6 +118,7 @@ class McapWriter:
             self._mcap.flush()
             self._chunk_ns, self._chunk_began_s = time_ns, time.monotonic()
             self._add(self._sink.pop())
+        self._log_first_notes(time_ns)
         self._log(messages, time_ns)
         self._held = None
 
@@ -125,10 +131,14 @@ class McapWriter:
             self._has_gap = True
             raise
 
-    def _log_notes(self, notes: Iterable[str]) -> None:
-        """Log notes at the time of the last frame."""
+    def _log_first_notes(self, time_ns: int) -> None:
+        """Log the notes that precede the first frame, at its time."""
+        self._log_notes(self._first_notes, time_ns)
+        self._first_notes = ()
+
+    def _log_notes(self, notes: Iterable[str], time_ns: int) -> None:
         for note in notes:
-            self._log([self._profile.note(note, self._last_ns)], self._last_ns)
+            self._log([self._profile.note(note, time_ns)], time_ns)
 
     def _log(self, messages: list[Message], time_ns: int) -> None:
         for topic, data in messages:
