@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
+from track_range.fleet.storage.entry import FileStat
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
@@ -24,8 +25,11 @@ CLIP_SETTINGS = (
 )
 """Names of the run settings that may differ from clip to clip."""
 
-_RIG_NAMES = ("rig.yaml", "calib.txt")
+RIG_NAMES = ("rig.yaml", "calib.txt")
 """Calibration files that a run uses if they lie beside the left video, in order of precedence."""
+
+_TIMESTAMPS = "timestamps.txt"
+"""File with the times of the images in a folder, which may lie beside the folder (KITTI)."""
 
 
 class FleetInputError(UserError):
@@ -58,31 +62,51 @@ class Clip:
         given = {name: value for name, value in self.settings.items() if is_file_setting(name, value)}
         return {"left": self.left, **right, **given}
 
-    def files(self, existing: Iterable[str] | None = None) -> dict[str, str]:
-        """All files on which the results depend, by role, including a calibration file beside the left video.
+    def files(self, stat: Callable[[Location], FileStat | None] = Location.stat) -> dict[str, str]:
+        """All files on which the results depend, by role.
+
+        These are the named files, a calibration file beside the left video, and the timestamps.txt beside a folder of
+        images.
 
         Args:
-            existing: paths of the files that exist, from a listing; None = look the calibration file up.
+            stat: looks a file up; `FolderListings.stat` does it with fewer requests.
 
         Raises:
             StorageError: the storage cannot be reached.
         """
         files = self.named_files()
-        if "rig" not in files and "focal_px" not in self.settings and (rig := self._rig_beside(existing)) is not None:
-            files["rig"] = rig
+        videos = {role: Location.of(files[role]) for role in ("left", "right") if role in files}
+        folders = {role for role, video in videos.items() if may_be_folder(video) and _is_folder(stat(video))}
+        if "rig" not in files and "focal_px" not in self.settings:
+            left = videos["left"]
+            parents = ((left,) if "left" in folders else ()) + ((left.parent,) if left.parent else ())
+            candidates = (parent.child(name) for parent in parents for name in RIG_NAMES)
+            if (rig := _first(candidates, stat)) is not None:
+                files["rig"] = rig.address
+        for role in sorted(folders):
+            parent = videos[role].parent
+            stamps = None if parent is None else _first([parent.child(_TIMESTAMPS)], stat)
+            if stamps is not None:
+                files[f"{role}_timestamps"] = stamps.address
         return files
 
-    def _rig_beside(self, existing: Iterable[str] | None) -> str | None:
-        """The calibration file that a run without --rig uses; None = there is none."""
-        left = Location.of(self.left)
-        folders = (left.parent, left) if left.parent is None or left.is_folder() else (left.parent,)
-        for folder in (folder for folder in folders if folder is not None):
-            for name in _RIG_NAMES:
-                candidate = folder.child(name)
-                is_there = candidate.exists() if existing is None else candidate.address in existing
-                if is_there:
-                    return candidate.address
-        return None
+
+def may_be_folder(video: Location) -> bool:
+    """Whether the name of a video may be that of a folder: on this machine always, elsewhere without a suffix."""
+    return video.is_local or "." not in video.name[1:]
+
+
+def _is_folder(status: FileStat | None) -> bool:
+    return status is not None and status.is_folder
+
+
+def _first(candidates: Iterable[Location], stat: Callable[[Location], FileStat | None]) -> Location | None:
+    """The first file that exists."""
+    for candidate in candidates:
+        status = stat(candidate)
+        if status is not None and not status.is_folder:
+            return candidate
+    return None
 
 
 def is_file_setting(name: str, value: str) -> bool:

@@ -3,9 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 
 from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.storage.listings import FolderListings
+from track_range.fleet.storage.location import Location
+from track_range.foundation.errors import UserError
+from track_range.stereo.rig_formats.reading import find_rig, load_camera, load_rig
+from track_range.video.bags.bag import is_bag
+from track_range.video.files.video_file import VideoHeader
+from track_range.video.names import BagTopic
+from track_range.video.reader import VideoReader
+
+_BATCH = 256
+"""Number of clips that are handed to the threads at a time."""
+
+_CODEC_CROP_PX = 2
+"""Tolerated difference in size between left and right, px, as in a run."""
+
+_MAX_DIFFERENCE_S = 1.0
+"""Difference between the lengths of left and right above which there is a note, s."""
+
+_MAX_CALIBRATION_SIDE_PX = 16_384
+"""Largest side of an image for which a calibration is checked, px."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,30 +38,185 @@ class CheckedClip:
 
     Attributes:
         clip: the clip.
-        size_px: (width, height); None = not known.
+        size_px: (width, height) of the left video; None = not known.
         fps: frames per second; None = not known.
         duration_s: length in seconds; None = not known.
         n_bytes: size of its files; None = not known.
-        calibration: "file", "focal length", "bag" or "none".
+        calibration: "file", "focal length", "bag", "none", or "" = not known.
         problems: reasons why it cannot be processed, sentences.
         notes: other remarks, sentences.
     """
 
     clip: Clip
-    size_px: tuple[int, int] | None
-    fps: float | None
-    duration_s: float | None
-    n_bytes: int | None
-    calibration: str
-    problems: tuple[str, ...]
+    size_px: tuple[int, int] | None = None
+    fps: float | None = None
+    duration_s: float | None = None
+    n_bytes: int | None = None
+    calibration: str = ""
+    problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def check_clips(clips: Sequence[Clip], *, threads: int = 8) -> Iterator[CheckedClip]:
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """Properties of a video; 0 = not stated."""
+
+    size_px: tuple[int, int]
+    fps: float
+    duration_s: float
+    has_bag_calibration: bool = False
+
+
+@dataclass(slots=True)
+class _Check:
+    """Check of one clip.
+
+    Attributes:
+        clip: the clip.
+        listings: for the sizes of its files.
+        focal_px: focal length of clips without a calibration; None = not given.
+        folder_fps: frame rate of folders of images.
+        problems, notes: sentences so far.
+    """
+
+    clip: Clip
+    listings: FolderListings
+    focal_px: float | None
+    folder_fps: float
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def result(self) -> CheckedClip:
+        """The properties of the clip."""
+        checked = CheckedClip(self.clip)
+        if self.clip.problem:
+            self.problems.append(self.clip.problem)
+        else:
+            try:
+                checked = self._checked()
+            except UserError as error:
+                self.problems.append(str(error))
+        return replace(checked, problems=tuple(self.problems), notes=tuple(self.notes))
+
+    def _checked(self) -> CheckedClip:
+        files = {role: Location.of(address) for role, address in self.clip.files(self.listings.stat).items()}
+        n_bytes = self._size(files)
+        checked = CheckedClip(self.clip, n_bytes=n_bytes)
+        if self.problems:
+            return checked
+        videos = [files[role] for role in ("left", "right") if role in files]
+        if not all(video.is_local for video in videos):
+            self.notes.append("The videos were not opened, since they are not on this machine.")
+            return checked
+        headers = [self._header(video.path, index) for index, video in enumerate(videos)]
+        left, right = headers[0], headers[1] if len(headers) == 2 else None
+        if right is not None:
+            self._compare(left, right)
+        return replace(
+            checked,
+            size_px=left.size_px,
+            fps=left.fps or None,
+            duration_s=left.duration_s or None,
+            calibration=self._calibration(left, files.get("rig")),
+        )
+
+    def _size(self, files: dict[str, Location]) -> int:
+        """Size of all files; those that do not exist or are empty are problems."""
+        n_bytes = 0
+        for role, location in files.items():
+            state = self.listings.state(location)
+            if state is None:
+                self.problems.append(f"{location}: no such file; expected {_TITLES.get(role, f'the {role} file')}.")
+            elif state.size == 0:
+                self.problems.append(f"{location}: the {'folder' if state.is_folder else 'file'} is empty.")
+            else:
+                n_bytes += max(state.size, 0)
+        return n_bytes
+
+    def _header(self, path: Path, index: int) -> _Header:
+        """Properties of a video, index 1 = right.
+
+        Raises:
+            VideoError: it cannot be read.
+        """
+        bag = is_bag(path)
+        if bag or path.is_dir():
+            topics = [topic.strip() for topic in self.clip.settings.get("topics", "").split(",")]
+            topic = topics[index] if index < len(topics) else ""
+            fps = float(self.clip.settings.get("folder_fps", self.folder_fps))
+            with closing(VideoReader(BagTopic(path, topic or None) if bag else path, folder_fps=fps)) as reader:
+                camera = None if reader.bag is None else reader.bag.camera
+                size_px = (reader.width_px, reader.height_px)
+                return _Header(size_px, reader.fps, (reader.n_frames or 0) / reader.fps, camera is not None)
+        header = VideoHeader.read(path)
+        return _Header(header.size_px, header.fps, header.duration_s)
+
+    def _compare(self, left: _Header, right: _Header) -> None:
+        """Compare the videos of a pair."""
+        (lw, lh), (rw, rh) = left.size_px, right.size_px
+        if max(abs(lw - rw), abs(lh - rh)) > _CODEC_CROP_PX:
+            self.problems.append(f"{self.clip.right}: expected {lw}x{lh} px like the left video, found {rw}x{rh}.")
+        if left.duration_s and right.duration_s and abs(left.duration_s - right.duration_s) > _MAX_DIFFERENCE_S:
+            self.notes.append(
+                f"The left video has {left.duration_s:.1f} s and the right one {right.duration_s:.1f} s; frames of "
+                "only one are not used."
+            )
+
+    def _calibration(self, left: _Header, rig: Location | None) -> str:
+        """Kind of the calibration; one that cannot be used is a problem."""
+        if "rig" not in self.clip.settings:
+            if "focal_px" in self.clip.settings or self.focal_px is not None:
+                return "focal length"
+            if left.has_bag_calibration:
+                return "bag"
+            found = find_rig(Path(self.clip.left))
+            rig = None if found is None else Location.of(found)
+        if rig is None:
+            if self.clip.right is None:
+                self.problems.append(
+                    f"{self.clip.left}: expected a calibration; give --rig or --focal-px, or put a rig.yaml beside it."
+                )
+            return "none"
+        if rig.is_local:
+            self._check_rig(rig.path, left.size_px)
+        return "file"
+
+    def _check_rig(self, path: Path, size_px: tuple[int, int]) -> None:
+        load = load_camera if self.clip.right is None else load_rig
+        if max(size_px) > _MAX_CALIBRATION_SIDE_PX:
+            return
+        try:
+            load(path, size_px=size_px)
+        except UserError as error:
+            try:
+                load(path, size_px=(size_px[1], size_px[0]))  # a video that is rotated by its metadata
+            except UserError:
+                self.problems.append(str(error))
+
+
+_TITLES = {"left": "the left video", "right": "the right video", "rig": "the calibration"}
+"""Files of a clip by role, for messages."""
+
+
+def check_clips(
+    clips: Sequence[Clip], *, focal_px: float | None = None, folder_fps: float = 10.0, threads: int = 8
+) -> Iterator[CheckedClip]:
     """The clips with the properties in their headers, in the given order.
+
+    Videos on this machine are opened, but not decoded, except the first image of folders and bags. Of remote clips only
+    the existence and size of the files are known.
 
     Args:
         clips: the clips.
-        threads: number of clips that are opened at the same time.
+        focal_px: focal length of clips without calibration, as in a run; None = not given.
+        folder_fps: frame rate of folders of images without timestamps.txt.
+        threads: number of clips that are checked at the same time.
     """
-    raise NotImplementedError
+    check = partial(_checked, FolderListings(), focal_px, folder_fps)
+    with ThreadPoolExecutor(threads) as pool:
+        for start in range(0, len(clips), _BATCH):
+            yield from pool.map(check, clips[start : start + _BATCH])
+
+
+def _checked(listings: FolderListings, focal_px: float | None, folder_fps: float, clip: Clip) -> CheckedClip:
+    return _Check(clip, listings, focal_px, folder_fps).result()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -12,7 +13,7 @@ class FileStat:
     Attributes:
         size: bytes; -1 = not stated by a web server.
         mtime_ns: time of the last change in ns since 1970; 0 = not stated.
-        is_folder: whether it is a folder; its size and time are 0.
+        is_folder: whether it is a folder; its size and time are 0, or those of its files.
     """
 
     size: int
@@ -31,3 +32,17 @@ class Entry:
 
     name: str
     stat: FileStat
+
+
+def folder_state(entries: Iterable[Entry]) -> FileStat:
+    """Total size and latest time of change of the files in a listing, hidden ones excluded."""
+    size, mtime_ns = 0, 0
+    for entry in entries:
+        if not (entry.stat.is_folder or is_hidden(entry.name)):
+            size, mtime_ns = size + max(entry.stat.size, 0), max(mtime_ns, entry.stat.mtime_ns)
+    return FileStat(size, mtime_ns, is_folder=True)
+
+
+def is_hidden(name: str) -> bool:
+    """Whether a relative path is that of a hidden file, or is in a hidden folder."""
+    return name.startswith(".") or "/." in name

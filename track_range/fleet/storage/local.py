@@ -33,9 +33,10 @@ class LocalStorage:
             raise
 
     def entries(self, key: str, address: str, *, recursive: bool) -> Iterator[Entry]:
-        """Files and folders in a folder, in no particular order; links to folders are not followed."""
+        """Files and folders in a folder, in no particular order; links are followed, except back to a folder above."""
         with storage_errors(address, "read"):
-            yield from _scanned(key, "", recursive=recursive)
+            status = os.stat(key)
+        yield from _scanned(key, "", ((status.st_dev, status.st_ino),), recursive=recursive)
 
     def read(self, key: str, address: str, max_bytes: int) -> bytes:
         """Content of a file of at most `max_bytes`."""
@@ -70,20 +71,22 @@ class LocalStorage:
             Path(key).unlink(missing_ok=True)
 
 
-def _scanned(folder: str, prefix: str, *, recursive: bool) -> Iterator[Entry]:
-    with os.scandir(folder) as items:
+def _scanned(folder: str, prefix: str, above: tuple[tuple[int, int], ...], *, recursive: bool) -> Iterator[Entry]:
+    """Entries of a folder; `above` are device and inode of it and of the folders that contain it."""
+    with storage_errors(folder, "read"), os.scandir(folder) as items:
         for item in items:
             name = prefix + item.name
-            is_folder = item.is_dir()
-            if is_folder:
-                yield Entry(name, _FOLDER)
-                if recursive and not item.is_symlink():
-                    yield from _scanned(item.path, f"{name}/", recursive=True)
-            else:
-                try:
-                    yield Entry(name, _stat_of(item.stat()))
-                except FileNotFoundError:  # a broken link, or removed meanwhile
-                    continue
+            try:
+                status = item.stat()
+            except FileNotFoundError:  # a broken link, or removed meanwhile
+                continue
+            if not stat.S_ISDIR(status.st_mode):
+                yield Entry(name, _stat_of(status))
+                continue
+            yield Entry(name, _FOLDER)
+            identity = (status.st_dev, status.st_ino)
+            if recursive and identity not in above:
+                yield from _scanned(item.path, f"{name}/", (*above, identity), recursive=True)
 
 
 def _stat_of(status: os.stat_result) -> FileStat:

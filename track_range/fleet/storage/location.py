@@ -8,14 +8,15 @@ as well. Credentials come from the environment and the configuration files of th
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
-from urllib.parse import parse_qsl
+from urllib.parse import parse_qsl, quote, unquote
 
-from track_range.fleet.storage.entry import Entry, FileStat
+from track_range.fleet.storage.entry import Entry, FileStat, folder_state
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.local import LocalStorage
 from track_range.fleet.storage.object_store import ObjectStore
@@ -167,13 +168,15 @@ class Location:
 
     @property
     def name(self) -> str:
-        """Last part of the path, as it is written in the address."""
-        return _QUERY.sub("", self._key).rpartition("/")[2] if self._is_web else self._key.rpartition("/")[2]
+        """Last part of the path, without percent-encoding."""
+        if self.is_web:
+            return unquote(_QUERY.sub("", self._key).rstrip("/").rpartition("/")[2])
+        return self._key.rpartition("/")[2]
 
     @property
     def parent(self) -> Location | None:
         """The folder that contains it; None for a bucket, a server, and the root folder."""
-        key = _QUERY.sub("", self._key) if self._is_web else self._key
+        key = _QUERY.sub("", self._key) if self.is_web else self._key
         folder = key.rstrip("/").rpartition("/")[0]
         if not self._scheme:
             folder = os.path.dirname(self._key)
@@ -182,8 +185,25 @@ class Location:
 
     def child(self, *names: str) -> Location:
         """A file or folder below this folder; `names` are relative paths with "/" between their parts."""
-        base = _QUERY.sub("", self._key) if self._is_web else self._key
-        return Location(self._scheme, "/".join((base.rstrip("/"), *names)), self._options)
+        if self.is_web:
+            base = _QUERY.sub("", self._key).rstrip("/")
+            return Location(self._scheme, "/".join((base, *(quote(name, errors="surrogateescape") for name in names))))
+        return Location(self._scheme, "/".join((self._key.rstrip("/"), *names)), self._options)
+
+    def descendant(self, path: str) -> Location:
+        """The file with a path relative to this folder, which may contain `..`.
+
+        Raises:
+            StorageError: the path leaves the bucket or server.
+        """
+        if not self._scheme:
+            return Location("", os.path.normpath(f"{self._key}/{path}"))
+        child = self.child(path)
+        root, _, _ = child._key.partition("/")
+        key = posixpath.normpath(child._key)
+        if key.partition("/")[0] != root:
+            raise StorageError(f"{self}: expected a path in {quoted(root)}, found {quoted(path)}.")
+        return Location(self._scheme, key, self._options)
 
     def stat(self) -> FileStat | None:
         """Size and time of change; None = no such file, folder or bucket.
@@ -192,6 +212,11 @@ class Location:
             StorageError: the storage cannot be reached, or refuses.
         """
         return self._storage.stat(self._key, str(self))
+
+    def state(self) -> FileStat | None:
+        """As `stat`; of a folder, the total size and the latest change of all its files, hidden ones excluded."""
+        status = self.stat()
+        return status if status is None or not status.is_folder else folder_state(self.list(recursive=True))
 
     def exists(self) -> bool:
         """Whether there is such a file or folder; raises as `stat`."""
@@ -263,8 +288,14 @@ class Location:
         return LocalFileSystem(), self._key
 
     @property
-    def _is_web(self) -> bool:
+    def is_web(self) -> bool:
+        """Whether it is on a web server."""
         return self._scheme in ("http", "https")
+
+    def address_and_options(self) -> tuple[str, str]:
+        """The address without options, and the options with their question mark; "" = none."""
+        address, options = self.address, _options_text(self._options)
+        return (_QUERY.sub("", address) if self.is_web else address.removesuffix(options)), options
 
     @property
     def _storage(self) -> Storage:
@@ -279,15 +310,18 @@ def shown(address: str) -> str:
     return _QUERY.sub("?...", address) if address.startswith(("http:", "https:")) else address
 
 
-def is_remote(address: str) -> bool:
-    """Whether an address has a scheme other than file."""
-    match = _SCHEME.match(address)
-    return match is not None and match[1].lower() != "file"
+def has_scheme(text: str) -> bool:
+    """Whether a text is an address such as `s3://...` instead of a path."""
+    return _SCHEME.match(text) is not None
 
 
 def _address(scheme: str, key: str, options: tuple[tuple[str, str], ...]) -> str:
+    return f"{scheme}://{key}{_options_text(options)}" if scheme else key
+
+
+def _options_text(options: tuple[tuple[str, str], ...]) -> str:
     query = "&".join(f"{name}={value}" for name, value in options)
-    return f"{scheme}://{key}{'?' if query else ''}{query}" if scheme else key
+    return f"?{query}" if query else ""
 
 
 @lru_cache(maxsize=64)

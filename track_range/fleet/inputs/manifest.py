@@ -1,0 +1,247 @@
+"""Manifest: a table of clips, CSV or Parquet, local or remote.
+
+    clip, left, right, rig, ego_speed, truth, ...
+
+Columns: `left` is required; `clip` is the name, by default the path of the left video without suffix;
+those of `CLIP_SETTINGS` are settings of the run; all others are labels. Relative paths start in the manifest's folder.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from track_range.fleet.inputs.clip import CLIP_SETTINGS, Clip, FleetInputError, is_file_setting
+from track_range.fleet.inputs.tree import without_suffix
+from track_range.fleet.storage.location import Location, has_scheme
+from track_range.foundation.errors import UserError
+from track_range.foundation.files.csv_tables import read_csv_table
+from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted, shortened
+from track_range.foundation.files.numeric_text import number
+from track_range.video.utc import parsed_utc
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_EXPECTED = "a manifest with the column left and optionally clip, right, rig, ego_speed, truth and others"
+
+_NUMBERS = frozenset(("focal_px", "start_s", "duration_s", "folder_fps", "camera_height_m", "lane_width_m"))
+"""Settings that are numbers."""
+
+_FLEET_OPTIONS = frozenset(("detector", "classes", "min_score", "tracker", "reid", "mono", "stereo", "sgbm", "out"))
+"""Options of a run that are equal for all clips; as a label they would be read as a setting that has an effect."""
+
+_MAX_COLUMNS, _MAX_CELLS, _MAX_CELL = 1000, 50_000_000, 10_000
+"""Largest numbers of columns, of cells in a Parquet file, and of characters in a cell."""
+
+
+def is_manifest(location: Location) -> bool:
+    """Whether a name is that of a manifest, by its suffix."""
+    return location.name.lower().endswith((".csv", ".parquet"))
+
+
+def manifest_clips(location: Location) -> list[Clip]:
+    """The clips of a manifest, in its order.
+
+    Raises:
+        FleetInputError: it cannot be read, or has no clips or a wrong value; with the line.
+        StorageError: the storage cannot be reached.
+    """
+    with _local_copy(location) as path:
+        is_csv = location.name.lower().endswith(".csv")
+        rows = _csv_rows(path) if is_csv else _parquet_rows(path)
+        return _Manifest(location, path, rows).clips()
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Cells of a manifest as text.
+
+    Attributes:
+        names: names of the columns, in lower case.
+        columns: cells of each column.
+        unit: "line" or "row".
+        numbers: number of each row in the file, from 1.
+    """
+
+    names: tuple[str, ...]
+    columns: list[list[str]]
+    unit: str
+    numbers: Sequence[int]
+
+
+class _Manifest:
+    """Conversion of the rows of a manifest to clips."""
+
+    def __init__(self, location: Location, path: Path, rows: _Rows) -> None:
+        self._path, self._rows = path, rows
+        self._folder = location.parent or location
+        self._local_folder = str(self._folder) if location.is_local else ""
+        if not rows.numbers:
+            raise FleetInputError(f"{path}: expected a {rows.unit} for each clip, found none.")
+        self._names: dict[str, int] = {}
+        self._values: dict[tuple[str, str], str] = {}
+
+    def clips(self) -> list[Clip]:
+        """The clip of each row."""
+        names, cells = self._rows.names, zip(*self._rows.columns, strict=True)
+        return [self._clip(row, dict(zip(names, texts, strict=True))) for row, texts in enumerate(cells)]
+
+    def _clip(self, row: int, cells: dict[str, str]) -> Clip:
+        if long := next((name for name, text in cells.items() if len(text) > _MAX_CELL), None):
+            raise self._fault(row, f"expected at most {_MAX_CELL} characters in the column {quoted(long)}, found more")
+        left, right = cells.pop("left"), cells.pop("right", "")
+        if not left:
+            raise self._fault(row, "expected the left video, found an empty cell")
+        settings = {key: self._setting(row, key, text) for key, text in cells.items() if text and key in CLIP_SETTINGS}
+        if "rig" in settings and "focal_px" in settings:
+            raise self._fault(row, "expected rig or focal_px, found both")
+        return Clip(
+            self._name(row, cells.pop("clip", ""), left),
+            self._file(row, left),
+            self._file(row, right) if right else None,
+            settings,
+            {key: text for key, text in cells.items() if key not in CLIP_SETTINGS},
+        )
+
+    def _name(self, row: int, text: str, left: str) -> str:
+        name = text or _default_name(left)
+        if not name:
+            raise self._fault(row, f"expected a name in the column clip, found none for {quoted(left)}")
+        other = self._names.setdefault(name, row)
+        if other != row:
+            place = f"{self._rows.unit} {self._rows.numbers[other]}"
+            raise self._fault(row, f"expected a different name for each clip, found {quoted(name)} as in {place}")
+        return name
+
+    def _setting(self, row: int, name: str, text: str) -> str:
+        known = self._values.get((name, text))
+        if known is not None:
+            return known
+        if name in _NUMBERS and not math.isfinite(number(text)):
+            raise self._fault(row, f"expected a number for {name}, found {quoted(text)}")
+        if name == "start_utc":
+            try:
+                parsed_utc(text)
+            except ValueError as error:
+                raise self._fault(row, f"start_utc: {str(error).removesuffix('.')}") from error
+            return text
+        value = self._file(row, text) if is_file_setting(name, text) else text
+        self._values[name, text] = value  # one object for equal values of many clips
+        return value
+
+    def _file(self, row: int, text: str) -> str:
+        """Absolute path or address of a file."""
+        try:
+            if self._local_folder and text[0] not in "/~" and "://" not in text and "\0" not in text:
+                return os.path.normpath(f"{self._local_folder}/{text}")  # the usual case, without a Location
+            if has_scheme(text) or text.startswith(("/", "~")):
+                return Location.of(text).address
+            if "\\0" in text:
+                raise FleetInputError("a null character")
+            return self._folder.descendant(text).address
+        except UserError as error:
+            raise self._fault(row, f"expected a path or an address, found {quoted(text)}") from error
+
+    def _fault(self, row: int, message: str) -> FleetInputError:
+        return FleetInputError(f"{self._path}, {self._rows.unit} {self._rows.numbers[row]}: {message}.")
+
+
+def _default_name(left: str) -> str:
+    is_relative = not (has_scheme(left) or left.startswith(("/", "~", "..")))
+    name = left.removeprefix("./") if is_relative else left.rstrip("/").rpartition("/")[2]
+    return without_suffix(name)
+
+
+@contextmanager
+def _local_copy(location: Location) -> Iterator[Path]:
+    """A local path of a manifest; errors that name a copy name the manifest instead."""
+    if location.is_local:
+        yield location.path
+        return
+    with tempfile.TemporaryDirectory(prefix="track-range-manifest-") as folder:
+        path = Path(folder) / f"manifest{Path(location.name).suffix.lower()}"
+        location.download(path, MAX_TABLE_BYTES)
+        try:
+            yield path
+        except FleetInputError as error:
+            raise FleetInputError(str(error).replace(str(path), str(location))) from error
+
+
+def _csv_rows(path: Path) -> _Rows:
+    table = read_csv_table(path, FleetInputError, _EXPECTED)
+    names = tuple(name for name in table.header if name)
+    _check_columns(path, names)
+    return _Rows(names, [table.texts(name) for name in names], "line", table.lines)
+
+
+def _parquet_rows(path: Path) -> _Rows:
+    from pyarrow import ArrowException, parquet, types
+
+    check_regular(path, FleetInputError, "a manifest", max_bytes=MAX_TABLE_BYTES)
+    try:
+        with parquet.ParquetFile(path) as file:
+            schema, n_rows = file.schema_arrow, file.metadata.num_rows
+        texts = [field.name for field in schema if types.is_string(field.type) or types.is_large_string(field.type)]
+        if n_rows * len(schema) > _MAX_CELLS:
+            raise FleetInputError(f"{path}: expected at most {_MAX_CELLS} cells, found {n_rows * len(schema)}.")
+        names = tuple(name.strip().lower() for name in schema.names)
+        _check_columns(path, names)
+        # as dictionaries, repeated texts need memory once
+        with parquet.ParquetFile(path, read_dictionary=texts) as file:
+            table = file.read(use_threads=False)
+        table.validate(full=True)
+        columns = [_cells(path, name, table.column(index)) for index, name in enumerate(names)]
+    except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
+        raise FleetInputError(
+            f"{path}: expected {_EXPECTED}, found a damaged Parquet file ({shortened(str(error))})."
+        ) from error
+    return _Rows(names, columns, "row", range(1, n_rows + 1))
+
+
+def _cells(path: Path, name: str, column: pa.ChunkedArray) -> list[str]:
+    """Cells of a column as text; equal texts are one object."""
+    from pyarrow import types
+
+    kind = column.type.value_type if types.is_dictionary(column.type) else column.type
+    if types.is_nested(kind) or types.is_binary(kind) or types.is_large_binary(kind):
+        raise FleetInputError(f"{path}: expected text, numbers or dates in the column {quoted(name)}, found {kind}.")
+    cells: list[str] = []
+    for chunk in column.chunks:
+        if types.is_dictionary(chunk.type):
+            texts = [_text(value) for value in chunk.dictionary.to_pylist()]
+            cells += ["" if index is None else texts[index] for index in chunk.indices.to_pylist()]
+        else:
+            cells += [_text(value) for value in chunk.to_pylist()]
+    return cells
+
+
+def _text(value: object) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, datetime):
+        return value.isoformat()
+    return str(value).strip()
+
+
+def _check_columns(path: Path, names: tuple[str, ...]) -> None:
+    """Raise an error for columns without left, columns with equal names, and options of the fleet."""
+    if "left" not in names:
+        raise FleetInputError(f"{path}: no column left; expected {_EXPECTED}.")
+    if len(names) > _MAX_COLUMNS:
+        raise FleetInputError(f"{path}: expected at most {_MAX_COLUMNS} columns, found {len(names)}.")
+    for name in names:
+        if names.count(name) > 1:
+            raise FleetInputError(f"{path}: expected one column {quoted(name)}, found several; rename or remove one.")
+        if name in _FLEET_OPTIONS:
+            raise FleetInputError(
+                f"{path}: {quoted(name)} is an option of the whole fleet, not of a clip; give it on the command line, "
+                "or rename the column."
+            )

@@ -1,0 +1,148 @@
+"""FilePattern: names of the files of a clip with placeholders, such as `{vehicle}/{clip}_left.mp4`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from string import Formatter
+
+from track_range.fleet.inputs.clip import CLIP_SETTINGS, FleetInputError
+from track_range.foundation.files.input_files import quoted
+
+CLIP = "clip"
+"""Placeholder of the clip's name."""
+
+_RESERVED = CLIP_SETTINGS | {"left", "right"}
+"""Names that a placeholder cannot have: a column of a manifest with this name is an option of the clip."""
+
+_MAX_FIELDS = 8
+"""Largest number of placeholders; the time of a comparison grows with them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """A text with placeholders in braces; a double brace is a brace.
+
+    Attributes:
+        text: the text.
+        parts: pairs of a literal text and the placeholder after it; None = none.
+    """
+
+    text: str
+    parts: tuple[tuple[str, str | None], ...]
+
+    @classmethod
+    def of(cls, text: str, option: str) -> Template:
+        """The template of the value of an option.
+
+        Raises:
+            FleetInputError: a brace is not closed, or a placeholder is not a name.
+        """
+        try:
+            parts = [(literal, name) for literal, name, spec, conversion in _parsed(text) if not (spec or conversion)]
+            is_plain = len(parts) == sum(1 for _ in _parsed(text))
+        except ValueError as error:
+            raise FleetInputError(
+                f"{option} {quoted(text)}: expected names in braces such as {{clip}} ({error}); write {{{{ for a brace."
+            ) from error
+        wrong = next((name for _, name in parts if name is not None and not name.isidentifier()), None)
+        if wrong is not None or not is_plain:
+            raise FleetInputError(
+                f"{option} {quoted(text)}: expected names of letters, digits and underscores in braces, such as "
+                "{clip} or {vehicle}."
+            )
+        return cls(text, tuple(parts))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Placeholders in the order of their first use."""
+        return tuple(dict.fromkeys(name for _, name in self.parts if name is not None))
+
+    def filled(self, values: Mapping[str, str]) -> str:
+        """The text with values for its placeholders.
+
+        Raises:
+            KeyError: a placeholder has no value.
+        """
+        return "".join(literal + ("" if name is None else values[name]) for literal, name in self.parts)
+
+    def expression(self) -> re.Pattern[str]:
+        """Regular expression of the texts that match, with a group for each placeholder.
+
+        A placeholder matches as few characters as possible, at least one; only that of the clip matches "/".
+        """
+        known: set[str] = set()
+        parts: list[str] = []
+        for literal, name in self.parts:
+            parts.append(re.escape(literal))
+            if name is not None:
+                characters = ".+?" if name == CLIP else "[^/]+?"
+                parts.append(f"(?P={name})" if name in known else f"(?P<{name}>{characters})")
+                known.add(name)
+        return re.compile("".join(parts), re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class FilePattern:
+    """Names of the left or only video of a clip, and of the right one.
+
+    Attributes:
+        text: the value of --pattern.
+        left: name of the left or only video, relative to the folder of the recordings.
+        right: name of the right video; None = one camera.
+    """
+
+    text: str
+    left: Template
+    right: Template | None
+
+    @classmethod
+    def of(cls, text: str) -> FilePattern:
+        """The pattern of `--pattern`.
+
+        Raises:
+            FleetInputError: no {clip}, more than two names, or placeholders that do not determine the right video.
+        """
+        names = text.split(",")
+        if len(names) > 2 or not all(name.strip() for name in names):
+            raise FleetInputError(
+                f"--pattern {quoted(text)}: expected the name of one video, or of the left and the right one separated "
+                "by a comma."
+            )
+        templates = [Template.of(name.strip().removeprefix("./"), "--pattern") for name in names]
+        for template in templates:
+            _check(template)
+        left, right = templates[0], templates[1] if len(templates) == 2 else None
+        if right is not None and (right.text == left.text or set(right.names) != set(left.names)):
+            raise FleetInputError(
+                f"--pattern {quoted(text)}: expected two different names with the same placeholders, such as "
+                "'{clip}_left.mp4,{clip}_right.mp4'."
+            )
+        return cls(text, left, right)
+
+
+def _check(template: Template) -> None:
+    """Raise an error unless a template is the relative name of a file with {clip} and distinct placeholders."""
+    text, names = template.text, template.names
+    if CLIP not in names:
+        raise FleetInputError(f"--pattern {quoted(text)}: expected {{clip}} in the name of each video, found none.")
+    if text.startswith("/") or "://" in text or ".." in text.split("/"):
+        raise FleetInputError(f"--pattern {quoted(text)}: expected a name relative to the folder of the recordings.")
+    if reserved := [name for name in names if name in _RESERVED]:
+        raise FleetInputError(
+            f"--pattern {quoted(text)}: {{{reserved[0]}}} is an option of a run; give it in a manifest, or choose "
+            "another name."
+        )
+    if len(names) > _MAX_FIELDS:
+        raise FleetInputError(f"--pattern {quoted(text)}: expected at most {_MAX_FIELDS} placeholders.")
+    used = [name for _, name in template.parts]
+    for index, (literal, name) in enumerate(template.parts[1:], 1):
+        if not literal and name is not None and used[index - 1] is not None:
+            raise FleetInputError(
+                f"--pattern {quoted(text)}: expected a separator between {{{used[index - 1]}}} and {{{name}}}."
+            )
+
+
+def _parsed(text: str) -> list[tuple[str, str | None, str | None, str | None]]:
+    return list(Formatter().parse(text))
