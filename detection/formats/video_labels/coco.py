@@ -2,15 +2,17 @@
 
     videos       [{id, name, width, height, fps}]                   as in COCO-VID and TAO; optional when reading
     images       [{id, file_name, width, height, video_id, frame_index}]
-    annotations  [{id, image_id, category_id, bbox: [x, y, w, h], area, iscrowd, track_id, score, attributes}]
+    annotations  [{id, image_id, category_id, bbox: [x, y, w, h], area, segmentation, iscrowd, track_id, score,
+                   attributes}]
     categories   [{id, name}]
 
 Ids count from 1, `frame_index` from 0. `bbox` has the corner convention: the left edge of the image is 0, so
 coordinates are 0.5 px larger than with pixel centres at integers. `attributes` has distance_m, sigma_m and predicted.
 `iscrowd` marks regions of many objects, which are not evaluated. When reading, the identity is `track_id` or
 `instance_id`, also in `attributes` (as CVAT writes it); the frame number is `frame_index`, `frame_id`, or the last
-number in `file_name`. Attributes may be texts: CVAT writes those of input type text so. (Lin et al., "Microsoft COCO",
-ECCV 2014, and https://cocodataset.org/#format-data; Dave et al., "TAO", ECCV 2020, for videos.)
+number in `file_name`. Attributes may be texts: CVAT writes those of input type text so. Boxes with a true attribute
+outside are left out. (Lin et al., "Microsoft COCO", ECCV 2014, and https://cocodataset.org/#format-data; Dave et al.,
+"TAO", ECCV 2020, for videos.)
 """
 
 from __future__ import annotations
@@ -274,7 +276,7 @@ class CocoFile:
                 self.integer(image, "height", where, 1, _MAX_SIDE_PX),
             )
             for image, where in ((image, f"images[{index}]") for index, image in enumerate(images))
-            if image.get("width") is not None and image.get("height") is not None
+            if image.get("width") and image.get("height")  # some programs write 0 for an unknown size
         }
         size_px = next(iter(sizes)) if len(sizes) == 1 else None
         if size_px is not None and video.size_px not in (None, size_px):
@@ -321,6 +323,8 @@ class CocoFile:
                 continue
             attributes = item.get("attributes")
             both = attributes | item if isinstance(attributes, dict) else item
+            if both.get("outside") is True:
+                continue
             rows.frame.append(frame_of[image])
             rows.track_id.append(self._identity(item, both, where))
             rows.class_name.append(names[category])
@@ -420,6 +424,7 @@ def _annotations(table: BoxTable, categories: Mapping[str, int]) -> Iterator[dic
             "category_id": categories[str(table.class_name[row]) or "object"],
             "bbox": [x, y, width, height],
             "area": round(width * height, _DECIMALS),
+            "segmentation": [],
             "iscrowd": int(is_region[row]),
             **({"track_id": track_id} if track_id >= 0 else {}),
             **({"score": round(score, _SCORE_DECIMALS)} if math.isfinite(score) else {}),

@@ -247,6 +247,19 @@ def test_coco_of_cvat(tmp_path: Path) -> None:
     assert "names of the images" in table.notes[0]
 
 
+def test_coco_of_datumaro(tmp_path: Path) -> None:
+    """COCO as Datumaro converts it from CVAT: boxes outside, and the size 0 for images that it does not have."""
+    document = json.loads(COCO)
+    document["annotations"][0]["attributes"] = {"outside": True, "keyframe": True}
+    for image in document["images"]:
+        image |= {"width": 0, "height": 0}
+    path = tmp_path / "coco"
+    path.write_text(json.dumps(document))
+    table = read_labels(path, SIZE)
+    assert table.frame.tolist() == [2, 2]
+    assert table.video.size_px == (100, 50)
+
+
 @pytest.mark.parametrize("attributes", [(12.5, "", True, 0.75), ("12.500", None, "true", "0.75")])
 def test_text_attributes_of_coco(tmp_path: Path, attributes: tuple[object, ...]) -> None:
     """CVAT writes attributes of the input type text as texts, and empty ones as empty texts."""
