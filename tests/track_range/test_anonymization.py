@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import av
 import cv2
@@ -16,9 +17,10 @@ from track_range.anonymization.regions import MIN_CELL_PX, Boxes, Regions, regio
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.detection.models.lookup import DEFAULT_MODEL, find_model
+from track_range.foundation.errors import ConfigError
 from track_range.run.frame_result import FrameResult
 from track_range.run.options.detector_options import DetectorOptions, open_detector
-from track_range.run.settings import without_folders
+from track_range.run.settings import save_settings, settings_from, without_folders
 from track_range.simulation.render.renderer import kitti_like_rig
 from track_range.stereo.geometry.frames import Frame
 from track_range.stereo.rig_formats.rig_yaml import save_rig
@@ -349,6 +351,21 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
         contrast[folder] = max(np.abs(np.diff(image[8:], axis=0)).mean() for image in images)
     assert contrast[out] < 0.3 * contrast[plain]
     assert json.loads((out / "summary.json").read_text())["inputs"]["mono"] == "film.mp4"
+
+
+def test_settings_require_the_inputs_again(tmp_path, monkeypatch):
+    (tmp_path / "drive").mkdir()
+    film = tmp_path / "drive" / "film.mp4"
+    film.write_bytes(b"-")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    file = tmp_path / "settings.yaml"
+    save_settings(settings_from({"mono": film, "anonymize": True}), file)
+    with pytest.raises(ConfigError, match=r"settings\.yaml: .*anonymized.*--mono"):
+        settings_from({}, file)
+    assert settings_from({"mono": film}, file).anonymize
+    monkeypatch.chdir(tmp_path / "drive")
+    assert settings_from({}, file).mono == Path("film.mp4")
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, field_serializer, field_validator, model_validator
 
 from track_range.foundation.errors import ConfigError, UsageError
+from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, option
 from track_range.foundation.schema_version import SCHEMA_VERSION
@@ -415,6 +416,8 @@ class RunSettings(Options):
         n_topics = 1 if self.stereo is None else 2
         if self.topics and len(self.topics) != n_topics:
             raise ValueError(f"--topics: expected {n_topics} topic{'s' * (n_topics - 1)}, got {len(self.topics)}")
+        if self.stereo is not None and self.topics and len({*zip(self.stereo, self.topics, strict=True)}) == 1:
+            raise ValueError(f"--topics: expected the topics of two cameras, got {quoted(self.topics[0])} twice")
         if self.detector is not None and self.detections is not None:
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
@@ -459,9 +462,36 @@ def settings_from(options: dict[str, Any], file: Path | None = None) -> RunSetti
             if key in given and alternative not in given:
                 base.pop(alternative, None)
     try:
-        return RunSettings(**{**base, **given})
+        settings = RunSettings(**{**base, **given})
     except (ValidationError, UsageError) as error:
         raise _error_of(error, given, base, file) from error
+    if base.get("anonymize"):
+        _check_anonymized(settings, [key for key in base if key not in given], file)
+    return settings
+
+
+def _check_anonymized(settings: RunSettings, keys: list[str], file: Path | None) -> None:
+    """Check that the inputs of an anonymized run, which its settings name without folders, are in the current folder.
+
+    Args:
+        settings: all settings.
+        keys: the settings that come from the file.
+        file: the settings.yaml.
+
+    Raises:
+        ConfigError: an input does not exist.
+    """
+    for key in keys:
+        value = getattr(settings, key, None)
+        videos = (settings.stereo or ()) if key == "stereo" else (settings.mono,) if key == "mono" else ()
+        files = [path for video in videos if video is not None for path in files_of(video)]
+        files += [value] if key in _PATHS and key != "out" and value is not None else []
+        missing = next((path for path in files if not path.exists()), None)
+        if missing is not None:
+            raise ConfigError(
+                f"{file}: the settings of an anonymized run name files without folders, and the current folder "
+                f"contains no {quoted(missing.name)}; give --{key} again."
+            )
 
 
 def _error_of(

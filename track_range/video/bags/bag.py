@@ -9,9 +9,9 @@ from pathlib import Path
 import yaml
 
 from track_range.foundation.errors import UserError
-from track_range.foundation.files.input_files import open_regular, shortened
+from track_range.foundation.files.input_files import counted, open_regular, shortened
 from track_range.foundation.files.structured_text import read_yaml
-from track_range.video.bags.container import Bag, Topic
+from track_range.video.bags.container import ZSTD_MAGIC, Bag, Topic
 from track_range.video.bags.mcap_file import EXPECTED, McapFile
 from track_range.video.bags.ros1_file import MAGIC as ROS1_MAGIC
 from track_range.video.bags.ros1_file import Ros1File
@@ -95,9 +95,12 @@ class SplitBag:
 def topic_list(bag: Bag, types: tuple[str, ...] = ()) -> str:
     """The first topics of a bag with their types, those of `types` first, for messages."""
     topics = sorted(bag.topics.values(), key=lambda topic: (topic.type not in types, topic.name))
-    shown = [f"{shortened(topic.name, 40)} ({shortened(topic.type, 30)})" for topic in topics[:_N_LISTED]]
+    shown = [
+        f"{shortened(topic.name, 40)} ({shortened(topic.type.replace('/msg/', '/'), 30)})"
+        for topic in topics[:_N_LISTED]
+    ]
     n_others = len(topics) - len(shown)
-    return ", ".join(shown) + (f" and {n_others} others" if n_others else "") if shown else "no topics"
+    return ", ".join(shown) + (f" and {counted(n_others, 'other')}" if n_others else "") if shown else "no topics"
 
 
 def _open_file(path: Path) -> Bag:
@@ -111,7 +114,7 @@ def _open_file(path: Path) -> Bag:
         return Ros1File(path)
     if start.startswith(b"#ROSBAG"):
         raise VideoError(f"{path}: expected a ROS bag of version 2.0, found another one; convert it with rosbag.")
-    if start.startswith(b"\x28\xb5\x2f\xfd"):
+    if start.startswith(ZSTD_MAGIC):
         raise VideoError(
             f"{path}: expected {EXPECTED}, found a file compressed as a whole; decompress it with zstd -d."
         )

@@ -168,7 +168,8 @@ class BagVideo:
                 raise VideoError(f"{self.path.path}: {problem}")
             return self._checked_topic(images[0])
         if self.path.topic not in topics:
-            raise VideoError(f"{self.path}: no such topic; found {topic_list(self._bag, IMAGE_TYPES)}.")
+            end = f", {self._bag.end_problem}" if self._bag.end_problem else ""
+            raise VideoError(f"{self.path}: no such topic; found {topic_list(self._bag, IMAGE_TYPES)}{end}.")
         return self._checked_topic(topics[self.path.topic])
 
     def _checked_topic(self, topic: Topic) -> Topic:

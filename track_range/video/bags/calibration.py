@@ -20,6 +20,9 @@ from track_range.video.bags.decoding import CameraMessage
 _MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole", "none")
 """Distortion models that are OpenCV's."""
 
+_FOCAL_DIFFERENCE, _ROW_DIFFERENCE_PX = 0.01, 2.0
+"""Largest relative difference of the focal lengths, and difference of the principal rows, of two rectified cameras."""
+
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Numbers of coefficients of OpenCV's model."""
 
@@ -48,7 +51,7 @@ def rig_of(left: CameraMessage, right: CameraMessage, path: Path, *, is_rectifie
     """The rig of two messages.
 
     Raises:
-        RigError: unknown distortion model, or the messages contain no baseline.
+        RigError: unknown distortion model, the messages contain no baseline, or contradict each other.
     """
     if not left.p[0, 0] or not right.p[0, 0]:
         raise RigError(f"{path}: expected projection matrices P in both calibrations, found zeros; give --rig FILE.")
@@ -58,6 +61,8 @@ def rig_of(left: CameraMessage, right: CameraMessage, path: Path, *, is_rectifie
         raise RigError(
             f"{path}: expected a baseline in the projection matrix P of the right camera, found 0; give --rig FILE."
         )
+    if is_rectified:
+        _check_equal_projection(left, right, path)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = offset_m
     if not is_rectified:
@@ -66,6 +71,21 @@ def rig_of(left: CameraMessage, right: CameraMessage, path: Path, *, is_rectifie
         right_from_left[:3, 3] = right.r.T @ np.array([offset_m, 0.0, 0.0])
     cameras = [camera_of(message, path, is_rectified=is_rectified) for message in (left, right)]
     return StereoRig(cameras[0], cameras[1], right_from_left)
+
+
+def _check_equal_projection(left: CameraMessage, right: CameraMessage, path: Path) -> None:
+    """Check that rectified images have equal focal lengths and rows."""
+    focal_px = [(message.p[0, 0], message.p[1, 1]) for message in (left, right)]
+    row_px = [message.p[1, 2] for message in (left, right)]
+    if (
+        not np.allclose(focal_px[0], focal_px[1], rtol=_FOCAL_DIFFERENCE)
+        or abs(row_px[0] - row_px[1]) > _ROW_DIFFERENCE_PX
+    ):
+        raise RigError(
+            f"{path}: expected equal focal lengths and principal rows in the matrices P of rectified images, found "
+            f"{focal_px[0][0]:.6g} and {focal_px[1][0]:.6g} px, rows {row_px[0]:.6g} and {row_px[1]:.6g}; give --rig "
+            "FILE."
+        )
 
 
 def is_undistorted(message: CameraMessage) -> bool:

@@ -23,6 +23,9 @@ _MAX_TYPE = 100
 SCAN_BYTES = 500_000_000
 """Number of bytes of a file without an index that are searched for topics."""
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of data compressed with zstd."""
+
 _HOW_TO_INSTALL = "install it with pip install 'track-range[mcap]'"
 
 
@@ -143,6 +146,24 @@ def _decompressed_by_library(data: bytes, compression: str, n_bytes: int) -> byt
         return zstandard.ZstdDecompressor().stream_reader(data).read(n_bytes + 1)
     except zstandard.ZstdError as error:
         raise DamagedError("compressed chunk") from error
+
+
+def zstd_content_size(data: bytes) -> int | None:
+    """Size of the content that the header of a zstd frame announces; None = not stated.
+
+    Raises:
+        DamagedError: no header.
+        VideoError: the library is missing.
+    """
+    try:
+        import zstandard
+    except ImportError as error:
+        missing_library(error)
+    try:
+        n_bytes = zstandard.frame_content_size(data)
+    except zstandard.ZstdError as error:
+        raise DamagedError("compressed message") from error
+    return None if n_bytes < 0 else n_bytes
 
 
 def missing_library(error: ImportError) -> NoReturn:

@@ -16,7 +16,15 @@ from av.video.codeccontext import VideoCodecContext
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.foundation.files.images import MAX_PIXELS, decode_image
 from track_range.foundation.files.input_files import quoted
-from track_range.video.bags.container import DAMAGE, DamagedError, Topic, missing_library
+from track_range.video.bags.container import (
+    DAMAGE,
+    ZSTD_MAGIC,
+    DamagedError,
+    Topic,
+    decompressed,
+    missing_library,
+    zstd_content_size,
+)
 
 COMPRESSED_TYPES = ("sensor_msgs/msg/CompressedImage", "foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage")
 RAW_TYPES = ("sensor_msgs/msg/Image", "foxglove.RawImage", "foxglove_msgs/msg/RawImage")
@@ -35,7 +43,6 @@ _BGR_CODES: Mapping[str, int | None] = {
     "mono8": cv2.COLOR_GRAY2BGR,
     "8UC1": cv2.COLOR_GRAY2BGR,
     "mono16": cv2.COLOR_GRAY2BGR,
-    "16UC1": cv2.COLOR_GRAY2BGR,
     "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
     "bayer_bggr8": cv2.COLOR_BayerBGGR2BGR,
     "bayer_gbrg8": cv2.COLOR_BayerGBRG2BGR,
@@ -47,7 +54,10 @@ _BGR_CODES: Mapping[str, int | None] = {
 }
 """OpenCV's conversion to BGR for each encoding of raw images; None = none is necessary."""
 
-_TWO_BYTES = ("mono16", "16UC1")
+_DEPTH = ("16UC1", "32FC1", "compressedDepth")
+"""Parts of the encodings of depth images (REP 118), which are not images of a camera."""
+
+_TWO_BYTES = ("mono16",)
 _CHANNELS = {"bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "8UC4": 4, "rgba8": 4}
 _PAIRED = ("yuv422", "uyvy", "yuv422_yuy2", "yuyv")
 
@@ -117,10 +127,13 @@ class ImageDecoder:
             raise DamagedError(f"no {self._topic.type}") from error
 
     def _image(self, message: Any) -> Image | None:
+        name = str(message.encoding if self._topic.type in RAW_TYPES else message.format)
+        if any(part in name for part in _DEPTH):
+            raise DamagedError(f"depth images ({quoted(name, 30)})")
         if self._topic.type in RAW_TYPES:
             return _raw_image(message)
         content = bytes(message.data)
-        return self._video_image(str(message.format), content) if self.is_video else _compressed_image(content)
+        return self._video_image(name, content) if self.is_video else _compressed_image(content)
 
     def _video_image(self, name: str, content: bytes) -> Image | None:
         if self._codec is None:
@@ -174,8 +187,19 @@ def _ros_reader(name: str, encoding: str, definition: bytes) -> Callable[[bytes]
             store.register(get_types_from_msg(definition.decode(), name))
         except Exception as error:  # the errors of the parser derive from Exception
             raise DamagedError(f"schema of {name}") from error
-    parse = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-    return lambda data: parse(data, name)
+    if encoding == "ros1":
+        return lambda data: store.deserialize_ros1(data, name)
+    return lambda data: store.deserialize_cdr(_uncompressed(data), name)
+
+
+def _uncompressed(data: bytes) -> bytes:
+    """A CDR message, which rosbag2 may have compressed (compression mode MESSAGE); CDR starts with a zero byte."""
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    n_bytes = zstd_content_size(data)
+    if n_bytes is None:
+        raise DamagedError("compressed message of unknown size")
+    return decompressed(data, "zstd", n_bytes)
 
 
 def _stamp_s(message: Any) -> float:

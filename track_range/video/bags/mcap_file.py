@@ -53,7 +53,8 @@ class McapFile:
                 self._has_summary = False
             if not self._has_summary:
                 self._scan(file)
-                self.end_problem = ""  # reported when the messages are read
+                if self.topics:
+                    self.end_problem = ""  # reported when the messages are read
 
     def _read_summary(self, file: BinaryIO) -> None:
         from mcap.reader import SeekingReader

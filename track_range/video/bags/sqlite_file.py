@@ -53,7 +53,10 @@ class SqliteFile:
                 pass
             else:
                 return database
-        return sqlite3.connect(f"{address}&immutable=1", uri=True)
+        database = sqlite3.connect(f"{address}&immutable=1", uri=True)
+        # otherwise SQLite refuses a file that is shorter than its header states, such as one that is cut off
+        database.execute("PRAGMA writable_schema=ON")
+        return database
 
     def _count(self, database: sqlite3.Connection, topic_id: int) -> int | None:
         try:
