@@ -28,6 +28,8 @@ from track_range.results.progress_note import ProgressNote, read_progress
 from track_range.results.table import RunTable
 from track_range.results.writers import OpenWriters, registered_writer
 from track_range.run.pipeline.stage_clock import StageClock
+from track_range.run.prepared_folder import PreparedFolder
+from track_range.run.settings import settings_from
 from track_range.video.frame import VideoError
 from track_range.video.reader import VideoReader
 from track_range.video.writing.fragment_file import FragmentFile
@@ -371,3 +373,13 @@ def test_other_commands_lock_their_folder(tmp_path: Path, cli: Callable[..., Any
         status, _, complaint = cli(command, *options)
     assert (status, f"process {os.getpid()}" in complaint, complaint.count("\n")) == (1, True, 1), complaint
     assert set(out.iterdir()) == before
+
+
+def test_temporary_files_of_a_killed_run(tmp_path: Path) -> None:
+    """Those of all atomically written files are removed by the next run, other hidden files are not."""
+    for name in (".123.settings.yaml", ".123.tracks.parquet", ".123.run.rrd", ".123.notes", ".git"):
+        (tmp_path / name).write_text("")
+    prepared = PreparedFolder(settings_from({"mono": "a.mp4"}), tmp_path)
+    prepared.confirm()
+    prepared.close()
+    assert {path.name for path in tmp_path.iterdir()} == {"settings.yaml", ".123.notes", ".git"}

@@ -23,7 +23,8 @@ COMMANDS = {
     "run": Lazy(
         "track_range.cli.commands.run",
         "Track road users in one video or a stereo pair and measure their distances.",
-        "The word 'run' may be omitted. Writes tracks.csv, mot.txt, overlay.mp4, report.html and summary.json.",
+        "The word 'run' may be omitted. Writes tracks.csv, mot.txt, tracks.parquet, overlay.mp4, report.html and "
+        "summary.json.",
         (
             "track-range --stereo left.mp4 right.mp4 --rig rig.yaml",
             "track-range --mono dashcam.mp4 --focal-px 1150 --out drive-1",

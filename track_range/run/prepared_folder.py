@@ -19,9 +19,6 @@ from track_range.run.settings import RunSettings, save_settings
 _NOTE_INTERVAL_S = 1.0
 """Minimum time between two notes on the number of frames."""
 
-_TEMPORARY_NAMES = ("settings.yaml", "summary.json", "report.html", PROGRESS_FILE)
-"""Names of the files that are written atomically, to `.PID.NAME` first."""
-
 
 class PreparedFolder:
     """Output folder of a run, from the start of the run to its end.
@@ -85,10 +82,11 @@ class PreparedFolder:
     def confirm(self) -> None:
         """Keep the folder and its files, except progress.json, after `close`: the inputs proved usable.
 
-        Temporary files of runs that were killed are removed.
+        Temporary files `.PID.NAME` of runs that were killed are removed (see `atomic_files`).
         """
+        names = result_names()
         for path in self.folder.glob(".[0-9]*.*"):
-            if path.name.lstrip(".0123456789") in _TEMPORARY_NAMES:
+            if path.name.lstrip(".0123456789") in names:
                 _remove([path], [])
         self._folders.clear()
         self._files[:] = [self.folder / PROGRESS_FILE]
