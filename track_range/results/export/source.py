@@ -17,9 +17,9 @@ from track_range.detection.formats.label_formats import label_format_of
 from track_range.foundation.files.structured_text import read_yaml
 from track_range.foundation.validation import validated
 from track_range.results.folder import DetectedCamera, RunFolder, read_run_folder
+from track_range.results.formats.run_boxes import table_of_rows
 from track_range.results.output_files import OutputError
 from track_range.results.provenance import Provenance, settings_hash
-from track_range.results.run_boxes import table_of_rows
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.video.reader import VideoReader
 

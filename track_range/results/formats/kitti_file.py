@@ -3,8 +3,8 @@
     frame id TYPE -1 -1 -10 x1 y1 x2 y2 -1 -1 -1 X Y Z -10 score
 
 TYPE is Car, Truck, Pedestrian or Cyclist, or the name of a class that KITTI's evaluation skips (Bus, Traffic_light).
-Truncation, occlusion, angles and sizes are unknown. X Y Z is described in `track_range.results.run_boxes`, -1000 =
-unknown. Predicted boxes are written like observed ones: the format cannot distinguish them.
+Truncation, occlusion, angles and sizes are unknown. X Y Z is described in `track_range.results.formats.run_boxes`,
+-1000 = unknown. Predicted boxes are written like observed ones: the format cannot distinguish them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from track_range.detection.formats.video_labels.text_tables import kitti_lines
 from track_range.results.formats.row_file import RowFile
-from track_range.results.run_boxes import table_of_frame
+from track_range.results.formats.run_boxes import table_of_frame
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 
