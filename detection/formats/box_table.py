@@ -43,6 +43,16 @@ class VideoFacts:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
 
+_MAX_NAME_BYTES = 100
+"""Largest number of bytes of a video's name in file names, which have at most 255."""
+
+
+def file_name_part(name: str) -> str:
+    """A name as part of a file name: letters, digits and "-_." only, so that no name leads to another folder."""
+    safe = "".join(character if character.isalnum() or character in "-_." else "_" for character in name)
+    return safe.lstrip(".").encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
+
+
 class Written(NamedTuple):
     """Result of writing a table: the number of boxes in the file, and notes for the user on what it cannot hold."""
 

@@ -28,7 +28,14 @@ from typing import Any
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.detection.formats.box_table import HALF_PIXEL_PX, BoxTable, VideoFacts, Written, frames_listed
+from track_range.detection.formats.box_table import (
+    HALF_PIXEL_PX,
+    BoxTable,
+    VideoFacts,
+    Written,
+    file_name_part,
+    frames_listed,
+)
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import (
@@ -383,8 +390,8 @@ def write_coco(table: BoxTable, path: Path) -> Written:
 
 
 def image_name(video: VideoFacts, frame: int) -> str:
-    """File name of a frame's image, also for the images of other formats: NAME_000000.jpg."""
-    return f"{video.name or 'frame'}_{frame:06}.jpg"
+    """File name of a frame's image, also for the images of other formats: NAME_000000.jpg, without a folder."""
+    return f"{file_name_part(video.name) or 'frame'}_{frame:06}.jpg"
 
 
 def _categories(table: BoxTable) -> dict[str, int]:

@@ -164,6 +164,19 @@ def test_regions(tmp_path: Path, name: str) -> None:
     assert any("Regions" in note for note in notes) == (n_written == 1)
 
 
+@pytest.mark.parametrize("name", ["../../out", "/etc/a", "a/b", "a\0b", ".", "", "\u00e4" * 190])
+def test_video_names_stay_in_the_folder(tmp_path: Path, name: str) -> None:
+    """The name of the video comes from the file, and becomes part of the names of written files."""
+    table = BoxTable.of([0], [1], ["car"], [[10, 10, 20, 20]], video=VideoFacts(name, n_frames=1, size_px=(100, 50)))
+    folder = tmp_path / "a/b/c"
+    folder.mkdir(parents=True)
+    assert LABEL_FORMATS["yolo"].write is not None
+    LABEL_FORMATS["yolo"].write(table, folder / "yolo")
+    files = [file for file in tmp_path.rglob("*") if file.is_file()]
+    assert {file.parent for file in files} == {folder / "yolo", folder / "yolo/labels"}
+    assert len(read_labels(folder / "yolo")) == 1
+
+
 def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
     boxes = np.tile([10.0, 10.0, 20.0, 20.0], (3, 1))
     table = BoxTable.of([0, 1, 2], [5, 5, 5], ["car", "truck", "car"], boxes, video=VIDEO)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from track_range.detection.formats.box_table import BoxTable, VideoFacts
+from track_range.detection.formats.box_table import BoxTable, VideoFacts, file_name_part
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import label_format_of
 from track_range.foundation.files.structured_text import read_yaml
@@ -117,7 +117,7 @@ def _video_name(settings: Mapping[str, Any]) -> str:
     if isinstance(video, list):  # several files
         video = video[0] if video else None
     stem = Path(str(video or "")).stem
-    return "".join(character if character.isalnum() or character in "-_." else "_" for character in stem)[:100]
+    return file_name_part(stem)
 
 
 def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:
