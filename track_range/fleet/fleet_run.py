@@ -129,10 +129,12 @@ class _FleetRun:
         counts.skipped, counts.failed = left.n_complete, left.n_failed
         if not left.todo:
             return
-        with connected(self._settings) as cluster:
+        with ExitStack() as stack:
+            cluster = stack.enter_context(connected(self._settings))
             from track_range.fleet.engine.driver import Driver  # imports Ray, which reads its environment then
             from track_range.fleet.engine.pool import WorkerPool
 
+            stack.enter_context(stop_on_interrupt())  # Ray has replaced the handlers
             n_workers = min(cluster.n_workers, len(left.todo))
             pool = WorkerPool(cluster, self._plan, self._process, self._settings, n_workers)
             try:
@@ -149,7 +151,7 @@ class _FleetRun:
                         pool=pool,
                         todo=left.todo,
                         counts=counts,
-                        is_lone_node=cluster.is_local,
+                        driver_node=cluster.node,
                         report=report,
                     ).run()
             finally:

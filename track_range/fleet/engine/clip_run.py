@@ -43,9 +43,6 @@ _DETECTORS = OpenedDetectors()
 _MAX_ERROR = 600
 """Longest error of a clip, in characters."""
 
-_N_PUBLISHING, _PAUSE_S = 4, 2.0
-"""Attempts to publish while the network fails, and the pause after the first, s; it doubles."""
-
 _FIGURES = ("median_relative_error_pct", "mean_relative_error_pct", "bias_pct", "within_1_sigma", "within_2_sigma")
 """Figures of a method in clips.parquet where there is ground truth, if the summary has them."""
 

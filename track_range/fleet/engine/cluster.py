@@ -52,12 +52,10 @@ class Cluster:
     """Cluster of a fleet.
 
     Attributes:
-        is_local: whether it is of this machine alone.
         node: id of the node of this driver.
         n_workers: number of workers to start.
     """
 
-    is_local: bool
     node: str
     n_workers: int
 
@@ -99,7 +97,7 @@ def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
                 _temp_dir=str(folder),
             )
             n_workers = _fitting(settings, n_requested)
-            yield Cluster(True, ray.get_runtime_context().get_node_id(), n_workers)
+            yield Cluster(ray.get_runtime_context().get_node_id(), n_workers)
         finally:
             ray.shutdown()
 
@@ -114,7 +112,7 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
             _init(address=settings.address)
         n_cores = int(sum(node["Resources"].get("CPU", 0) for node in _nodes() if node["Alive"]))
         n_requested = settings.workers or max(1, n_cores // settings.threads)
-        yield Cluster(False, ray.get_runtime_context().get_node_id(), n_requested)
+        yield Cluster(ray.get_runtime_context().get_node_id(), n_requested)
     finally:
         if is_ours:
             ray.shutdown()
@@ -129,6 +127,8 @@ def _init(**options: Any) -> None:
     import ray
 
     logging.getLogger("ray").setLevel(logging.ERROR)
+    with suppress(AttributeError):  # a paragraph for each worker that dies, which the driver reports by clip
+        ray._private.worker._worker_logs_enabled = False
     try:
         ray.init(log_to_driver=False, configure_logging=False, **options)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError, OSError, ray.exceptions.RayError) as error:

@@ -63,7 +63,7 @@ class Driver:
         pool: the workers.
         todo: the clips to process.
         counts: counts, which are updated.
-        is_lone_node: whether all workers are on the node of the driver.
+        driver_node: id of the node of this driver; "" = not known.
         report: called about twice a second with the workers.
     """
 
@@ -76,7 +76,7 @@ class Driver:
         pool: WorkerPool,
         todo: Iterable[ClipTask],
         counts: Counts,
-        is_lone_node: bool,
+        driver_node: str,
         report: Callable[[list[Slot]], None],
     ) -> None:
         self._plan, self._out, self._table, self._pool = plan, out, table, pool
@@ -84,7 +84,7 @@ class Driver:
         self._counts, self._report = counts, report
         self._attempts = Attempts()
         self._waiting: list[_Waiting] = []
-        self._is_lone_node = is_lone_node
+        self._driver_node = driver_node
         self._alive: set[str] = set()
         self._lost_nodes: set[str] = set()
         self._next_nodes_s = 0.0
@@ -171,7 +171,9 @@ class Driver:
             self._todo.append(task)
             return
         self._attempts.add(task.clip.name, event.error_kind, event.node)
-        if event.error_kind == "crash" and not self._is_lone_node and not self._attempts.is_repeated(task.clip.name):
+        # the node of the driver is not lost as long as the driver is at work
+        may_be_node = event.error_kind == "crash" and event.node not in ("", self._driver_node)
+        if may_be_node and not self._attempts.is_repeated(task.clip.name):
             until_s = time.monotonic() + _NODE_S
             self._waiting.append(_Waiting(task, event.error_kind, event.reason, event.node, until_s))
             return
@@ -195,7 +197,7 @@ class Driver:
     def _decide_waiting(self) -> None:
         """Take back the attempts that lost nodes have ended, and decide about the clips that wait for that."""
         now_s = time.monotonic()
-        if self._is_lone_node or now_s < self._next_nodes_s:
+        if now_s < self._next_nodes_s:
             return
         self._next_nodes_s = now_s + _NODES_S
         alive = alive_nodes()

@@ -173,7 +173,7 @@ class WorkerPool:
         with suppress(ray.exceptions.RayError, ValueError):
             ray.kill(slot.actor, no_restart=True)
         # a process that hangs in a library may not follow Ray's request
-        if slot.info is not None and slot.info.node == self._cluster.node and self._cluster.is_local:
+        if slot.info is not None and slot.info.node == self._cluster.node:
             with suppress(OSError):
                 os.kill(slot.info.pid, signal.SIGKILL)
 

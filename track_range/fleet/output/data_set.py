@@ -19,12 +19,14 @@ import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
+from track_range.fleet.output.repetition import repeated
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
@@ -63,7 +65,8 @@ def publish_tracks(out: Location, name: str, file: Path) -> None:
     Raises:
         StorageError: they cannot be written.
     """
-    tracks_location(out, name).upload(file)
+    location = tracks_location(out, name)
+    repeated(lambda: location.upload(file))
 
 
 def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:
@@ -74,7 +77,7 @@ def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:
     """
     folder = out.child(RUNS, partition(name))
     for file_name, file in files.items():
-        folder.child(file_name).upload(file)
+        repeated(partial(folder.child(file_name).upload, file))
 
 
 def publish_record(out: Location, row: Row) -> None:
@@ -84,7 +87,7 @@ def publish_record(out: Location, row: Row) -> None:
         StorageError: it cannot be written.
     """
     text = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    _journal_location(out, row["clip"]).write_bytes(text.encode())
+    repeated(lambda: _journal_location(out, row["clip"]).write_bytes(text.encode()))
 
 
 def journal_row(out: Location, name: str) -> Row | None:
@@ -208,7 +211,7 @@ def write_clips(out: Location, table: pa.Table) -> None:
 
     buffer = io.BytesIO()
     parquet.write_table(table, buffer, compression="zstd")
-    out.child(CLIPS_FILE).write_bytes(buffer.getvalue())
+    repeated(lambda: out.child(CLIPS_FILE).write_bytes(buffer.getvalue()))
 
 
 def _compiled(out: Location) -> pa.Table:

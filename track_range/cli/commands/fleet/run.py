@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from inspect import Parameter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from track_range.cli.lazy import single_app
 from track_range.cli.parameters import given_values, parameters, with_parameters
 from track_range.fleet.settings import FleetSettings
 from track_range.run.settings import RunSettings
+
+if TYPE_CHECKING:
+    from track_range.fleet.inputs.clip import Clip
 
 _REFUSED = ("stereo", "mono", "truth", "detections", "start_utc", "table")
 """Options of a run that are hidden here and refused, with what to do instead."""
@@ -52,9 +56,44 @@ def failures_text(failed: list[tuple[str, str]], total: int) -> str:
     return f"{len(failed)} of {total} clips failed (--retry-failed repeats them):\n{named}{more}"
 
 
-def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Any) -> None:
-    """Print what would be processed."""
-    raise NotImplementedError
+def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequence[Clip]) -> None:
+    """Print what would be processed, with the problems in the headers.
+
+    Raises:
+        ClipsFailedError: some clips cannot be processed.
+    """
+    from track_range.cli.console import console, print_line
+    from track_range.fleet.engine.plan import fleet_plan
+    from track_range.fleet.engine.remaining import remaining
+    from track_range.fleet.errors import ClipsFailedError
+    from track_range.fleet.inputs.dry_run import check_clips
+    from track_range.fleet.output.data_set import ClipTable
+    from track_range.fleet.output.status import duration_text
+    from track_range.fleet.storage.location import Location
+    from track_range.foundation.files.input_files import counted, printable
+
+    plan = fleet_plan(settings, options)
+    table = ClipTable(Location.of(settings.out))
+    left = remaining(clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed)
+    problems: list[tuple[str, str]] = []
+    seconds = 0.0
+    for checked in check_clips([task.clip for task in left.todo]):
+        seconds += checked.duration_s or 0.0
+        size = "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
+        rate = "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
+        length = "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
+        line = f"{checked.clip.name}: {checked.clip.left}{size}{rate}{length}, calibration: {checked.calibration}"
+        print_line(console, printable(line))
+        for text in (*checked.problems, *checked.notes):
+            print_line(console, f"  - {printable(text)}")
+        problems += [(checked.clip.name, problem) for problem in checked.problems[:1]]
+    print_line(
+        console,
+        f"{counted(len(left.todo), 'clip')} to process, {duration_text(seconds)} of video; {left.n_complete} complete, "
+        f"{left.n_failed} failed before",
+    )
+    if problems:
+        raise ClipsFailedError(f"{len(problems)} of {len(clips)} clips cannot be processed; see the list.")
 
 
 def _parameters() -> list[Parameter]:

@@ -1,0 +1,96 @@
+"""Clips without videos, and a processing of them in real workers that fails as their names say."""
+
+from __future__ import annotations
+
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+
+from track_range.fleet.engine.fingerprint import content_hash, fingerprint
+from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
+from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.output.data_set import publish_record, publish_tracks
+from track_range.fleet.output.record import ClipRecord
+from track_range.fleet.storage.location import Location
+
+
+def stub_clips(folder: Path, *names: str) -> list[Clip]:
+    """Clips with a small file each."""
+    folder.mkdir(exist_ok=True)
+    clips = []
+    for name in names:
+        file = folder / f"{name}.mp4"
+        if not file.exists():
+            file.write_text(name)
+        clips.append(Clip(name, str(file)))
+    return clips
+
+
+def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Outcome:
+    """Fail as the name of the clip says, else publish one row."""
+    progress.phase, progress.video_s = "processing", 1.0
+    name = task.clip.name
+    if name.startswith("slow"):
+        time.sleep(0.5)
+    for failure, fail in FAILURES.items():
+        if name.startswith(failure) and (task.attempt == 1 or "once" not in name):
+            fail()
+    return published(task, plan)
+
+
+def published(task: ClipTask, plan: FleetPlan) -> Outcome:
+    """The outcome of a clip with one row in tracks.parquet."""
+    clip, out = task.clip, Location.of(plan.out)
+    stat = os.stat(clip.left)
+    digest = Path(clip.left).read_text()
+    record = ClipRecord(
+        clip=clip.name,
+        status="done",
+        attempts=task.attempt,
+        left=clip.left,
+        inputs=fingerprint(clip, {"left": (stat.st_size, stat.st_mtime_ns)}),
+        content_hash=content_hash(clip, {"left": digest}),
+        settings_hash=plan.settings_hash,
+        version=plan.version,
+        seconds=1.0,
+        finished_utc=f"{time.time()}",
+        stages_ms={"read": 1.5},
+    )
+    if task.known_hash == record.content_hash:
+        return Outcome(record.row(), is_unchanged=True)
+    table = pa.table({"frame": [0], "text": [digest]})
+    from pyarrow import parquet
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "tracks.parquet"
+        parquet.write_table(table, file)
+        publish_tracks(out, clip.name, file)
+    publish_record(out, record.row())
+    return Outcome(record.row(), is_published=True)
+
+
+def _crash() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _hang() -> None:
+    time.sleep(3600)
+
+
+def _allocate() -> None:
+    blocks = [b"x" * 700_000_000]
+    time.sleep(20)
+    blocks.clear()
+
+
+def _raise() -> None:
+    raise ValueError("a defect")
+
+
+FAILURES: dict[str, Callable[[], None]] = {"crash": _crash, "hang": _hang, "memory": _allocate, "raise": _raise}
+"""What happens by the beginning of a clip's name; only in the first attempt if the name contains "once"."""

@@ -1,0 +1,117 @@
+"""Drivers in processes of their own, with a Ray cluster of this machine each: kill -9, Ctrl-C, a full disk."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ray")
+
+from track_range.fleet.output.data_set import read_clips
+from track_range.fleet.output.state import read_state
+from track_range.fleet.storage.location import Location
+
+pytestmark = pytest.mark.slow
+
+PROJECT = Path(__file__).resolve().parents[3]
+
+
+def start(tmp_path, n_clips, **options):
+    command = [sys.executable, "-m", "tests.track_range.fleet.driver_process", tmp_path / "out", tmp_path / "clips"]
+    environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
+    return subprocess.Popen(
+        [*map(str, command), str(n_clips)],
+        env=environment,
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def rows_of(tmp_path):
+    return {row["clip"]: row for row in read_clips(Location.of(tmp_path / "out")).to_pylist()}
+
+
+def wait_for_clips(tmp_path, process, n_clips):
+    for _ in range(600):
+        if (tmp_path / "out").exists() and len(rows_of(tmp_path)) >= n_clips:
+            return
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.2)
+    raise AssertionError("no clips")
+
+
+def is_running(pattern):
+    """Whether a process with this text in its command line is running."""
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                command = (folder / "cmdline").read_bytes()
+            except OSError:
+                continue
+            if pattern.encode() in command:
+                return True
+    return False
+
+
+def test_killed_driver_continues(tmp_path):
+    process = start(tmp_path, 24)
+    wait_for_clips(tmp_path, process, 6)
+    process.kill()
+    process.communicate()
+    before = rows_of(tmp_path)
+    state = read_state(Location.of(tmp_path / "out"))
+    assert state.state == "running"
+    assert not state.is_alive
+    for _ in range(150):  # Ray's processes notice the end of the driver
+        if not is_running(f"tr-ray-{process.pid}"):
+            break
+        time.sleep(0.2)
+    assert not is_running(f"tr-ray-{process.pid}")
+    again = start(tmp_path, 24)
+    assert again.communicate(timeout=120)[1] == ""
+    rows = rows_of(tmp_path)
+    assert len(rows) == 24
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert all(rows[name] == row for name, row in before.items())
+    assert not list((tmp_path / "out" / "journal").iterdir())
+    assert len(list((tmp_path / "out" / "tracks").rglob("*"))) == 48
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_driver(tmp_path, number):
+    process = start(tmp_path, 200)
+    wait_for_clips(tmp_path, process, 3)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "stopped by the user" in stderr
+    assert len(stderr.splitlines()) == 1
+    rows = rows_of(tmp_path)
+    assert 3 <= len(rows) < 200
+    assert not list((tmp_path / "out" / "journal").iterdir())
+    assert read_state(Location.of(tmp_path / "out")).state == "stopped"
+    assert not is_running(f"tr-ray-{process.pid}")
+
+
+def test_full_disk_ends_the_run(tmp_path):
+    """No file may be larger than a limit that fleet.json fits in, but clips.parquet does not."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4500, 4500))
+
+    clips = tmp_path / "clips"
+    clips.mkdir()
+    process = start(tmp_path, 30, preexec_fn=limit)
+    _, stderr = process.communicate(timeout=120)
+    assert process.returncode == 1, stderr
+    assert len(stderr.splitlines()) == 1, stderr

@@ -1,0 +1,228 @@
+"""Fleets with real workers that die, hang, take too much memory or find their results complete."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+
+pytest.importorskip("ray")
+
+from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES, ray_cluster
+from tests.track_range.fleet.stub_clips import process_stub, stub_clips
+from track_range.fleet import fleet_run
+from track_range.fleet.engine import limits, plan, pool
+from track_range.fleet.errors import FleetError
+from track_range.fleet.fleet_run import run_fleet
+from track_range.fleet.output.data_set import read_clips
+from track_range.fleet.output.state import OutputLock, read_state
+from track_range.fleet.settings import FleetSettings
+from track_range.fleet.storage.location import Location
+from track_range.foundation.files.folder_lock import FolderLockError
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with ray_cluster() as started:
+        yield started
+
+
+@pytest.fixture
+def run(cluster, tmp_path):
+    """`run(*names, **settings)` processes stub clips and gives the result and the rows by clip."""
+
+    def process(*names, clips=None, **settings):
+        out = tmp_path / "out"
+        chosen = clips or stub_clips(tmp_path / "clips", *names)
+        options = {"workers": 2, "worker_memory": "1GB", **settings}
+        fleet = FleetSettings(recordings=("x",), out=str(out), address=cluster.address, **options)
+        result = run_fleet(fleet, {}, chosen, process=process_stub)
+        rows = {row["clip"]: row for row in read_clips(Location.of(out)).to_pylist()}
+        return result, rows
+
+    return process
+
+
+def test_all_clips_are_processed(run, tmp_path):
+    names = [f"clip {number}/ü=%".replace("/", "-") for number in range(7)]
+    result, rows = run(*names)
+    assert sorted(rows) == sorted(names)
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert result.counts.done == 7
+    assert not list((tmp_path / "out" / "journal").iterdir())
+    assert len(list((tmp_path / "out" / "tracks").rglob("*.parquet"))) == 7
+    assert read_state(Location.of(tmp_path / "out")).state == "finished"
+
+
+def test_crash_costs_one_repetition(run):
+    _, rows = run("a", "crash-once", "b")
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert rows["crash-once"]["attempts"] == 2
+
+
+def test_clip_that_always_crashes(run):
+    result, rows = run("a", "crash", "b", "c")
+    assert rows["crash"]["error_kind"] == "crash"
+    assert rows["crash"]["attempts"] == 2
+    assert [name for name, _ in result.failed] == ["crash"]
+    assert result.counts.done == 3
+
+
+def test_defect_of_the_program_is_a_row(run):
+    _, rows = run("a", "raise")
+    assert rows["raise"]["error_kind"] == "internal"
+    assert "a defect" in rows["raise"]["error"]
+    assert rows["a"]["status"] == "done"
+
+
+def test_hanging_clip(run, monkeypatch):
+    monkeypatch.setattr(limits, "BASE_S", 2.0)
+    _, rows = run("a", "hang", "hang-once", timeout=1.0)
+    assert rows["hang"]["error_kind"] == "timeout"
+    assert rows["hang"]["attempts"] == 2
+    assert rows["hang-once"]["status"] == "done"
+
+
+def test_memory_limit(run):
+    _, rows = run("a", "memory", "memory-once", worker_memory="600MB")
+    assert rows["memory"]["error_kind"] == "memory"
+    assert "--worker-memory" in rows["memory"]["error"]
+    assert rows["memory-once"]["status"] == "done"
+
+
+def test_unchanged_clips_are_skipped(run, tmp_path):
+    _, before = run("a", "b")
+    result, after = run("a", "b", "c")
+    assert (result.counts.skipped, result.counts.done) == (2, 1)
+    assert after["a"] == before["a"]
+
+
+def test_changed_clip_is_redone(run, tmp_path):
+    run("a", "b")
+    (tmp_path / "clips" / "a.mp4").write_text("other")
+    result, _ = run("a", "b")
+    assert (result.counts.skipped, result.counts.done) == (1, 1)
+    files = list((tmp_path / "out" / "tracks" / "clip=a").iterdir())
+    assert len(files) == 1
+    assert b"other" in files[0].read_bytes()
+
+
+def test_touched_clip_is_not_redone(run, tmp_path):
+    _, before = run("a", "b")
+    os.utime(tmp_path / "clips" / "a.mp4", (1, 1))
+    result, after = run("a", "b")
+    assert (result.counts.skipped, result.counts.done) == (2, 0)
+    assert after["a"]["finished_utc"] == before["a"]["finished_utc"]
+    assert after["a"]["inputs"] != before["a"]["inputs"]
+
+
+def test_failed_clips_are_repeated_on_request(run):
+    run("a", "raise")
+    result, rows = run("a", "raise")
+    assert result.counts.failed == 1
+    assert [name for name, _ in result.failed] == ["raise"]
+    before = rows["raise"]["finished_utc"]
+    time.sleep(1.1)
+    result, rows = run("a", "raise", retry_failed=True)
+    assert rows["raise"]["finished_utc"] > before
+    assert result.counts.skipped == 1
+
+
+def test_killed_workers_leave_one_result_each(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(fleet_run, "HEARTBEAT_S", 0.2)  # fleet.json names the processes to kill
+    stop = threading.Event()
+    killed = []
+
+    def kill():
+        generator = random.Random(3)  # noqa: S311
+        while len(killed) < 6 and not stop.wait(1.0):
+            state = read_state(Location.of(tmp_path / "out"))
+            pids = {worker["pid"] for worker in (state.workers if state else ()) if worker["clip"]} - set(killed)
+            if pids:
+                killed.append(generator.choice(sorted(pids)))
+                with suppress(ProcessLookupError):
+                    os.kill(killed[-1], signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        _, rows = run(*(f"slow-{number}" for number in range(20)))
+    finally:
+        stop.set()
+        thread.join()
+    assert killed
+    assert len(rows) == 20
+    assert {row["status"] for row in rows.values()} == {"done"}
+    assert sum(row["attempts"] for row in rows.values()) > 20
+
+
+def test_lost_node(run, cluster, tmp_path):
+    """A node is lost while all workers but one are on it; its clips are not counted as failed."""
+    node = cluster.add_node(num_cpus=2, object_store_memory=OBJECT_STORE_BYTES, resources={"other": 1})
+    lost = []
+
+    def lose():
+        out = Location.of(tmp_path / "out")
+        while not any(worker["clip"] for worker in getattr(read_state(out), "workers", ())):
+            time.sleep(0.2)
+        time.sleep(1.0)
+        cluster.remove_node(node, allow_graceful=False)
+        lost.append(node)
+
+    thread = threading.Thread(target=lose)
+    thread.start()
+    result, rows = run(*(f"slow-{number}" for number in range(30)), workers=6)
+    thread.join()
+    assert lost
+    assert result.counts.done == 30
+    assert {row["status"] for row in rows.values()} == {"done"}
+
+
+def test_unwritable_output_ends_the_run(run, tmp_path):
+    run("a", "b")
+    tracks = tmp_path / "out" / "tracks"
+    shutil.rmtree(tracks / "clip=b")
+    (tracks / "clip=c").write_text("a file where a folder has to be")
+    with pytest.raises(FleetError, match="clip=c"):
+        run("a", "c", "d")
+    rows = read_clips(Location.of(tmp_path / "out")).to_pylist()
+    assert {row["clip"]: row["status"] for row in rows if row["clip"] != "d"} == {"a": "done", "b": "done"}
+    state = read_state(Location.of(tmp_path / "out"))
+    assert state.state == "failed"
+    assert "clip=c" in state.reason
+
+
+def test_second_driver_is_refused(run, tmp_path):
+    lock = OutputLock(Location.of(tmp_path / "out"))
+    with pytest.raises(FolderLockError):
+        run("a")
+    lock.release()
+    assert run("a")[0].counts.done == 1
+
+
+def test_versions_must_be_equal(run, monkeypatch):
+    monkeypatch.setattr(plan, "version", lambda name: "9.9")
+    with pytest.raises(FleetError, match=r"9\.9"):
+        run("a")
+
+
+def test_worker_that_cannot_start(run, monkeypatch):
+    monkeypatch.setattr(pool, "Worker", Unusable)
+    with pytest.raises(FleetError, match="cannot start"):
+        run("a")
+
+
+class Unusable:
+    def __init__(self, *arguments):
+        raise ModuleNotFoundError("No module named 'av'")
+
+    def info(self):
+        """Not reached."""
