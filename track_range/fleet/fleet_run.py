@@ -168,6 +168,7 @@ class _FleetRun:
     def _finish(self, state: State, reason: str) -> None:
         """Write what is known after a failure, as far as the storage allows it."""
         with suppress(StorageError):
+            self._table.collect_journal()
             self._table.compile()
         with suppress(StorageError):
             self._write_state(state, reason)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import tempfile
 import time
@@ -16,6 +17,7 @@ from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Out
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import publish_record, publish_tracks
 from track_range.fleet.output.record import ClipRecord
+from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 
 
@@ -40,7 +42,10 @@ def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Out
     for failure, fail in FAILURES.items():
         if name.startswith(failure) and (task.attempt == 1 or "once" not in name):
             fail()
-    return published(task, plan)
+    try:
+        return published(task, plan)
+    except StorageError as error:
+        return Outcome({}, fatal=str(error))
 
 
 def published(task: ClipTask, plan: FleetPlan) -> Outcome:
@@ -92,5 +97,15 @@ def _raise() -> None:
     raise ValueError("a defect")
 
 
-FAILURES: dict[str, Callable[[], None]] = {"crash": _crash, "hang": _hang, "memory": _allocate, "raise": _raise}
+def _full() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
+
+
+FAILURES: dict[str, Callable[[], None]] = {
+    "crash": _crash,
+    "hang": _hang,
+    "memory": _allocate,
+    "raise": _raise,
+    "full": _full,
+}
 """What happens by the beginning of a clip's name; only in the first attempt if the name contains "once"."""

@@ -151,6 +151,16 @@ class ClipTable:
         if row is not None:
             self.add({**row, "inputs": inputs}, is_in_journal=False)
 
+    def collect_journal(self) -> None:
+        """Add the rows that workers have published and the driver does not know, because it was interrupted.
+
+        Raises:
+            StorageError: the storage cannot be read.
+        """
+        names = [name for name in _journal_names(self._out) if name not in self._in_journal]
+        for row in _journal_rows(self._out, names).values():
+            self.add(row, is_in_journal=True)
+
     def compile_if_due(self) -> None:
         """Write clips.parquet if enough time has passed since the last time; see `compile`."""
         if self.newer and time.monotonic() >= self._next_s:
