@@ -47,26 +47,26 @@ class Provenance:
     utc: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of_found(cls, found: Mapping[str, Any], settings_hash: str) -> Self:
+    def of_inputs(cls, detected: Mapping[str, Any], settings_hash: str) -> Self:
         """Origin of the results of a run, from section `found` of its settings.yaml.
 
         Args:
-            found: properties of the opened inputs; a file of an earlier version may lack some.
+            detected: properties of the opened inputs; a file of an earlier version may lack some.
             settings_hash: hash of the settings.
         """
-        versions, file, utc = found.get("versions"), found.get("rig"), found.get("utc")
+        versions, file, utc = detected.get("versions"), detected.get("rig"), detected.get("utc")
         of_run = versions.get("track-range") if isinstance(versions, Mapping) else None
-        rig = {"calibration": found.get("calibration"), "file": os.path.basename(str(file)) if file else None}
+        rig = {"calibration": detected.get("calibration"), "file": os.path.basename(str(file)) if file else None}
         return cls(
             version=of_run if isinstance(of_run, str) else version("track-range"),
-            model={key: found[key] for key in _MODEL if key in found},
-            rig={**rig, **{key: found[key] for key in _RIG if key in found}},
+            model={key: detected[key] for key in _MODEL if key in detected},
+            rig={**rig, **{key: detected[key] for key in _RIG if key in detected}},
             settings_hash=settings_hash,
             utc=utc if isinstance(utc, Mapping) else {},
         )
 
     def section(self) -> dict[str, Any]:
-        """Values for summary.json and settings.yaml."""
+        """Values for summary.json."""
         return {"schema_version": self.schema_version, "settings_hash": self.settings_hash}
 
     def metadata(self) -> dict[str, str]:

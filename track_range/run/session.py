@@ -107,7 +107,7 @@ class RunSession:
     @property
     def provenance(self) -> Provenance:
         """Origin of the results, for the result files."""
-        return Provenance.of_found(self.detected(), settings_hash(absolute_settings(self.settings)))
+        return Provenance.of_inputs(self.detected(), settings_hash(absolute_settings(self.settings)))
 
     @property
     def notes(self) -> list[str]:

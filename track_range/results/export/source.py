@@ -47,7 +47,7 @@ class RunSource:
     def provenance(self) -> Provenance:
         """Origin of the results, from settings.yaml and, for runs of earlier versions, summary.json."""
         earlier = {key: self.run.summary[key] for key in ("calibration", "utc") if key in self.run.summary}
-        return Provenance.of_found({**earlier, **self.detected}, self.settings_hash)
+        return Provenance.of_inputs({**earlier, **self.detected}, self.settings_hash)
 
     @property
     def fps(self) -> float | None:
