@@ -110,6 +110,16 @@ def test_unusual_rows(run: Path, tmp_path: Path, cli: Cli, name: str, column: st
     assert b"inf" not in (tmp_path / "out").read_bytes() or name != "kitti"
 
 
+def test_live_run_starts_at_its_first_frame(run: Path, tmp_path: Path, cli: Cli) -> None:
+    rows = (run / "tracks.csv").read_text().replace("\n1,", "\n8,").replace("\n2,", "\n9,").replace("\n0,", "\n7,")
+    (run / "tracks.csv").write_text(rows)
+    for video, n_images in (("/videos/drive.mp4", 10), ("rtsp://camera/1", 3)):
+        settings = (run / "settings.yaml").read_text().splitlines()[1]
+        (run / "settings.yaml").write_text(f"run: {{mono: '{video}'}}\n{settings}\n")
+        assert cli("export", run, "--to", "coco", "--out", tmp_path / "out")[0] == 0
+        assert len(json.loads((tmp_path / "out").read_text())["images"]) == n_images
+
+
 def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:
     """That of the run, also with values that only YAML has; an earlier version has the calibration in summary.json."""
     settings = (run / "settings.yaml").read_text()

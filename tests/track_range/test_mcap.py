@@ -280,6 +280,16 @@ def test_notes_at_the_first_frame(tmp_path: Path) -> None:
     assert (note[1], note[2].message) == (7 * 10**8, "a note")
 
 
+def test_utc_of_the_frames(tmp_path: Path) -> None:
+    """It is that of the column `utc`; the start of a live run is known only approximately."""
+    writers = OpenWriters(("mcap",), info(settings={}, start_utc_s=START_S - 1.4), tmp_path)
+    for index in range(2):
+        shown = frame(index)
+        writers.write(replace(shown, frame=replace(shown.frame, utc_s=START_S + shown.time_s)))
+    writers.close(None)
+    assert [time for _, time, _ in messages(tmp_path / "run.mcap")["/tracks/ranges"]] == times_ns(2)
+
+
 @pytest.mark.parametrize("start_s", [-1e9, 2.0**31, 9e9])
 @pytest.mark.parametrize("profile", ["foxglove", "ros2"])
 def test_times_outside_the_format(tmp_path: Path, start_s: float, profile: str) -> None:

@@ -21,6 +21,7 @@ from track_range.results.formats.run_boxes import table_of_rows
 from track_range.results.output_files import OutputError
 from track_range.results.provenance import Provenance, settings_hash
 from track_range.stereo.geometry.camera import PinholeCamera
+from track_range.video.live.address import live_address
 from track_range.video.reader import VideoReader
 
 _RUN_FILES = ("settings.yaml", "tracks.csv", "tracks.parquet", "tracks.arrows", "summary.json")
@@ -94,8 +95,8 @@ def boxes_of_run(source: RunSource) -> BoxTable:
     run, camera = source.run, source.camera
     rows, frames = run.columns, run.summary.get("frames")
     n_frames = int(rows["frame"].max(initial=-1)) + 1
-    starts_s = run.settings.get("start_s") or 0.0
-    first = int(rows["frame"].min(initial=n_frames)) if starts_s else 0
+    is_part = bool(run.settings.get("start_s")) or _is_live(run.settings)
+    first = int(rows["frame"].min(initial=n_frames)) if is_part else 0
     if isinstance(frames, int):
         n_frames = max(n_frames, first + frames)
     video = VideoFacts(
@@ -110,14 +111,23 @@ def boxes_of_run(source: RunSource) -> BoxTable:
     return table_of_rows(rows, camera, video)
 
 
-def _video_name(settings: Mapping[str, Any]) -> str:
-    """Name of the left or only video, without suffix and characters that some programs do not allow; "" = unknown."""
+def _video_of(settings: Mapping[str, Any]) -> str:
+    """The left or only video, or its first file; "" = unknown."""
     stereo = settings.get("stereo")
     video = stereo[0] if isinstance(stereo, list) and stereo else settings.get("mono")
     if isinstance(video, list):  # several files
         video = video[0] if video else None
-    stem = Path(str(video or "")).stem
-    return file_name_part(stem)
+    return str(video or "")
+
+
+def _is_live(settings: Mapping[str, Any]) -> bool:
+    """Whether a run was live: the numbers of its frames start at that of the first processed one."""
+    return live_address(_video_of(settings)) is not None
+
+
+def _video_name(settings: Mapping[str, Any]) -> str:
+    """Name of the left or only video, without suffix and characters that some programs do not allow; "" = unknown."""
+    return file_name_part(Path(_video_of(settings)).stem)
 
 
 def boxes_of_labels(path: Path, *, video: Path | None, first_frame: int) -> BoxTable:

@@ -101,7 +101,10 @@ class RerunWriter:
         if self._held is None:
             return
         result, self._held = self._held, None
-        self._last_s = max(self._last_s, result.time_s)
+        time_s = result.time_s
+        if self._info.start_utc_s is not None:
+            time_s = result.utc_s if math.isfinite(result.utc_s) else self._info.start_utc_s + time_s
+        self._last_s = max(self._last_s, time_s)
         self._frames.append(result.index)
         self._times_s.append(self._last_s)
         self._set_time(result.index, self._last_s)
@@ -113,7 +116,7 @@ class RerunWriter:
         if self._info.start_utc_s is None:
             self._recording.set_time("time", duration=time_s)
         else:
-            self._recording.set_time("time", timestamp=self._info.start_utc_s + time_s)
+            self._recording.set_time("time", timestamp=time_s)
 
     def _log_camera(self) -> None:
         import rerun as rr
@@ -192,12 +195,8 @@ class RerunWriter:
             return
         n = min(len(shown_ns), len(self._frames))
         times_s = np.array(self._times_s[:n])
-        start_s = self._info.start_utc_s
-        by_time = (
-            rr.TimeColumn("time", duration=times_s)
-            if start_s is None
-            else rr.TimeColumn("time", timestamp=start_s + times_s)
-        )
+        is_utc = self._info.start_utc_s is not None
+        by_time = rr.TimeColumn("time", timestamp=times_s) if is_utc else rr.TimeColumn("time", duration=times_s)
         self._recording.log(_VIDEO, video, static=True)
         self._recording.send_columns(
             _VIDEO,

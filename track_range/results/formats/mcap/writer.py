@@ -8,6 +8,7 @@ chunks but the last; a file without an index at its end is read by Foxglove and 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -59,7 +60,7 @@ class McapWriter:
         start_us = round((info.start_utc_s or 0.0) * 1e6)  # float64 holds microseconds since 1970
         self._start_ns = min(max(start_us * 1000, 0), _MAX_TIME_NS)
         self._held: tuple[int, list[Message]] | None = None
-        self._last_ns = self._start_ns
+        self._last_ns = 0
         self._chunk_ns, self._chunk_began_s = self._start_ns, time.monotonic()
         self._sink = _Sink()
         self._context = foxglove.Context()
@@ -77,7 +78,7 @@ class McapWriter:
     def write(self, result: FrameResult) -> None:
         """Write the frame before this one, and hold this one."""
         self._release()
-        time_ns = self._time_ns(result.time_s)
+        time_ns = self._time_ns(result)
         messages = list(self._profile.frame(list(track_objects(result, self._info.camera)), time_ns))
         image = self._info.shown_image(result) if self._has_images else None
         if image is not None:
@@ -92,6 +93,7 @@ class McapWriter:
         """Write the last frame, the notes of the run and the index."""
         try:
             self._release()
+            self._last_ns = self._last_ns or self._start_ns  # a run without frames
             self._log_first_notes(self._last_ns)
             notes = (summary or {}).get("notes") or ()
             self._log_notes((note for note in notes if note not in self._info.notes), self._last_ns)
@@ -103,9 +105,13 @@ class McapWriter:
                 channel.close()
             self._file.close()
 
-    def _time_ns(self, time_s: float) -> int:
+    def _time_ns(self, result: FrameResult) -> int:
         """Time of a frame, which is never before that of an earlier frame."""
-        self._last_ns = min(max(self._last_ns, self._start_ns + round(time_s * NANOSECONDS)), _MAX_TIME_NS)
+        if math.isfinite(result.utc_s):
+            time_ns = round(result.utc_s * 1e6) * 1000
+        else:
+            time_ns = self._start_ns + round(result.time_s * NANOSECONDS)
+        self._last_ns = min(max(self._last_ns, time_ns), _MAX_TIME_NS)
         return self._last_ns
 
     def _release(self) -> None:
