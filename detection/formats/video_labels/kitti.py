@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -38,6 +39,9 @@ _MAX_VALUE = 1e6
 
 _MAX_TYPE = 64
 """Largest number of characters of a type."""
+
+_SEPARATOR = re.compile(r"[\s,]")
+"""Characters that a type cannot contain: white space, and the comma, which MOTChallenge's rows are recognised by."""
 
 _LIMITS = {
     0: (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
@@ -122,7 +126,7 @@ def kitti_line(
 
 def kitti_type_of(class_name: str) -> str:
     """KITTI's type of a class, or its name without spaces (Bus, Traffic_light), which KITTI's evaluation skips."""
-    return KITTI_TYPE_OF.get(class_name) or class_name.replace(" ", "_").capitalize() or "Misc"
+    return KITTI_TYPE_OF.get(class_name) or _SEPARATOR.sub("_", class_name).capitalize()[:_MAX_TYPE] or "Misc"
 
 
 def read_kitti(path: Path) -> KittiLabels:

@@ -177,6 +177,17 @@ def test_video_names_stay_in_the_folder(tmp_path: Path, name: str) -> None:
     assert len(read_labels(folder / "yolo")) == 1
 
 
+@pytest.mark.parametrize("name", ["a b", "a\nb", "a\u2003b\u2028", "a,b", "<b>&'\"", "#", "x" * 90])
+def test_odd_class_names(tmp_path: Path, name: str) -> None:
+    for label_format in (LABEL_FORMATS[key] for key in ("kitti", "coco", "cvat", "yolo")):
+        table = BoxTable.of([0, 0], [1, 2], [name, "car"], [[10, 10, 20, 20], [5, 5, 9, 9]], video=VIDEO)
+        assert label_format.write is not None
+        label_format.write(table, tmp_path / label_format.name)
+        back = label_format.read(tmp_path / label_format.name, VIDEO)
+        assert sorted(back.class_id.tolist()) == [-1, 2]
+        assert label_format_of(tmp_path / label_format.name) is label_format
+
+
 def test_tracks_of_several_classes_in_cvat(tmp_path: Path) -> None:
     boxes = np.tile([10.0, 10.0, 20.0, 20.0], (3, 1))
     table = BoxTable.of([0, 1, 2], [5, 5, 5], ["car", "truck", "car"], boxes, video=VIDEO)
