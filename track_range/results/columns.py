@@ -22,6 +22,12 @@ from track_range.run.frame_result import FrameResult
 Columns = Mapping[str, npt.NDArray[Any]]
 """Rows by column: `class` as str, all others float64 with NaN = not measured."""
 
+MAX_COLUMNS = 1000
+"""Largest number of columns that is read; runs with all methods have fewer than 100, and pyarrow is slow with more."""
+
+MAX_CLASS = 200
+"""Largest number of characters of a class name that is read."""
+
 NOT_METHODS = ("truth", "scored_truth", "x", "y")
 """Names NAME of columns NAME_m that are not the distance of a method."""
 

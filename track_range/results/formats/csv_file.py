@@ -12,19 +12,13 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, quoted, read_text, shortened
-from track_range.results.columns import Columns, result_columns
+from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
 from track_range.results.formats.row_file import RowFile
 from track_range.results.output_files import OutputError
 from track_range.results.writers import RunInfo
 from track_range.run.frame_result import FrameResult
 
 TABLE_FILE = "tracks.csv"
-
-_MAX_COLUMNS = 1000
-"""Largest number of columns; runs with all methods have fewer than 100, and pyarrow is slow with many more."""
-
-_MAX_CLASS = 200
-"""Largest number of characters of a class name."""
 
 _INVALID_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.*)'", re.DOTALL)
 """Message of pyarrow on a cell that is not a number: column from 0, line from 1, cell."""
@@ -81,8 +75,8 @@ def read_tracks_csv(path: Path) -> Columns:
         header = next(csv.reader([text.partition("\n")[0]]))
         if len(set(header)) < len(header):
             raise ValueError("two columns of the same name")
-        if len(header) > _MAX_COLUMNS:
-            raise ValueError(f"{len(header)} columns, more than {_MAX_COLUMNS}")
+        if len(header) > MAX_COLUMNS:
+            raise ValueError(f"{len(header)} columns, more than {MAX_COLUMNS}")
 
         def skip(row: arrow_csv.InvalidRow) -> str:
             n_cells.append(row.actual_columns)
@@ -97,8 +91,8 @@ def read_tracks_csv(path: Path) -> Columns:
             ),
         )
         columns = {name: table.column(name) for name in header}
-        if "class" in columns and max(map(len, columns["class"].to_pylist()), default=0) > _MAX_CLASS:
-            raise ValueError(f"a class name of more than {_MAX_CLASS} characters")
+        if "class" in columns and max(map(len, columns["class"].to_pylist()), default=0) > MAX_CLASS:
+            raise ValueError(f"a class name of more than {MAX_CLASS} characters")
         if not len(table) and (len(n_cells) > 1 or (n_cells and text.endswith("\n"))):
             raise ValueError(f"{len(n_cells)} rows, none with the {len(header)} cells of the header")
     except (ValueError, LookupError, StopIteration, csv.Error, ArrowException) as error:

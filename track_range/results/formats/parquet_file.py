@@ -18,7 +18,7 @@ from track_range.foundation.files.atomic_files import atomic_path, describe
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, shortened
 from track_range.foundation.schema_version import check_schema_version
 from track_range.results.arrow_rows import frame_values, record_batch, rows_schema
-from track_range.results.columns import Columns, result_columns
+from track_range.results.columns import MAX_CLASS, MAX_COLUMNS, Columns, result_columns
 from track_range.results.formats.row_file import FrameFile
 from track_range.results.output_files import OutputError
 from track_range.results.writers import RunInfo
@@ -31,12 +31,6 @@ PARQUET_FILE, STREAM_FILE = "tracks.parquet", "tracks.arrows"
 
 _ROWS_PER_GROUP = 32_768
 """Rows per row group, about 9 MB in memory: minutes of video."""
-
-_MAX_COLUMNS = 1000
-"""Largest number of columns; a run has about 40."""
-
-_MAX_CLASS = 200
-"""Largest number of characters of a class name."""
 
 
 class ParquetWriter:
@@ -279,7 +273,7 @@ def _usable_columns(path: Path, schema: pa.Schema) -> list[str]:
     from pyarrow import types
 
     check_schema_version(path, schema.metadata, OutputError)
-    if len(schema) > _MAX_COLUMNS or len(set(schema.names)) < len(schema):
+    if len(schema) > MAX_COLUMNS or len(set(schema.names)) < len(schema):
         raise ValueError("columns")
 
     def is_usable(field: pa.Field) -> bool:
@@ -305,6 +299,6 @@ def _values(name: str, values: pa.ChunkedArray) -> np.ndarray[Any, Any]:
         return np.asarray(values.to_numpy(), np.float64)
     for chunk in values.chunks:  # each name of a dictionary once
         names = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
-        if names.nbytes > _MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > _MAX_CLASS:
+        if names.nbytes > MAX_CLASS * (len(names) + 1) and max(map(len, names.drop_null().to_pylist())) > MAX_CLASS:
             raise ValueError("class name too long")
     return np.asarray([str(name) for name in values.to_pylist()], np.str_)
