@@ -353,6 +353,21 @@ def test_files_contain_neither_folders_nor_metadata(shared, cli, tmp_path):
     assert json.loads((out / "summary.json").read_text())["inputs"]["mono"] == "film.mp4"
 
 
+@pytest.mark.parametrize(
+    ("name", "part_share", "max_cells"), [("person", 0.155, 3.2), ("car", 0.52 / 1.5, 3.0), ("truck", 0.52 / 2.5, 3.0)]
+)
+def test_cells_are_large_relative_to_what_they_cover(name, part_share, max_cells):
+    """A head is 0.155 of a person's height; a plate is 0.52 m wide, a car 1.5 m high, a truck at least 2.5 m."""
+    box = Boxes(np.array([[100.0, 100.0, 300.0, 700.0]]), np.array([ROAD_CLASSES.index(name)]), np.zeros(1))
+    assert part_share * 600.0 / regions_of(box).cell_px[0] <= max_cells
+
+
+def test_colours_are_quantized():
+    image = np.random.default_rng(0).integers(0, 256, (160, 160, 3)).astype(np.uint8)
+    regions = Regions(np.array([[-0.5, -0.5, 159.5, 159.5]]), np.array([8.0]))
+    assert len(np.unique(blurred(image, regions, np.random.default_rng(1)))) <= 16
+
+
 def test_settings_require_the_inputs_again(tmp_path, monkeypatch):
     (tmp_path / "drive").mkdir()
     film = tmp_path / "drive" / "film.mp4"

@@ -40,6 +40,11 @@ _TIME_IN_NAME = re.compile(
 )
 """Date and time in the name of a file: 20260131_142530, 2026-01-31_14-25-30, 2026_0131_142530, 20260131T142530Z."""
 
+_SHORT_TIME_IN_NAME = re.compile(
+    r"(?<!\d)([1-4]\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])[-_]([01]\d|2[0-3])([0-5]\d)([0-5]\d)(?!\d)"
+)
+"""The same with a year of two digits, 2010 to 2049, as Nextbase and 70mai write it: 260131_142530."""
+
 
 @dataclass(frozen=True, slots=True)
 class UtcStart:
@@ -117,9 +122,13 @@ def stamp_in_header(metadata: Mapping[str, str]) -> Stamp | None:
 def stamp_in_name(name: str) -> Stamp | None:
     """The last date and time in a file name; None = none."""
     matches = list(_TIME_IN_NAME.finditer(name))
-    if not matches:
+    if matches:
+        *digits, thousandths, zulu, offset = matches[-1].groups()
+    elif short := list(_SHORT_TIME_IN_NAME.finditer(name)):
+        year, *later = short[-1].groups()
+        digits, thousandths, zulu, offset = [f"20{year}", *later], None, None, None
+    else:
         return None
-    *digits, thousandths, zulu, offset = matches[-1].groups()
     try:
         moment = datetime(*(int(part) for part in digits), tzinfo=UTC)  # type: ignore[misc, arg-type]
     except ValueError:  # February 30

@@ -138,6 +138,26 @@ def test_sqlite_bag_that_is_cut_off(tmp_path: Path, images: list[np.ndarray], nu
     assert any("cut off" in note for note in reader.notes)
 
 
+def test_baseline_between_cameras_of_another_origin() -> None:
+    """KITTI's rectified frames have the origin of another camera: both projection matrices contain an offset."""
+    k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
+    left, right = (
+        CameraMessage((64, 48), "", (), k, np.eye(3), np.column_stack([k, [70.0 * offset_m, 0.0, 0.0]]))
+        for offset_m in (0.06, -0.44)
+    )
+    assert rig_of(left, right, Path("drive.bag"), is_rectified=True).baseline_m == pytest.approx(0.5)
+
+
+def test_uncalibrated_camera_has_no_calibration(
+    tmp_path: Path, images: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tests.track_range.video.bag_writers.K", [0.0] * 9)
+    bag = write(tmp_path / "drive", "mcap", ("/cam",), images[:2])
+    reader = VideoReader(bag)
+    assert reader.bag is not None
+    assert reader.bag.camera is None
+
+
 def test_rectified_cameras_that_contradict_each_other() -> None:
     k = np.array([[70.0, 0.0, 31.5], [0.0, 70.0, 23.5], [0.0, 0.0, 1.0]])
     left, right, longer = (

@@ -344,6 +344,23 @@ def test_repeated_second_is_skipped(tmp_path: Path, film: Film, names: tuple[str
     assert any("2 overlaps" in note for note in reader.notes)
 
 
+@pytest.mark.parametrize("case", ["static picture", "one equal frame", "flat pictures"])
+def test_equal_frames_that_are_no_overlap(
+    tmp_path: Path, film: Film, level: Callable[..., np.ndarray], case: str
+) -> None:
+    rng = np.random.default_rng(1)
+    pictures = [rng.integers(0, 255, (48, 64, 3), dtype=np.uint8) for _ in range(22)]
+    one, other = {
+        "static picture": (pictures[:1] * 12, pictures[:1] * 11),
+        "one equal frame": (pictures[:12], [pictures[9], *pictures[12:]]),
+        "flat pictures": ([level(k) for k in range(12)], [level(k) for k in range(11, 22)]),
+    }[case]
+    (tmp_path / "trip").mkdir()
+    for name, images in (("1.mp4", one), ("2.mp4", other)):
+        film(tmp_path / "trip" / name, [k / 10 for k in range(len(images))], images=images, codec="mjpeg")
+    assert len(list(VideoReader(tmp_path / "trip"))) == 23
+
+
 def test_missing_file_of_an_undated_pair(tmp_path: Path, trip: Trip) -> None:
     trip(tmp_path / "left", ["l1.mp4", "l3.mp4"])
     trip(tmp_path / "right", ["r1.mp4", "r2.mp4", "r3.mp4"])

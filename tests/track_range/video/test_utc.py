@@ -31,6 +31,8 @@ def seconds(text: str) -> float:
         ("Screen 2026-01-31 at 14.25.30.mov", "2026-01-31T14:25:30", True),
         ("trip-20250101_20260131T142530Z.mkv", "2026-01-31T14:25:30", False),
         ("20260131T142530+0130.mkv", "2026-01-31T12:55:30", False),
+        ("260131_142530_001_FH.MP4", "2026-01-31T14:25:30", True),
+        ("FILE260131-142530F.MP4", "2026-01-31T14:25:30", True),
     ],
 )
 def test_time_in_name(name: str, time: str, is_local: bool) -> None:
@@ -38,7 +40,16 @@ def test_time_in_name(name: str, time: str, is_local: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["drive.mp4", "GX010123.MP4", "20261331_142530.mp4", "20260230_142530.mp4", "20260131_256199.mp4", "1.mp4"]
+    "name",
+    [
+        "drive.mp4",
+        "GX010123.MP4",
+        "20261331_142530.mp4",
+        "20260230_142530.mp4",
+        "20260131_256199.mp4",
+        "1.mp4",
+        "123456_123456.mp4",
+    ],
 )
 def test_name_without_time(name: str) -> None:
     assert stamp_in_name(name) is None
