@@ -169,8 +169,8 @@ class _Check:
                 return "focal length"
             if left.has_bag_calibration:
                 return "bag"
-            found = find_rig(Path(self.clip.left))
-            rig = None if found is None else Location.of(found)
+            neighbour = find_rig(Path(self.clip.left))
+            rig = None if neighbour is None else Location.of(neighbour)
         if rig is None:
             if self.clip.right is None:
                 self.problems.append(

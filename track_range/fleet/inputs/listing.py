@@ -76,7 +76,7 @@ def _is_file(location: Location) -> bool:
     Raises:
         FleetInputError: there is no such file or folder.
     """
-    if location.is_web and without_suffix(location.name) == location.name:
+    if location.is_web and (location.parent is None or without_suffix(location.name) == location.name):
         return False
     status = location.stat()
     if status is None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from track_range.fleet.inputs.clip import CLIP_SETTINGS, Clip, FleetInputError, is_file_setting
 from track_range.fleet.inputs.tree import without_suffix
-from track_range.fleet.storage.location import Location, has_scheme
+from track_range.fleet.storage.location import Location, has_scheme, shown
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.csv_tables import read_csv_table
 from track_range.foundation.files.input_files import MAX_TABLE_BYTES, check_regular, quoted, shortened
@@ -100,12 +100,14 @@ class _Manifest:
         left, right = cells.pop("left"), cells.pop("right", "")
         if not left:
             raise self._fault(row, "expected the left video, found an empty cell")
+        left_address = self._file(row, left)
+        name = self._name(row, cells.pop("clip", ""), left)
         settings = {key: self._setting(row, key, text) for key, text in cells.items() if text and key in CLIP_SETTINGS}
         if "rig" in settings and "focal_px" in settings:
             raise self._fault(row, "expected rig or focal_px, found both")
         return Clip(
-            self._name(row, cells.pop("clip", ""), left),
-            self._file(row, left),
+            name,
+            left_address,
             self._file(row, right) if right else None,
             settings,
             {key: text for key, text in cells.items() if key not in CLIP_SETTINGS},
@@ -114,7 +116,7 @@ class _Manifest:
     def _name(self, row: int, text: str, left: str) -> str:
         name = text or _default_name(left)
         if not name:
-            raise self._fault(row, f"expected a name in the column clip, found none for {quoted(left)}")
+            raise self._fault(row, f"expected a name in the column clip, found none for {quoted(shown(left))}")
         other = self._names.setdefault(name, row)
         if other != row:
             place = f"{self._rows.unit} {self._rows.numbers[other]}"
@@ -148,16 +150,17 @@ class _Manifest:
                 raise FleetInputError("a null character")
             return self._folder.descendant(text).address
         except UserError as error:
-            raise self._fault(row, f"expected a path or an address, found {quoted(text)}") from error
+            raise self._fault(row, f"expected a path or an address, found {quoted(shown(text))}") from error
 
     def _fault(self, row: int, message: str) -> FleetInputError:
         return FleetInputError(f"{self._path}, {self._rows.unit} {self._rows.numbers[row]}: {message}.")
 
 
 def _default_name(left: str) -> str:
-    is_relative = not (has_scheme(left) or left.startswith(("/", "~", "..")))
-    name = left.removeprefix("./") if is_relative else left.rstrip("/").rpartition("/")[2]
-    return without_suffix(name)
+    if has_scheme(left):
+        return without_suffix(Location.of(left).name)
+    is_below = not left.startswith(("/", "~", ".."))
+    return without_suffix(left.removeprefix("./") if is_below else left.rstrip("/").rpartition("/")[2])
 
 
 @contextmanager

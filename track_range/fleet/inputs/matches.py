@@ -38,9 +38,9 @@ def matched_clips(tree: FileTree, pattern: FilePattern, location: Location) -> l
             f"{location}: expected pairs of files named {quoted(pattern.text)}, found {len(clips)} left videos without "
             f"a right one, such as {quoted(min(clips, key=lambda clip: clip.name).name)}; change --pattern."
         )
-    taken = {clip.name for clip in clips}
+    names = {clip.name for clip in clips}
     lone = (clip for name in candidates if (clip := matches.clip_of_right(name)) is not None)
-    return [*clips, *{clip.name: clip for clip in lone if clip.name not in taken}.values()]
+    return [*clips, *{clip.name: clip for clip in lone if clip.name not in names}.values()]
 
 
 class _Matches:

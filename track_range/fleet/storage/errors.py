@@ -10,7 +10,7 @@ from typing import Literal
 
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.atomic_files import describe
-from track_range.foundation.files.input_files import shortened
+from track_range.foundation.files.input_files import printable, shortened
 
 StorageFault = Literal["missing", "permission", "full", "network", "other"]
 """Kind of a storage error: no such file, folder or bucket; no permission or credentials; no space left; an error that
@@ -34,17 +34,14 @@ _ERRNO_FAULTS: dict[StorageFault, frozenset[int]] = {
 
 _TEXT_FAULTS: tuple[tuple[StorageFault, re.Pattern[str]], ...] = (
     (
-        "missing",
-        re.compile(r"\bNO_SUCH_\w+|\bRESOURCE_NOT_FOUND|\bNOT_FOUND\b|status 404|Bucket '.*' not found|does not exist"),
-    ),
-    (
         "permission",
         re.compile(
             r"\bACCESS_DENIED|\bINVALID_ACCESS_KEY|\bSIGNATURE_DOES_NOT_MATCH|\bINVALID_SIGNATURE|\bEXPIRED_TOKEN"
             r"|\bINVALID_CLIENT_TOKEN|\bMISSING_AUTHENTICATION|\bUNRECOGNIZED_CLIENT|\bNOT_INITIALIZED|ExpiredToken"
-            r"|\bOPT_IN_REQUIRED|\bPERMISSION_DENIED|\bUNAUTHENTICATED|status 40[13]|[Cc]redential|AccountProblem"
+            r"|\bOPT_IN_REQUIRED|\bPERMISSION_DENIED|\bUNAUTHENTICATED|status 40[13]|AccountProblem|OAuth2 access token"
         ),
     ),
+    ("missing", re.compile(r"\bNO_SUCH_\w+|\bRESOURCE_NOT_FOUND|\bNOT_FOUND\b|status 404|Bucket '.*' not found")),
     ("full", re.compile(r"QuotaExceeded|InsufficientStorage|StorageFull|status 507|No space left")),
     (
         "network",
@@ -57,14 +54,21 @@ _TEXT_FAULTS: tuple[tuple[StorageFault, re.Pattern[str]], ...] = (
 )
 """Texts of the errors of pyarrow's object stores (AWS, Google Cloud) by kind; the first that matches counts."""
 
+_PLACE = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)
+"""Start of such a text, which contains names of objects."""
+
+_AWS = re.compile(r"AWS Error (\w+)(?: \(HTTP status \d+\))? during \w+ operation:?\s*(.*)", re.DOTALL)
+"""Code and text of an error of S3."""
+
 _NOISE = re.compile(
-    r"^When .*?: (?=AWS Error)|\s*\(Request ID: [^)]*\)|\s*\(HTTP status \d+\)(?= during)|^google::cloud::"
-    r"|\s*Detail: \[errno \d+\].*$|\s+error_info=.*$|^\[Errno \d+\] "
+    r"\s*\(Request ID: [^)]*\)|^google::cloud::|^curlCode: \d+, .*; Details: |^curlCode: \d+, |^No response body\.?$"
+    r"|\s*Detail: \[errno \d+\].*$|\s+error_info=.*$|^\[Errno \d+\] ",
+    re.DOTALL,
 )
 """Parts of these texts that are of no use to a user."""
 
 _SECRETS = re.compile(
-    r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\W{1,3})[\w%+/=.~-]+"
+    r"(?i)((?:access.?key(?:.?id)?|secret\w*|token|signature|credential|authorization|password)\s*[=:]\s*)[\w%+/=.~-]+"
 )
 """Credentials that a library's text may contain."""
 
@@ -118,6 +122,7 @@ def storage_errors(address: object, action: str) -> Iterator[None]:
 def storage_error(address: object, action: str, error: Exception, kind: StorageFault | None = None) -> StorageError:
     """The error of one file or folder; see `storage_errors`. `kind`: None = derived from `error`."""
     fault = fault_of(error) if kind is None else kind
+    address = printable(str(address))
     advice = f"; {_ADVICE[fault]}" if _ADVICE[fault] else ""
     if fault == "missing" and action == "read":
         return StorageError(f"{address}: no such file or folder{advice}.", fault)
@@ -132,7 +137,7 @@ def fault_of(error: Exception) -> StorageFault:
     for fault, numbers in _ERRNO_FAULTS.items():
         if number in numbers:
             return fault
-    text = str(error)
+    text = _PLACE.sub("", str(error))
     if isinstance(error, TimeoutError | ConnectionError):
         return "network"
     return next((fault for fault, pattern in _TEXT_FAULTS if pattern.search(text)), "other")
@@ -141,5 +146,8 @@ def fault_of(error: Exception) -> StorageFault:
 def reason_of(error: Exception) -> str:
     """Text of an error without credentials, request numbers and the address."""
     text = describe(error) if isinstance(error, OSError) and error.errno is not None else str(error)
+    code = ""
+    if (match := _AWS.fullmatch(_PLACE.sub("", text))) is not None:
+        code, text = match[1].replace("_", " ").lower(), match[2]
     text = _SECRETS.sub(r"\1...", " ".join(_NOISE.sub("", text).split())).strip(" .:")
-    return shortened(text or type(error).__name__, _MAX_REASON)
+    return shortened(text or code or type(error).__name__, _MAX_REASON)

@@ -20,7 +20,7 @@ from track_range.fleet.storage.entry import Entry, FileStat, folder_state
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.local import LocalStorage
 from track_range.fleet.storage.object_store import ObjectStore
-from track_range.foundation.files.input_files import quoted, shortened
+from track_range.foundation.files.input_files import printable, quoted, shortened
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
@@ -131,7 +131,7 @@ class Location:
         return cls(scheme, f"{bucket}/{path}".rstrip("/"), tuple(sorted(options.items())))
 
     def __str__(self) -> str:
-        return shown(self.address)
+        return printable(shown(self.address))
 
     def __repr__(self) -> str:
         return f"Location({str(self)!r})"

@@ -23,7 +23,7 @@ _N_ATTEMPTS = 3
 _CONNECT_TIMEOUT_S, _REQUEST_TIMEOUT_S = 5.0, 20.0
 """Time limits of the connection, and between two bytes of an answer."""
 
-_GCS_TIME_LIMIT_S = 30
+_GCS_TIME_LIMIT_S = 10
 """Time for which pyarrow repeats a request to Google Cloud Storage (default: 15 minutes)."""
 
 _BLOCK_BYTES = 4 << 20

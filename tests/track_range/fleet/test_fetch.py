@@ -1,0 +1,145 @@
+"""Remote clips in the local cache of a worker."""
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from track_range.fleet.inputs.clip import Clip, FleetInputError
+from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.fetch import fetched
+from track_range.fleet.storage.location import Location
+from track_range.fleet.storage.scratch import scratch_folder
+
+LIMIT = 10**6
+
+
+def sha256(content):
+    return hashlib.sha256(content).hexdigest()
+
+
+def test_remote_files_are_local_for_a_while(bucket, tmp_path):
+    contents = {"a b_left.mp4": b"left", "a b_right.mp4": b"right", "rig.yaml": b"rig", "speed.csv": b"speed"}
+    for name, content in contents.items():
+        bucket.child("day 1", name).write_bytes(content)
+    left, right, _, speed = (bucket.child("day 1", name).address for name in contents)
+    clip = Clip("a", left, right, {"ego_speed": speed, "focal": "800"}, {"vehicle": "v1"})
+    with fetched(clip, tmp_path, LIMIT) as local:
+        assert (Path(local.clip.left).name, Path(local.clip.right).name) == ("a b_left.mp4", "a b_right.mp4")
+        assert Path(local.clip.left).with_name("rig.yaml").read_bytes() == b"rig"
+        assert (local.clip.settings["focal"], local.clip.labels) == ("800", {"vehicle": "v1"})
+        assert "rig" not in local.clip.settings
+        assert {role: file.sha256 for role, file in local.files.items()} == {
+            "left": sha256(b"left"),
+            "right": sha256(b"right"),
+            "ego_speed": sha256(b"speed"),
+            "rig": sha256(b"rig"),
+        }
+        state = bucket.child("day 1", "a b_left.mp4").stat()
+        assert (local.files["left"].size, local.files["left"].mtime_ns) == (state.size, state.mtime_ns)
+        assert Path(local.clip.settings["ego_speed"]).read_bytes() == b"speed"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_of_images(bucket, tmp_path):
+    for name in ("data/0.png", "data/1.png", "timestamps.txt"):
+        bucket.child("drive/image_02", name).write_bytes(name.encode())
+    clip = Clip("a", bucket.child("drive/image_02/data").address)
+    with fetched(clip, tmp_path, LIMIT) as local:
+        folder = Path(local.clip.left)
+        assert sorted(path.name for path in folder.iterdir()) == ["0.png", "1.png"]
+        assert folder.name == "data"
+        assert (folder.parent / "timestamps.txt").read_bytes() == b"timestamps.txt"
+        assert set(local.files) == {"left", "left_timestamps"}
+        before = local.files["left"].sha256
+    bucket.child("drive/image_02/data/1.png").write_bytes(b"data/x.png")
+    with fetched(clip, tmp_path, LIMIT) as local:
+        assert local.files["left"].sha256 != before
+
+
+def test_local_files_are_used_in_place(tmp_path, filled):
+    filled(tmp_path / "in", "a.mp4", "calib.txt")
+    with fetched(Clip("a", str(tmp_path / "in/a.mp4")), tmp_path / "cache", 0) as local:
+        assert local.clip.left == str(tmp_path / "in/a.mp4")
+        assert set(local.files) == {"left", "rig"}
+    assert not (tmp_path / "cache").exists()
+
+
+def test_equal_content_has_equal_hashes(bucket, tmp_path, filled):
+    filled(tmp_path / "in", "a.mp4", "images/0.png", "images/1.png")
+    for name in ("a.mp4", "images/0.png", "images/1.png"):
+        bucket.child(name).write_bytes(b"x")
+    for name in ("a.mp4", "images"):
+        hashes = []
+        for address in (str(tmp_path / "in" / name), bucket.child(name).address):
+            with fetched(Clip("a", address), tmp_path / "cache", LIMIT) as local:
+                hashes.append(local.files["left"].sha256)
+        assert hashes[0] == hashes[1]
+
+
+def test_web_server(web, tmp_path):
+    address, folder = web
+    (folder / "a%.mp4").write_bytes(b"abc")
+    with fetched(Clip("a", Location.of(address).child("a%.mp4").address), tmp_path / "cache", LIMIT) as local:
+        assert Path(local.clip.left).read_bytes() == b"abc"
+        assert Path(local.clip.left).name == "a%.mp4"
+
+
+def test_too_large_or_missing(bucket, tmp_path):
+    bucket.child("a.mp4").write_bytes(bytes(2000))
+    with (
+        pytest.raises(StorageError, match="--cache-size"),
+        fetched(Clip("a", bucket.child("a.mp4").address), tmp_path, 10),
+    ):
+        pass
+    missing = Clip("a", bucket.child("a.mp4").address, bucket.child("b.mp4").address)
+    with pytest.raises(StorageError, match=r"b\.mp4") as error, fetched(missing, tmp_path, LIMIT):
+        pass
+    assert error.value.kind == "missing"
+    with (
+        pytest.raises(FleetInputError, match="half"),
+        fetched(Clip("a", "/x", problem="half a pair."), tmp_path, LIMIT),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_name_too_long_for_a_file(bucket, tmp_path):
+    name = "ü" * 300 + ".mp4"
+    bucket.child(name).write_bytes(b"x")
+    with fetched(Clip("a", bucket.child(name).address), tmp_path, LIMIT) as local:
+        assert Path(local.clip.left).suffix == ".mp4"
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from track_range.fleet.storage.scratch import scratch_folder
+with scratch_folder(Path(sys.argv[1])) as folder:
+    (folder / "part").write_bytes(b"x")
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_folder_of_a_killed_process_is_removed(tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE)
+    with process:
+        assert process.stdout.readline().strip() == b"ready"
+        with scratch_folder(tmp_path) as folder:
+            assert len(list(tmp_path.iterdir())) == 2  # that of the living process stays
+            folder.joinpath("x").write_bytes(b"x")
+        process.kill()
+    assert len(list(tmp_path.iterdir())) == 1
+    with scratch_folder(tmp_path):
+        assert len(list(tmp_path.iterdir())) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_files_in_the_cache_stay(tmp_path):
+    (tmp_path / "other").mkdir()
+    with scratch_folder(tmp_path):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["other"]
