@@ -52,6 +52,9 @@ MAX_BOXES = 2_000_000
 _MAX_NAME = 200
 """Largest number of characters of a label or name."""
 
+_MAX_META = 10_000
+"""Largest number of elements of `meta` that are used."""
+
 _MAX_SIDE_PX = 65_535
 """Largest width or height of an image."""
 
@@ -144,6 +147,7 @@ class _Content:
         self._tasks: set[str] = set()
         self._ids: set[int] = set()
         self._attribute = ""
+        self._n_elements = 0
 
     def start(self, path: list[str], attributes: Mapping[str, str], line: int) -> None:
         """An element begins."""
@@ -166,11 +170,18 @@ class _Content:
         """An element ends."""
         if path[1:3] == ["track", "box"] and path[-1] == "attribute":
             self._set_attribute(self._attribute, text.strip(), line)
-        elif path[1:2] == ["meta"] and len(path) >= 4:
+        elif path[1:2] == ["meta"] and len(path) >= 4 and len(self._meta) < _MAX_META:
             self._root = self._root or path[2]
             self._meta.setdefault("/".join(path[-2:]), text.strip())
 
+    def _count(self, line: int) -> None:
+        """Count a track or a box, before memory is used for it."""
+        self._n_elements += 1
+        if self._n_elements > MAX_BOXES:
+            raise self._fault(line, f"at most {MAX_BOXES} tracks and boxes", "more")
+
     def _add_track(self, attributes: Mapping[str, str], line: int) -> None:
+        self._count(line)
         track_id = self._integer(attributes, "id", MAX_ID, line)
         label = attributes.get("label", "").strip()
         if not 0 < len(label) <= _MAX_NAME:
@@ -188,6 +199,7 @@ class _Content:
             return
         if number(attributes.get("rotation", "0")) != 0:
             raise self._fault(line, "upright boxes", f"the rotation {quoted(attributes['rotation'])}")
+        self._count(line)
         frame = self._integer(attributes, "frame", MAX_FRAME, line)
         outside = _FLAGS.get(attributes.get("outside", "0").lower(), math.nan)
         edges = [number(attributes.get(edge, "")) for edge in _EDGES]

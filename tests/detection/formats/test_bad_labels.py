@@ -17,6 +17,7 @@ from tests.detection.formats.test_reference_labels import COCO, CVAT, SIZE, YOLO
 from track_range.detection.formats.box_table import VideoFacts
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.label_formats import read_labels
+from track_range.detection.formats.video_labels import cvat
 from track_range.detection.formats.video_labels.coco import MAX_COCO_BYTES
 from track_range.foundation.errors import UserError
 
@@ -164,6 +165,13 @@ def test_bad_yolo(tmp_path: Path, file: str, row: str, key_word: str) -> None:
     with pytest.raises(LabelFileError, match=key_word) as caught:
         read_labels(folder, SIZE)
     assert "labelled" in str(caught.value)
+
+
+def test_many_boxes_of_cvat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cvat, "MAX_BOXES", 2)
+    path = tmp_path / "labels.xml"
+    path.write_text(CVAT)
+    refused(path, "line 10.*at most 2")
 
 
 def test_yolo_without_image_size(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.foundation.errors import UserError
+from track_range.foundation.files import structured_text
 from track_range.foundation.files.structured_text import (
     MAX_DEPTH,
     MAX_YAML_VALUES,
@@ -125,6 +126,13 @@ def test_json_errors(text: str, key_word: str) -> None:
 )
 def test_yaml_values(text: str, value: object) -> None:
     assert yaml_value(text) == value
+
+
+def test_many_empty_objects(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(structured_text, "MAX_CONTAINERS", 4)
+    assert parse_json("[{}, {}, {}]", "a.json", UserError, "boxes") == [{}, {}, {}]
+    with pytest.raises(UserError, match=r"a\.json.*more than 4"):
+        parse_json("[{}, {}, {}, {}]", "a.json", UserError, "boxes")
 
 
 def test_json_values() -> None:
