@@ -4,6 +4,8 @@
 
 A header states the start or, on some phones and dashcams, the end of the recording, without saying which. If the name
 contains a time too, it decides: names contain the start in local time, and time zones are multiples of 15 minutes.
+Some dashcams write their local time to the header, which should be UTC: if it equals the time in the name, the zone is
+unknown.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ class UtcStart:
         start_s: seconds since 1970-01-01 00:00 UTC.
         source: source of the time, for summary.json.
         uncertainty_s: largest error that the source allows, apart from that of the recorder's clock; None = unknown.
-        is_local: whether the source states no time zone: `start_s` is then the recorder's local time.
+        is_local: whether the time zone is unknown: `start_s` may be the recorder's local time.
     """
 
     start_s: float
@@ -72,8 +74,8 @@ class UtcStart:
         if not self.is_local:
             return None
         return (
-            f"The times in the column utc come from the {self.source}, which has no time zone: they are local times of "
-            "the recorder; give the time of the first frame with --start-utc."
+            f"The time zone of the column utc is unknown (source: {self.source}): it may be the local time of the "
+            "recorder; give the time of the first frame with --start-utc."
         )
 
     def shifted(self, by_s: float) -> UtcStart:
@@ -150,15 +152,25 @@ def start_of(header: Stamp | None, name: Stamp | None, duration_s: float) -> Utc
         )
     if header.is_start:
         return UtcStart(header.time_s, header.source, STAMP_RESOLUTION_S)
-    if name is not None:
-        for before_s in (0.0, duration_s):
-            difference_s = name.time_s - (header.time_s - before_s)
-            if name.is_local:
-                difference_s = math.remainder(difference_s, ZONE_STEP_S)
-            if abs(difference_s) <= _AGREEMENT_S:
-                return UtcStart(header.time_s - before_s, header.source, STAMP_RESOLUTION_S)
+    confirmed = None if name is None else _confirmed_start(header, name, duration_s)
+    if confirmed is not None:
+        return confirmed
     # the header may state the end
     return UtcStart(header.time_s, header.source, round(STAMP_RESOLUTION_S + duration_s, 3))
+
+
+def _confirmed_start(header: Stamp, name: Stamp, duration_s: float) -> UtcStart | None:
+    """The start of a file if the time of its header fits that of its name, as its start or end; None = it does not."""
+    for before_s in (0.0, duration_s):
+        start_s = header.time_s - before_s
+        difference_s = name.time_s - start_s
+        if name.is_local and abs(difference_s) <= _AGREEMENT_S:  # the zone is UTC, or local time was written as UTC
+            return UtcStart(start_s, header.source, ZONE_SPAN_S, is_local=True)
+        if name.is_local:
+            difference_s = math.remainder(difference_s, ZONE_STEP_S)
+        if abs(difference_s) <= _AGREEMENT_S:
+            return UtcStart(start_s, header.source, STAMP_RESOLUTION_S)
+    return None
 
 
 def _parsed(text: str) -> datetime | None:

@@ -73,6 +73,18 @@ def test_header_of_a_phone_with_time_zone() -> None:
     assert (start.start_s, start.uncertainty_s, start.is_local) == (stamp.time_s, 1.0, False)
 
 
+@pytest.mark.parametrize("later_s", [0.0, 60.0])
+def test_header_that_may_be_local_time(later_s: float) -> None:
+    name = stamp_in_name("20260131_142530_F.mp4")
+    header = Stamp(seconds("2026-01-31T14:25:31") + later_s, "creation time of the video file", is_start=False)
+    start = start_of(header, name, 60.0)
+    assert start is not None
+    assert start.is_local
+    assert start.uncertainty_s == 14 * 3600
+    assert start.start_s == seconds("2026-01-31T14:25:31")
+    assert "--start-utc" in (start.note() or "")
+
+
 def test_name_decides_whether_the_header_states_the_end() -> None:
     name = stamp_in_name("VID_20260131_142530.mp4")  # UTC+1
     for stated, expected, uncertainty_s in (
