@@ -22,7 +22,7 @@ from track_range.detection.formats.box_table import HALF_PIXEL_PX
 from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.image_labels.image_truth import ImageTruth, truth_of_kitti
 from track_range.detection.formats.image_labels.yolo_labels import YoloLabelReader
-from track_range.detection.formats.table_checks import ignored_note
+from track_range.detection.formats.table_checks import frame_in_name, ignored_note
 from track_range.detection.formats.video_labels.coco import CocoFile
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.foundation.arrays import BoolArray, Image
@@ -118,7 +118,9 @@ def read_labelled(
         labelled = _coco(paths, labels)
     elif label_format == "kitti" and labels.is_file():
         by_frame = read_sequence(labels)
-        labelled = [LabelledImage(p, by_frame(number), False) for p in paths if (number := _number(p)) is not None]
+        labelled = [
+            LabelledImage(p, by_frame(number), False) for p in paths if (number := frame_in_name(p.stem)) is not None
+        ]
     else:
         read = _yolo_reader(labels, names) if label_format == "yolo" else _kitti_object
         labelled = [read(path, file) for path in paths if (file := labels / f"{path.stem}.txt").is_file()]
@@ -164,12 +166,6 @@ def of_split(labelled: Sequence[LabelledImage], manifest: Mapping[str, ManifestR
         for item, row in rows
         if row.split == split
     ]
-
-
-def _number(path: Path) -> int | None:
-    """The last number in a file name; None if there is none."""
-    digits = "".join(c if c.isdecimal() else " " for c in path.stem).split()
-    return int(digits[-1]) if digits else None
 
 
 def _kitti_object(image: Path, file: Path) -> LabelledImage:
