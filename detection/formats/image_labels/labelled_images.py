@@ -118,9 +118,8 @@ def read_labelled(
         labelled = _coco(paths, labels)
     elif label_format == "kitti" and labels.is_file():
         by_frame = read_sequence(labels)
-        labelled = [
-            LabelledImage(p, by_frame(number), False) for p in paths if (number := frame_in_name(p.stem)) is not None
-        ]
+        numbers = ((path, frame_in_name(path.stem)) for path in paths)
+        labelled = [LabelledImage(path, by_frame(number), False) for path, number in numbers if number is not None]
     else:
         read = _yolo_reader(labels, names) if label_format == "yolo" else _kitti_object
         labelled = [read(path, file) for path in paths if (file := labels / f"{path.stem}.txt").is_file()]

@@ -60,6 +60,9 @@ _SCORE_DECIMALS = 4
 _FRAME_KEYS = ("frame_index", "frame_id")
 _IDENTITY_KEYS = ("track_id", "instance_id")
 
+_MAX_PATH = 4096
+"""Largest number of characters of the path of an image."""
+
 _MAX_TEXT = 200
 """Largest number of characters of a name."""
 
@@ -174,8 +177,9 @@ class CocoFile:
     def text(self, item: Mapping[str, Any], key: str, where: str) -> str:
         """A text of an object."""
         value = item.get(key)
-        if not isinstance(value, str) or not 0 < len(value.strip()) <= _MAX_TEXT:
-            raise self.fault(where, f"a text of at most {_MAX_TEXT} characters as {key}", value)
+        limit = _MAX_PATH if key == "file_name" else _MAX_TEXT
+        if not isinstance(value, str) or not 0 < len(value.strip()) <= limit:
+            raise self.fault(where, f"a text of at most {limit} characters as {key}", value)
         return value.strip()
 
     def number(self, item: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:

@@ -41,7 +41,7 @@ _MAX_TYPE = 64
 """Largest number of characters of a type."""
 
 _SEPARATOR = re.compile(r"[\s,]")
-"""Characters that a type cannot contain: white space, and the comma, which MOTChallenge's rows are recognised by."""
+"""Characters that a type cannot contain: white space, and the comma, since files with commas are not read as KITTI."""
 
 _LIMITS = {
     0: (0, MAX_FRAME, f"an integer from 0 to {MAX_FRAME} as the frame number"),
