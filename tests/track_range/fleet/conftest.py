@@ -8,12 +8,12 @@ import threading
 from collections.abc import Callable, Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.track_range.fleet.ray_clusters import ACCESS_KEY, SECRET_KEY, ray_cluster
 from track_range.fleet.storage.location import Location
-
-ACCESS_KEY, SECRET_KEY = "test-access-key", "test-secret-key"
 
 
 class _QuietHandler(SimpleHTTPRequestHandler):
@@ -88,3 +88,11 @@ def filled() -> Callable[..., Path]:
         return folder
 
     return write
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[Any]:
+    """A Ray cluster of this machine, to which this process is connected; see `ray_cluster`."""
+    pytest.importorskip("ray")
+    with ray_cluster() as started:
+        yield started

@@ -13,13 +13,23 @@ from track_range.foundation.telemetry import disable_telemetry
 
 OBJECT_STORE_BYTES = 80 * 2**20
 
+ACCESS_KEY, SECRET_KEY = "test-access-key", "test-secret-key"
+"""Credentials of the tests' object storage, which workers have in their environment."""
+
+_VARIABLES = {
+    "RAY_AUTH_TOKEN": "tests" * 8,
+    "AWS_ACCESS_KEY_ID": ACCESS_KEY,
+    "AWS_SECRET_ACCESS_KEY": SECRET_KEY,
+    "AWS_EC2_METADATA_DISABLED": "true",
+}
+"""Environment of Ray's processes."""
+
 
 @contextmanager
 def ray_cluster(n_cpus: int = 4) -> Iterator[Any]:
     """A cluster with one node, to which nodes can be added; this process is connected to it."""
     disable_telemetry()
-    os.environ.setdefault("RAY_AUTH_TOKEN", "tests" * 8)
-    with warnings.catch_warnings():
+    with _environment(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import ray
         from ray.cluster_utils import Cluster
@@ -33,3 +43,17 @@ def ray_cluster(n_cpus: int = 4) -> Iterator[Any]:
         finally:
             ray.shutdown()
             cluster.shutdown()
+
+
+@contextmanager
+def _environment() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _VARIABLES}
+    os.environ.update(_VARIABLES)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

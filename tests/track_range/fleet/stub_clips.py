@@ -34,7 +34,7 @@ def stub_clips(folder: Path, *names: str) -> list[Clip]:
 
 
 def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Outcome:
-    """Fail as the name of the clip says, else publish one row."""
+    """Fail according to the name of the clip, else publish one row."""
     progress.phase, progress.video_s = "processing", 1.0
     name = task.clip.name
     if name.startswith("slow"):
@@ -44,7 +44,7 @@ def process_stub(task: ClipTask, plan: FleetPlan, progress: ClipProgress) -> Out
             fail()
     try:
         return published(task, plan)
-    except StorageError as error:
+    except (OSError, StorageError) as error:
         return Outcome({}, fatal=str(error))
 
 

@@ -1,4 +1,4 @@
-"""Drivers in processes of their own, with a Ray cluster of this machine each: kill -9, Ctrl-C, a full disk."""
+"""Drivers in separate processes, with a Ray cluster of this machine each: kill -9, Ctrl-C, a full disk."""
 
 from __future__ import annotations
 

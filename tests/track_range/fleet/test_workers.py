@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("ray")
 
-from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES, ray_cluster
+from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet import fleet_run
 from track_range.fleet.engine import limits, plan, pool
@@ -27,12 +27,6 @@ from track_range.fleet.storage.location import Location
 from track_range.foundation.files.folder_lock import FolderLockError
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def cluster():
-    with ray_cluster() as started:
-        yield started
 
 
 @pytest.fixture

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from track_range.detection.classes import road_class_ids
 from track_range.detection.models.lookup import find_model
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.record import Row
@@ -17,6 +18,8 @@ from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
+from track_range.ranging.size_models.curve import load_curves
+from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings, settings_from
 
 REFUSED: Mapping[str, str] = {
@@ -143,10 +146,12 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     checked = settings_from(
         {**given, "stereo": ("left.mp4", "right.mp4")} if _is_pair(given) else {**given, "mono": "clip.mp4"}
     )
-    shared = {name: _sha256(path) for name, path in _shared_files(checked).items()}
+    files = _shared_files(checked)
+    shared = {name: _sha256(path) for name, path in files.items()}
+    _check_models(checked, files)
     return FleetPlan(
         out=settings.out,
-        options={**given, **{name: str(path) for name, path in _shared_files(checked).items() if name in given}},
+        options={**given, **{name: str(path) for name, path in files.items() if name in given}},
         threads=settings.threads,
         has_reports=settings.reports,
         cache_dir=settings.cache_dir,
@@ -170,7 +175,7 @@ def _check_ego_speed(options: Mapping[str, Any]) -> None:
 
 
 def _shared_files(settings: RunSettings) -> dict[str, Path]:
-    """Existing files of the settings that all clips share."""
+    """Files of the settings that all clips share; the others are words."""
     files: dict[str, Path] = {}
     for name in _SHARED_FILES:
         value = getattr(settings, name)
@@ -178,9 +183,21 @@ def _shared_files(settings: RunSettings) -> dict[str, Path]:
             model = find_model(value)
             if model.origin != "catalogue" or model.entry is None:
                 files[name] = model.path.absolute()
-        elif value is not None and Path(value).is_file():
+        elif value is not None and (name in ("curves", "reid") or Path(value).suffix):
             files[name] = Path(value).absolute()
     return files
+
+
+def _check_models(settings: RunSettings, files: Mapping[str, Path]) -> None:
+    """Check the detector and the size curves once, instead of in every clip.
+
+    Raises:
+        ModelError, ConfigError, CurveError, ...: they cannot be used.
+    """
+    load_curves(settings.curves)
+    road_class_ids(settings.classes)
+    if (detector := files.get("detector")) is not None:
+        open_detector(detector, replace(DetectorOptions.of(settings), device="cpu"))
 
 
 def _sha256(path: Path) -> str:

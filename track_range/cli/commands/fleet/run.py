@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 _REFUSED = ("stereo", "mono", "truth", "detections", "start_utc", "table")
 """Options of a run that are hidden here and refused, with what to do instead."""
 
+_MAX_NAME = 20
+"""Longest name of a failed clip at the end, in characters."""
+
 _MAX_NAMED = 10
 """Largest number of failed clips that are named at the end."""
 
@@ -28,6 +31,7 @@ def _fleet_run(**values: Any) -> None:
     from track_range.fleet.fleet_run import run_fleet
     from track_range.fleet.inputs.listing import clips_of
     from track_range.fleet.output.status import duration_text
+    from track_range.foundation.files.input_files import printable
 
     settings = FleetSettings.of(given_values(FleetSettings, values))
     options = {
@@ -44,16 +48,18 @@ def _fleet_run(**values: Any) -> None:
     print_line(console, f"{progress_text(counts)}; {counts.skipped} of them before, in {duration_text(result.wall_s)}")
     print_line(console, f"Results in {settings.out}")
     if result.failed:
-        raise ClipsFailedError(failures_text(result.failed, counts.total))
+        for name, error in result.failed[:_MAX_NAMED]:
+            print_line(console, printable(f"failed: {name}: {error}"))
+        raise ClipsFailedError(failures_text([name for name, _ in result.failed], counts.total))
 
 
-def failures_text(failed: list[tuple[str, str]], total: int) -> str:
-    """Sentence with the names and errors of the failed clips, the first ones of many."""
+def failures_text(names: Sequence[str], total: int) -> str:
+    """Sentence with the names of the failed clips, the first ones of many."""
     from track_range.foundation.files.input_files import shortened
 
-    named = "\n".join(f"  {shortened(name)}: {error}" for name, error in failed[:_MAX_NAMED])
-    more = f"\n  and {len(failed) - _MAX_NAMED} more, see clips.parquet" if len(failed) > _MAX_NAMED else ""
-    return f"{len(failed)} of {total} clips failed (--retry-failed repeats them):\n{named}{more}"
+    named = ", ".join(shortened(name, _MAX_NAME) for name in names[:_MAX_NAMED])
+    more = f" and {len(names) - _MAX_NAMED} more, see clips.parquet" if len(names) > _MAX_NAMED else ""
+    return f"{len(names)} of {total} clips failed: {named}{more}; --retry-failed repeats them."
 
 
 def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequence[Clip]) -> None:
@@ -82,7 +88,8 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
         size = "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
         rate = "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
         length = "" if checked.duration_s is None else f", {duration_text(checked.duration_s)}"
-        line = f"{checked.clip.name}: {checked.clip.left}{size}{rate}{length}, calibration: {checked.calibration}"
+        calibration = f", calibration: {checked.calibration}" if checked.calibration else ""
+        line = f"{checked.clip.name}: {Location.of(checked.clip.left)}{size}{rate}{length}{calibration}"
         print_line(console, printable(line))
         for text in (*checked.problems, *checked.notes):
             print_line(console, f"  - {printable(text)}")

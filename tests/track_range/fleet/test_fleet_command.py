@@ -1,0 +1,157 @@
+"""`track-range fleet run` and `status` on real videos, on a real cluster."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pyarrow.dataset
+import pyarrow.parquet
+import pytest
+from pydantic import ValidationError
+
+from track_range.fleet.output.data_set import read_clips
+from track_range.fleet.settings import FleetSettings, size_bytes
+from track_range.fleet.storage.location import Location
+
+
+@pytest.fixture(scope="module")
+def drives(small_drive, tmp_path_factory):
+    """Two pairs with a calibration, and one with a left video that cannot be read."""
+    folder = tmp_path_factory.mktemp("drives")
+    for name in ("one", "two", "corrupt"):
+        (folder / name).mkdir()
+        for file in (small_drive.left, small_drive.right, small_drive.rig):
+            shutil.copy(file, folder / name)
+    left = folder / "corrupt" / small_drive.left.name
+    left.write_bytes(left.read_bytes()[:2000])
+    return folder, f"{{clip}}/{small_drive.left.name},{{clip}}/{small_drive.right.name}"
+
+
+@pytest.fixture(scope="module")
+def finished(cli, cluster, drives, tmp_path_factory):
+    """The output of a fleet with these drives, and what the command printed."""
+    recordings, pattern = drives
+    out = tmp_path_factory.mktemp("fleet") / "out"
+    arguments = ("fleet", "run", recordings, "--pattern", pattern, "--out", out, "--address", cluster.address)
+    return out, arguments, cli(*arguments, "--workers", 2, "--no-sgbm", "--worker-memory", "2GB")
+
+
+@pytest.mark.slow
+def test_corrupt_clip_is_one_row(finished):
+    out, _, (status, stdout, stderr) = finished
+    rows = {row["clip"]: row for row in read_clips(Location.of(out)).to_pylist()}
+    assert {name: row["status"] for name, row in rows.items()} == {"one": "done", "two": "done", "corrupt": "failed"}
+    assert rows["corrupt"]["error_kind"] == "input"
+    assert status == 3
+    assert "corrupt" in stderr
+    assert "2 of 3 clips done" in stdout
+    assert rows["one"]["frames"] == 12
+    assert rows["one"]["calibration"] == "rig"
+    assert rows["one"]["read_ms"] > 0
+    assert 0 < rows["one"]["fused_coverage"] <= 1
+
+
+@pytest.mark.slow
+def test_rows_equal_those_of_a_run(finished, drives, small_drive, tmp_path):
+    out, _, _ = finished
+    recordings, _ = drives
+    left, right = (recordings / "one" / video.name for video in (small_drive.left, small_drive.right))
+    command = [sys.executable, "-m", "track_range", "run", "--stereo", left, right, "--out", tmp_path, "--no-sgbm"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}  # the last digits depend on the threads of linear algebra
+    subprocess.run([*command, "--no-overlay"], check=True, env=environment, capture_output=True)
+    ordinary = pyarrow.parquet.ParquetFile(tmp_path / "tracks.parquet").read()
+    for name in ("one", "two"):
+        file = out / "tracks" / f"clip={name}" / "tracks.parquet"
+        assert pyarrow.parquet.ParquetFile(file).read().equals(ordinary)
+        metadata = pyarrow.parquet.read_schema(file).metadata
+        assert metadata[b"track_range.clip"].decode() == name
+        assert str(recordings) not in str(metadata)
+
+
+@pytest.mark.slow
+def test_data_set_is_partitioned_by_clip(finished):
+    import duckdb
+
+    out, _, _ = finished
+    table = pyarrow.dataset.dataset(out / "tracks", partitioning="hive").to_table()
+    assert set(table["clip"].to_pylist()) == {"one", "two"}
+    query = f"""select clip, count(*) from read_parquet('{out}/tracks/*/*.parquet', hive_partitioning = true)
+        join '{out}/clips.parquet' using (clip) group by clip"""  # noqa: S608
+    counts = dict(duckdb.sql(query).fetchall())
+    assert counts["one"] == counts["two"] == table.num_rows / 2
+
+
+@pytest.mark.slow
+def test_other_settings_repeat_the_clips(finished, cli):
+    out, arguments, _ = finished
+    options = (*arguments, "--workers", 2, "--worker-memory", "2GB", "--no-sgbm")
+    before = read_clips(Location.of(out))
+    status, stdout, _ = cli(*options)
+    assert (status, "2 of them before" in stdout) == (3, True)
+    assert read_clips(Location.of(out)).equals(before)
+    status, stdout, _ = cli(*options, "--reports", "--classes", "car", "--write", "csv")
+    assert "0 of them before" in stdout
+    assert {file.name for file in (out / "runs" / "clip=one").iterdir()} == {
+        *("tracks.csv", "report.html", "summary.json"),
+    }
+    after = read_clips(Location.of(out)).to_pylist()
+    assert len(after) == 3
+    assert len({row["settings_hash"] for row in after}) == 1
+
+
+@pytest.mark.slow
+def test_status_of_a_finished_fleet(finished, cli):
+    out, _, _ = finished
+    status, stdout, _ = cli("fleet", "status", out)
+    assert status == 0
+    assert "2 of 3 clips done" in stdout
+    assert "corrupt" in stdout
+
+
+def test_status_without_a_fleet(cli, tmp_path):
+    status, _, stderr = cli("fleet", "status", tmp_path)
+    assert (status, str(tmp_path) in stderr) == (1, True)
+
+
+@pytest.mark.parametrize("option", ["--truth", "--detections", "--mono", "--table"])
+def test_options_that_a_fleet_refuses(cli, tmp_path, option):
+    (tmp_path / "a.mp4").touch()
+    status, _, stderr = cli("fleet", "run", tmp_path, "--out", tmp_path / "out", option, "x")
+    assert (status, option in stderr) == (2, True)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "options", [("--ego-speed", "speed.csv"), ("--min-score", "2"), ("--worker-memory", "much"), ("--classes", "cat")]
+)
+def test_invalid_options_of_a_fleet(cli, tmp_path, options):
+    (tmp_path / "a.mp4").touch()
+    status, _, stderr = cli("fleet", "run", tmp_path, "--out", tmp_path / "out", *options)
+    assert status in (1, 2)
+    assert options[0] in stderr or options[1] in stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--reid", "--curves", "--align", "--lanes", "--detector", "--names"])
+def test_missing_shared_file(cli, tmp_path, option):
+    (tmp_path / "a.mp4").touch()
+    status, _, stderr = cli("fleet", "run", tmp_path, "--out", tmp_path / "out", option, tmp_path / "missing.txt")
+    assert status in (1, 2)
+    assert "missing.txt" in stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("text", "n_bytes"), [("2GB", 2e9), ("1.5 gb", 1.5e9), ("300MB", 3e8), ("7", 7)])
+def test_size_bytes(text, n_bytes):
+    assert size_bytes(text) == n_bytes
+
+
+@pytest.mark.parametrize("text", ["", "GB", "-2GB", "0", "1e9", "2 PB"])
+def test_sizes_that_are_refused(text):
+    with pytest.raises(ValueError, match="2GB"):
+        size_bytes(text)
+    with pytest.raises(ValidationError):
+        FleetSettings(recordings=("x",), out="y", worker_memory=text)
