@@ -64,7 +64,7 @@ def _write_page(path: Path, page: str) -> None:
 
 def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
     """HTML of the report of a run."""
-    return _rendered(
+    return rendered(
         "report.html.j2",
         title=run_name(summary),
         cards=list(cards(summary)),
@@ -86,7 +86,7 @@ def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
 
 def comparison_page(runs: Sequence[ComparedRun]) -> str:
     """HTML of the page that compares several runs."""
-    return _rendered(
+    return rendered(
         "comparison.html.j2",
         title=f"Comparison of {len(runs)} runs",
         runs=[{"name": run.name, "link": address(run.link) if run.link else None, "notes": run.notes} for run in runs],
@@ -138,7 +138,8 @@ def embedded(content: Mapping[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _rendered(template: str, **values: Any) -> str:
+def rendered(template: str, **values: Any) -> str:
+    """HTML of a template in assets/, with the values and the script and style of all pages."""
     # Autoescape is set explicitly: jinja2's choice by file suffix does not cover `.j2`.
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("track_range.report", "assets"),

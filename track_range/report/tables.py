@@ -30,19 +30,28 @@ Cost = Callable[[float], float]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One value as text; `best` marks the best value of its column."""
+    """One value as text; `best` marks the best value of its column, `link` is the address it leads to ("" = none)."""
 
     text: str
     best: bool = False
+    link: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A table, independent of its rendering: rows of cells, the first of which names the row."""
+    """A table, independent of its rendering: rows of cells, the first of which names the row.
+
+    Attributes:
+        title: heading of the table.
+        columns: headings of the columns.
+        rows: cells of the rows.
+        has_sentences: whether cells are sentences, which are wrapped.
+    """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
+    has_sentences: bool = False
 
 
 @dataclass(frozen=True, slots=True)

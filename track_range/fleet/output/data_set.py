@@ -112,6 +112,15 @@ def read_clips(out: Location) -> pa.Table:
     return merged_table(table, rows) if rows else table
 
 
+def read_journal(out: Location) -> pa.Table:
+    """The rows of the clips in the journal alone.
+
+    Raises:
+        StorageError: the storage cannot be read.
+    """
+    return records_table(_journal_rows(out, _journal_names(out)).values())
+
+
 class ClipTable:
     """The rows of a fleet in the driver, with the journal as the source of those that are not compiled.
 

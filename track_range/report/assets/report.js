@@ -651,6 +651,22 @@
     });
   }
 
+  // ---- a fleet ----
+
+  function startChart({ id, x, y, lines }) {
+    const box = element("div", { class: "chart wide-chart", role: "img", "aria-label": `${y}, ${x}` });
+    const legend = element("div", { class: "legend" });
+    for (const { name, colour } of lines) legend.append(element("span", {}, swatch({ stroke: colour, "stroke-width": 2.2 }), ` ${name}`));
+    byId(id).replaceChildren(legend, box);
+    const last = Math.max(...lines.flatMap((line) => line.x)), values = lines.flatMap((line) => line.y);
+    const low = Math.min(0, ...values), high = Math.max(0, ...values), space = 0.1 * Math.max(0.2, high - low);
+    addChart(box, () => {
+      const { plot, toX, toY, inner } = axes(box, { x: { low: -0.02 * (last || 1), high: 1.02 * (last || 1), label: x }, y: { low: low - space, high: high + space, label: "" } });
+      plot.append(shape("line", { class: "axis", x1: 0, x2: inner.width, y1: toY(0), y2: toY(0) }));
+      for (const line of lines) drawLine(plot, { name: "", colour: line.colour }, line.x.map(toX), line.y.map(toY));
+    });
+  }
+
   // ---- start ----
 
   startTheme();
@@ -668,6 +684,7 @@
   if (content.errors && Object.keys(content.errors).length)
     wholeChart("error-chart", "Relative error against true distance, by method", "wide-chart", drawErrors);
   if (content.lines?.length) startComparison();
+  content.charts?.forEach(startChart);
   if (content.calibration && Object.keys(content.calibration).length)
     wholeChart("sigma-chart", "Expected and observed fraction of errors within k sigma, by method", "square-chart", drawSigma);
 })();

@@ -24,5 +24,15 @@ app = lazy_app(
             "Show the progress of a fleet, during a run and after it.",
             examples=("track-range fleet status results",),
         ),
+        "report": Lazy(
+            "track_range.cli.commands.fleet.report",
+            "Print the figures of all clips of a fleet, and write them as one HTML page.",
+            "Road users, distance coverage, closest approaches, times to collision, errors, calibration drift, "
+            "failures and throughput. A run in progress can be reported; missing and damaged parts are named.",
+            (
+                "track-range fleet report results --html results/fleet.html",
+                "track-range fleet report s3://bucket/results --html s3://bucket/results/fleet.html --json fleet.json",
+            ),
+        ),
     },
 )

@@ -1,0 +1,90 @@
+"""`track-range fleet report`: figures of all clips of a fleet as tables and as one HTML page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from track_range.cli.console import console, print_grid, print_line, print_notes
+from track_range.cli.lazy import single_app
+from track_range.cli.parameters import command
+from track_range.foundation.options import Options, option
+
+if TYPE_CHECKING:
+    from track_range.fleet.storage.location import Location
+
+
+class FleetReportOptions(Options):
+    """Options of `track-range fleet report`."""
+
+    out: Annotated[str, option("Folder of the results, as given to fleet run --out.", metavar="OUT", is_argument=True)]
+    html: Annotated[
+        str | None,
+        option("Page to write; its links lead to the files of the clips in OUT.", metavar="FILE.html|URI"),
+    ] = None
+    table: Annotated[Path | None, option("Markdown file for the tables.", metavar="FILE.md")] = None
+    json_file: Annotated[Path | None, option("JSON file for the figures.", flag="--json", metavar="FILE")] = None
+    by: Annotated[
+        str | None,
+        option(
+            "Column of clips.parquet that groups the calibration drift (default: vehicle, camera or rig, if there is "
+            "one).",
+            metavar="COLUMN",
+        ),
+    ] = None
+
+
+def _fleet_report(options: FleetReportOptions) -> None:
+    from track_range.fleet.report.fleet_figures import fleet_figures
+    from track_range.fleet.report.fleet_grids import fleet_sections
+    from track_range.fleet.report.fleet_page import fleet_page
+    from track_range.fleet.storage.location import Location
+    from track_range.foundation.files.input_files import printable
+    from track_range.report.tables import markdown_table
+    from track_range.results.output_files import write_text
+    from track_range.run.progress import step_progress
+
+    out = Location.of(options.out)
+    page = None if options.html is None else Location.of(options.html)
+    _check_outputs(options, out, page)
+    with step_progress(console, "reading clips") as progress:
+        fleet = fleet_figures(out, options.by, progress)
+    figures = fleet.figures
+    grids = [grid for section in fleet_sections(figures) for grid in section.grids]
+    print_line(console, printable(figures["state"]))
+    clips, hours = figures["clips"], figures["video_h"]
+    print_line(
+        console, f"{clips['done']} of {clips['total']} clips done, {clips['failed']} failed, {hours:.2f} h of video"
+    )
+    print_notes(console, figures["problems"])
+    console.print()
+    for grid in grids:
+        print_grid(console, grid)
+    if options.json_file is not None:
+        write_text(options.json_file, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    if options.table is not None:
+        notes = "\n".join(f"- {note}" for note in figures["problems"])
+        write_text(options.table, "\n\n".join([*map(markdown_table, grids), *([notes] if notes else [])]) + "\n")
+    if page is not None:
+        page.write_bytes(fleet_page(fleet, out, page).encode("utf-8", "replace"))
+        print_line(console, f"Open {page} in a browser.")
+
+
+def _check_outputs(options: FleetReportOptions, out: Location, page: Location | None) -> None:
+    """Check the local output files before the work begins.
+
+    Raises:
+        OutputError: one of them cannot be written, or is a file of the fleet.
+    """
+    from track_range.fleet.output.data_set import CLIPS_FILE
+    from track_range.fleet.output.state import STATE_FILE
+    from track_range.results.output_files import check_outputs
+
+    files = [file for file in (options.table, options.json_file) if file is not None]
+    files += [page.path] if page is not None and page.is_local else []
+    check_outputs(files, [out.path / name for name in (CLIPS_FILE, STATE_FILE)] if out.is_local else [])
+
+
+app = single_app(command(FleetReportOptions, _fleet_report))
+"""Typer application of the command."""

@@ -1,0 +1,1 @@
+"""Report of a fleet: figures over all clips, tables and one HTML page."""

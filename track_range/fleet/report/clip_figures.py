@@ -1,0 +1,208 @@
+"""Figures from the rows of clips.parquet: hours, errors, calibration drift, failures, notes, throughput."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from track_range.fleet.report.clip_columns import ClipColumns
+from track_range.foundation.arrays import FloatArray
+
+Figures = dict[str, Any]
+"""Figures by name, as in the JSON file; None = unknown."""
+
+ERROR_FIGURES = (
+    "median_relative_error_pct",
+    "mean_relative_error_pct",
+    "bias_pct",
+    "within_1_sigma",
+    "within_2_sigma",
+)
+"""Figures of a method where there is ground truth."""
+
+ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")
+"""Figures of the alignment that show a drift: vertical offset, and constant error of the disparities."""
+
+GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")
+"""Columns that group the calibration drift by default, the first that exists."""
+
+_ENDS = 5
+"""Number of clips whose median is the first or last value of a drift."""
+
+_MAX_NAMED = 5
+"""Largest number of clips that are named in a row."""
+
+_MAX_ROWS = 20
+"""Largest number of reasons, notes, nodes and clips in a table."""
+
+_S_PER_H, _S_PER_DAY = 3600.0, 86400.0
+
+
+def video_s_by_hour(done: ClipColumns) -> dict[int | None, float]:
+    """Seconds of video by hour of the day (UTC); None = clips without UTC."""
+    seconds: dict[int | None, float] = defaultdict(float)
+    for start_s, duration_s in zip(done.utc_s("start_utc").tolist(), done.numbers("seconds").tolist(), strict=True):
+        if not np.isfinite(start_s):
+            seconds[None] += duration_s if np.isfinite(duration_s) else 0.0
+            continue
+        end_s = start_s + (duration_s if np.isfinite(duration_s) else 0.0)
+        while start_s < end_s:
+            hour_end_s = (start_s // _S_PER_H + 1) * _S_PER_H
+            seconds[int(start_s // _S_PER_H % 24)] += min(end_s, hour_end_s) - start_s
+            start_s = hour_end_s
+    return dict(seconds)
+
+
+def error_figures(done: ClipColumns) -> list[Figures]:
+    """Median over the clips of each figure by method, and the clip with the largest median error."""
+    rows = []
+    for method in done.prefixes(f"_{ERROR_FIGURES[0]}"):
+        errors_pct = done.numbers(f"{method}_{ERROR_FIGURES[0]}")
+        worst = int(np.nanargmax(errors_pct))
+        rows.append(
+            {
+                "method": method,
+                "clips": int(np.isfinite(errors_pct).sum()),
+                "coverage": _median(done.numbers(f"{method}_coverage")[np.isfinite(errors_pct)]),
+                **{name: _median(done.numbers(f"{method}_{name}")) for name in ERROR_FIGURES},
+                "worst_pct": float(errors_pct[worst]),
+                "worst_clip": done.texts("clip")[worst],
+            }
+        )
+    return sorted(rows, key=lambda row: str(row["method"]).endswith("_kf"))
+
+
+def group_column(clips: ClipColumns, requested: str | None) -> str | None:
+    """Column that groups the calibration drift; None = no such column."""
+    if requested is not None:
+        return requested if requested in clips.names else None
+    return next((name for name in GROUP_COLUMNS if any(clips.texts(name))), None)
+
+
+def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
+    """Alignment of the pairs over time, per value of the column `group` (None = all clips in one row).
+
+    Keys: group, clips, points (list of [Unix time or null, value] by figure), first, last and change by figure (medians
+    of the first and last `_ENDS` dated clips), from_utc_s, to_utc_s.
+    """
+    values = {name: done.numbers(f"alignment_{name}") for name in ALIGNMENT_FIGURES}
+    is_aligned = np.isfinite(np.array(list(values.values()))).any(axis=0)
+    names = done.texts(group) if group is not None else ["all clips"] * len(done)
+    utc_s = done.utc_s("start_utc")
+    rows = []
+    for name in sorted({name for name, aligned in zip(names, is_aligned, strict=True) if aligned}):
+        chosen = is_aligned & np.array([text == name for text in names])
+        row: Figures = {"group": name, "clips": int(chosen.sum())}
+        dated = chosen & np.isfinite(utc_s)
+        if dated.any():
+            row |= {"from_utc_s": float(utc_s[dated].min()), "to_utc_s": float(utc_s[dated].max())}
+        rows.append(row | {figure: _drift(utc_s[dated], values[figure][dated]) for figure in ALIGNMENT_FIGURES})
+        for figure in ALIGNMENT_FIGURES:
+            rows[-1][figure]["median"] = _median(values[figure][chosen])
+    return rows
+
+
+def _drift(utc_s: FloatArray, values: FloatArray) -> Figures:
+    known = np.isfinite(values)
+    order = np.argsort(utc_s[known], kind="stable")
+    utc_s, values = utc_s[known][order], values[known][order]
+    n = min(_ENDS, max(1, len(values) // 2))
+    first, last = _median(values[:n]), _median(values[-n:])
+    return {
+        "first": first,
+        "last": last,
+        "change": last - first if first is not None and last is not None and len(values) > 1 else None,
+        "points": np.stack([utc_s, values], axis=1).tolist(),
+    }
+
+
+def failure_figures(failed: ClipColumns) -> list[Figures]:
+    """Failed clips by kind and reason, most frequent first; file names and numbers do not distinguish reasons."""
+    by_reason: dict[tuple[str, str], list[tuple[str, str]]] = defaultdict(list)
+    for clip, kind, error, left in zip(*map(failed.texts, ("clip", "error_kind", "error", "left")), strict=True):
+        reason = _without_file(error, left)
+        by_reason[kind or "unknown", _pattern(reason)].append((clip, reason))
+    groups = sorted(by_reason.items(), key=lambda item: (-len(item[1]), item[0]))
+    return [
+        {"kind": kind, "reason": clips[0][1], "n": len(clips), "clips": [name for name, _ in clips[:_MAX_NAMED]]}
+        for (kind, _), clips in groups[:_MAX_ROWS]
+    ]
+
+
+def _without_file(error: str, left: str) -> str:
+    """A message without the file in front of it."""
+    if left and error.startswith(f"{left}: "):
+        return error[len(left) + 2 :]
+    return re.sub(r"^\S*[/\\]\S*: ", "", error)
+
+
+def _pattern(text: str) -> str:
+    """A text in which numbers and quoted names are replaced."""
+    return re.sub(r"'[^']*'|\d+(?:[.,]\d+)*", "#", text)
+
+
+def note_figures(done: ClipColumns) -> list[Figures]:
+    """Most frequent notes of the runs, with the number of clips and one of them."""
+    counts: Counter[str] = Counter()
+    examples: dict[str, tuple[str, str]] = {}
+    for clip, notes in zip(done.texts("clip"), done.lists("warnings"), strict=True):
+        for pattern, note in {_pattern(note): note for note in notes}.items():
+            counts[pattern] += 1
+            examples.setdefault(pattern, (note, clip))
+    return [
+        {"n": n, "note": examples[pattern][0], "clip": examples[pattern][1]}
+        for pattern, n in counts.most_common(_MAX_ROWS // 2)
+    ]
+
+
+def stage_figures(done: ClipColumns) -> dict[str, float]:
+    """Mean time of each stage in ms per frame, over all frames."""
+    frames = done.numbers("frames")
+    means = {}
+    for name in done.prefixes("_ms"):
+        ms = done.numbers(f"{name}_ms")
+        known = np.isfinite(ms) & (frames > 0)
+        if known.any() and ms[known].any():
+            means[name] = float(np.average(ms[known], weights=frames[known]))
+    return means
+
+
+def node_figures(done: ClipColumns) -> list[Figures]:
+    """Clips, time and memory by node, busiest first."""
+    names = done.texts("node")
+    rows = []
+    for name in sorted(set(names)):
+        chosen = done.where(np.array([text == name for text in names]))
+        memory_mb = chosen.numbers("peak_memory_mb")
+        rows.append(
+            {
+                "node": name or "unknown",
+                "clips": len(chosen),
+                **work_figures(chosen),
+                "median_memory_mb": _median(memory_mb),
+                "max_memory_mb": float(np.nanmax(memory_mb)) if np.isfinite(memory_mb).any() else None,
+            }
+        )
+    return sorted(rows, key=lambda row: -row["worker_h"])[:_MAX_ROWS]
+
+
+def work_figures(done: ClipColumns) -> Figures:
+    """Hours of video and of workers, speed of a worker, and time per clip that is not the run."""
+    video_s, wall_s, frames = (done.numbers(name) for name in ("seconds", "wall_s", "frames"))
+    worker_s = float(np.nansum(wall_s))
+    return {
+        "video_h": float(np.nansum(video_s)) / _S_PER_H,
+        "worker_h": worker_s / _S_PER_H,
+        "frames_per_worker_s": float(np.nansum(frames)) / worker_s if worker_s > 0 else None,
+        "video_s_per_worker_s": float(np.nansum(video_s)) / worker_s if worker_s > 0 else None,
+        "median_overhead_s": _median(done.numbers("overhead_s")),
+    }
+
+
+def _median(values: FloatArray | Sequence[float]) -> float | None:
+    known = np.asarray(values)[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None

@@ -1,0 +1,285 @@
+"""Tables of a fleet's figures, for the terminal, Markdown and the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, ERROR_FIGURES, Figures
+from track_range.report import tables
+from track_range.report.tables import NOTHING, SIGMA, Cell, Column, Grid, figure, grid_of
+
+_Row = Figures
+_Link = Callable[[_Row], str]
+
+
+def _no_link(_row: _Row) -> str:
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """Addresses of the files of a ranked track; "" = none.
+
+    Attributes:
+        report: of the report of its clip.
+        overlay: of the overlay at its moment.
+    """
+
+    report: _Link = _no_link
+    overlay: _Link = _no_link
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Tables about one subject.
+
+    Attributes:
+        anchor: name of the section in addresses.
+        title: heading.
+        text: sentences above the tables.
+        grids: tables with at least one row.
+        absence: sentence without tables.
+    """
+
+    anchor: str
+    title: str
+    text: str
+    grids: tuple[Grid, ...]
+    absence: str
+
+
+def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section]:
+    """All tables of a fleet, by subject."""
+    links = links or Links()
+    sections = [
+        Section(
+            "road-users",
+            "Road users",
+            "Tracks by their most frequent class. Hours of the day are those of the first frame of a track, in UTC.",
+            (_class_grid(figures["classes"]), _hour_grid(figures["hours"])),
+            "No clip has tracks.",
+        ),
+        Section(
+            "coverage",
+            "Distance coverage",
+            "Share of the observed boxes with a distance of the method. Bands of the filtered fused distance.",
+            (_coverage_grid(figures["coverage"]),),
+            "No box has a distance.",
+        ),
+        Section(
+            "closest",
+            "Closest approaches",
+            f"Smallest filtered fused distance of a road user, with its standard deviation {SIGMA}; one row per track.",
+            (_ranking("Closest tracks", figures["closest"], links),),
+            "No road user has a distance.",
+        ),
+        Section(
+            "collisions",
+            "Shortest times to collision",
+            "Road users that have been on a collision course for 0.5 s: predicted lateral offset at most 2 m at the "
+            f"time of collision. {SIGMA} at most half of the time; one row per track.",
+            (_ranking("Tracks on a collision course", figures["collisions"], links, is_collision=True),),
+            "No road user was on a collision course.",
+        ),
+        Section(
+            "errors",
+            "Errors",
+            "Clips with ground truth. Each figure is the median over the clips.",
+            (_error_grid(figures["errors"]),),
+            "No clip has ground truth (column truth of a manifest).",
+        ),
+        Section(
+            "drift",
+            "Calibration drift",
+            "Alignment that each run measured: vertical offset between the images, and constant error of the "
+            "disparities. First and last: medians of up to five clips.",
+            (_drift_grid(figures["drift"], figures["drift_by"]),),
+            "No clip has an alignment of two cameras.",
+        ),
+        Section(
+            "failures",
+            "Failures",
+            "Failed clips by reason; the option --retry-failed repeats them.",
+            (_failure_grid(figures["failures"]),),
+            "No clip failed.",
+        ),
+        Section(
+            "throughput",
+            "Throughput",
+            "A worker processes one clip at a time.",
+            (_work_grid(figures), _node_grid(figures["nodes"]), _stage_grid(figures["stages_ms"])),
+            "No clip is complete.",
+        ),
+        Section(
+            "notes",
+            "Notes of the runs",
+            "The most frequent ones, with one of the clips.",
+            (_note_grid(figures["notes"]),),
+            "The runs have no notes.",
+        ),
+    ]
+    return [
+        Section(part.anchor, part.title, part.text, tuple(grid for grid in part.grids if grid.rows), part.absence)
+        for part in sections
+    ]
+
+
+def _class_grid(rows: Sequence[_Row]) -> Grid:
+    columns = [
+        Column("tracks", _values(rows, "tracks"), "{:.0f}"),
+        Column("per hour of video", _values(rows, "per_hour")),
+        Column("mean s visible", _values(rows, "mean_visible_s")),
+    ]
+    return grid_of("Tracks by class", "class", _texts(rows, "class"), columns)
+
+
+def _hour_grid(rows: Sequence[_Row]) -> Grid:
+    classes = list(rows[0]["tracks"]) if rows else []
+    names = [NOTHING if row["hour_utc"] is None else f"{row['hour_utc']:02}:00" for row in rows]
+    columns = [Column("video h", _values(rows, "video_h"), "{:.2f}")]
+    for name in classes:
+        per_hour = [row["tracks"][name] / row["video_h"] if row["video_h"] > 0 else None for row in rows]
+        columns.append(Column(name, per_hour, "{:.0f}"))
+    return grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
+
+
+def _coverage_grid(rows: Sequence[_Row]) -> Grid:
+    methods = [*dict.fromkeys(row["method"] for row in rows)]
+    by_band: dict[tuple[float, float | None], dict[str, _Row]] = {}
+    for row in rows:
+        by_band.setdefault((row["from_m"], row["to_m"]), {})[row["method"]] = row
+    bands = sorted(by_band, key=lambda band: band[0])
+    names = [f"{low:g} m and more" if high is None else f"{low:g}-{high:g} m" for low, high in bands]
+    columns = [Column("boxes", [next(iter(by_band[band].values()))["boxes"] for band in bands], "{:.0f}")]
+    columns += [
+        Column(f"{method} %", [by_band[band][method]["coverage"] for band in bands], "{:.0f}", 100.0)
+        for method in methods
+    ]
+    return grid_of("Coverage by distance band", "distance", names, columns)
+
+
+def _ranking(title: str, rows: Sequence[_Row], links: Links, *, is_collision: bool = False) -> Grid:
+    measures = [("distance m", "distance_m", "{:.1f}"), (f"{SIGMA} m", "sigma_m", "{:.2f}"), ("x m", "x_m", "{:+.1f}")]
+    ttc = [("TTC s", "ttc_s", "{:.1f}"), (f"{SIGMA} s", "ttc_sigma_s", "{:.1f}")]
+    measures = [*ttc, *measures] if is_collision else measures
+    headings = ("clip", "track", "class", *(heading for heading, _, _ in measures), "at s", "UTC")
+    cells = tuple(
+        (
+            Cell(row["clip"], link=links.report(row)),
+            Cell(str(row["track_id"])),
+            Cell(row["road_class"]),
+            *(Cell(_text(row[key], pattern)) for _, key, pattern in measures),
+            Cell(f"{row['time_s']:.1f}", link=links.overlay(row)),
+            Cell(utc_text(row["utc_s"])),
+        )
+        for row in rows
+    )
+    return Grid(title, headings, cells)
+
+
+def _error_grid(rows: Sequence[_Row]) -> Grid:
+    patterns = {key: (heading, pattern, scale, cost) for heading, key, pattern, scale, cost in tables.METHOD_COLUMNS}
+    columns = [Column("clips", _values(rows, "clips"), "{:.0f}")]
+    for key in ("coverage", *ERROR_FIGURES):
+        heading, pattern, scale, cost = patterns[key]
+        columns.append(Column(heading, _values(rows, key), pattern, scale, cost))
+    columns.append(Column("worst clip %", _values(rows, "worst_pct")))
+    grid = grid_of("Distance error, median over the clips", "method", _texts(rows, "method"), columns)
+    worst = (Cell(row["worst_clip"]) for row in rows)
+    with_clip = tuple((*cells, cell) for cells, cell in zip(grid.rows, worst, strict=True))
+    return Grid(grid.title, (*grid.columns, "worst clip"), with_clip)
+
+
+_DRIFT_HEADINGS = dict(zip(ALIGNMENT_FIGURES, ("vertical", "disparity"), strict=True))
+
+
+def _drift_grid(rows: Sequence[_Row], group: str | None) -> Grid:
+    columns = [Column("clips", _values(rows, "clips"), "{:.0f}")]
+    for figure_name, heading in _DRIFT_HEADINGS.items():
+        columns += [
+            Column(f"{heading} {key} px", [row[figure_name][key] for row in rows], "{:+.2f}")
+            for key in ("median", "first", "last", "change")
+        ]
+    grid = grid_of("Alignment", group or "", _texts(rows, "group"), columns)
+    days = [(utc_text(row.get("from_utc_s"))[:10], utc_text(row.get("to_utc_s"))[:10]) for row in rows]
+    dated = tuple(
+        (*cells[:2], Cell(first), Cell(last), *cells[2:]) for cells, (first, last) in zip(grid.rows, days, strict=True)
+    )
+    return Grid(grid.title, (*grid.columns[:2], "from", "to", *grid.columns[2:]), dated)
+
+
+def _failure_grid(rows: Sequence[_Row]) -> Grid:
+    cells = (
+        (row["kind"], str(row["n"]), row["reason"], ", ".join(row["clips"]) + (", ..." if _has_more(row) else ""))
+        for row in rows
+    )
+    return _text_grid("Failures by reason", ("kind", "clips", "reason", "names"), cells)
+
+
+def _has_more(row: _Row) -> bool:
+    return int(row["n"]) > len(row["clips"])
+
+
+def _note_grid(rows: Sequence[_Row]) -> Grid:
+    return _text_grid("Notes", ("clip", "clips", "note"), ((row["clip"], str(row["n"]), row["note"]) for row in rows))
+
+
+def _text_grid(title: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Grid:
+    return Grid(title, headings, tuple(tuple(map(Cell, row)) for row in rows), has_sentences=True)
+
+
+_WORK: tuple[tuple[str, str, str], ...] = (
+    ("clips/h", "clips_per_hour", "{:.0f}"),
+    ("video h", "video_h", "{:.2f}"),
+    ("worker h", "worker_h", "{:.2f}"),
+    ("frames/s per worker", "frames_per_worker_s", "{:.1f}"),
+    ("video s per worker s", "video_s_per_worker_s", "{:.2f}"),
+    ("overhead s per clip", "median_overhead_s", "{:.2f}"),
+)
+"""Heading, key and format of each column."""
+
+
+def _work_grid(figures: Figures) -> Grid:
+    columns = [Column(heading, [figure(figures, key)], pattern) for heading, key, pattern in _WORK]
+    return grid_of("Work", "", ["all clips"] if figures["nodes"] else [], columns)
+
+
+def _node_grid(rows: Sequence[_Row]) -> Grid:
+    columns = [Column("clips", _values(rows, "clips"), "{:.0f}")]
+    columns += [Column(heading, _values(rows, key), pattern) for heading, key, pattern in _WORK[1:]]
+    columns += [
+        Column("median MB", _values(rows, "median_memory_mb"), "{:.0f}"),
+        Column("peak MB", _values(rows, "max_memory_mb"), "{:.0f}"),
+    ]
+    return grid_of("Nodes, with the memory of a worker", "node", _texts(rows, "node"), columns)
+
+
+def _stage_grid(stages_ms: dict[str, float]) -> Grid:
+    values = list(stages_ms.values())
+    columns = [Column("ms/frame", values, "{:.2f}"), Column("frames/s", [1000 / ms for ms in values])]
+    return grid_of("Run time by stage (stages overlap)", "stage", list(stages_ms), columns)
+
+
+def _values(rows: Sequence[_Row], key: str) -> list[float | None]:
+    return [figure(row, key) for row in rows]
+
+
+def _texts(rows: Sequence[_Row], key: str) -> list[str]:
+    return [str(row[key]) for row in rows]
+
+
+def _text(value: Any, pattern: str) -> str:
+    return NOTHING if value is None else pattern.format(value)
+
+
+def utc_text(utc_s: float | None) -> str:
+    """A Unix time as "2026-05-04 08:10:02"; "-" = unknown."""
+    if utc_s is None:
+        return NOTHING
+    try:
+        return datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    except (ValueError, OverflowError, OSError):
+        return NOTHING

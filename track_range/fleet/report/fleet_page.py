@@ -1,0 +1,125 @@
+"""The page of a fleet: one self-contained HTML file with links to the reports and overlays of the clips."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from track_range.fleet.output.data_set import RUNS, partition
+from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, Figures
+from track_range.fleet.report.fleet_figures import FleetFigures
+from track_range.fleet.report.fleet_grids import Links, fleet_sections, utc_text
+from track_range.fleet.storage.location import Location
+from track_range.overlay.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
+from track_range.report.page import address, embedded, rendered
+from track_range.report.sentences import card
+from track_range.report.series import thinned
+
+_LEAD_S = 2.0
+"""Time before the moment of a ranked track at which the overlay starts, s."""
+
+_MAX_LINES, _MAX_POINTS = 10, 300
+"""Largest number of lines in a chart, and of points of a line."""
+
+_CHART_LABELS = dict(
+    zip(ALIGNMENT_FIGURES, ("vertical offset, px", "constant error of the disparities, px"), strict=True)
+)
+
+
+def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:
+    """HTML of the page.
+
+    Args:
+        fleet: figures of the fleet.
+        out: its results.
+        page: where the page will be; links are relative to it.
+    """
+    figures = fleet.figures
+    charts = drift_charts(figures["drift"])
+    return rendered(
+        "fleet.html.j2",
+        title=f"Fleet {out.name or out}",
+        subtitle=f"State on {figures['written_utc']} UTC: {figures['state']}.",
+        cards=list(fleet_cards(figures)),
+        problems=figures["problems"],
+        sections=fleet_sections(figures, _links(fleet, out, page)),
+        charts=charts,
+        hidden_lines=max(0, len(figures["drift"]) - _MAX_LINES) if charts else 0,
+        content=embedded({"charts": charts}),
+    )
+
+
+def fleet_cards(figures: Figures) -> list[dict[str, str]]:
+    """Main figures."""
+    clips = figures["clips"]
+    left = f"{clips['left']} left" if clips["left"] else "all"
+    rate = figures["clips_per_hour"]
+    speed = figures["video_s_per_worker_s"]
+    return [
+        card(
+            "clips done", f"{clips['done']} of {clips['total']}", left if clips["left"] or not clips["failed"] else ""
+        ),
+        card("clips failed", clips["failed"], ""),
+        card("hours of video", f"{figures['video_h']:.2f}", ""),
+        card("tracks", figures["tracks"], f"{figures['rows']} rows"),
+        card("clips per hour", None if rate is None else f"{rate:.0f}", "in the last run"),
+        card("speed of a worker", None if speed is None else f"{speed:.2f}", "seconds of video per second"),
+    ]
+
+
+def drift_charts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Charts of the alignment over time, one per figure: id, x, y (labels), lines (name, colour, x in days, y in px).
+
+    The groups with the largest change of a figure are shown.
+    """
+    palette = [*dict.fromkeys([FUSED_COLOUR, *OTHER_COLOURS, *method_colours().values()])]
+    starts_s = [row["from_utc_s"] for row in rows if row.get("from_utc_s") is not None]
+    if not starts_s:
+        return []
+    charts = []
+    for name, label in _CHART_LABELS.items():
+        known = [row for row in rows if row[name]["points"]]
+        shown = sorted(known, key=lambda row: -abs(row[name]["change"] or 0.0))
+        lines = [
+            {"name": row["group"], "colour": palette[i % len(palette)], **_line(row[name]["points"], min(starts_s))}
+            for i, row in enumerate(sorted(shown[:_MAX_LINES], key=lambda row: str(row["group"])))
+        ]
+        if lines:
+            first_day = utc_text(min(starts_s))[:10]
+            charts.append({"id": f"drift-{name}", "x": f"days since {first_day}", "y": label, "lines": lines})
+    return charts
+
+
+def _line(points: Sequence[Sequence[float]], start_s: float) -> dict[str, list[float]]:
+    shown = [points[i] for i in thinned(len(points), _MAX_POINTS).tolist()]
+    return {
+        "x": [round((utc_s - start_s) / 86400, 4) for utc_s, _ in shown],
+        "y": [round(value, 4) for _, value in shown],
+    }
+
+
+def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
+    base = relative_address(out, page)
+
+    def link(row: Figures, name: str, fragment: str = "") -> str:
+        if base is None or name not in fleet.files.get(row["clip"], ()):
+            return ""
+        return address("/".join([*base, RUNS, partition(row["clip"]), name])) + fragment
+
+    def overlay(row: Figures) -> str:
+        time_s = row["time_s"] - fleet.starts_s.get(row["clip"], 0.0)
+        return link(row, "overlay.mp4", f"#t={max(0.0, time_s - _LEAD_S):.1f}")
+
+    return Links(report=lambda row: link(row, "report.html"), overlay=overlay)
+
+
+def relative_address(out: Location, page: Location) -> list[str] | None:
+    """Parts of the path from the folder of a page to a folder; None if a relative link cannot lead there."""
+    folder = page.parent
+    if folder is None:
+        return None
+    if out.is_local and page.is_local:
+        path = os.path.relpath(os.path.realpath(out.path), os.path.realpath(folder.path))
+        return [] if path == "." else path.split(os.sep)
+    return [] if folder == out else None

@@ -1,0 +1,318 @@
+"""Figures from the rows of tracks: of one clip, and their sum over clips, in memory that does not grow with the clips.
+
+Coverage of a method in a distance band = observed boxes with a distance of the method / observed boxes. The band is
+that of the filtered fused distance, which every ranged track has.
+
+A track is on a collision course if its lateral offset at the time of collision, x + T v_x, has been at most
+`COURSE_HALF_WIDTH_M` for `_STEADY_S`; v_x is the slope of its positions x over the last `_COURSE_S`.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.ranging.evaluation.errors import BANDS_M
+from track_range.results.columns import NOT_METHODS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+N_RANKED = 20
+"""Number of tracks in a ranking."""
+
+COURSE_HALF_WIDTH_M = 2.0
+"""Largest lateral offset of an object on a collision course: half the width of the ego vehicle, and of the object."""
+
+MAX_RELATIVE_SIGMA = 0.5
+"""Largest standard deviation of a ranked time to collision, relative to that time."""
+
+EDGES_M = (0.0, *BANDS_M, float("inf"))
+"""Edges of the distance bands: those of the evaluation, with the distances below and above."""
+
+NOT_ROAD_USERS = ("traffic light", "traffic sign")
+"""Classes that are not ranked."""
+
+_COURSE_S, _MIN_ROWS = 1.0, 4
+"""Time in s over which the lateral speed is estimated, and number of rows that this requires."""
+
+_STEADY_S, _MIN_STEADY_ROWS = 0.5, 3
+"""Time in s for which a track has to be on a collision course, and number of rows in it."""
+
+_REFERENCES = ("fused_kf", "fused")
+"""Distances that give the band and the closest approach, the first that a row has."""
+
+_NEEDED = ("time_s", "track_id", "class")
+_OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """The moment of a track at which it is closest, or at which its time to collision is shortest.
+
+    Attributes:
+        clip: name of the clip.
+        track_id: track in the clip.
+        road_class: class of the track.
+        time_s: time in the video.
+        utc_s: Unix time; None = unknown.
+        distance_m: distance.
+        sigma_m: its standard deviation; None = unknown.
+        x_m: lateral position, positive = right of the camera; None = unknown.
+        ttc_s: time to collision; None = not closing.
+        ttc_sigma_s: its standard deviation; None = unknown.
+    """
+
+    clip: str
+    track_id: int
+    road_class: str
+    time_s: float
+    utc_s: float | None
+    distance_m: float
+    sigma_m: float | None
+    x_m: float | None
+    ttc_s: float | None
+    ttc_sigma_s: float | None
+
+
+@dataclass(slots=True)
+class TrackFigures:
+    """Figures of the rows of one or more clips.
+
+    Attributes:
+        n_rows: number of rows.
+        n_tracks: number of tracks by class.
+        visible_s: time from the first to the last row of the tracks, s, by class.
+        n_by_hour: number of tracks by hour of the day (UTC; None = unknown) of their first row, and class.
+        n_boxes: number of observed boxes with a reference distance, by index of the distance band.
+        n_measured: number of these with a distance of a method, by method and index of the band.
+        closest: closest moments of the closest tracks.
+        collisions: moments with the shortest times to collision.
+    """
+
+    n_rows: int = 0
+    n_tracks: Counter[str] = field(default_factory=Counter)
+    visible_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    n_by_hour: Counter[tuple[int | None, str]] = field(default_factory=Counter)
+    n_boxes: Counter[int] = field(default_factory=Counter)
+    n_measured: Counter[tuple[str, int]] = field(default_factory=Counter)
+    closest: list[Approach] = field(default_factory=list)
+    collisions: list[Approach] = field(default_factory=list)
+
+    def add(self, other: TrackFigures) -> None:
+        """Add the figures of other clips."""
+        self.n_rows += other.n_rows
+        self.n_tracks.update(other.n_tracks)
+        for name, seconds in other.visible_s.items():
+            self.visible_s[name] += seconds
+        self.n_by_hour.update(other.n_by_hour)
+        self.n_boxes.update(other.n_boxes)
+        self.n_measured.update(other.n_measured)
+        self.closest = _closest([*self.closest, *other.closest])
+        self.collisions = _most_urgent([*self.collisions, *other.collisions])
+
+
+def _closest(approaches: Iterable[Approach]) -> list[Approach]:
+    return heapq.nsmallest(N_RANKED, approaches, key=lambda item: (item.distance_m, item.clip, item.track_id))
+
+
+def _most_urgent(approaches: Iterable[Approach]) -> list[Approach]:
+    return heapq.nsmallest(N_RANKED, approaches, key=lambda item: (item.ttc_s or 0.0, item.clip, item.track_id))
+
+
+def needed_columns(names: Sequence[str]) -> list[str]:
+    """Columns of tracks.parquet that the figures need.
+
+    Args:
+        names: columns of the file.
+
+    Raises:
+        ValueError: one that every file has is missing.
+    """
+    if missing := [name for name in _NEEDED if name not in names]:
+        raise ValueError(f"no column {missing[0]}")
+    distances = [name for method in _methods(names) for name in (f"{method}_m", f"{method}_sigma_m")]
+    needed = (*_NEEDED, *_OTHERS, *distances)
+    return [name for name in names if name in needed]
+
+
+def _methods(names: Sequence[str]) -> list[str]:
+    """Names of the distances with a sigma."""
+    methods = [name.removesuffix("_m") for name in names if name.endswith("_m") and f"{name[:-2]}_sigma_m" in names]
+    return [method for method in methods if method not in NOT_METHODS]
+
+
+def track_figures(clip: str, table: pa.Table) -> TrackFigures:
+    """Figures of the rows of a clip.
+
+    Args:
+        clip: its name.
+        table: the columns `needed_columns` of its tracks.parquet.
+    """
+    rows = _Rows(clip, table)
+    figures = TrackFigures(n_rows=table.num_rows)
+    if table.num_rows:
+        rows.count_tracks(figures)
+        rows.count_coverage(figures)
+        figures.closest = _closest(rows.approaches(rows.reference_m))
+        figures.collisions = _most_urgent(rows.approaches(rows.ttc_on_course_s()))
+    return figures
+
+
+class _Rows:
+    """Rows of a clip as arrays, by track and time."""
+
+    def __init__(self, clip: str, table: pa.Table) -> None:
+        self._clip = clip
+        names = table.column_names
+        track_id, time_s = (_numbers(table, name) for name in ("track_id", "time_s"))
+        order = np.lexsort((time_s, track_id))
+        self._columns = {name: _numbers(table, name)[order] for name in names if name != "class"}
+        self._class_code, self._classes = _encoded_classes(table, order)
+        self._methods = _methods(names)
+        self.track_id = track_id[order].astype(np.int64)
+        self.time_s = time_s[order]
+        is_first = np.diff(self.track_id, prepend=self.track_id[:1] - 1) != 0
+        self.starts: IntArray = np.flatnonzero(is_first)
+        self.track: IntArray = np.cumsum(is_first) - 1
+        self.observed: BoolArray = self._column("observed") != 0
+        self.reference_m, self._sigma_m = self._reference()
+        codes = self._majority_classes()
+        self.class_of_track = [self._classes[code] for code in codes]
+
+    def _column(self, name: str) -> FloatArray:
+        return self._columns.get(name, np.full(len(self.track_id), np.nan))
+
+    def _reference(self) -> tuple[FloatArray, FloatArray]:
+        """Reference distance of each row and its standard deviation, NaN = unknown."""
+        distance_m, sigma_m = self._column(""), self._column("")
+        for method in _REFERENCES:
+            is_new = np.isnan(distance_m)
+            distance_m = np.where(is_new, self._column(f"{method}_m"), distance_m)
+            sigma_m = np.where(is_new, self._column(f"{method}_sigma_m"), sigma_m)
+        return distance_m, sigma_m
+
+    def _majority_classes(self) -> IntArray:
+        """Code of the most frequent class of each track."""
+        n_classes = len(self._classes)
+        counts = np.bincount(self.track * n_classes + self._class_code, minlength=len(self.starts) * n_classes)
+        majority: IntArray = counts.reshape(len(self.starts), n_classes).argmax(axis=1)
+        return majority
+
+    def count_tracks(self, figures: TrackFigures) -> None:
+        """Add the tracks by class and hour."""
+        ends = np.append(self.starts[1:], len(self.track)) - 1
+        visible_s = self.time_s[ends] - self.time_s[self.starts]
+        utc_s = self._column("utc")[self.starts]
+        for name, seconds, utc in zip(self.class_of_track, visible_s.tolist(), utc_s.tolist(), strict=True):
+            figures.n_tracks[name] += 1
+            figures.visible_s[name] += seconds
+            hour = int(utc // 3600 % 24) if np.isfinite(utc) else None
+            figures.n_by_hour[hour, name] += 1
+
+    def count_coverage(self, figures: TrackFigures) -> None:
+        """Add the boxes and the distances of each method by distance band."""
+        rows = self.observed & np.isfinite(self.reference_m)
+        band = np.searchsorted(EDGES_M, self.reference_m[rows], side="right") - 1
+        figures.n_boxes.update(_counts(band))
+        for method in self._methods:
+            is_measured = np.isfinite(self._column(f"{method}_m")[rows])
+            figures.n_measured.update({(method, i): n for i, n in _counts(band[is_measured]).items()})
+
+    def ttc_on_course_s(self) -> FloatArray:
+        """Time to collision of the rows that are on a collision course and whose sigma is small enough, else NaN."""
+        ttc_s, sigma_s, x_m = (self._column(name) for name in ("ttc_s", "ttc_sigma_s", "x_m"))
+        with np.errstate(invalid="ignore"):
+            offset_m = x_m + ttc_s * self._lateral_mps(x_m)
+            is_on_course = np.abs(offset_m) <= COURSE_HALF_WIDTH_M
+            is_precise = sigma_s <= MAX_RELATIVE_SIGMA * ttc_s
+        n_on_course, n = self._window_sums(np.array([is_on_course, np.ones_like(x_m)]), _STEADY_S)
+        return np.where(is_precise & (n_on_course == n) & (n >= _MIN_STEADY_ROWS), ttc_s, np.nan)
+
+    def _lateral_mps(self, x_m: FloatArray) -> FloatArray:
+        """Slope of the least-squares line through the observed positions of the last `_COURSE_S`, m/s; NaN = too few.
+
+        v = (n sum(t x) - sum(t) sum(x)) / (n sum(t^2) - sum(t)^2)
+        """
+        valid = self.observed & np.isfinite(x_m)
+        t_s = self.time_s - self.time_s[self.starts][self.track]
+        x = np.where(valid, x_m, 0.0)
+        n, s_t, s_tt, s_x, s_tx = self._window_sums(
+            np.array([np.ones_like(x), t_s, t_s**2, x, t_s * x]) * valid, _COURSE_S
+        )
+        determinant = n * s_tt - s_t**2
+        is_known = (n >= _MIN_ROWS) & (determinant > 0)
+        return np.where(is_known, (n * s_tx - s_t * s_x) / np.where(is_known, determinant, 1.0), np.nan)
+
+    def _window_sums(self, terms: FloatArray, duration_s: float) -> FloatArray:
+        """(K, N) sums of (K, N) terms over the rows of the same track in the last `duration_s`, the row included."""
+        sums = np.concatenate([np.zeros((len(terms), 1)), np.cumsum(terms, axis=1)], axis=1)
+        # one increasing sequence over all tracks, in which the first row of each window is searched
+        time_s = self.time_s - self.time_s.min()
+        key = self.track * (time_s.max() + 2 * duration_s) + time_s
+        first = np.maximum(np.searchsorted(key, key - duration_s), self.starts[self.track])
+        windows: FloatArray = sums[:, 1:] - sums[:, first]
+        return windows
+
+    def approaches(self, values: FloatArray) -> list[Approach]:
+        """The observed row of each road user with the smallest value."""
+        ranked = np.where(self.observed & np.isfinite(self.reference_m) & ~np.isnan(values), values, np.inf)
+        smallest = np.minimum.reduceat(ranked, self.starts)
+        tracks = np.argsort(smallest, kind="stable")
+        chosen = (i for i in tracks.tolist() if smallest[i] < np.inf and self.class_of_track[i] not in NOT_ROAD_USERS)
+        return [self._approach(i, ranked, smallest[i]) for i in islice(chosen, N_RANKED)]
+
+    def _approach(self, track: int, ranked: FloatArray, smallest: float) -> Approach:
+        row = self.starts[track] + int(np.argmax(ranked[self.starts[track] :] == smallest))
+
+        def value(name: str) -> float | None:
+            return _known(self._column(name)[row])
+
+        return Approach(
+            clip=self._clip,
+            track_id=int(self.track_id[row]),
+            road_class=self.class_of_track[track],
+            time_s=float(self.time_s[row]),
+            utc_s=value("utc"),
+            distance_m=float(self.reference_m[row]),
+            sigma_m=_known(self._sigma_m[row]),
+            x_m=value("x_m"),
+            ttc_s=value("ttc_s"),
+            ttc_sigma_s=value("ttc_sigma_s"),
+        )
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _counts(band: IntArray) -> dict[int, int]:
+    return {i: int(n) for i, n in enumerate(np.bincount(band)) if n}
+
+
+def _numbers(table: pa.Table, name: str) -> FloatArray:
+    """Column as floating-point numbers, NaN = null.
+
+    Raises:
+        ArrowException: the column does not consist of numbers.
+    """
+    import pyarrow as pa
+
+    values: FloatArray = table[name].cast(pa.float64()).to_numpy()
+    return values
+
+
+def _encoded_classes(table: pa.Table, order: IntArray) -> tuple[IntArray, list[str]]:
+    """(N,) codes of the classes, and the names by code."""
+    import pyarrow as pa
+
+    texts: Any = table["class"].cast(pa.string()).combine_chunks().fill_null("").dictionary_encode()
+    codes: IntArray = texts.indices.to_numpy().astype(np.int64)[order]
+    return codes, texts.dictionary.to_pylist()
