@@ -48,9 +48,10 @@ class WebStorage:
 
     def stat(self, key: str, address: str) -> FileStat | None:
         """Size and time, as far as the server states them; None = no such file."""
+        files = self._files
         try:
             with _web_errors(address):
-                info = self._files.info(f"{self._scheme}://{key}")
+                info = files.info(f"{self._scheme}://{key}")
         except StorageError as error:
             if error.kind == "missing":
                 return None
@@ -106,8 +107,8 @@ class WebStorage:
         return HTTPFileSystem(client_kwargs={"timeout": timeout}, use_listings_cache=False)
 
     def _blocks(self, key: str, address: str, max_bytes: int) -> Iterator[bytes]:
-        size = 0
-        with _web_errors(address), self._files.open(f"{self._scheme}://{key}", "rb", block_size=0) as stream:
+        size, files = 0, self._files
+        with _web_errors(address), files.open(f"{self._scheme}://{key}", "rb", block_size=0) as stream:
             while block := stream.read(_BLOCK_BYTES):
                 size += len(block)
                 if size > max_bytes:
@@ -115,8 +116,9 @@ class WebStorage:
                 yield block
 
     def _linked(self, folder: str, base: str, address: str, *, depth: int) -> Iterator[Entry]:
+        files = self._files
         with _web_errors(address):
-            links = self._files.ls(folder, detail=False)
+            links = files.ls(folder, detail=False)
         for link in sorted({_QUERY.sub("", link) for link in links}):
             name = unquote(link[len(base) :])
             if not link.startswith(folder) or link == folder or ".." in name.split("/"):
