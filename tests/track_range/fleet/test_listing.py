@@ -7,7 +7,12 @@ import pytest
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
 from track_range.fleet.inputs.listing import clips_of
+from track_range.fleet.inputs.matches import matched_clips
+from track_range.fleet.inputs.pattern import FilePattern
+from track_range.fleet.inputs.tree import FileTree
+from track_range.fleet.storage.entry import Entry, FileStat, with_folders
 from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.location import Location
 
 PAIR = "{clip}_left.mp4,{clip}_right.mp4"
 VEHICLE_PAIR = "{vehicle}/{clip}_left.mp4,{vehicle}/{clip}_right.mp4"
@@ -53,6 +58,14 @@ def test_pairs_of_image_folders(tmp_path, filled):
     filled(tmp_path, *(f"{clip}/{side}/{n:06d}.png" for clip in "ab" for side in ("l", "r") for n in range(2)))
     clips = clips_of([str(tmp_path)], "{clip}/l,{clip}/r", None)
     assert [(clip.name, clip.right) for clip in clips] == [(name, str(tmp_path / name / "r")) for name in "ab"]
+
+
+def test_listing_without_folders(tmp_path):
+    names = [f"{clip}/x/{side}/{n}.png" for clip in "ab" for side in ("l", "r") for n in range(2)]
+    tree = FileTree.of_entries(Location.of(tmp_path), with_folders(Entry(name, FileStat(1, 1)) for name in names))
+    assert "a/x" in tree
+    clips = matched_clips(tree, FilePattern.of("{clip}/x/l,{clip}/x/r"), tree.folder)
+    assert sorted((clip.name, clip.problem) for clip in clips) == [("a", ""), ("b", "")]
 
 
 def test_half_of_a_pair_is_a_problem_of_one_clip(tmp_path, filled):

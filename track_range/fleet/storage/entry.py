@@ -43,6 +43,20 @@ def folder_state(entries: Iterable[Entry]) -> FileStat:
     return FileStat(size, mtime_ns, is_folder=True)
 
 
+def with_folders(entries: Iterable[Entry]) -> list[Entry]:
+    """A recursive listing of files with the folders that contain them."""
+    listed = list(entries)
+    folders = {entry.name for entry in listed if entry.stat.is_folder}
+    added: list[Entry] = []
+    for entry in listed:
+        name = entry.name.rpartition("/")[0]
+        while name and name not in folders:
+            folders.add(name)
+            added.append(Entry(name, FileStat(0, 0, is_folder=True)))
+            name = name.rpartition("/")[0]
+    return [*listed, *added]
+
+
 def is_hidden(name: str) -> bool:
     """Whether a relative path is that of a hidden file, or is in a hidden folder."""
     return name.startswith(".") or "/." in name

@@ -60,8 +60,11 @@ _PLACE = re.compile(r"^When .*?: (?=AWS Error)", re.DOTALL)
 _AWS = re.compile(r"AWS Error (\w+)(?: \(HTTP status \d+\))? during \w+ operation:?\s*(.*)", re.DOTALL)
 """Code and text of an error of S3."""
 
+_GOOGLE = re.compile(r".*?Status\((\w+): (?:.*?with a last message of )?(?:PerformWork\(\) - )?(.*)", re.DOTALL)
+"""Code and text of an error of Google Cloud Storage."""
+
 _NOISE = re.compile(
-    r"\s*\(Request ID: [^)]*\)|^google::cloud::|^curlCode: \d+, .*; Details: |^curlCode: \d+, |^No response body\.?$"
+    r"\s*\(Request ID: [^)]*\)|^curlCode: \d+, .*; Details: |^curlCode: \d+, |^No response body\.?$"
     r"|\s*Detail: \[errno \d+\].*$|\s+error_info=.*$|^\[Errno \d+\] ",
     re.DOTALL,
 )
@@ -149,5 +152,7 @@ def reason_of(error: Exception) -> str:
     code = ""
     if (match := _AWS.fullmatch(_PLACE.sub("", text))) is not None:
         code, text = match[1].replace("_", " ").lower(), match[2]
+    elif (match := _GOOGLE.fullmatch(text)) is not None:
+        code, text = match[1].replace("_", " ").lower(), match[2].strip(" )")
     text = _SECRETS.sub(r"\1...", " ".join(_NOISE.sub("", text).split())).strip(" .:")
     return shortened(text or code or type(error).__name__, _MAX_REASON)

@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from track_range.fleet.storage.entry import Entry, FileStat
+from track_range.fleet.storage.entry import Entry, FileStat, with_folders
 from track_range.fleet.storage.errors import StorageError, storage_errors
 
 if TYPE_CHECKING:
@@ -60,6 +60,15 @@ class ObjectStore:
 
     def entries(self, key: str, address: str, *, recursive: bool) -> Iterator[Entry]:
         """Objects and folders below a prefix."""
+        if self._scheme != "gs":
+            yield from self._entries(key, address, recursive=recursive)
+            return
+        # pyarrow lists no folders of Google Cloud Storage, except those that exist as empty objects
+        for entry in with_folders(self._entries(key, address, recursive=True)):
+            if recursive or "/" not in entry.name:
+                yield entry
+
+    def _entries(self, key: str, address: str, *, recursive: bool) -> Iterator[Entry]:
         from pyarrow.fs import FileSelector
 
         files = self.file_system(key, address)
