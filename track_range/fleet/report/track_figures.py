@@ -156,9 +156,9 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
         clip: its name.
         table: the columns `needed_columns` of its tracks.parquet.
     """
-    rows = _Rows(clip, table)
     figures = TrackFigures(n_rows=table.num_rows)
     if table.num_rows:
+        rows = _Rows(clip, table)
         rows.count_tracks(figures)
         rows.count_coverage(figures)
         figures.closest = _closest(rows.approaches(rows.reference_m))
