@@ -11,7 +11,10 @@ from track_range.fleet.storage.location import Location
 from track_range.foundation.files.images import IMAGE_SUFFIXES
 from track_range.video.segments.segmented_video import VIDEO_SUFFIXES
 
-_BAG_SUFFIXES = frozenset((".mcap", ".db3", ".bag"))
+_VIDEO_SUFFIXES, _IMAGE_SUFFIXES = tuple(sorted(VIDEO_SUFFIXES)), tuple(sorted(IMAGE_SUFFIXES))
+"""Suffixes as `str.endswith` needs them, which is called for every file."""
+
+_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 """Suffixes of MCAP files and ROS bags."""
 
 _RESULT_NAMES = frozenset(("overlay.mp4", "disparity.mp4", "run.mcap"))
@@ -74,9 +77,7 @@ class FileTree:
 
     def recorded_folders(self) -> set[str]:
         """Names of the folders that are one recording: numbered images without videos, or a ROS 2 bag."""
-        n_images = Counter(
-            _folder(name) for name in self.files if _suffix(name) in IMAGE_SUFFIXES and _has_digit(_last(name))
-        )
+        n_images = Counter(_folder(name) for name in self.files if is_image_name(name) and _has_digit(_last(name)))
         with_videos = {_folder(name) for name in self.files if is_video_name(name)}
         images = {folder for folder, n in n_images.items() if n >= _MIN_IMAGES and folder not in with_videos}
         bags = {_folder(name) for name in self.files if is_bag_name(name)}
@@ -85,17 +86,17 @@ class FileTree:
 
 def is_video_name(name: str) -> bool:
     """Whether a name has the suffix of a video file."""
-    return _suffix(name) in VIDEO_SUFFIXES
+    return name.lower().endswith(_VIDEO_SUFFIXES)
 
 
 def is_bag_name(name: str) -> bool:
     """Whether a name has the suffix of an MCAP file or ROS bag."""
-    return _suffix(name) in _BAG_SUFFIXES
+    return name.lower().endswith(_BAG_SUFFIXES)
 
 
 def is_image_name(name: str) -> bool:
     """Whether a name has the suffix of an image."""
-    return _suffix(name) in IMAGE_SUFFIXES
+    return name.lower().endswith(_IMAGE_SUFFIXES)
 
 
 def without_suffix(name: str) -> str:
