@@ -21,12 +21,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from track_range.fleet.engine.fingerprint import content_hash, fingerprint
+from track_range.fleet.engine.limits import plausible_s
 from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
 from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.output.data_set import TRACKS_FILE, publish_files, publish_record, publish_tracks
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.fetch import FetchedClip, fetched
+from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import printable
@@ -98,11 +101,12 @@ class _ClipRun:
         try:
             with ExitStack() as stack:
                 self._progress.phase = "fetching"
+                self._progress.fetch_bytes = _fetch_bytes(self._clip)
                 folder = stack.enter_context(_scratch_folder(self._plan.cache_dir))
                 local = stack.enter_context(fetched(self._clip, folder / "inputs", self._plan.cache_bytes))
-                self._names = local_names(self._clip, local.clip)
+                self._names = {str(file.path): str(Location.of(file.address)) for file in local.files.values()}
                 self._add_inputs(local)
-                self._process(local.clip, folder)
+                self._process(local, folder)
             return Outcome(self._record.row(), is_published=True)
         except _UnchangedError:
             return Outcome(self._record.row(), is_unchanged=True)
@@ -146,18 +150,19 @@ class _ClipRun:
         if self._task.known_hash and self._record.content_hash == self._task.known_hash:
             raise _UnchangedError
 
-    def _process(self, clip: Clip, folder: Path) -> None:
+    def _process(self, local: FetchedClip, folder: Path) -> None:
         """Run the clip with local files, and publish the results."""
         progress, plan = self._progress, self._plan
-        settings = clip_settings(plan.options, clip)
+        settings = clip_settings(plan.options, local.clip)
         names = () if settings.write == ("csv", "mot", "parquet") and "write" not in plan.options else settings.write
         has_files = plan.has_reports or bool(set(names) - {"parquet"}) or settings.overlay or settings.disparity
         run_folder = folder / "run" if has_files else None
         settings = settings.model_copy(update={"out": run_folder, "write": tuple(set(names) - {"parquet"})})
         start_s = time.perf_counter()
         progress.phase = "opening"
+        n_bytes = max(file.size for file in local.files.values())
+        progress.video_s = plausible_s(_header_s(local.clip, settings), n_bytes)
         with Run(settings, opened_detectors=_DETECTORS) as run:
-            progress.video_s = _video_s(run, progress.video_s)
             progress.phase = "processing"
             for _ in run:
                 progress.frames += 1
@@ -245,16 +250,6 @@ def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:
     return settings_from({**shared, **video, **own})
 
 
-def local_names(clip: Clip, local: Clip) -> dict[str, str]:
-    """Addresses of the files of a clip by the paths of their local copies."""
-    names = local.named_files()
-    return {
-        path: str(Location.of(address))
-        for role, address in clip.named_files().items()
-        if (path := names.get(role, address)) != address
-    }
-
-
 def write_tracks(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> None:
     """Write the rows of a clip; the same rows give the same bytes."""
     from track_range.results.formats.parquet_file import write_table
@@ -313,10 +308,23 @@ def _place(error: Exception) -> str:
     return "unknown place" if at is None else f"{Path(at.tb_frame.f_code.co_filename).name}, line {at.tb_lineno}"
 
 
-def _video_s(run: Run, otherwise: float) -> float:
-    """Duration of an opened video, s."""
-    fps = run.session.source.fps
-    return run.n_frames / fps if run.n_frames and fps else otherwise
+def _header_s(clip: Clip, settings: RunSettings) -> float:
+    """Duration of a clip according to the header of its left video, s; 0 = not stated."""
+    checked = next(check_clips([clip], folder_fps=settings.folder_fps, threads=1))
+    stated_s = checked.duration_s or 0.0
+    return stated_s if settings.duration_s is None else min(stated_s, settings.duration_s)
+
+
+def _fetch_bytes(clip: Clip) -> float:
+    """Bytes of a clip that have to be downloaded, and a twentieth of those that only have to be read."""
+    listings = FolderListings()
+    n_bytes = 0.0
+    for address in clip.named_files().values():
+        location = Location.of(address)
+        state = listings.state(location)
+        if state is not None:
+            n_bytes += max(state.size, 0) * (0.05 if location.is_local else 1.0)
+    return n_bytes
 
 
 def _is_number(value: Any) -> bool:

@@ -146,7 +146,7 @@ class Driver:
             self._table.touch(task.clip.name, row["inputs"])
             self._counts.skipped += 1
         elif row["status"] == "done":
-            self._done(row)
+            self._done(row, is_in_journal=outcome.is_published)
         elif outcome.is_transient:
             self._attempts.add(task.clip.name, row["error_kind"])
             self._repeat_or_fail(task, row["error_kind"], row["error"], row)
@@ -165,7 +165,7 @@ class Driver:
         if event.error_kind == "crash":  # the worker may have died after its last act for the clip
             row = journal_row(self._out, task.clip.name)
         if row is not None and self._is_of_attempt(row, task):
-            self._done(row)
+            self._done(row, is_in_journal=True)
             return
         if event.node in self._lost_nodes and event.error_kind == "crash":
             self._todo.append(task)
@@ -216,8 +216,8 @@ class Driver:
                 "--worker-memory and --gpus-per-worker free."
             )
 
-    def _done(self, row: Row) -> None:
-        self._table.add(row, is_in_journal=True)
+    def _done(self, row: Row, *, is_in_journal: bool) -> None:
+        self._table.add(row, is_in_journal=is_in_journal)
         self._counts.done += 1
         self._counts.video_s += row.get("seconds") or 0.0
 

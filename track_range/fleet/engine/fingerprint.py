@@ -9,17 +9,24 @@ from typing import Any
 
 from track_range.fleet.inputs.clip import Clip, is_file_setting
 from track_range.fleet.storage.errors import StorageError
+from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 
 
-def present_fingerprint(clip: Clip) -> str:
-    """`fingerprint` of a clip's files as they are; "" if the storage cannot be reached."""
+def present_fingerprint(clip: Clip, listings: FolderListings | None = None) -> str:
+    """`fingerprint` of a clip's files as they are; "" if the storage cannot be reached.
+
+    Args:
+        clip: the clip.
+        listings: sizes and times, for many clips; None = those at this moment.
+    """
+    listings = listings or FolderListings()
     try:
-        stats = {role: Location.of(address).stat() for role, address in clip.files().items()}
+        states = {role: listings.state(Location.of(address)) for role, address in clip.files(listings.stat).items()}
     except StorageError:
         return ""
     return fingerprint(
-        clip, {role: (-1, -1) if stat is None else (stat.size, stat.mtime_ns) for role, stat in stats.items()}
+        clip, {role: (-1, -1) if state is None else (state.size, state.mtime_ns) for role, state in states.items()}
     )
 
 

@@ -10,6 +10,9 @@ BASE_S = 60.0
 _FETCH_BYTES_PER_S = 1e6
 """Lowest rate of downloads that is not taken for a hang."""
 
+_MIN_BYTES_PER_S = 1000.0
+"""Lowest data rate of a video that is believed; a damaged header may state any duration."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -23,11 +26,16 @@ class Limits:
     time_factor: float
     memory_bytes: int
 
-    def time_s(self, video_s: float, remote_bytes: int = 0) -> float:
+    def time_s(self, video_s: float, fetch_bytes: float = 0.0) -> float:
         """Time limit of a clip.
 
         Args:
             video_s: duration of its video; 0 = not known yet.
-            remote_bytes: bytes to download.
+            fetch_bytes: bytes to download.
         """
-        return BASE_S + self.time_factor * max(video_s, 0.0) + remote_bytes / _FETCH_BYTES_PER_S
+        return BASE_S + self.time_factor * max(video_s, 0.0) + fetch_bytes / _FETCH_BYTES_PER_S
+
+
+def plausible_s(stated_s: float, n_bytes: int) -> float:
+    """Duration of a video for the time limit: the stated one, unless the file is too small for it."""
+    return max(0.0, min(stated_s, n_bytes / _MIN_BYTES_PER_S))

@@ -87,12 +87,14 @@ class ClipProgress:
         phase: "idle", "fetching", "opening", "processing" or "publishing".
         frames: frames processed.
         video_s: duration of the video, s; 0 = not known yet.
+        fetch_bytes: bytes to download.
     """
 
     clip: str = ""
     phase: str = "idle"
     frames: int = 0
     video_s: float = 0.0
+    fetch_bytes: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,7 +42,6 @@ class Slot:
         info: properties of the worker; None = it has not started yet.
         task: the clip that it is at.
         start_s: start of the clip, or of the worker, on the monotonic clock.
-        remote_bytes: bytes of the clip to be downloaded.
         state: last state.
         n_clips: number of clips that it has finished.
     """
@@ -53,7 +52,6 @@ class Slot:
     info: WorkerInfo | None = None
     task: ClipTask | None = None
     start_s: float = field(default_factory=time.monotonic)
-    remote_bytes: int = 0
     state: WorkerState | None = None
     state_call: Any = None
     state_s: float = 0.0
@@ -121,9 +119,9 @@ class WorkerPool:
         """Places with a worker that can take a clip."""
         return [slot for slot in self.slots if slot.is_idle]
 
-    def submit(self, slot: Slot, task: ClipTask, remote_bytes: int = 0) -> None:
+    def submit(self, slot: Slot, task: ClipTask) -> None:
         """Give a clip to an idle worker."""
-        slot.task, slot.start_s, slot.remote_bytes, slot.state = task, time.monotonic(), remote_bytes, None
+        slot.task, slot.start_s, slot.state = task, time.monotonic(), None
         slot.answer = slot.actor.run.remote(task)
 
     def events(self, timeout_s: float) -> Iterator[Event]:
@@ -207,7 +205,8 @@ class WorkerPool:
                     f"{self._settings.worker_memory}; give more memory.",
                 )
                 continue
-            limit_s = self._limits.time_s(0.0 if state is None else state.video_s, slot.remote_bytes)
+            known = (0.0, 0.0) if state is None else (state.video_s, state.fetch_bytes)
+            limit_s = self._limits.time_s(*known)
             if now_s - slot.start_s > limit_s:
                 at = "" if state is None else f" while {state.phase}, after {state.frames} frames"
                 yield self._lost(

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 from track_range.fleet.engine.fingerprint import present_fingerprint
 from track_range.fleet.engine.plan import ClipTask
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import ClipTable
+from track_range.fleet.storage.listings import FolderListings
 
 _N_CONNECTIONS = 32
 """Requests for sizes and times of change at a time."""
@@ -63,7 +65,7 @@ def remaining(clips: Sequence[Clip], table: ClipTable, settings_hash: str, *, is
             compared.append((clip, result))
     n_complete = n_failed = 0
     with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
-        present = threads.map(present_fingerprint, (clip for clip, _ in compared))
+        present = threads.map(partial(present_fingerprint, listings=FolderListings()), (clip for clip, _ in compared))
         for (clip, result), inputs in zip(compared, present, strict=True):
             if inputs and inputs == result.inputs:
                 n_complete += result.status == "done"

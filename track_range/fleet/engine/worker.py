@@ -40,6 +40,7 @@ class WorkerState:
         phase: see `ClipProgress`.
         frames: frames processed of the clip.
         video_s: duration of the clip's video, s; 0 = not known yet.
+        fetch_bytes: bytes to download for the clip.
         memory_bytes: resident memory of its process.
     """
 
@@ -47,6 +48,7 @@ class WorkerState:
     phase: str
     frames: int
     video_s: float
+    fetch_bytes: float
     memory_bytes: int
 
 
@@ -83,7 +85,14 @@ class Worker:
     def state(self) -> WorkerState:
         """Progress and memory at this moment; called in another thread while `run` is at work."""
         progress = self._progress
-        return WorkerState(progress.clip, progress.phase, progress.frames, progress.video_s, resident_bytes())
+        return WorkerState(
+            clip=progress.clip,
+            phase=progress.phase,
+            frames=progress.frames,
+            video_s=progress.video_s,
+            fetch_bytes=progress.fetch_bytes,
+            memory_bytes=resident_bytes(),
+        )
 
 
 def limit_threads(n_threads: int) -> None:
