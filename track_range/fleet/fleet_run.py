@@ -22,6 +22,7 @@ from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import RunStoppedError, UserError
+from track_range.foundation.files.input_files import counted
 from track_range.run.interrupts import ignore_interrupts, stop_on_interrupt
 
 _MAX_STATES = 1000
@@ -136,6 +137,9 @@ class _FleetRun:
 
             stack.enter_context(stop_on_interrupt())  # Ray has replaced the handlers
             n_workers = min(cluster.n_workers, len(left.todo))
+            if not self._console.quiet:
+                text = f"{counted(len(left.todo), 'clip')} to process, {left.n_complete} complete; "
+                self._console.print(text + counted(n_workers, "worker"), highlight=False)
             pool = WorkerPool(cluster, self._plan, self._process, self._settings, n_workers)
             try:
                 with shown_progress(self._console, counts) as progress:

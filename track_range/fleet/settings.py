@@ -95,7 +95,7 @@ class FleetSettings(Options):
             metavar="SIZE",
             panel=_WORKERS,
         ),
-    ] = "3GB"
+    ] = "2GB"
     gpus_per_worker: Annotated[
         float, option("GPUs of a worker, also a fraction.", metavar="N", panel=_WORKERS, ge=0, le=64)
     ] = 0.0

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +19,7 @@ from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet import fleet_run
 from track_range.fleet.engine import limits, plan, pool
+from track_range.fleet.engine.shared_files import shared_files, with_shared_files
 from track_range.fleet.errors import FleetError
 from track_range.fleet.fleet_run import run_fleet
 from track_range.fleet.output.data_set import read_clips
@@ -198,6 +200,26 @@ def test_unwritable_output_ends_the_run(run, tmp_path):
 def test_full_disk_of_a_worker_ends_the_run(run):
     with pytest.raises(FleetError, match="cannot be stored"):
         run("a", "full")
+
+
+def test_killed_workers_leave_no_files(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "BASE_S", 2.0)
+    cache = tmp_path / "cache"
+    run("a", "crash", "hang-once", "b", cache_dir=cache, timeout=0.1)
+    assert list(cache.iterdir()) == []
+
+
+def test_shared_files_reach_other_machines(tmp_path):
+    """The workers get the content, since the path of the driver may not exist where they are."""
+    names = tmp_path / "names.txt"
+    names.write_text("car\nbus\n")
+    settings = FleetSettings(recordings=("x",), out=str(tmp_path))
+    made = plan.FleetPlan(out=settings.out, options={"names": str(names), "sgbm": False}, shared={"names": "1"})
+    files = shared_files(made)
+    copied = with_shared_files(made, files, tmp_path / "worker")
+    assert Path(copied.options["names"]).read_text() == "car\nbus\n"
+    assert Path(copied.options["names"]).name == "names.txt"
+    assert copied.options["sgbm"] is False
 
 
 def test_second_driver_is_refused(run, tmp_path):

@@ -102,7 +102,7 @@ class _ClipRun:
             with ExitStack() as stack:
                 self._progress.phase = "fetching"
                 self._progress.fetch_bytes = _fetch_bytes(self._clip)
-                folder = stack.enter_context(_scratch_folder(self._plan.cache_dir))
+                folder = stack.enter_context(_scratch_folder())
                 local = stack.enter_context(fetched(self._clip, folder / "inputs", self._plan.cache_bytes))
                 self._names = {str(file.path): str(Location.of(file.address)) for file in local.files.values()}
                 self._add_inputs(local)
@@ -276,13 +276,12 @@ def _publishing() -> Iterator[None]:
 
 
 @contextmanager
-def _scratch_folder(parent: Path | None) -> Iterator[Path]:
+def _scratch_folder() -> Iterator[Path]:
+    """A folder for one clip in that of the worker."""
     try:
-        if parent is not None:
-            parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix="track-range-fleet-", dir=parent))
+        folder = Path(tempfile.mkdtemp(prefix="clip-"))
     except OSError as error:
-        raise _PublishingError(f"{parent or tempfile.gettempdir()}: cannot be written ({error.strerror}).") from error
+        raise _PublishingError(f"{tempfile.gettempdir()}: cannot be written ({error.strerror}).") from error
     try:
         yield folder
     finally:

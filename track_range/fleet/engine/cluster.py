@@ -52,10 +52,12 @@ class Cluster:
     """Cluster of a fleet.
 
     Attributes:
+        is_local: whether all workers are on the machine of this driver.
         node: id of the node of this driver.
         n_workers: number of workers to start.
     """
 
+    is_local: bool
     node: str
     n_workers: int
 
@@ -97,7 +99,7 @@ def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
                 _temp_dir=str(folder),
             )
             n_workers = _fitting(settings, n_requested)
-            yield Cluster(ray.get_runtime_context().get_node_id(), n_workers)
+            yield Cluster(True, ray.get_runtime_context().get_node_id(), n_workers)
         finally:
             ray.shutdown()
 
@@ -112,7 +114,7 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
             _init(address=settings.address)
         n_cores = int(sum(node["Resources"].get("CPU", 0) for node in _nodes() if node["Alive"]))
         n_requested = settings.workers or max(1, n_cores // settings.threads)
-        yield Cluster(ray.get_runtime_context().get_node_id(), n_requested)
+        yield Cluster(False, ray.get_runtime_context().get_node_id(), n_requested)
     finally:
         if is_ours:
             ray.shutdown()

@@ -8,6 +8,7 @@ Ray neither restarts actors nor repeats calls here: both are decided by the driv
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,11 +22,16 @@ from track_range.fleet.engine.attempts import ErrorKind
 from track_range.fleet.engine.cluster import Cluster
 from track_range.fleet.engine.limits import Limits
 from track_range.fleet.engine.plan import ClipTask, FleetPlan, Outcome, Process
+from track_range.fleet.engine.scratch import folder_of
+from track_range.fleet.engine.shared_files import shared_files
 from track_range.fleet.engine.worker import Worker, WorkerInfo, WorkerState
 from track_range.fleet.settings import FleetSettings
 
 _STATE_S = 1.0
 """Time between two questions for the state of a worker, s."""
+
+_CLOSE_S = 5.0
+"""Time in which idle workers remove their folders, s."""
 
 _BUSY_CALLS = 2
 """Threads of an actor for its state, so that one that waits for the interpreter does not block the next."""
@@ -102,7 +108,8 @@ class WorkerPool:
     ) -> None:
         self._cluster, self._settings = cluster, settings
         self._limits = Limits(settings.timeout, settings.worker_memory_bytes)
-        self._plan, self._process = ray.put(plan), process
+        self._cache_dir = plan.cache_dir
+        self._arguments = (ray.put(plan), process, ray.put({} if cluster.is_local else shared_files(plan)))
         remote: Any = ray.remote  # its types know no concurrency groups
         actor_class = remote(max_restarts=0, max_task_retries=0, concurrency_groups={"state": _BUSY_CALLS})(Worker)
         self._actor_class = actor_class.options(
@@ -111,7 +118,7 @@ class WorkerPool:
         self.slots = [self._started(number) for number in range(n_workers)]
 
     def _started(self, number: int) -> Slot:
-        actor = self._actor_class.remote(self._plan, self._process)
+        actor = self._actor_class.remote(*self._arguments)
         return Slot(number, actor, actor.info.remote())
 
     @property
@@ -143,7 +150,10 @@ class WorkerPool:
         self.slots[slot.number] = self._started(slot.number)
 
     def stop(self) -> None:
-        """End all workers."""
+        """End all workers; those that are idle remove their folders."""
+        closing = [slot.actor.close.remote() for slot in self.idle]
+        if closing:
+            ray.wait(closing, num_returns=len(closing), timeout=_CLOSE_S)
         for slot in self.slots:
             self._kill(slot)
 
@@ -174,6 +184,7 @@ class WorkerPool:
         if slot.info is not None and slot.info.node == self._cluster.node:
             with suppress(OSError):
                 os.kill(slot.info.pid, signal.SIGKILL)
+            shutil.rmtree(folder_of(slot.info.pid, self._cache_dir), ignore_errors=True)
 
     def _ask_states(self) -> None:
         """Take the answers of the workers to the questions for their states, and ask again."""

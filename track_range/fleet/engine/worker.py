@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import platform
 import resource
+import shutil
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome, Process
+from track_range.fleet.engine.scratch import open_scratch
+from track_range.fleet.engine.shared_files import SharedFile, with_shared_files
 
 _PAGE_BYTES = resource.getpagesize()
 
@@ -58,11 +62,13 @@ class Worker:
     Args:
         plan: of the fleet.
         process: processes a clip.
+        files: files that all clips share, if the driver is on another machine.
     """
 
-    def __init__(self, plan: FleetPlan, process: Process) -> None:
+    def __init__(self, plan: FleetPlan, process: Process, files: Mapping[str, SharedFile]) -> None:
         limit_threads(plan.threads)
-        self._plan, self._process = plan, process
+        self._folder = open_scratch(plan.cache_dir)
+        self._plan, self._process = with_shared_files(plan, files, self._folder / "shared"), process
         self._progress = ClipProgress()
 
     def info(self) -> WorkerInfo:
@@ -81,6 +87,10 @@ class Worker:
             return self._process(task, self._plan, self._progress)
         finally:
             self._progress = ClipProgress()
+
+    def close(self) -> None:
+        """Remove the folder of this worker, before its end."""
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def state(self) -> WorkerState:
         """Progress and memory at this moment; called in another thread while `run` is at work."""
