@@ -138,6 +138,33 @@ def test_folder_of_a_killed_process_is_removed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_file_system_without_locks(tmp_path, monkeypatch):
+    with scratch_folder(tmp_path) as folder:
+        monkeypatch.setattr("track_range.fleet.storage.scratch.is_locked", lambda _: False)
+        with scratch_folder(tmp_path):
+            assert folder.exists()
+
+
+def test_names_of_objects_that_leave_the_folder(bucket, tmp_path):
+    import boto3
+
+    client = boto3.client("s3", region_name="us-east-1")
+    outside = tmp_path / "outside.png"
+    for key in ("images/1.png", "images/2.png", f"images/{outside}", "images/../3.png", "images//4.png"):
+        client.put_object(Bucket=bucket.name, Key=key, Body=b"x")
+    with fetched(Clip("a", bucket.child("images").address), tmp_path / "cache", LIMIT) as local:
+        assert sorted(path.name for path in Path(local.clip.left).rglob("*")) == ["1.png", "2.png"]
+    assert [path.name for path in tmp_path.iterdir()] == ["cache"]
+
+
+def test_error_in_a_folder(bucket, tmp_path):
+    for number in range(20):
+        bucket.child("images", f"{number}.png").write_bytes(bytes(100))
+    with pytest.raises(StorageError), fetched(Clip("a", bucket.child("images").address), tmp_path, 1999):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_other_files_in_the_cache_stay(tmp_path):
     (tmp_path / "other").mkdir()
     with scratch_folder(tmp_path):

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import threading
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +24,9 @@ from track_range.foundation.files.input_files import open_regular, shortened
 
 _BLOCK_BYTES = 1 << 20
 """Size of the blocks that are hashed, bytes."""
+
+_N_CONNECTIONS = 8
+"""Files of a folder that are downloaded at a time."""
 
 _MAX_NAME = 200
 """Largest length of a file name in the cache, bytes; object stores allow longer ones."""
@@ -95,6 +100,7 @@ class _Fetch:
     def __init__(self, clip: Clip, limit_bytes: int) -> None:
         self.locations = {role: Location.of(address) for role, address in clip.files().items()}
         self._limit_bytes = self._left_bytes = limit_bytes
+        self._lock = threading.Lock()
         self._entries: dict[str, list[Entry]] = {}
         self._states = {role: self._state(role, location) for role, location in self.locations.items()}
         self.has_remote = not all(location.is_local for location in self.locations.values())
@@ -109,7 +115,7 @@ class _Fetch:
             (
                 entry
                 for entry in location.list(recursive=True)
-                if not (entry.stat.is_folder or is_hidden(entry.name) or ".." in entry.name.split("/"))
+                if not (entry.stat.is_folder or is_hidden(entry.name)) and _is_below(entry.name)
             ),
             key=lambda entry: entry.name,
         )
@@ -152,8 +158,10 @@ class _Fetch:
         location = self.locations[role]
         path = folder / self._place(role)
         if role in self._entries:
-            for entry in self._entries[role]:
-                self._download(location.child(entry.name), path / entry.name, entry.stat.size)
+            entries = self._entries[role]
+            with ThreadPoolExecutor(_N_CONNECTIONS) as threads:
+                # the list re-raises the first error
+                list(threads.map(lambda e: self._download(location.child(e.name), path / e.name, e.stat.size), entries))
         else:
             self._download(location, path, self._states[role].size)
         return path
@@ -179,8 +187,9 @@ class _Fetch:
     def _download(self, location: Location, path: Path, size: int) -> None:
         with storage_errors(path, "written"):
             path.parent.mkdir(parents=True, exist_ok=True)
-        n_bytes = location.download(path, self._left_bytes)
-        self._left_bytes -= n_bytes
+        n_bytes = location.download(path, max(self._left_bytes, 0))
+        with self._lock:
+            self._left_bytes -= n_bytes
         if size >= 0 and n_bytes != size:
             raise StorageError(
                 f"{location}: changed while it was downloaded ({size}, then {n_bytes} bytes).", "network"
@@ -214,6 +223,11 @@ def _update(digest: hashlib._Hash, path: Path) -> None:
     with storage_errors(path, "read"), open_regular(path, StorageError, "a file of the clip") as file:
         while block := file.read(_BLOCK_BYTES):
             digest.update(block)
+
+
+def _is_below(name: str) -> bool:
+    """Whether a relative name stays below its folder as a local path; names of objects may be `/x` or `../x`."""
+    return not {"", ".", ".."}.intersection(name.split("/"))
 
 
 def _safe_name(location: Location) -> str:

@@ -25,7 +25,7 @@ _NEW_S = 60.0
 
 @contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
-    """A new, empty folder in `parent`, which is created; removed at the end. Left over ones are removed before.
+    """A new, empty folder in `parent`, which is created; removed at the end. Those of ended processes are removed too.
 
     Raises:
         StorageError: it cannot be created.
@@ -33,12 +33,13 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
     """
     with storage_errors(parent, "written"):
         parent.mkdir(parents=True, exist_ok=True)
-        remove_left_over(parent)
         new = Path(tempfile.mkdtemp(prefix=_NEW_PREFIX, dir=parent))
     lock = FolderLock(new)
     folder = parent / f"{_PREFIX}{os.getpid()}-{new.name.removeprefix(_NEW_PREFIX)}"
     try:
         with storage_errors(parent, "written"):
+            if is_locked(new):  # otherwise the file system has no locks, and those of others cannot be seen either
+                remove_left_over(parent)
             new.rename(folder)
             content = folder / "content"
             content.mkdir()
