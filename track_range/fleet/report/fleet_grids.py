@@ -94,9 +94,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         Section(
             "drift",
             "Calibration drift",
-            "Alignment that each run measured: vertical offset between the images, and constant error of the "
-            "disparities. First and last: medians of up to five clips.",
-            (_drift_grid(figures["drift"], figures["drift_by"]),),
+            "Alignment of the two cameras, measured in each run. First and last: medians of up to five clips.",
+            tuple(_drift_grid(figures["drift"], name, figures["drift_by"]) for name in ALIGNMENT_FIGURES),
             "No clip has an alignment of two cameras.",
         ),
         Section(
@@ -193,22 +192,23 @@ def _error_grid(rows: Sequence[_Row]) -> Grid:
     return Grid(grid.title, (*grid.columns, "worst clip"), with_clip)
 
 
-_DRIFT_HEADINGS = dict(zip(ALIGNMENT_FIGURES, ("vertical", "disparity"), strict=True))
+DRIFT_TITLES = dict(zip(ALIGNMENT_FIGURES, ("Vertical offset", "Constant error of the disparities"), strict=True))
+"""Titles of the tables of the calibration drift."""
 
 
-def _drift_grid(rows: Sequence[_Row], group: str | None) -> Grid:
-    columns = [Column("clips", _values(rows, "clips"), "{:.0f}")]
-    for figure_name, heading in _DRIFT_HEADINGS.items():
-        columns += [
-            Column(f"{heading} {key} px", [row[figure_name][key] for row in rows], "{:+.2f}")
-            for key in ("median", "first", "last", "change")
-        ]
-    grid = grid_of("Alignment", group or "", _texts(rows, "group"), columns)
-    days = [(utc_text(row.get("from_utc_s"))[:10], utc_text(row.get("to_utc_s"))[:10]) for row in rows]
-    dated = tuple(
-        (*cells[:2], Cell(first), Cell(last), *cells[2:]) for cells, (first, last) in zip(grid.rows, days, strict=True)
+def _drift_grid(rows: Sequence[_Row], name: str, group: str | None) -> Grid:
+    headings = ("clips", "from", "to", "median px", "first px", "last px", "change px")
+    cells = (
+        (
+            str(row["group"]),
+            str(row["clips"]),
+            *(utc_text(row.get(key))[:10] for key in ("from_utc_s", "to_utc_s")),
+            *(_text(row[name][key], "{:+.2f}") for key in ("median", "first", "last", "change")),
+        )
+        for row in rows
     )
-    return Grid(grid.title, (*grid.columns[:2], "from", "to", *grid.columns[2:]), dated)
+    rows_of_text = tuple(tuple(map(Cell, texts)) for texts in cells)
+    return Grid(DRIFT_TITLES[name], (group or "", *headings), rows_of_text)
 
 
 def _failure_grid(rows: Sequence[_Row]) -> Grid:

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from track_range.fleet.output.data_set import RUNS, partition
-from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, Figures
+from track_range.fleet.report.clip_figures import Figures
 from track_range.fleet.report.fleet_figures import FleetFigures
-from track_range.fleet.report.fleet_grids import Links, fleet_sections, utc_text
+from track_range.fleet.report.fleet_grids import DRIFT_TITLES, Links, fleet_sections, utc_text
 from track_range.fleet.storage.location import Location
 from track_range.overlay.colours import FUSED_COLOUR, OTHER_COLOURS, method_colours
 from track_range.report.page import address, embedded, rendered
@@ -21,10 +21,6 @@ _LEAD_S = 2.0
 
 _MAX_LINES, _MAX_POINTS = 10, 300
 """Largest number of lines in a chart, and of points of a line."""
-
-_CHART_LABELS = dict(
-    zip(ALIGNMENT_FIGURES, ("vertical offset, px", "constant error of the disparities, px"), strict=True)
-)
 
 
 def fleet_page(fleet: FleetFigures, out: Location, page: Location) -> str:
@@ -78,7 +74,7 @@ def drift_charts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     if not starts_s:
         return []
     charts = []
-    for name, label in _CHART_LABELS.items():
+    for name, title in DRIFT_TITLES.items():
         known = [row for row in rows if row[name]["points"]]
         shown = sorted(known, key=lambda row: -abs(row[name]["change"] or 0.0))
         lines = [
@@ -87,7 +83,7 @@ def drift_charts(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         ]
         if lines:
             first_day = utc_text(min(starts_s))[:10]
-            charts.append({"id": f"drift-{name}", "x": f"days since {first_day}", "y": label, "lines": lines})
+            charts.append({"id": f"drift-{name}", "x": f"days since {first_day}", "y": f"{title}, px", "lines": lines})
     return charts
 
 
