@@ -11,7 +11,7 @@ _FETCH_BYTES_PER_S = 1e6
 """Lowest rate of downloads that is not taken for a hang."""
 
 _MIN_BYTES_PER_S = 1000.0
-"""Lowest data rate of a video that is believed; a damaged header may state any duration."""
+"""Lowest plausible data rate of a video; a damaged header may state any duration."""
 
 
 @dataclass(frozen=True, slots=True)

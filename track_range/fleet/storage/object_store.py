@@ -166,6 +166,9 @@ def _region_of(bucket: str) -> str:
 def _s3(options: tuple[tuple[str, str], ...], endpoint: str, region: str) -> FileSystem:
     from pyarrow.fs import AwsStandardS3RetryStrategy, S3FileSystem
 
+    if os.environ.get("AWS_ACCESS_KEY_ID"):
+        # region and credentials are known; the AWS SDK would still wait for the metadata service of a cloud machine
+        os.environ.setdefault("AWS_EC2_METADATA_DISABLED", "true")
     given = dict(options)
     scheme, has_scheme, host = endpoint.rpartition("://")
     extra: dict[str, Any] = {"endpoint_override": host.rstrip("/")} if endpoint else {}
