@@ -17,6 +17,7 @@ from track_range.fleet.engine.progress import shown_progress, worker_state
 from track_range.fleet.engine.remaining import remaining
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import ClipTable
+from track_range.fleet.output.publishing import remove_unfinished
 from track_range.fleet.output.state import HEARTBEAT_S, FleetState, OutputLock, State
 from track_range.fleet.settings import FleetSettings
 from track_range.fleet.storage.errors import StorageError
@@ -76,6 +77,8 @@ def run_fleet(
         stack.enter_context(stop_on_interrupt())
         lock = OutputLock(out)
         stack.callback(lock.release)
+        stack.callback(remove_unfinished, out)
+        remove_unfinished(out)
         return _FleetRun(settings, plan, out, clips, console or Console(quiet=True), process).run()
 
 
@@ -105,7 +108,7 @@ class _FleetRun:
         try:
             self._table.compile()
             self._process_remaining()
-            self._table.compile()
+            self._table.compile(is_sorted=True)
         except KeyboardInterrupt:
             with ignore_interrupts():
                 self._finish("stopped", "stopped by the user")
@@ -173,7 +176,7 @@ class _FleetRun:
         """Write what is known after a failure, as far as the storage allows it."""
         with suppress(StorageError):
             self._table.collect_journal()
-            self._table.compile()
+            self._table.compile(is_sorted=True)
         with suppress(StorageError):
             self._write_state(state, reason)
 

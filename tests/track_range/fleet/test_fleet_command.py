@@ -12,6 +12,8 @@ import pyarrow.parquet
 import pytest
 from pydantic import ValidationError
 
+from tests.track_range.fleet.killing import killed_workers
+from track_range.fleet import fleet_run
 from track_range.fleet.output.data_set import read_clips
 from track_range.fleet.settings import FleetSettings, size_bytes
 from track_range.fleet.storage.location import Location
@@ -69,6 +71,25 @@ def test_rows_equal_those_of_a_run(finished, drives, small_drive, tmp_path):
         metadata = pyarrow.parquet.read_schema(file).metadata
         assert metadata[b"track_range.clip"].decode() == name
         assert str(recordings) not in str(metadata)
+
+
+@pytest.mark.slow
+def test_killed_workers_leave_the_same_rows(cli, cluster, small_drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(fleet_run, "HEARTBEAT_S", 0.2)  # fleet.json names the processes to kill
+    for number in range(8):
+        (tmp_path / "clips").mkdir(exist_ok=True)
+        shutil.copy(small_drive.left, tmp_path / "clips" / f"clip-{number}.mp4")
+    arguments = ("--focal-px", 500, "--out", tmp_path / "out", "--address", cluster.address, "--workers", 2)
+    with killed_workers(tmp_path / "out", 4, interval_s=1.5) as killed:
+        status, _, stderr = cli("fleet", "run", tmp_path / "clips", *arguments)
+    assert (status, stderr) == (0, "")
+    assert killed
+    tables = [pyarrow.parquet.ParquetFile(file).read() for file in (tmp_path / "out" / "tracks").rglob("*.parquet")]
+    assert len(tables) == 8
+    assert all(table.equals(tables[0]) for table in tables)
+    rows = read_clips(Location.of(tmp_path / "out")).to_pylist()
+    assert {row["rows"] for row in rows} == {tables[0].num_rows}
+    assert sum(row["attempts"] for row in rows) > 8
 
 
 @pytest.mark.slow

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
-import signal
 import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("ray")
 
+from tests.track_range.fleet.killing import killed_workers
 from tests.track_range.fleet.ray_clusters import OBJECT_STORE_BYTES
 from tests.track_range.fleet.stub_clips import process_stub, stub_clips
 from track_range.fleet import fleet_run
@@ -134,30 +132,14 @@ def test_failed_clips_are_repeated_on_request(run):
 
 def test_killed_workers_leave_one_result_each(run, tmp_path, monkeypatch):
     monkeypatch.setattr(fleet_run, "HEARTBEAT_S", 0.2)  # fleet.json names the processes to kill
-    stop = threading.Event()
-    killed = []
-
-    def kill():
-        generator = random.Random(3)  # noqa: S311
-        while len(killed) < 6 and not stop.wait(1.0):
-            state = read_state(Location.of(tmp_path / "out"))
-            pids = {worker["pid"] for worker in (state.workers if state else ()) if worker["clip"]} - set(killed)
-            if pids:
-                killed.append(generator.choice(sorted(pids)))
-                with suppress(ProcessLookupError):
-                    os.kill(killed[-1], signal.SIGKILL)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    try:
+    with killed_workers(tmp_path / "out", 6) as killed:
         _, rows = run(*(f"slow-{number}" for number in range(20)))
-    finally:
-        stop.set()
-        thread.join()
     assert killed
     assert len(rows) == 20
     assert {row["status"] for row in rows.values()} == {"done"}
     assert sum(row["attempts"] for row in rows.values()) > 20
+    files = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert files == {"fleet.json", "clips.parquet", "tracks.parquet"}
 
 
 def test_lost_node(run, cluster, tmp_path, monkeypatch):

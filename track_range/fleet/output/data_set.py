@@ -5,6 +5,7 @@
     OUT/journal/NAME.json                   row of a clip that is newer than clips.parquet
     OUT/tracks/clip=NAME/tracks.parquet     rows of a clip
     OUT/runs/clip=NAME/...                  other files of a clip
+    OUT/unfinished/...                      files that are being written
 
 NAME is percent-encoded, as in other partitioned data sets. A clip is complete when its row is in the journal or in
 clips.parquet; all else is written before. Every file is replaced as a whole, so that nothing exists twice or in part,
@@ -19,14 +20,13 @@ import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
 from track_range.fleet.errors import FleetError
+from track_range.fleet.output.publishing import publish_bytes, publish_file
 from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
-from track_range.fleet.output.repetition import repeated
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
@@ -40,6 +40,15 @@ CLIPS_FILE, JOURNAL, TRACKS, RUNS, TRACKS_FILE = "clips.parquet", "journal", "tr
 _COMPILE_S, _COMPILE_SHARE = 10.0, 20.0
 """Shortest time between two compilations, s, and relative to the time that one takes."""
 
+_ROWS_PER_GROUP = 10_000
+"""Rows per row group of clips.parquet, about 7 MB in memory."""
+
+_MAX_SORTED = 50_000
+"""Largest number of rows that are sorted, which takes as much memory as the table: about 1 kB per row."""
+
+_MAX_NEWER = 5000
+"""Rows in memory that are not compiled, of about 5 kB each."""
+
 _N_CONNECTIONS = 16
 """Requests to the storage at a time."""
 
@@ -51,7 +60,8 @@ def partition(name: str) -> str:
 
 def encoded(name: str) -> str:
     """Name of a clip in the names of files."""
-    return quote(name, safe="")
+    text = quote(name, safe="")
+    return f"%2E{text[1:]}" if text.startswith(".") else text  # files that begin with a dot are hidden
 
 
 def tracks_location(out: Location, name: str) -> Location:
@@ -65,8 +75,7 @@ def publish_tracks(out: Location, name: str, file: Path) -> None:
     Raises:
         StorageError: they cannot be written.
     """
-    location = tracks_location(out, name)
-    repeated(lambda: location.upload(file))
+    publish_file(out, tracks_location(out, name), file)
 
 
 def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:
@@ -77,7 +86,7 @@ def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:
     """
     folder = out.child(RUNS, partition(name))
     for file_name, file in files.items():
-        repeated(partial(folder.child(file_name).upload, file))
+        publish_file(out, folder.child(file_name), file)
 
 
 def publish_record(out: Location, row: Row) -> None:
@@ -87,7 +96,7 @@ def publish_record(out: Location, row: Row) -> None:
         StorageError: it cannot be written.
     """
     text = json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    repeated(lambda: _journal_location(out, row["clip"]).write_bytes(text.encode()))
+    publish_bytes(out, _journal_location(out, row["clip"]), text.encode())
 
 
 def journal_row(out: Location, name: str) -> Row | None:
@@ -109,7 +118,7 @@ def read_clips(out: Location) -> pa.Table:
     """
     table = _compiled(out)
     rows = _journal_rows(out, _journal_names(out))
-    return merged_table(table, rows) if rows else table
+    return (merged_table(table, rows) if rows else table).sort_by("clip")
 
 
 def read_journal(out: Location) -> pa.Table:
@@ -142,6 +151,7 @@ class ClipTable:
         self.newer: dict[str, Row] = _journal_rows(out, names)
         self._in_journal: set[str] = set(names)
         self._next_s = 0.0
+        self._is_sorted = True
 
     def add(self, row: Row, *, is_in_journal: bool) -> None:
         """Add or replace the row of a clip.
@@ -171,21 +181,28 @@ class ClipTable:
             self.add(row, is_in_journal=True)
 
     def compile_if_due(self) -> None:
-        """Write clips.parquet if enough time has passed since the last time; see `compile`."""
-        if self.newer and time.monotonic() >= self._next_s:
+        """Write clips.parquet if enough time has passed or many rows are new; see `compile`."""
+        if len(self.newer) >= _MAX_NEWER or (self.newer and time.monotonic() >= self._next_s):
             self.compile()
 
-    def compile(self) -> None:
+    def compile(self, *, is_sorted: bool = False) -> None:
         """Write clips.parquet, then remove the rows in it from the journal.
+
+        Args:
+            is_sorted: as in `write_clips`.
 
         Raises:
             StorageError: it cannot be written.
         """
+        from pyarrow import default_memory_pool
+
         start_s = time.monotonic()
-        if self.newer:
+        if self.newer or (is_sorted and not self._is_sorted):
             merged = merged_table(self.table, self.newer)
-            write_clips(self._out, merged)
-            self.table, self.newer = merged, {}
+            write_clips(self._out, merged, is_sorted=is_sorted)
+            self.table = merged
+            self.newer, self._is_sorted = {}, is_sorted
+            default_memory_pool().release_unused()
         self._clear_journal()
         end_s = time.monotonic()
         self._next_s = end_s + max(_COMPILE_S, _COMPILE_SHARE * (end_s - start_s))
@@ -220,17 +237,25 @@ class ClipTable:
         return sorted((name, error) for name, error in rows.items() if name in names)
 
 
-def write_clips(out: Location, table: pa.Table) -> None:
+def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> None:
     """Write clips.parquet.
+
+    Args:
+        out: folder of the results.
+        table: the rows.
+        is_sorted: whether they are written in the order of the clips, unless they are very many.
 
     Raises:
         StorageError: it cannot be written.
     """
+    import pyarrow as pa
     from pyarrow import parquet
 
-    buffer = io.BytesIO()
-    parquet.write_table(table, buffer, compression="zstd")
-    repeated(lambda: out.child(CLIPS_FILE).write_bytes(buffer.getvalue()))
+    if is_sorted and table.num_rows <= _MAX_SORTED:
+        table = table.sort_by("clip")
+    stream = pa.BufferOutputStream()
+    parquet.write_table(table, stream, compression="zstd", row_group_size=_ROWS_PER_GROUP)
+    publish_bytes(out, out.child(CLIPS_FILE), stream.getvalue().to_pybytes())
 
 
 def _compiled(out: Location) -> pa.Table:

@@ -118,15 +118,16 @@ def records_table(rows: Iterable[Mapping[str, Any]]) -> pa.Table:
 
 
 def merged_table(base: pa.Table, rows: Mapping[str, Mapping[str, Any]]) -> pa.Table:
-    """The table with rows added or replaced, by name of the clip and in its order."""
+    """The table with rows added, or replaced by name of the clip; parts that stay are not copied."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
     added = records_table(rows.values())
-    if base.num_rows and rows:
-        base = base.filter(pc.invert(pc.is_in(base["clip"], value_set=pa.array(list(rows), pa.string()))))
+    is_replaced = pc.is_in(base["clip"], value_set=pa.array(list(rows), pa.string()))
+    if pc.any(is_replaced).as_py():
+        base = base.filter(pc.invert(is_replaced))
     base, added = _with_equal_types(base, added)
-    table = pa.concat_tables([base, added], promote_options="default").sort_by("clip")
+    table = pa.concat_tables([base, added], promote_options="default")
     others = sorted(set(table.column_names) - set(_FIXED))
     return table.select([*_FIXED, *others]).replace_schema_metadata(added.schema.metadata)
 

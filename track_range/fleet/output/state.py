@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.repetition import repeated
+from track_range.fleet.output.publishing import publish_bytes
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.folder_lock import FolderLock
 from track_range.foundation.files.structured_text import parse_json
@@ -70,7 +70,7 @@ class FleetState:
             StorageError: it cannot be written.
         """
         text = json.dumps({"track_range_fleet": 1, **asdict(self)}, indent=1, ensure_ascii=False, allow_nan=False)
-        repeated(lambda: out.child(STATE_FILE).write_bytes(text.encode()))
+        publish_bytes(out, out.child(STATE_FILE), text.encode())
 
     @property
     def is_alive(self) -> bool:

@@ -1,0 +1,40 @@
+"""Kills of workers while they are at work."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from track_range.fleet.output.state import read_state
+from track_range.fleet.storage.location import Location
+
+
+@contextmanager
+def killed_workers(out: Path, n: int, *, interval_s: float = 1.0) -> Iterator[list[int]]:
+    """Context in which random workers of the fleet are killed; yields the list of the processes killed so far."""
+    stop = threading.Event()
+    killed: list[int] = []
+
+    def kill() -> None:
+        generator = random.Random(3)  # noqa: S311
+        while len(killed) < n and not stop.wait(interval_s):
+            state = read_state(Location.of(out))
+            workers = () if state is None else state.workers
+            pids = {worker["pid"] for worker in workers if worker["clip"] and worker["pid"]} - set(killed)
+            if pids:
+                killed.append(generator.choice(sorted(pids)))
+                with suppress(ProcessLookupError):
+                    os.kill(killed[-1], signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        stop.set()
+        thread.join()
