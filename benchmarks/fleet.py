@@ -1,0 +1,257 @@
+"""Fleet: throughput, overhead and memory of its workers, control path with a stub, and the cost of 1,000 hours.
+
+Parts: `throughput` (one worker pinned to a core, two workers, a loop of ordinary runs), `mono` (one camera, pinned),
+`memory` (100 short clips in one worker), `driver` (a manifest of many rows with a stub). README.md has the protocol.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks import fleet_costs
+from benchmarks.inputs.drives import LoopedDrive, add_drive_options, looped
+from benchmarks.plain_tables import figure_text, plain_table
+
+PARTS = ("throughput", "mono", "memory", "driver")
+
+_POLL_S = 0.5
+"""Time between two looks at fleet.json for processes to pin, s."""
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of this workload."""
+    add_drive_options(parser)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts (default: all)")
+    parser.add_argument("--clips", type=int, default=12, help="clips of the throughput (default: 12)")
+    parser.add_argument("--frames", type=int, default=96, help="frames of each of them (default: 96)")
+    parser.add_argument("--memory-clips", type=int, default=100, help="clips of the memory (default: 100)")
+    parser.add_argument("--rows", type=int, default=100_000, help="rows of the manifest (default: 100,000)")
+    parser.add_argument("--docs", type=Path, metavar="FILE.md", help="page whose tables of costs are replaced")
+
+
+def measure(options: Namespace) -> dict[str, Any]:
+    """Figures of each part; prints the tables, and replaces those of --docs."""
+    parts: dict[str, Callable[[Namespace, Path], dict[str, Any]]] = {
+        "throughput": _throughput,
+        "mono": _mono,
+        "memory": _memory,
+        "driver": _driver,
+    }
+    figures: dict[str, Any] = {}
+    for name in options.only:
+        with tempfile.TemporaryDirectory() as folder:
+            figures[name] = parts[name](options, Path(folder))
+        _print_part(name, figures[name])
+    inputs = fleet_costs.measured(list(figures.values()))
+    if options.docs is not None:
+        known = fleet_costs.inputs_in(options.docs.read_text(encoding="utf-8"))
+        fleet_costs.replace_tables(options.docs, {**known, **inputs})
+    elif len(inputs) == len(fleet_costs.INPUTS):
+        print(fleet_costs.cost_tables(inputs))
+    return figures
+
+
+def _print_part(name: str, figures: dict[str, Any]) -> None:
+    table = plain_table(f"fleet, {name}", "figure", "value")
+    for key, value in figures.items():
+        table.add_row(key, figure_text(value, digits=3))
+    Console().print(table)
+
+
+@dataclass(frozen=True, slots=True)
+class _FleetRun:
+    """A finished run of a fleet.
+
+    Attributes:
+        start_s: start of its process, Unix time.
+        wall_s: duration of its process.
+        rows: records in the order of their ends, each with `end_s`, Unix time.
+    """
+
+    start_s: float
+    wall_s: float
+    rows: Sequence[dict[str, Any]]
+
+    def frames_per_s(self, n_workers: int) -> float:
+        """Rate between the first end of all workers and the last of all, in which each of them was busy."""
+        first, last = n_workers - 1, len(self.rows) - n_workers
+        n_frames = sum(row["frames"] for row in self.rows[first + 1 : last + 1])
+        return float(n_frames / (self.rows[last]["end_s"] - self.rows[first]["end_s"]))
+
+
+def _throughput(options: Namespace, folder: Path) -> dict[str, Any]:
+    """One worker on one core, two workers, and a loop of ordinary runs with all cores."""
+    drive = looped(options.drive, folder, n_frames=options.frames)
+    manifest = _manifest(folder, drive, options.clips)
+    arguments = ["--detector", str(options.detector), "--no-sgbm"]
+    one = _run_fleet(manifest, folder / "one", 1, arguments, pinned_core=0)
+    two = _run_fleet(manifest, folder / "two", 2, arguments)
+    loop_s = _loop(drive, folder / "loop", options.clips, arguments)
+    n_frames = sum(row["frames"] for row in one.rows)
+    one_fps, two_fps = one.frames_per_s(1), two.frames_per_s(2)
+    warm = one.rows[1:]
+    between_ends_s = (one.rows[-1]["end_s"] - one.rows[0]["end_s"]) / len(warm)
+    run_s = statistics.mean(row["wall_s"] - row["overhead_s"] for row in warm)
+    return {
+        "clips": options.clips,
+        "frames": n_frames,
+        "one_pinned_fps": one_fps,
+        "two_fps": two_fps,
+        "two_to_one": two_fps / one_fps,
+        "loop_fps": n_frames / loop_s,
+        "two_to_loop": two_fps / (n_frames / loop_s),
+        "one_wall_s": one.wall_s,
+        "two_wall_s": two.wall_s,
+        "loop_wall_s": loop_s,
+        "stereo_ms": 1000 * run_s * len(warm) / sum(row["frames"] for row in warm),
+        "overhead_s": between_ends_s - run_s,
+        "start_s": one.rows[0]["end_s"] - one.rows[0]["wall_s"] - one.start_s,
+        "stereo_mb_per_s": _mb_per_s([drive.left, drive.right], one.rows[0]["seconds"]),
+    }
+
+
+def _mono(options: Namespace, folder: Path) -> dict[str, Any]:
+    """One worker on one core, with one camera."""
+    drive = looped(options.drive, folder, n_frames=options.frames)
+    manifest = _manifest(folder, drive, max(3, options.clips // 3), is_mono=True)
+    run = _run_fleet(manifest, folder / "out", 1, ["--detector", str(options.detector)], pinned_core=0)
+    warm = run.rows[1:]
+    run_s = sum(row["wall_s"] - row["overhead_s"] for row in warm)
+    return {
+        "mono_ms": 1000 * run_s / sum(row["frames"] for row in warm),
+        "mono_mb_per_s": _mb_per_s([drive.left], run.rows[0]["seconds"]),
+    }
+
+
+def _memory(options: Namespace, folder: Path) -> dict[str, Any]:
+    """Peak memory of one worker over many short clips, by quarter of the clips."""
+    drive = looped(options.drive, folder, n_frames=16)
+    manifest = _manifest(folder, drive, options.memory_clips)
+    run = _run_fleet(manifest, folder / "out", 1, ["--detector", str(options.detector), "--no-sgbm"])
+    peaks_mb = [row["peak_memory_mb"] for row in run.rows]
+    size = len(peaks_mb) // 4
+    quarters = {f"quarter_{q + 1}_mb": statistics.median(peaks_mb[q * size : (q + 1) * size]) for q in range(4)}
+    return {"clips": len(peaks_mb), **quarters, "max_mb": max(peaks_mb)}
+
+
+def _driver(options: Namespace, folder: Path) -> dict[str, Any]:
+    """Time and memory of the driver for a manifest of many rows with a stub, and of a second run without work."""
+    video = folder / "clip.mp4"
+    video.write_bytes(b"not a video")
+    manifest = folder / "clips.csv"
+    with manifest.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("clip", "left", "vehicle"))
+        writer.writerows((f"clip-{i:06}", video.name, f"van-{i % 40}") for i in range(options.rows))
+    first, second = (_stub_run(manifest, folder / "out") for _ in range(2))
+    return {
+        **first,
+        "driver_clips_per_s": (first["clips"] - 1) / first["work_s"],
+        "second_wall_s": second["wall_s"],
+        "second_skipped": second["skipped"],
+        "second_peak_mb": second["driver_peak_mb"],
+    }
+
+
+def _stub_run(manifest: Path, out: Path) -> dict[str, float]:
+    command = [sys.executable, "-m", "benchmarks.inputs.fleet_stub", str(manifest), str(out), str(os.cpu_count() or 1)]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    figures: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return figures
+
+
+def _manifest(folder: Path, drive: LoopedDrive, n_clips: int, *, is_mono: bool = False) -> Path:
+    """Manifest of a drive under several names (hard links)."""
+    path = folder / "clips.csv"
+    rows = []
+    for i in range(n_clips):
+        files = [folder / f"{i:03}_{video.name}" for video in (drive.left, drive.right)]
+        for file, video in zip(files, (drive.left, drive.right), strict=True):
+            file.unlink(missing_ok=True)
+            os.link(video, file)
+        rows.append((f"clip-{i:03}", files[0], "" if is_mono else files[1], drive.rig))
+    with path.open("w", encoding="utf-8", newline="") as table:
+        csv.writer(table).writerows([("clip", "left", "right", "rig"), *rows])
+    return path
+
+
+def _run_fleet(
+    manifest: Path, out: Path, n_workers: int, arguments: Sequence[str], pinned_core: int | None = None
+) -> _FleetRun:
+    """Run a fleet; `pinned_core`: core on which the workers run, None = all."""
+    from pyarrow import parquet
+
+    command = [sys.executable, "-m", "track_range", "fleet", "run", str(manifest), "--out", str(out)]
+    command += ["--workers", str(n_workers), "--threads", "1", *arguments]
+    start_s = time.time()
+    with _pinned(out, pinned_core):
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    wall_s = time.time() - start_s
+    rows: list[dict[str, Any]] = parquet.read_table(out / "clips.parquet").to_pylist()
+    for row in rows:
+        row["end_s"] = (out / "tracks" / f"clip={row['clip']}" / "tracks.parquet").stat().st_mtime
+    return _FleetRun(start_s, wall_s, sorted(rows, key=lambda row: row["end_s"]))
+
+
+@contextmanager
+def _pinned(out: Path, core: int | None) -> Iterator[None]:
+    """Context in which the workers named in fleet.json are pinned to a core as soon as they appear."""
+    if core is None:
+        yield
+        return
+    finished = threading.Event()
+
+    def pin() -> None:
+        while not finished.wait(_POLL_S):
+            for pid in _worker_pids(out):
+                for thread in Path(f"/proc/{pid}/task").glob("*"):
+                    try:
+                        os.sched_setaffinity(int(thread.name), {core})
+                    except OSError:
+                        continue
+
+    thread = threading.Thread(target=pin, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        finished.set()
+        thread.join()
+
+
+def _worker_pids(out: Path) -> list[int]:
+    try:
+        state = json.loads((out / "fleet.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    return [worker["pid"] for worker in state.get("workers", ()) if worker.get("pid")]
+
+
+def _loop(drive: LoopedDrive, out: Path, n_clips: int, arguments: Sequence[str]) -> float:
+    """Duration of ordinary runs one after the other, each in its own process with all cores, s."""
+    start_s = time.perf_counter()
+    for i in range(n_clips):
+        command = [sys.executable, "-m", "track_range", "--stereo", str(drive.left), str(drive.right)]
+        command += ["--rig", str(drive.rig), "--out", str(out / str(i)), "--no-overlay", "--write", "parquet"]
+        subprocess.run([*command, *arguments], check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - start_s
+
+
+def _mb_per_s(videos: Sequence[Path], duration_s: float) -> float:
+    return sum(video.stat().st_size for video in videos) / 1e6 / duration_s
