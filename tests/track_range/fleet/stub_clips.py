@@ -1,4 +1,4 @@
-"""Clips without videos, and a processing of them in real workers that fails as their names say."""
+"""Clips without videos, and a processing of them in real workers that fails according to their names."""
 
 from __future__ import annotations
 

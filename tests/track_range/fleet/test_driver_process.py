@@ -65,6 +65,8 @@ def is_running(pattern):
 def test_killed_driver_continues(tmp_path):
     process = start(tmp_path, 24)
     wait_for_clips(tmp_path, process, 6)
+    assert is_running(f"tr-ray-{process.pid}")
+    assert not is_running("ray/dashboard/dashboard.py")  # it would ask for the cloud provider; see `cluster`
     process.kill()
     process.communicate()
     before = rows_of(tmp_path)

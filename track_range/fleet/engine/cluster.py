@@ -91,13 +91,14 @@ def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
         import ray
 
         try:
-            _init(
-                address="local",
-                num_cpus=max(n_cores, n_requested * settings.threads),
-                include_dashboard=False,
-                object_store_memory=_OBJECT_STORE_BYTES,
-                _temp_dir=str(folder),
-            )
+            with _without_usage_server():
+                _init(
+                    address="local",
+                    num_cpus=max(n_cores, n_requested * settings.threads),
+                    include_dashboard=False,
+                    object_store_memory=_OBJECT_STORE_BYTES,
+                    _temp_dir=str(folder),
+                )
             n_workers = _fitting(settings, n_requested)
             yield Cluster(True, ray.get_runtime_context().get_node_id(), n_workers)
         finally:
@@ -118,6 +119,23 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
     finally:
         if is_ours:
             ray.shutdown()
+
+
+@contextmanager
+def _without_usage_server() -> Iterator[None]:
+    """Context in which Ray starts no dashboard process.
+
+    Without a dashboard, that process serves only Ray's usage statistics. Also where these are disabled, it asks the
+    metadata services of three cloud providers for the kind of machine.
+    """
+    from ray._private import services
+
+    start = services.start_api_server
+    services.start_api_server = lambda *arguments, **options: (None, None)
+    try:
+        yield
+    finally:
+        services.start_api_server = start
 
 
 def _init(**options: Any) -> None:
