@@ -67,6 +67,7 @@ def main() -> None:
         "skipped": counts.skipped,
         "listed_s": listed_s,
         "wall_s": time.perf_counter() - start_s,
+        "driver_cpu_s": time.process_time(),
         "work_s": _work_s(Location.of(out)),
         "driver_peak_mb": _peak_mb(),
     }
