@@ -174,7 +174,15 @@ def test_damaged_and_missing_tracks(out):
     assert fleet_page(fleet_figures(out), out, out.child("fleet.html"))
 
 
-@pytest.mark.parametrize("columns", [{"a": [1]}, {"time_s": ["x"], "track_id": [1], "class": ["car"]}])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"a": [1]},
+        {"time_s": ["x"], "track_id": [1], "class": ["car"]},
+        {"time_s": [1.0], "track_id": [None], "class": ["car"]},
+        {"time_s": [float("inf")], "track_id": [1], "class": ["car"]},
+    ],
+)
 def test_tracks_of_another_program(out, columns):
     parquet.write_table(pa.table(columns), tracks_location(out, NOON).path)
     (problem,) = figures_of(out)["problems"]

@@ -163,7 +163,7 @@ def _of_clip(out: Location, name: str) -> tuple[TrackFigures, str]:
             return track_figures(name, file.read(columns=needed_columns(file.schema_arrow.names))), ""
     except FileNotFoundError:
         return TrackFigures(), f"{location}: the file is missing; clips.parquet lists the clip as done."
-    except (ArrowException, OSError, ValueError, LookupError) as error:
+    except (ArrowException, OSError, ValueError, LookupError, MemoryError) as error:
         return TrackFigures(), f"{location}: expected the rows of a clip, found a damaged file ({_reason(error)})."
 
 

@@ -49,6 +49,9 @@ _STEADY_S, _MIN_STEADY_ROWS = 0.5, 3
 _REFERENCES = ("fused_kf", "fused")
 """Distances that give the band and the closest approach, the first that a row has."""
 
+_MAX_NUMBER = 1e12
+"""Limit of track numbers, and of times in s."""
+
 _NEEDED = ("time_s", "track_id", "class")
 _OTHERS = ("observed", "ttc_s", "ttc_sigma_s", "closing_mps", "x_m", "utc")
 
@@ -155,6 +158,10 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
     Args:
         clip: its name.
         table: the columns `needed_columns` of its tracks.parquet.
+
+    Raises:
+        ValueError: a row has no track or time.
+        ArrowException: a column does not have the expected type.
     """
     figures = TrackFigures(n_rows=table.num_rows)
     if table.num_rows:
@@ -173,6 +180,8 @@ class _Rows:
         self._clip = clip
         names = table.column_names
         track_id, time_s = (_numbers(table, name) for name in ("track_id", "time_s"))
+        if not np.all((np.abs(track_id) < _MAX_NUMBER) & (np.abs(time_s) < _MAX_NUMBER)):
+            raise ValueError("rows without a track or time")
         order = np.lexsort((time_s, track_id))
         self._columns = {name: _numbers(table, name)[order] for name in names if name != "class"}
         self._class_code, self._classes = _encoded_classes(table, order)
