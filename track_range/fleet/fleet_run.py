@@ -15,6 +15,7 @@ from track_range.fleet.engine.counts import Counts
 from track_range.fleet.engine.plan import FleetPlan, Process, fleet_plan
 from track_range.fleet.engine.progress import shown_progress, worker_state
 from track_range.fleet.engine.remaining import remaining
+from track_range.fleet.errors import FleetError
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.data_set import ClipTable
 from track_range.fleet.output.publishing import remove_unfinished
@@ -73,6 +74,8 @@ def run_fleet(
         process = run_clip
     plan = fleet_plan(settings, options)
     out = Location.of(settings.out)
+    if out.is_read_only:
+        raise FleetError(f"{out}: expected a folder or an object store (s3://, gs://) for --out, found a web server.")
     with ExitStack() as stack:
         stack.enter_context(stop_on_interrupt())
         lock = OutputLock(out)

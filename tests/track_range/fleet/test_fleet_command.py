@@ -156,6 +156,24 @@ def test_invalid_options_of_a_fleet(cli, tmp_path, options):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere", "127.0.0.1:99999", "host:"])
+def test_address_without_a_cluster(tmp_path, small_drive, address):
+    """In another process, since this one may be connected to a cluster."""
+    command = [sys.executable, "-m", "track_range", "fleet", "run", small_drive.left, "--focal-px", "500"]
+    arguments = ["--out", tmp_path / "out", "--address", address]
+    ended = subprocess.run([*map(str, (*command, *arguments))], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert "--address" in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1
+
+
+def test_web_server_as_output(cli, tmp_path):
+    (tmp_path / "a.mp4").touch()
+    status, _, stderr = cli("fleet", "run", tmp_path, "--out", "https://127.0.0.1/x")
+    assert (status, "--out" in stderr) == (1, True)
+
+
 @pytest.mark.parametrize("option", ["--reid", "--curves", "--align", "--lanes", "--detector", "--names"])
 def test_missing_shared_file(cli, tmp_path, option):
     (tmp_path / "a.mp4").touch()

@@ -11,6 +11,7 @@ import logging
 import os
 import secrets
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -30,6 +31,11 @@ _OBJECT_STORE_BYTES = 80 * 2**20
 
 _MAX_FOLDER = 40
 """Longest temporary folder for Ray, whose sockets have paths of at most 107 characters."""
+
+_CONNECT_S = 15.0
+"""Time limit for reaching the address of a cluster, s."""
+
+_MAX_PORT = 65_535
 
 _FOLDER_PREFIX = "tr-ray-"
 
@@ -112,7 +118,9 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
     is_ours = not ray.is_initialized()
     try:
         if is_ours:
-            _init(address=settings.address)
+            address = _resolved(str(settings.address))
+            _check_reachable(address)
+            _init(address=address)
         n_cores = int(sum(node["Resources"].get("CPU", 0) for node in _nodes() if node["Alive"]))
         n_requested = settings.workers or max(1, n_cores // settings.threads)
         yield Cluster(False, ray.get_runtime_context().get_node_id(), n_requested)
@@ -138,6 +146,49 @@ def _without_usage_server() -> Iterator[None]:
         services.start_api_server = start
 
 
+def _resolved(address: str) -> str:
+    """HOST:PORT of an address that may be "auto".
+
+    Raises:
+        FleetError: no cluster is running on this machine.
+    """
+    from ray._private import services
+
+    if address != "auto":
+        return address
+    try:
+        resolved = services.canonicalize_bootstrap_address(address)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        raise _no_cluster(address, error) from error
+    if resolved is None:
+        raise _no_cluster(address, "none is running on this machine")
+    return str(resolved)
+
+
+def _check_reachable(address: str) -> None:
+    """Check that a server listens at HOST:PORT; Ray itself would wait for it without end.
+
+    Raises:
+        FleetError: nothing listens there, or the address has another form.
+    """
+    if "://" in address:  # Ray Client, which has its own time limit
+        return
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdigit() or int(port) > _MAX_PORT:
+        raise _no_cluster(address, "expected HOST:PORT or auto")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+    except OSError as error:
+        raise _no_cluster(address, error) from error
+
+
+def _no_cluster(address: str, reason: object) -> FleetError:
+    return FleetError(
+        f"--address {shortened(address)}: expected a running Ray cluster ({shortened(str(reason), 120)}); start one "
+        "with `ray start --head`, or omit --address."
+    )
+
+
 def _init(**options: Any) -> None:
     """Start or join a cluster.
 
@@ -154,10 +205,7 @@ def _init(**options: Any) -> None:
     except (ConnectionError, RuntimeError, ValueError, TimeoutError, OSError, ray.exceptions.RayError) as error:
         if options["address"] == "local":
             raise FleetError(f"Ray cannot be started on this machine ({_reason(error)}).") from error
-        raise FleetError(
-            f"--address {shortened(options['address'])}: expected a running Ray cluster ({_reason(error)}); start one "
-            "with `ray start --head`, or omit --address."
-        ) from error
+        raise _no_cluster(options["address"], _reason(error)) from error
 
 
 def _fitting(settings: FleetSettings, n_requested: int) -> int:
