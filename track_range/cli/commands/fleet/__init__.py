@@ -31,7 +31,7 @@ app = lazy_app(
             "failures and throughput. A run in progress can be reported; missing and damaged parts are named.",
             (
                 "track-range fleet report results --html results/fleet.html",
-                "track-range fleet report s3://bucket/results --html fleet.html --json fleet.json",
+                "track-range fleet report s3://bucket/results --json fleet.json",
             ),
         ),
     },
