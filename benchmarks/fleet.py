@@ -1,7 +1,13 @@
 """Fleet: throughput, overhead and memory of its workers, control path with a stub, and the cost of 1,000 hours.
 
-Parts: `throughput` (one worker pinned to a core, two workers, a loop of ordinary runs), `mono` (one camera, pinned),
-`memory` (100 short clips in one worker), `driver` (a manifest of many rows with a stub). README.md has the protocol.
+Parts:
+    throughput  one worker pinned to a core, two workers, a loop of ordinary runs
+    mono        one camera, pinned
+    memory      100 short clips in one worker
+    driver      a manifest of many rows with a stub
+    gpu         workers that share a GPU; not by default
+
+README.md has the protocol.
 """
 
 from __future__ import annotations
@@ -29,6 +35,7 @@ from benchmarks.inputs.drives import LoopedDrive, add_drive_options, looped
 from benchmarks.plain_tables import figure_text, plain_table
 
 PARTS = ("throughput", "mono", "memory", "driver")
+"""Parts by default; `gpu` is another one."""
 
 _POLL_S = 0.5
 """Time between two looks at fleet.json for processes to pin, s."""
@@ -37,11 +44,12 @@ _POLL_S = 0.5
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of this workload."""
     add_drive_options(parser)
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts (default: all)")
+    parser.add_argument("--only", nargs="+", choices=(*PARTS, "gpu"), default=PARTS, help="parts (default: all)")
     parser.add_argument("--clips", type=int, default=12, help="clips of the throughput (default: 12)")
     parser.add_argument("--frames", type=int, default=96, help="frames of each of them (default: 96)")
     parser.add_argument("--memory-clips", type=int, default=100, help="clips of the memory (default: 100)")
     parser.add_argument("--rows", type=int, default=100_000, help="rows of the manifest (default: 100,000)")
+    parser.add_argument("--gpu-workers", type=int, default=4, help="workers that share the GPU (default: 4)")
     parser.add_argument("--docs", type=Path, metavar="FILE.md", help="page whose tables of costs are replaced")
 
 
@@ -52,6 +60,7 @@ def measure(options: Namespace) -> dict[str, Any]:
         "mono": _mono,
         "memory": _memory,
         "driver": _driver,
+        "gpu": _gpu,
     }
     figures: dict[str, Any] = {}
     for name in options.only:
@@ -62,7 +71,7 @@ def measure(options: Namespace) -> dict[str, Any]:
     if options.docs is not None:
         known = fleet_costs.inputs_in(options.docs.read_text(encoding="utf-8"))
         fleet_costs.replace_tables(options.docs, {**known, **inputs})
-    elif len(inputs) == len(fleet_costs.INPUTS):
+    elif fleet_costs.is_complete(inputs):
         print(fleet_costs.cost_tables(inputs))
     return figures
 
@@ -137,6 +146,16 @@ def _mono(options: Namespace, folder: Path) -> dict[str, Any]:
         "mono_ms": 1000 * run_s / sum(row["frames"] for row in warm),
         "mono_mb_per_s": _mb_per_s([drive.left], run.rows[0]["seconds"]),
     }
+
+
+def _gpu(options: Namespace, folder: Path) -> dict[str, Any]:
+    """Workers that share one GPU, with one camera."""
+    drive = looped(options.drive, folder, n_frames=options.frames)
+    n_workers = options.gpu_workers
+    manifest = _manifest(folder, drive, max(options.clips, 3 * n_workers), is_mono=True)
+    arguments = ["--detector", str(options.detector), "--device", "cuda", "--gpus-per-worker", f"{1 / n_workers:.4f}"]
+    run = _run_fleet(manifest, folder / "out", n_workers, arguments)
+    return {"gpu_workers": n_workers, "gpu_mono_ms": 1000 / run.frames_per_s(n_workers)}
 
 
 def _memory(options: Namespace, folder: Path) -> dict[str, Any]:

@@ -32,6 +32,12 @@ INPUTS: tuple[tuple[str, str, str], ...] = (
 )
 """Name, meaning and source of the inputs."""
 
+GPU_INPUTS: tuple[tuple[str, str, str], ...] = (
+    ("gpu_mono_ms", "ms per frame of a GPU that workers share, one camera", "measured"),
+    ("price_per_gpu_h", "price of a node with one GPU for an hour, $", "assumed"),
+)
+"""Inputs of the rows for GPUs, which are left out without them."""
+
 ASSUMED: Mapping[str, float] = {
     "video_h": 1000.0,
     "fps": 10.0,
@@ -40,6 +46,7 @@ ASSUMED: Mapping[str, float] = {
     "node_mb_per_s": 1250.0,  # 10 Gbit/s
     "storage_mb_per_s": 12_500.0,  # 100 Gbit/s
     "price_per_core_h": 0.05,
+    "price_per_gpu_h": 1.0,
 }
 
 NODES = (1, 10, 100, 1000)
@@ -48,21 +55,23 @@ BEGIN, END = "<!-- fleet costs: written by `python -m benchmarks fleet --docs` -
 """Lines around the tables in docs/fleet.md."""
 
 
-def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str) -> dict[str, float]:
+def times_s(inputs: Mapping[str, float], n_nodes: int, cameras: str, *, has_gpu: bool = False) -> dict[str, float]:
     """Times in s by part: compute, storage, driver, ends, and total.
 
     Args:
         inputs: value of each of `INPUTS`.
         n_nodes: number of nodes.
         cameras: "stereo" or "mono".
+        has_gpu: whether each node has one GPU, which its workers share and whose rate counts instead of k cores.
     """
     video_s = 3600 * inputs["video_h"]
     n_clips = video_s / inputs["clip_s"]
-    frame_s = inputs[f"{cameras}_ms"] / 1000
+    frame_s = inputs[f"{'gpu_' if has_gpu else ''}{cameras}_ms"] / 1000
+    n_workers = n_nodes * (1 if has_gpu else inputs["cores"])
     rate_mb_per_s = min(n_nodes * inputs["node_mb_per_s"], inputs["storage_mb_per_s"])
     core_s = video_s * inputs["fps"] * frame_s + n_clips * inputs["overhead_s"]
     parts = {
-        "compute": core_s / (n_nodes * inputs["cores"]),
+        "compute": core_s / n_workers,
         "storage": video_s * inputs[f"{cameras}_mb_per_s"] / rate_mb_per_s,
         "driver": n_clips / inputs["driver_clips_per_s"],
         "ends": inputs["start_s"] + inputs["clip_s"] * inputs["fps"] * frame_s,
@@ -75,25 +84,39 @@ def bottleneck(parts: Mapping[str, float]) -> str:
     return max((name for name in parts if name != "total"), key=lambda name: parts[name])
 
 
-def cost(inputs: Mapping[str, float], n_nodes: int, total_s: float) -> float:
+def cost(inputs: Mapping[str, float], n_nodes: int, total_s: float, *, has_gpu: bool = False) -> float:
     """Price of all nodes for the whole time."""
-    return n_nodes * inputs["cores"] * total_s / 3600 * inputs["price_per_core_h"]
+    node_h = inputs["price_per_gpu_h"] if has_gpu else inputs["cores"] * inputs["price_per_core_h"]
+    return n_nodes * total_s / 3600 * node_h
+
+
+def is_complete(inputs: Mapping[str, float]) -> bool:
+    """Whether all of `INPUTS` are there."""
+    return all(name in inputs for name, _, _ in INPUTS)
 
 
 def cost_tables(inputs: Mapping[str, float]) -> str:
     """The inputs and the results as Markdown tables."""
     lines = ["| input | value | source |", "|---|--:|---|"]
-    lines += [f"| {meaning} (`{name}`) | {inputs[name]:g} | {source} |" for name, meaning, source in INPUTS]
+    has_gpu = "gpu_mono_ms" in inputs
+    shown_inputs = (*INPUTS, *GPU_INPUTS) if has_gpu else INPUTS
+    lines += [f"| {meaning} (`{name}`) | {_text(inputs[name])} | {source} |" for name, meaning, source in shown_inputs]
     lines += ["", "| cameras, nodes | compute | storage | driver | ends | total | bottleneck | cost, $ |"]
     lines.append("|---|--:|--:|--:|--:|--:|---|--:|")
-    for cameras, shown in (("stereo", "two"), ("mono", "one")):
+    kinds = [("stereo", "two", False), ("mono", "one", False), *([("mono", "one, GPU", True)] if has_gpu else [])]
+    for cameras, shown, on_gpu in kinds:
         for n_nodes in NODES:
-            parts = times_s(inputs, n_nodes, cameras)
+            parts = times_s(inputs, n_nodes, cameras, has_gpu=on_gpu)
             texts = [duration(parts[name]) for name in ("compute", "storage", "driver", "ends", "total")]
-            price = f"{cost(inputs, n_nodes, parts['total']):.0f}"
+            price = f"{cost(inputs, n_nodes, parts['total'], has_gpu=on_gpu):.0f}"
             row = [f"{shown}, {n_nodes}", *texts, bottleneck(parts), price]
             lines.append(f"| {' | '.join(row)} |")
     return "\n".join(lines)
+
+
+def _text(value: float) -> str:
+    """A number with four significant digits, without an exponent."""
+    return f"{float(f'{value:.4g}'):.10g}"
 
 
 def duration(seconds: float) -> str:
@@ -117,8 +140,9 @@ def replace_tables(page: Path, inputs: Mapping[str, float]) -> None:
 
 
 def measured(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """All inputs: the assumed ones, and the measured ones of parts of the benchmark."""
+    """The inputs: the assumed ones, and the measured ones of parts of the benchmark."""
     inputs = dict(ASSUMED)
     for part in figures:
-        inputs.update({name: part[name] for name, _, source in INPUTS if source == "measured" and name in part})
+        names = [name for name, _, source in (*INPUTS, *GPU_INPUTS) if source == "measured"]
+        inputs.update({name: part[name] for name in names if name in part})
     return inputs

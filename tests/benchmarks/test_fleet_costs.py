@@ -29,6 +29,7 @@ MEASURED = {
     "driver_clips_per_s": 100.0,
     "stereo_mb_per_s": 2.0,
     "mono_mb_per_s": 1.0,
+    "gpu_mono_ms": 2.0,
 }
 
 
@@ -75,5 +76,15 @@ def test_documented_tables_are_consistent():
     text = PAGE.read_text(encoding="utf-8")
     shown = text.partition(BEGIN)[2].partition(END)[0].strip()
     inputs = inputs_in(shown)
-    assert inputs.keys() == {name for name, _, _ in INPUTS}
+    assert {name for name, _, _ in INPUTS} <= inputs.keys()
     assert shown == cost_tables(inputs)
+
+
+def test_gpus(inputs):
+    """36,000,000 frames at 2 ms and 36,000 s of overhead, on 10 GPUs."""
+    parts = times_s(inputs, 10, "mono", has_gpu=True)
+    assert parts["compute"] == pytest.approx((72_000 + 36_000) / 10)
+    assert cost(inputs, 10, 3600, has_gpu=True) == pytest.approx(10 * inputs["price_per_gpu_h"])
+    assert cost_tables(inputs).count("one, GPU") == 4
+    del inputs["gpu_mono_ms"]
+    assert "GPU" not in cost_tables(inputs)
