@@ -136,7 +136,7 @@ def replace_tables(page: Path, inputs: Mapping[str, float]) -> None:
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(BEGIN)
     after = rest.partition(END)[2]
-    page.write_text(f"{before}{BEGIN}\n{cost_tables(inputs)}\n{END}{after}", encoding="utf-8")
+    page.write_text(f"{before}{BEGIN}\n\n{cost_tables(inputs)}\n\n{END}{after}", encoding="utf-8")
 
 
 def measured(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
