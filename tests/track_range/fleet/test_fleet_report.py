@@ -16,6 +16,8 @@ from tests.track_range.fleet.fleet_results import BROKEN, DAWN, NOON, rows_table
 from tests.track_range.fleet.fleet_results import done_record as record
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, tracks_location
+from track_range.fleet.report.clip_columns import ClipColumns
+from track_range.fleet.report.clip_figures import MAX_GROUPS, drift_figures
 from track_range.fleet.report.fleet_figures import fleet_figures
 from track_range.fleet.report.fleet_page import fleet_page
 from track_range.fleet.report.track_figures import N_RANKED, TrackFigures, needed_columns, track_figures
@@ -120,6 +122,20 @@ def test_drift_by_another_column(out):
     figures = figures_of(out, group="colour")
     assert "colour" in figures["problems"][0]
     assert [row["group"] for row in figures["drift"]] == ["all clips"]
+
+
+def test_drift_of_many_groups(out):
+    """Each clip is a group; those with the largest change are in the report."""
+    table = ClipTable(out)
+    row = table.compiled_row(NOON)
+    for number in range(2 * MAX_GROUPS):
+        for day, offset_px in (("01", 0.0), ("02", 0.01 * number)):
+            utc = f"2026-05-{day}T12:00:00Z"
+            changed = {"vehicle": f"v{number:03}", "alignment_offset_px": offset_px, "start_utc": utc}
+            table.add({**row, **changed, "clip": f"{number}-{day}"}, is_in_journal=False)
+    table.compile()
+    groups = [row["group"] for row in drift_figures(ClipColumns(table.table).done, "vehicle")]
+    assert groups == [f"v{number:03}" for number in range(MAX_GROUPS, 2 * MAX_GROUPS)]
 
 
 def test_failures_and_notes(out, scratch):

@@ -30,6 +30,9 @@ ALIGNMENT_FIGURES = ("row_offset_px", "offset_px")
 GROUP_COLUMNS = ("vehicle", "label_vehicle", "camera", "rig")
 """Columns that group the calibration drift by default, the first that exists."""
 
+MAX_GROUPS = 100
+"""Largest number of rows of the calibration drift."""
+
 _ENDS = 5
 """Number of clips whose median is the first or last value of a drift."""
 
@@ -86,24 +89,32 @@ def group_column(clips: ClipColumns, requested: str | None) -> str | None:
 def drift_figures(done: ClipColumns, group: str | None) -> list[Figures]:
     """Alignment of the pairs over time, per value of the column `group` (None = all clips in one row).
 
+    Of more than `MAX_GROUPS` values, those with the largest change.
+
     Keys: group, clips, points (list of [Unix time or null, value] by figure), first, last and change by figure (medians
     of the first and last `_ENDS` dated clips), from_utc_s, to_utc_s.
     """
     values = {name: done.numbers(f"alignment_{name}") for name in ALIGNMENT_FIGURES}
     is_aligned = np.isfinite(np.array(list(values.values()))).any(axis=0)
-    names = done.texts(group) if group is not None else ["all clips"] * len(done)
+    names = np.array(done.texts(group) if group is not None else ["all clips"] * len(done), np.str_)
     utc_s = done.utc_s("start_utc")
     rows = []
-    for name in sorted({name for name, aligned in zip(names, is_aligned, strict=True) if aligned}):
-        chosen = is_aligned & np.array([text == name for text in names])
-        row: Figures = {"group": name, "clips": int(chosen.sum())}
+    for name in np.unique(names[is_aligned]):
+        chosen = is_aligned & (names == name)
+        row: Figures = {"group": str(name), "clips": int(chosen.sum())}
         dated = chosen & np.isfinite(utc_s)
         if dated.any():
             row |= {"from_utc_s": float(utc_s[dated].min()), "to_utc_s": float(utc_s[dated].max())}
         rows.append(row | {figure: _drift(utc_s[dated], values[figure][dated]) for figure in ALIGNMENT_FIGURES})
         for figure in ALIGNMENT_FIGURES:
             rows[-1][figure]["median"] = _median(values[figure][chosen])
-    return rows
+    if len(rows) > MAX_GROUPS:
+        rows = sorted(rows, key=_largest_change, reverse=True)[:MAX_GROUPS]
+    return sorted(rows, key=lambda row: str(row["group"]))
+
+
+def _largest_change(row: Figures) -> float:
+    return float(max(abs(row[figure]["change"] or 0.0) for figure in ALIGNMENT_FIGURES))
 
 
 def _drift(utc_s: FloatArray, values: FloatArray) -> Figures:
@@ -173,14 +184,14 @@ def stage_figures(done: ClipColumns) -> dict[str, float]:
 
 def node_figures(done: ClipColumns) -> list[Figures]:
     """Clips, time and memory by node, busiest first."""
-    names = done.texts("node")
+    names = np.array(done.texts("node"), np.str_)
     rows = []
-    for name in sorted(set(names)):
-        chosen = done.where(np.array([text == name for text in names]))
+    for name in np.unique(names):
+        chosen = done.where(names == name)
         memory_mb = chosen.numbers("peak_memory_mb")
         rows.append(
             {
-                "node": name or "unknown",
+                "node": str(name) or "unknown",
                 "clips": len(chosen),
                 **work_figures(chosen),
                 "median_memory_mb": _median(memory_mb),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, ERROR_FIGURES, Figures
+from track_range.fleet.report.clip_figures import ALIGNMENT_FIGURES, ERROR_FIGURES, MAX_GROUPS, Figures
 from track_range.report import tables
 from track_range.report.tables import NOTHING, SIGMA, Cell, Column, Grid, figure, grid_of
 
@@ -94,7 +94,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         Section(
             "drift",
             "Calibration drift",
-            "Alignment of the two cameras, measured in each run. First and last: medians of up to five clips.",
+            "Alignment of the two cameras, measured in each run. First and last: medians of up to five clips. "
+            f"Of more than {MAX_GROUPS} rows, those with the largest change.",
             tuple(_drift_grid(figures["drift"], name, figures["drift_by"]) for name in ALIGNMENT_FIGURES),
             "No clip has an alignment of two cameras.",
         ),
