@@ -222,6 +222,21 @@ def test_column_of_another_type(out):
     assert figures["video_h"] == 0.0
 
 
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"[]", b'{"track_range_fleet": 1, "state": "running"', b"\xff" * 9]
+    + [
+        json.dumps({"track_range_fleet": 1, "state": "finished", **changed}).encode()
+        for changed in ({"total": "x"}, {"options": []}, {"started_s": None}, {"state": "asleep"}, {"workers": 3})
+    ],
+)
+def test_damaged_state(out, content):
+    out.child("fleet.json").write_bytes(content)
+    figures = figures_of(out)
+    assert "fleet.json" in figures["state"]
+    assert figures["clips"]["done"] == 2
+
+
 @pytest.mark.parametrize("make", [lambda folder: None, lambda folder: folder.mkdir()])
 def test_no_fleet(tmp_path, make):
     make(tmp_path / "out")

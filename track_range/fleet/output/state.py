@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from pydantic import TypeAdapter
+
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.publishing import publish_bytes
 from track_range.fleet.storage.location import Location
@@ -95,7 +97,7 @@ def read_state(out: Location) -> FleetState | None:
         content: Any = parse_json(location.read_bytes().decode(), location, FleetError, "the state of a fleet")
         if not isinstance(content, dict) or content.pop("track_range_fleet", None) != 1:
             return None
-        return FleetState(**content)
+        return TypeAdapter(FleetState).validate_python(content)
     except (FleetError, UnicodeDecodeError, TypeError, ValueError):
         return None
 

@@ -14,7 +14,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.data_set import RUNS, partition, read_clips, read_journal, tracks_location
+from track_range.fleet.output.data_set import CLIPS_FILE, RUNS, partition, read_clips, read_journal, tracks_location
 from track_range.fleet.output.state import FleetState, read_state
 from track_range.fleet.output.status import state_text
 from track_range.fleet.report import clip_figures
@@ -78,10 +78,8 @@ def fleet_figures(
     state = read_state(out)
     clips = ClipColumns(_clips(out, problems))
     if state is None and not len(clips):
-        reason = f" ({problems[0]})" if problems else ""
-        raise FleetError(
-            f"{out}: expected the results of `track-range fleet run`, found neither fleet.json nor clips{reason}."
-        )
+        content = f"only a damaged {CLIPS_FILE}" if problems else "neither fleet.json nor clips"
+        raise FleetError(f"{out}: expected the results of `track-range fleet run`, found {content}.")
     done = clips.done
     tracks = _tracks(out, done, problems, progress)
     column = clip_figures.group_column(clips, group)
@@ -119,7 +117,8 @@ def _clips(out: Location, problems: list[str]) -> pa.Table:
     try:
         return read_clips(out)
     except FleetError as error:
-        problems.append(f"{error} Only the clips in the journal are in this report.")
+        reason = str(error).partition("; ")[0].removesuffix(".")
+        problems.append(f"{reason}; only the clips in the journal are in this report.")
         return read_journal(out)
 
 
