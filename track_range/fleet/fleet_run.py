@@ -26,9 +26,13 @@ from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import RunStoppedError, UserError
 from track_range.foundation.files.input_files import counted
 from track_range.run.interrupts import ignore_interrupts, stop_on_interrupt
+from track_range.run.settings import without_folders
 
 _MAX_STATES = 1000
 """Largest number of workers in fleet.json."""
+
+_WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "cache_dir")
+"""Settings that fleet.json of an anonymized fleet does not contain, since they name folders."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +182,7 @@ class _FleetRun:
     def _finish(self, state: State, reason: str) -> None:
         """Write what is known after a failure, as far as the storage allows it."""
         with suppress(StorageError):
-            self._table.collect_journal()
+            self._counts.done += self._table.collect_journal()
             self._table.compile(is_sorted=True)
         with suppress(StorageError):
             self._write_state(state, reason)
@@ -203,7 +207,11 @@ class _FleetRun:
         """Options of the fleet and of its runs, as plain values."""
         own = self._settings.model_dump(mode="json", exclude_none=True)
         own["recordings"] = own["recordings"][:10]
-        return {**own, "run": {key: _plain(value) for key, value in self._plan.options.items()}}
+        run = {key: _plain(value) for key, value in self._plan.options.items()}
+        if self._plan.is_anonymized:
+            own = {key: value for key, value in own.items() if key not in _WITH_FOLDERS}
+            run = without_folders(run)
+        return {**own, "run": run}
 
 
 def _plain(value: Any) -> Any:

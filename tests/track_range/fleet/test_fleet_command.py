@@ -168,6 +168,31 @@ def test_address_without_a_cluster(tmp_path, small_drive, address):
     assert len(ended.stderr.splitlines()) == 1
 
 
+def test_dry_run_with_options_of_the_runs(cli, film, tmp_path):
+    (tmp_path / "clips").mkdir()
+    film(tmp_path / "clips" / "a.mp4", [0, 0.1])
+    arguments = ("fleet", "run", tmp_path / "clips", "--out", tmp_path / "out", "--dry-run")
+    status, stdout, _ = cli(*arguments)
+    assert (status, "expected a calibration" in stdout) == (3, True)
+    status, stdout, _ = cli(*arguments, "--focal-px", 50)
+    assert (status, "focal length" in stdout) == (0, True)
+
+
+@pytest.mark.slow
+def test_anonymized_fleet_names_no_folders(cli, cluster, small_drive, tmp_path):
+    folder = tmp_path / "j.doe"
+    folder.mkdir()
+    shutil.copy(small_drive.left, folder / "good.mp4")
+    (folder / "bad.mp4").write_text("no video")
+    options = ("--out", tmp_path / "out", "--address", cluster.address, "--workers", 1, "--focal-px", 500)
+    status, _, _ = cli("fleet", "run", folder, *options, "--anonymize", "--no-sgbm")
+    assert status == 3
+    rows = read_clips(Location.of(tmp_path / "out")).to_pylist()
+    assert [(row["status"], row["left"]) for row in rows] == [("failed", "bad.mp4"), ("done", "good.mp4")]
+    assert rows[0]["error"].startswith("bad.mp4")
+    assert "j.doe" not in f"{rows}{(tmp_path / 'out' / 'fleet.json').read_text()}"
+
+
 def test_web_server_as_output(cli, tmp_path):
     (tmp_path / "a.mp4").touch()
     status, _, stderr = cli("fleet", "run", tmp_path, "--out", "https://127.0.0.1/x")

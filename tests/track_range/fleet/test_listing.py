@@ -191,3 +191,10 @@ def test_web_server(web, filled):
     assert names_of(f"{address}/day 1/*.mp4") == ["a", "b%"]
     with pytest.raises(StorageError, match="no such"):
         clips_of([f"{address}/none"], None, None)
+
+
+def test_left_folder_without_images(tmp_path, filled):
+    filled(tmp_path, "a_left.mp4", "a_right.mp4", "b_right.mp4", "b_left.mp4/notes.txt")
+    clips = clips_of([str(tmp_path)], PAIR, None)
+    assert [(clip.name, bool(clip.problem)) for clip in clips] == [("a", False), ("b", True)]
+    assert "b_left.mp4" in clips[1].problem

@@ -26,6 +26,7 @@ from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Out
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
 from track_range.fleet.output.data_set import TRACKS_FILE, publish_files, publish_record, publish_tracks
+from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.fetch import FetchedClip, fetched
@@ -83,12 +84,13 @@ class _ClipRun:
         self._start_s = time.perf_counter()
         self._run_s = 0.0
         self._names: dict[str, str] = {}
+        self._file_names = FileNames(self._clip, is_anonymized=plan.is_anonymized)
         self._record = ClipRecord(
             clip=self._clip.name,
             status="failed",
             attempts=task.attempt,
-            left=str(Location.of(self._clip.left)),
-            right="" if self._clip.right is None else str(Location.of(self._clip.right)),
+            left=self._file_names.left,
+            right=self._file_names.right,
             settings_hash=plan.settings_hash,
             version=plan.version,
             node=platform.node(),
@@ -121,7 +123,7 @@ class _ClipRun:
 
     def failed(self, kind: str, message: str) -> dict[str, Any]:
         """Row of the clip with an error."""
-        text = printable(" ".join(self._without_scratch(message).split()))[:_MAX_ERROR]
+        text = printable(" ".join(self._with_names(message).split()))[:_MAX_ERROR]
         return self._with_times(replace(self._record, status="failed", error=text, error_kind=kind)).row()
 
     def _failure(self, kind: str, error: Exception, *, is_transient: bool = False) -> Outcome:
@@ -208,7 +210,7 @@ class _ClipRun:
             seconds=round(seconds, 6),
             calibration=str(summary["calibration"]),
             start_utc=str(utc.get("start_utc", utc.get("start", "")) or ""),
-            warnings=[self._without_scratch(note) for note in summary["notes"]],
+            warnings=[self._with_names(note) for note in summary["notes"]],
             stages_ms=summary["stages_ms"],
             coverage={name: values.get("coverage") for name, values in methods.items()},
             errors={name: values for name, values in figures.items() if values},
@@ -225,11 +227,11 @@ class _ClipRun:
             finished_utc=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
         )
 
-    def _without_scratch(self, text: str) -> str:
-        """A text with the addresses of the recordings instead of the paths of their local copies."""
+    def _with_names(self, text: str) -> str:
+        """A text with the names of the recordings in the results instead of the paths of their local copies."""
         for local, name in self._names.items():
             text = text.replace(local, name)
-        return text
+        return self._file_names.text(text)
 
 
 def clip_settings(options: Mapping[str, Any], clip: Clip) -> RunSettings:

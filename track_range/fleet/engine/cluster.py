@@ -13,6 +13,7 @@ import secrets
 import shutil
 import socket
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from track_range.fleet.settings import FleetSettings
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.input_files import counted, shortened
 from track_range.foundation.telemetry import disable_telemetry
+from track_range.run.interrupts import ignore_interrupts
 
 _OBJECT_STORE_BYTES = 80 * 2**20
 """Object store of a cluster of this machine: Ray's minimum is 75 MB, and only settings and records pass through it."""
@@ -34,6 +36,9 @@ _MAX_FOLDER = 40
 
 _CONNECT_S = 15.0
 """Time limit for reaching the address of a cluster, s."""
+
+_END_S = 5.0
+"""Time in which Ray's processes end after a shutdown, s."""
 
 _MAX_PORT = 65_535
 
@@ -108,7 +113,8 @@ def _local_cluster(settings: FleetSettings) -> Iterator[Cluster]:
             n_workers = _fitting(settings, n_requested)
             yield Cluster(True, ray.get_runtime_context().get_node_id(), n_workers)
         finally:
-            ray.shutdown()
+            with ignore_interrupts():
+                ray.shutdown()
 
 
 @contextmanager
@@ -126,7 +132,8 @@ def _existing_cluster(settings: FleetSettings) -> Iterator[Cluster]:
         yield Cluster(False, ray.get_runtime_context().get_node_id(), n_requested)
     finally:
         if is_ours:
-            ray.shutdown()
+            with ignore_interrupts():
+                ray.shutdown()
 
 
 @contextmanager
@@ -286,5 +293,15 @@ def _ray_folder() -> Iterator[Path]:
     try:
         yield folder
     finally:
-        with suppress(OSError):
-            shutil.rmtree(folder, ignore_errors=True)
+        with ignore_interrupts():
+            _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove the folder of Ray; its processes write logs until they have ended."""
+    end_s = time.monotonic() + _END_S
+    while folder.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        if time.monotonic() > end_s:
+            return
+        time.sleep(0.1)

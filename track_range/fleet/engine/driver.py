@@ -21,6 +21,7 @@ from track_range.fleet.engine.plan import ClipTask, FleetPlan
 from track_range.fleet.engine.pool import Event, Slot, WorkerPool, alive_nodes
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.data_set import ClipTable, journal_row, publish_record
+from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import ClipRecord, Row
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.input_files import shortened
@@ -223,14 +224,15 @@ class Driver:
 
     def _fail(self, task: ClipTask, kind: ErrorKind, reason: str) -> None:
         clip = task.clip
+        names = FileNames(clip, is_anonymized=self._plan.is_anonymized)
         record = ClipRecord(
             clip=clip.name,
             status="failed",
-            error=reason,
+            error=names.text(reason),
             error_kind=kind,
             attempts=max(1, self._attempts.n_failed(clip.name)),
-            left=str(Location.of(clip.left)),
-            right="" if clip.right is None else str(Location.of(clip.right)),
+            left=names.left,
+            right=names.right,
             settings_hash=self._plan.settings_hash,
             version=self._plan.version,
             finished_utc=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),

@@ -123,6 +123,11 @@ class FleetPlan:
     shared: Mapping[str, str] = field(default_factory=dict)
     version: str = field(default_factory=lambda: version("track-range"))
 
+    @property
+    def is_anonymized(self) -> bool:
+        """Whether the results contain no folder names."""
+        return bool(self.options.get("anonymize"))
+
 
 Process = Callable[[ClipTask, FleetPlan, ClipProgress], Outcome]
 """Processes a clip in a worker."""

@@ -47,7 +47,7 @@ class _Matches:
     """Clips of single files of a tree."""
 
     def __init__(self, tree: FileTree, pattern: FilePattern) -> None:
-        self._tree, self._pattern = tree, pattern
+        self._tree, self._pattern, self._recorded = tree, pattern, tree.recorded_folders()
         self._left = pattern.left.expression()
         self._right: re.Pattern[str] | None = None if pattern.right is None else pattern.right.expression()
 
@@ -69,7 +69,8 @@ class _Matches:
             return None
         values = match.groupdict()
         left = self._pattern.left.filled(values)
-        return None if left in self._tree else self._clip(values, left, name, "left")
+        is_recording = left in self._tree.files or left in self._recorded
+        return None if is_recording else self._clip(values, left, name, "left")
 
     def _clip(self, values: Mapping[str, str], left: str, right: str | None, missing: str) -> Clip:
         folder = self._tree.folder
@@ -78,6 +79,7 @@ class _Matches:
         problem = ""
         if missing:
             path = shortened(shown(address if missing == "left" else right_address or ""), 200)
-            problem = f"{path}: no such file; expected the {missing} video of the clip."
+            reason = "a folder without images" if left in self._tree.folders else "no such file"
+            problem = f"{path}: {reason}; expected the {missing} video of the clip."
         labels = {name: value for name, value in values.items() if name != CLIP}
         return Clip(values[CLIP], address, right_address, labels=labels, problem=problem)

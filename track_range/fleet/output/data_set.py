@@ -170,15 +170,20 @@ class ClipTable:
         if row is not None:
             self.add({**row, "inputs": inputs}, is_in_journal=False)
 
-    def collect_journal(self) -> None:
+    def collect_journal(self) -> int:
         """Add the rows that workers have published and the driver does not know, because it was interrupted.
+
+        Returns:
+            Number of clips among them that are done.
 
         Raises:
             StorageError: the storage cannot be read.
         """
         names = [name for name in _journal_names(self._out) if name not in self._in_journal]
-        for row in _journal_rows(self._out, names).values():
+        rows = _journal_rows(self._out, names).values()
+        for row in rows:
             self.add(row, is_in_journal=True)
+        return sum(row["status"] == "done" for row in rows)
 
     def compile_if_due(self) -> None:
         """Write clips.parquet if enough time has passed or many rows are new; see `compile`."""

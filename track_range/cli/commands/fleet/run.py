@@ -83,7 +83,8 @@ def _print_plan(settings: FleetSettings, options: dict[str, Any], clips: Sequenc
     left = remaining(clips, table, plan.settings_hash, is_failed_repeated=settings.retry_failed)
     problems: list[tuple[str, str]] = []
     seconds = 0.0
-    for checked in check_clips([task.clip for task in left.todo]):
+    checked_settings = {key: options[key] for key in ("focal_px", "folder_fps") if key in options}
+    for checked in check_clips([task.clip for task in left.todo], **checked_settings):
         seconds += checked.duration_s or 0.0
         size = "" if checked.size_px is None else f", {checked.size_px[0]}x{checked.size_px[1]}"
         rate = "" if checked.fps is None else f" at {checked.fps:.3g} Hz"
