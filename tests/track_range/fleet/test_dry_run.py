@@ -78,9 +78,9 @@ def test_folder_of_images(tmp_path, level):
 
 def test_remote_clips_are_not_opened(bucket):
     bucket.child("a.mp4").write_bytes(b"abc")
-    there, missing = check(*(Clip(name, bucket.child(f"{name}.mp4").address) for name in "ab"))
-    assert (there.n_bytes, there.problems) == (3, ())
-    assert "not opened" in there.notes[0]
+    present, missing = check(*(Clip(name, bucket.child(f"{name}.mp4").address) for name in "ab"))
+    assert (present.n_bytes, present.problems) == (3, ())
+    assert "not opened" in present.notes[0]
     assert "b.mp4" in missing.problems[0]
 
 

@@ -13,7 +13,7 @@ from track_range.fleet.inputs.pattern import FilePattern, Template
 TEXTS = st.text(st.characters(exclude_characters="/_", exclude_categories=("Cs",)), min_size=1, max_size=20)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(clip=TEXTS, vehicle=TEXTS)
 def test_filled_name_gives_the_same_values(clip, vehicle):
     pattern = FilePattern.of("{vehicle}/{clip}_left.mp4,{vehicle}/{clip}_right.mp4")

@@ -198,3 +198,10 @@ def test_left_folder_without_images(tmp_path, filled):
     clips = clips_of([str(tmp_path)], PAIR, None)
     assert [(clip.name, bool(clip.problem)) for clip in clips] == [("a", False), ("b", True)]
     assert "b_left.mp4" in clips[1].problem
+
+
+def test_results_below_the_recordings(tmp_path, filled):
+    filled(tmp_path, "a.mp4", "out/b.mp4", "out/fleet.json", "out/runs/clip=a/overlay.mp4", "runs/c.mp4")
+    assert names_of(tmp_path, pattern="{clip}.mp4") == ["a", "out/b", "runs/c"]
+    filled(tmp_path, "fleet.json")
+    assert names_of(tmp_path, pattern="{clip}.mp4") == ["a", "out/b"]

@@ -155,7 +155,7 @@ def test_pattern_with_a_manifest(tmp_path):
         clips_of([write_manifest(tmp_path, "left\na\n")], "{clip}.mp4", None)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     rows=st.lists(
         st.tuples(*[st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=6)] * 3),

@@ -20,6 +20,9 @@ _BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 _RESULT_NAMES = frozenset(("overlay.mp4", "disparity.mp4", "run.mcap"))
 """Files that runs write, which are not recordings."""
 
+_FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "runs", "journal", "unfinished")
+"""File and folders in the results of a fleet, which may be below the recordings."""
+
 _BAG_METADATA = "metadata.yaml"
 """File that makes a folder a ROS 2 bag."""
 
@@ -29,7 +32,7 @@ _MIN_IMAGES = 2
 
 @dataclass(frozen=True, slots=True)
 class FileTree:
-    """Names relative to the folder, without hidden files.
+    """Names relative to the folder, without hidden files and the results of fleets.
 
     Attributes:
         folder: the folder.
@@ -58,7 +61,9 @@ class FileTree:
         for entry in entries:
             if not is_hidden(entry.name):
                 (folders if entry.stat.is_folder else files).append(entry.name)
-        return cls(folder, frozenset(files), frozenset(folders))
+        fleets = {_folder(name) for name in files if _last(name) == _FLEET_STATE}
+        results = tuple(f"{_joined(fleet, name)}/" for fleet in fleets for name in _FLEET_FOLDERS)
+        return cls(folder, _outside(files, results), _outside(folders, results))
 
     def __contains__(self, name: str) -> bool:
         return name in self.files or name in self.folders
@@ -82,6 +87,11 @@ class FileTree:
         images = {folder for folder, n in n_images.items() if n >= _MIN_IMAGES and folder not in with_videos}
         bags = {_folder(name) for name in self.files if is_bag_name(name)}
         return images | {folder for folder in bags if _joined(folder, _BAG_METADATA) in self.files}
+
+
+def _outside(names: list[str], folders: tuple[str, ...]) -> frozenset[str]:
+    """The names that are not in one of the folders, which end with a slash."""
+    return frozenset(name for name in names if not name.startswith(folders)) if folders else frozenset(names)
 
 
 def is_video_name(name: str) -> bool:
