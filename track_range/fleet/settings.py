@@ -111,8 +111,8 @@ class FleetSettings(Options):
     timeout: Annotated[
         float,
         option(
-            "Time limit of a clip: 60 s and this number of seconds for each second of video; a clip that takes longer "
-            "is repeated once and then fails.",
+            "Time limit of a clip: 60 s and this number of seconds for each second of video, or for each 10 processed "
+            "frames if these are more; a clip that takes longer is repeated once and then fails.",
             metavar="FACTOR",
             panel=_WORKERS,
             ge=0.01,

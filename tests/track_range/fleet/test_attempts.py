@@ -3,6 +3,7 @@
 import pytest
 
 from track_range.fleet.engine.attempts import Attempts
+from track_range.fleet.engine.limits import Limits
 
 
 def failed(attempts, clip, *kinds, node="n1"):
@@ -53,3 +54,11 @@ def test_timeout_on_lost_node_is_counted():
     attempts = failed(Attempts(), "a", "timeout", node="lost")
     attempts.forget_node("lost")
     assert attempts.n_failed("a") == 1
+
+
+def test_time_limit_grows_with_length_and_frames():
+    limits = Limits(time_factor=60.0, memory_bytes=1)
+    assert limits.time_s(0.0) == 60.0
+    assert limits.time_s(10.0, fetch_bytes=5e6) == 665.0
+    assert limits.time_s(10.0, n_frames=90) == 660.0
+    assert limits.time_s(10.0, n_frames=300) == 1860.0

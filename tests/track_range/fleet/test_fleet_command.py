@@ -168,6 +168,16 @@ def test_address_without_a_cluster(tmp_path, small_drive, address):
     assert len(ended.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
+def test_address_of_another_server(tmp_path, small_drive, web):
+    address = web[0].removeprefix("http://")
+    command = [sys.executable, "-m", "track_range", "fleet", "run", small_drive.left, "--focal-px", "500"]
+    arguments = ["--out", tmp_path / "out", "--address", address]
+    ended = subprocess.run([*map(str, (*command, *arguments))], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, len(ended.stderr.splitlines())) == (1, 1)
+    assert address in ended.stderr
+
+
 def test_dry_run_with_options_of_the_runs(cli, film, tmp_path):
     (tmp_path / "clips").mkdir()
     film(tmp_path / "clips" / "a.mp4", [0, 0.1])

@@ -96,6 +96,15 @@ def test_ranking_is_limited(tmp_path):
     assert [(item.clip, item.track_id) for item in total.closest[:3]] == [("a", 1), ("b", 1), ("a", 2)]
 
 
+def test_uncertain_distances_are_not_ranked():
+    rows = track_rows(1, "car", near_m=5.0, x_m=0.0, utc_s=None)
+    rows["fused_kf_sigma_m"] = 0.6 * rows["fused_kf_m"]
+    assert track_figures("a", rows_table(rows)).closest == []
+    rows["fused_kf_sigma_m"][-4:] = 0.4 * rows["fused_kf_m"][-4:]
+    (approach,) = track_figures("a", rows_table(rows)).closest
+    assert approach.distance_m in rows["fused_kf_m"][-4:]
+
+
 def test_crossing_track_is_on_course():
     """A lateral position of 6 m that falls by 3 m/s is at 0 after 2 s."""
     rows = track_rows(1, "person", near_m=10.0, x_m=0.0, utc_s=None)

@@ -37,6 +37,12 @@ _MAX_FOLDER = 40
 _CONNECT_S = 15.0
 """Time limit for reaching the address of a cluster, s."""
 
+_HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+"""Start of a connection with HTTP/2, with an empty frame of settings (RFC 9113, 3.4)."""
+
+_TYPE_BYTE, _SETTINGS_TYPE = 3, 4
+"""Index of the type in the header of a frame, and type of a frame of settings (RFC 9113, 4.1 and 6.5)."""
+
 _END_S = 5.0
 """Time in which Ray's processes end after a shutdown, s."""
 
@@ -173,10 +179,10 @@ def _resolved(address: str) -> str:
 
 
 def _check_reachable(address: str) -> None:
-    """Check that a server listens at HOST:PORT; Ray itself would wait for it without end.
+    """Check that a gRPC server listens at HOST:PORT; Ray itself would wait for it without end.
 
     Raises:
-        FleetError: nothing listens there, or the address has another form.
+        FleetError: nothing or another server listens there, or the address has another form.
     """
     if "://" in address:  # Ray Client, which has its own time limit
         return
@@ -184,9 +190,23 @@ def _check_reachable(address: str) -> None:
     if not host or not port.isdigit() or int(port) > _MAX_PORT:
         raise _no_cluster(address, "expected HOST:PORT or auto")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S) as connection:
+            is_grpc = os.environ.get("RAY_USE_TLS", "0") != "0" or _is_http2(connection)
     except OSError as error:
         raise _no_cluster(address, error) from error
+    if not is_grpc:
+        raise _no_cluster(address, "another server answers")
+
+
+def _is_http2(connection: socket.socket) -> bool:
+    """Whether a server answers the preface of HTTP/2 with its settings, as that of a Ray cluster (gRPC) does.
+
+    Raises:
+        OSError: it does not answer in time.
+    """
+    connection.sendall(_HTTP2_PREFACE)
+    header = connection.recv(9)
+    return len(header) > _TYPE_BYTE and header[_TYPE_BYTE] == _SETTINGS_TYPE
 
 
 def _no_cluster(address: str, reason: object) -> FleetError:

@@ -216,7 +216,7 @@ class WorkerPool:
                     f"{self._settings.worker_memory}; give more memory.",
                 )
                 continue
-            known = (0.0, 0.0) if state is None else (state.video_s, state.fetch_bytes)
+            known = (0.0, 0.0, 0) if state is None else (state.video_s, state.fetch_bytes, state.frames)
             limit_s = self._limits.time_s(*known)
             if now_s - slot.start_s > limit_s:
                 at = "" if state is None else f" while {state.phase}, after {state.frames} frames"

@@ -32,7 +32,7 @@ COURSE_HALF_WIDTH_M = 2.0
 """Largest lateral offset of an object on a collision course: half the width of the ego vehicle, and of the object."""
 
 MAX_RELATIVE_SIGMA = 0.5
-"""Largest standard deviation of a ranked time to collision, relative to that time."""
+"""Largest standard deviation of a ranked distance or time to collision, relative to it."""
 
 EDGES_M = (0.0, *BANDS_M, float("inf"))
 """Edges of the distance bands: those of the evaluation, with the distances below and above."""
@@ -168,7 +168,7 @@ def track_figures(clip: str, table: pa.Table) -> TrackFigures:
         rows = _Rows(clip, table)
         rows.count_tracks(figures)
         rows.count_coverage(figures)
-        figures.closest = _closest(rows.approaches(rows.reference_m))
+        figures.closest = _closest(rows.approaches(rows.precise_m()))
         figures.collisions = _most_urgent(rows.approaches(rows.ttc_on_course_s()))
     return figures
 
@@ -234,6 +234,11 @@ class _Rows:
         for method in self._methods:
             is_measured = np.isfinite(self._column(f"{method}_m")[rows])
             figures.n_measured.update({(method, i): n for i, n in _counts(band[is_measured]).items()})
+
+    def precise_m(self) -> FloatArray:
+        """Reference distance of the rows where its sigma is small enough or unknown, else NaN."""
+        with np.errstate(invalid="ignore"):
+            return np.where(self._sigma_m > MAX_RELATIVE_SIGMA * self.reference_m, np.nan, self.reference_m)
 
     def ttc_on_course_s(self) -> FloatArray:
         """Time to collision of the rows that are on a collision course and whose sigma is small enough, else NaN."""
