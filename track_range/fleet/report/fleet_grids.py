@@ -72,8 +72,8 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
         Section(
             "closest",
             "Closest approaches",
-            f"Smallest filtered fused distance of a road user, with its standard deviation {SIGMA}; {SIGMA} at most half "
-            "of the distance; one row per track.",
+            f"Smallest filtered fused distance of a road user, with its standard deviation {SIGMA} of at most half the "
+            "distance; one row per track.",
             (_ranking("Closest tracks", figures["closest"], links),),
             "No road user has a distance.",
         ),
