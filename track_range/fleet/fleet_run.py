@@ -31,7 +31,7 @@ from track_range.run.settings import without_folders
 _MAX_STATES = 1000
 """Largest number of workers in fleet.json."""
 
-_WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "cache_dir")
+_WITH_FOLDERS = ("recordings", "out", "pattern", "rig", "settings", "cache_dir")
 """Settings that fleet.json of an anonymized fleet does not contain, since they name folders."""
 
 

@@ -67,6 +67,14 @@ class FleetSettings(Options):
             panel=_INPUT,
         ),
     ] = None
+    settings: Annotated[
+        Path | None,
+        option(
+            "Settings of an earlier run (settings.yaml), without its inputs and outputs; other options override them.",
+            metavar="FILE",
+            panel=_INPUT,
+        ),
+    ] = None
     dry_run: Annotated[
         bool, option("Only a list of the clips, with the problems in their headers.", flag="--dry-run", panel=_INPUT)
     ] = False

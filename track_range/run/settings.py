@@ -455,7 +455,7 @@ def settings_from(options: dict[str, Any], file: Path | None = None) -> RunSetti
         UsageError: an option is invalid, or options contradict each other.
         ConfigError: the file cannot be read, or contains an unknown key or an invalid value.
     """
-    base = _read(file) if file else {}
+    base = read_settings(file) if file else {}
     given = {key: value for key, value in options.items() if value is not None}
     for one, other in (("mono", "stereo"), ("detections", "detector"), ("rig", "focal_px")):
         for key, alternative in ((one, other), (other, one)):
@@ -599,7 +599,12 @@ def _plain_name(video: VideoName, text: Callable[[VideoName], str]) -> str | lis
     return [text(path) for path in video.paths] if isinstance(video, Segments) else text(video)
 
 
-def _read(file: Path) -> dict[str, Any]:
+def read_settings(file: Path) -> dict[str, Any]:
+    """Values in a settings.yaml, which are not validated.
+
+    Raises:
+        ConfigError: the file cannot be read, or is another one.
+    """
     document = read_yaml(file, ConfigError, "the settings.yaml of a run")
     if not isinstance(document, dict) or document.get("track_range_settings") != 1:
         raise ConfigError(f"{file}: expected the settings.yaml of a run, with the key 'track_range_settings: 1'.")

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from tests.track_range.fleet.killing import killed_workers
 from track_range.fleet import fleet_run
+from track_range.fleet.engine.plan import common_options
 from track_range.fleet.output.data_set import read_clips
 from track_range.fleet.settings import FleetSettings, size_bytes
 from track_range.fleet.storage.location import Location
@@ -186,6 +187,20 @@ def test_dry_run_with_options_of_the_runs(cli, film, tmp_path):
     assert (status, "expected a calibration" in stdout) == (3, True)
     status, stdout, _ = cli(*arguments, "--focal-px", 50)
     assert (status, "focal length" in stdout) == (0, True)
+
+
+def test_settings_of_an_earlier_run(cli, film, tmp_path):
+    (tmp_path / "clips").mkdir()
+    film(tmp_path / "clips" / "a.mp4", [0, 0.1])
+    file = tmp_path / "settings.yaml"
+    file.write_text("track_range_settings: 1\nrun: {mono: x.mp4, out: y, focal_px: 50, overlay: true, classes: [car]}\n")
+    arguments = ("fleet", "run", tmp_path / "clips", "--out", tmp_path / "out", "--dry-run", "--settings", file)
+    status, stdout, _ = cli(*arguments)
+    assert (status, "focal length" in stdout) == (0, True)
+    assert common_options(file) == {"focal_px": 50, "classes": ["car"]}
+    file.write_text("track_range_settings: 1\nrun: {mono: x.mp4, focal_pixels: 50}\n")
+    status, _, stderr = cli(*arguments)
+    assert (status, "focal_pixels" in stderr) == (1, True)
 
 
 @pytest.mark.slow

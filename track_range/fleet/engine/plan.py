@@ -15,12 +15,12 @@ from track_range.detection.models.lookup import find_model
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.output.record import Row
 from track_range.fleet.settings import FleetSettings
-from track_range.foundation.errors import UsageError
+from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import open_regular
 from track_range.foundation.files.numeric_text import number
 from track_range.ranging.size_models.curve import load_curves
 from track_range.run.options.detector_options import DetectorOptions, open_detector
-from track_range.run.settings import RunSettings, settings_from
+from track_range.run.settings import RunSettings, read_settings, settings_from
 
 REFUSED: Mapping[str, str] = {
     "stereo": "the recordings are arguments: `track-range fleet run DIR --pattern '{clip}_left.mp4,{clip}_right.mp4'`",
@@ -34,6 +34,9 @@ REFUSED: Mapping[str, str] = {
 
 OWN = ("out", "threads", "rig")
 """Options of a run that are options of a fleet with another meaning."""
+
+_OUTPUTS = ("write", "overlay", "disparity", "overlay_disparity")
+"""Options of a run for its outputs, which a fleet does not take from the settings.yaml of a run."""
 
 _NOT_HASHED = ("stereo", "mono", "out", "table", "threads")
 """Settings of a run that do not change the published files of a clip, or belong to the clip."""
@@ -133,6 +136,21 @@ Process = Callable[[ClipTask, FleetPlan, ClipProgress], Outcome]
 """Processes a clip in a worker."""
 
 
+def common_options(file: Path) -> dict[str, Any]:
+    """Options of the settings.yaml of a run for all clips: without its inputs and outputs.
+
+    Raises:
+        ConfigError: the file cannot be read, or contains an unknown key or an invalid value.
+    """
+    values = read_settings(file)
+    options = {key: value for key, value in values.items() if key not in (*REFUSED, *OWN, *_OUTPUTS)}
+    try:
+        _validated(options)
+    except UsageError as error:
+        raise ConfigError(f"{file}: {error}") from error
+    return options
+
+
 def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan:
     """Plan of the settings.
 
@@ -149,10 +167,7 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
             raise UsageError(f"{RunSettings.flag(name)}: not an option of a fleet; {REFUSED[name]}.")
     _check_ego_speed(options)
     given = {"overlay": False, **options, "threads": settings.threads}
-    # the names of the videos do not matter: two, because some options require a pair
-    checked = settings_from(
-        {**given, "stereo": ("left.mp4", "right.mp4")} if _is_pair(given) else {**given, "mono": "clip.mp4"}
-    )
+    checked = _validated(given)
     files = _shared_files(checked)
     shared = {name: _sha256(path) for name, path in files.items()}
     _check_models(checked, files)
@@ -168,9 +183,14 @@ def fleet_plan(settings: FleetSettings, options: Mapping[str, Any]) -> FleetPlan
     )
 
 
-def _is_pair(options: Mapping[str, Any]) -> bool:
-    """Whether options require a stereo pair."""
-    return bool(options.get("disparity") or options.get("overlay_disparity") or len(options.get("topics", ())) > 1)
+def _validated(options: Mapping[str, Any]) -> RunSettings:
+    """Settings of a run with these options; the names of its videos do not matter.
+
+    Raises:
+        UsageError: an option is unknown or invalid.
+    """
+    is_pair = options.get("disparity") or options.get("overlay_disparity") or len(options.get("topics", ())) > 1
+    return settings_from({**options, **({"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"})})
 
 
 def _check_ego_speed(options: Mapping[str, Any]) -> None:

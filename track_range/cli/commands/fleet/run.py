@@ -26,6 +26,7 @@ _MAX_NAMED = 10
 
 def _fleet_run(**values: Any) -> None:
     from track_range.cli.console import console, print_line
+    from track_range.fleet.engine.plan import common_options
     from track_range.fleet.engine.progress import progress_text
     from track_range.fleet.errors import ClipsFailedError
     from track_range.fleet.fleet_run import run_fleet
@@ -39,6 +40,8 @@ def _fleet_run(**values: Any) -> None:
         for name, value in given_values(RunSettings, values).items()
         if name not in FleetSettings.model_fields
     }
+    if settings.settings is not None:
+        options = {**common_options(settings.settings), **options}
     clips = clips_of(settings.recordings, settings.pattern, settings.rig)
     if settings.dry_run:
         _print_plan(settings, options, clips)
