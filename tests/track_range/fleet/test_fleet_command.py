@@ -193,7 +193,9 @@ def test_settings_of_an_earlier_run(cli, film, tmp_path):
     (tmp_path / "clips").mkdir()
     film(tmp_path / "clips" / "a.mp4", [0, 0.1])
     file = tmp_path / "settings.yaml"
-    file.write_text("track_range_settings: 1\nrun: {mono: x.mp4, out: y, focal_px: 50, overlay: true, classes: [car]}\n")
+    file.write_text(
+        "track_range_settings: 1\nrun: {mono: x.mp4, out: y, focal_px: 50, overlay: true, classes: [car]}\n"
+    )
     arguments = ("fleet", "run", tmp_path / "clips", "--out", tmp_path / "out", "--dry-run", "--settings", file)
     status, stdout, _ = cli(*arguments)
     assert (status, "focal length" in stdout) == (0, True)

@@ -189,7 +189,11 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
     Raises:
         UsageError: an option is unknown or invalid.
     """
-    is_pair = options.get("disparity") or options.get("overlay_disparity") or len(options.get("topics", ())) > 1
+    topics = options.get("topics") or ()
+    n_topics = (
+        len(topics.split(",")) if isinstance(topics, str) else len(topics) if isinstance(topics, list | tuple) else 0
+    )
+    is_pair = options.get("disparity") or options.get("overlay_disparity") or n_topics > 1
     return settings_from({**options, **({"stereo": ("left.mp4", "right.mp4")} if is_pair else {"mono": "clip.mp4"})})
 
 
