@@ -26,6 +26,9 @@ HEARTBEAT_S = 5.0
 STALE_S = 60.0
 """Age of a state above which its run has ended without saying so, s."""
 
+_STALE_HERE_S = 600.0
+"""The same on this machine, s, where a missing process shows it earlier; its number may be that of another one since."""
+
 State = Literal["running", "finished", "stopped", "failed"]
 
 
@@ -79,9 +82,10 @@ class FleetState:
         """Whether the driver is at work, as far as can be seen from here."""
         if self.state != "running":
             return False
+        age_s = time.time() - self.heartbeat_s
         if self.host == socket.gethostname():
-            return _is_process(self.pid)
-        return time.time() - self.heartbeat_s < STALE_S
+            return age_s < _STALE_HERE_S and _is_process(self.pid)
+        return age_s < STALE_S
 
 
 def read_state(out: Location) -> FleetState | None:
