@@ -27,7 +27,7 @@ STALE_S = 60.0
 """Age of a state above which its run has ended without saying so, s."""
 
 _STALE_HERE_S = 600.0
-"""The same on this machine, s, where a missing process shows it earlier; its number may be that of another one since."""
+"""The same on this machine, s: a missing process shows it earlier, but its number may be that of another one since."""
 
 State = Literal["running", "finished", "stopped", "failed"]
 
