@@ -41,7 +41,7 @@ def rows_of(tmp_path):
 
 
 def wait_for_clips(tmp_path, process, n_clips):
-    for _ in range(600):
+    for _ in range(1500):
         if (tmp_path / "out").exists() and len(rows_of(tmp_path)) >= n_clips:
             return
         assert process.poll() is None, process.communicate()
@@ -73,13 +73,13 @@ def test_killed_driver_continues(tmp_path):
     state = read_state(Location.of(tmp_path / "out"))
     assert state.state == "running"
     assert not state.is_alive
-    for _ in range(150):  # Ray's processes notice the end of the driver
+    for _ in range(600):  # Ray's processes notice the end of the driver
         if not is_running(f"tr-ray-{process.pid}"):
             break
         time.sleep(0.2)
     assert not is_running(f"tr-ray-{process.pid}")
     again = start(tmp_path, 24)
-    assert again.communicate(timeout=120)[1] == ""
+    assert again.communicate(timeout=300)[1] == ""
     rows = rows_of(tmp_path)
     assert len(rows) == 24
     assert {row["status"] for row in rows.values()} == {"done"}
@@ -93,7 +93,7 @@ def test_interrupted_driver(tmp_path, number):
     process = start(tmp_path, 200)
     wait_for_clips(tmp_path, process, 3)
     process.send_signal(number)
-    _, stderr = process.communicate(timeout=60)
+    _, stderr = process.communicate(timeout=300)
     assert process.returncode == 1
     assert "stopped by the user" in stderr
     assert len(stderr.splitlines()) == 1
@@ -120,7 +120,7 @@ def small_disk(tmp_path):
 
 def test_full_disk_ends_the_run(tmp_path, small_disk):
     process = start(tmp_path, 60)
-    _, stderr = process.communicate(timeout=120)
+    _, stderr = process.communicate(timeout=300)
     assert process.returncode == 1, stderr
     assert len(stderr.splitlines()) == 1, stderr
     assert "space" in stderr
