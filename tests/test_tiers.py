@@ -46,6 +46,7 @@ def table(tmp_path, content, *options):
     return main([str(file), *options])
 
 
+@pytest.mark.slow
 def test_run_with_workers(tmp_path):
     (tmp_path / "test_four.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")

@@ -35,6 +35,7 @@ def near_boxes(drive):
     return labels.frame[clear], labels.xyxy_px[clear], labels.track_id[clear], labels.location_m[clear, 2]
 
 
+@pytest.mark.slow
 def test_drive_without_error_is_not_corrected(videos, tmp_path, cli):
     out, figures = tmp_path / "align.yaml", tmp_path / "figures.json"
     status, printed, _ = cli("align", *videos, "--out", out, "--json", figures)
@@ -65,6 +66,7 @@ def test_label_file_and_folder_agree(drive, videos, tmp_path, cli):
     assert file.offset_px == pytest.approx(folder.offset_px, abs=0.1)  # they differ in the range of distances
 
 
+@pytest.mark.slow
 def test_table_of_disparities_with_an_offset(drive, videos, tmp_path, cli):
     rig, _ = load_rig(drive / "rig.yaml", size_px=SIZE_PX)
     frame, box, number, depth_m = near_boxes(drive)

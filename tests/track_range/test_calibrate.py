@@ -192,7 +192,8 @@ def test_video(tmp_path, cli, film):
     assert load_camera(out, size_px=(640, 360))[0].fx_px == pytest.approx(CAMERA.fx_px, rel=0.02)
 
 
-@pytest.mark.parametrize("board", ["8x6", *(pytest.param(b, marks=pytest.mark.slow) for b in ("9x5", "9x7", "10x7"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("board", ["8x6", "9x5", "9x7", "10x7"])
 def test_wrong_number_of_corners(boards, tmp_path, cli, board):
     out = tmp_path / "rig.yaml"
     outcome = cli("calibrate", "--mono", boards / "left*.png", "--board", board, "--square-mm", 30, "--out", out)

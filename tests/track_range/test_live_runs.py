@@ -88,6 +88,7 @@ def test_live_stream_and_file_are_not_a_pair(film: Callable[..., Path], tmp_path
     assert "live streams" in errors
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_live_run(boxes: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with cameras(1) as (camera,):

@@ -130,6 +130,7 @@ def test_missing_gpu(drawn, tmp_path, cli, monkeypatch):
     assert (status, "--device: expected auto" in complaint) == (1, True)
 
 
+@pytest.mark.slow
 def test_damaged_images_are_skipped(tmp_path, cli):
     data = write_data_set(tmp_path, n_train=5, n_val=2)
     (tmp_path / "images/train/001.png").write_bytes(b"junk")
