@@ -33,6 +33,8 @@ from rich.console import Console
 from benchmarks import fleet_costs
 from benchmarks.inputs.drives import LoopedDrive, add_drive_options, looped
 from benchmarks.plain_tables import figure_text, plain_table
+from track_range.fleet.output.state import read_state
+from track_range.fleet.storage.location import Location
 
 PARTS = ("throughput", "mono", "memory", "driver")
 """Parts by default; `gpu` is another one."""
@@ -238,7 +240,7 @@ def _pinned(out: Path, core: int | None) -> Iterator[None]:
 
     def pin() -> None:
         while not finished.wait(_POLL_S):
-            for pid in _worker_pids(out):
+            for pid in worker_pids(out):
                 for thread in Path(f"/proc/{pid}/task").glob("*"):
                     try:
                         os.sched_setaffinity(int(thread.name), {core})
@@ -254,12 +256,10 @@ def _pinned(out: Path, core: int | None) -> Iterator[None]:
         thread.join()
 
 
-def _worker_pids(out: Path) -> list[int]:
-    try:
-        state = json.loads((out / "fleet.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return []
-    return [worker["pid"] for worker in state.get("workers", ()) if worker.get("pid")]
+def worker_pids(out: Path) -> tuple[int, ...]:
+    """Processes of the workers of a fleet, from fleet.json, which is up to 5 s old."""
+    state = read_state(Location.of(str(out)))
+    return () if state is None else state.worker_pids
 
 
 def _loop(drive: LoopedDrive, out: Path, n_clips: int, arguments: Sequence[str]) -> float:

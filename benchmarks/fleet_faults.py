@@ -8,7 +8,6 @@ undisturbed run of the same recording. README.md has the protocol.
 from __future__ import annotations
 
 import csv
-import json
 import os
 import random
 import signal
@@ -21,12 +20,13 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pyarrow as pa
 from pyarrow import parquet
 from rich.console import Console
 
+from benchmarks.fleet import worker_pids
 from benchmarks.plain_tables import figure_text, plain_table
 
 PARTS = ("kills", "corrupt", "driver")
@@ -191,12 +191,8 @@ def _complete(out: Path) -> dict[str, int]:
     return times
 
 
-class _Process(Protocol):
-    def poll(self) -> int | None: ...
-
-
 @contextmanager
-def _killed(out: Path, driver: _Process, options: Namespace) -> Iterator[list[int]]:
+def _killed(out: Path, driver: subprocess.Popen[bytes], options: Namespace) -> Iterator[list[int]]:
     """Context in which random workers are killed at random times; yields the processes killed so far."""
     generator = random.Random(options.seed)  # noqa: S311
     stop, killed = threading.Event(), list[int]()
@@ -205,7 +201,7 @@ def _killed(out: Path, driver: _Process, options: Namespace) -> Iterator[list[in
         while len(killed) < options.kills and driver.poll() is None:
             if stop.wait(generator.expovariate(1 / options.interval)):
                 return
-            alive = [pid for pid in _workers(out) if pid not in killed and Path(f"/proc/{pid}").exists()]
+            alive = [pid for pid in worker_pids(out) if pid not in killed and Path(f"/proc/{pid}").exists()]
             if alive:
                 killed.append(generator.choice(alive))
                 with suppress(ProcessLookupError):
@@ -218,15 +214,6 @@ def _killed(out: Path, driver: _Process, options: Namespace) -> Iterator[list[in
     finally:
         stop.set()
         thread.join()
-
-
-def _workers(out: Path) -> list[int]:
-    """Processes of the workers, from fleet.json, which is up to 5 s old."""
-    try:
-        state = json.loads((out / "fleet.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return []
-    return sorted(worker["pid"] for worker in state.get("workers", ()) if worker.get("pid"))
 
 
 def _fleet(manifest: Path, out: Path) -> subprocess.Popen[bytes]:

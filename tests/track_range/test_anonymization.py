@@ -285,10 +285,10 @@ def options(folder, **others):
 
 def test_settings_without_folders():
     settings = {
-        "stereo": ["/home/jane/a.mp4", ["/home/jane/b.mp4", "/home/jane/c.mp4"]],
+        "stereo": ["/drives/a.mp4", ["/drives/b.mp4", "/drives/c.mp4"]],
         "mono": "rtsp://camera/stream",
         "detector": "road",
-        "rig": "/home/jane/rig.yaml",
+        "rig": "/drives/rig.yaml",
         "ego_speed": "50",
         "focal_px": 700.0,
     }

@@ -123,7 +123,7 @@ def test_live_run_starts_at_its_first_frame(run: Path, tmp_path: Path, cli: Cli)
 def test_provenance(run: Path, tmp_path: Path, cli: Cli) -> None:
     """That of the run, also with values that only YAML has; an earlier version has the calibration in summary.json."""
     settings = (run / "settings.yaml").read_text()
-    kinds = ("detections: boxes.txt", "calibration: rig", "rig: /home/a/rig.yaml", "versions: {track-range: 0.9.9}")
+    kinds = ("detections: boxes.txt", "calibration: rig", "rig: drives/rig.yaml", "versions: {track-range: 0.9.9}")
     found = settings.replace("fps: 10.0", f"fps: 10.0, {', '.join(kinds)}").replace("run: {", "run: {1: 2026-01-31, ")
     for text, kind, version in ((found, "rig", b"0.9.9"), (settings, "focal length", None)):
         (run / "settings.yaml").write_text(text)

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
 from track_range.foundation.telemetry import disable_telemetry
 
@@ -29,7 +30,7 @@ _VARIABLES = {
 def ray_cluster(n_cpus: int = 4) -> Iterator[Any]:
     """A cluster with one node, to which nodes can be added; this process is connected to it."""
     disable_telemetry()
-    with _environment(), warnings.catch_warnings():
+    with mock.patch.dict(os.environ, _VARIABLES), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import ray
         from ray.cluster_utils import Cluster
@@ -43,17 +44,3 @@ def ray_cluster(n_cpus: int = 4) -> Iterator[Any]:
         finally:
             ray.shutdown()
             cluster.shutdown()
-
-
-@contextmanager
-def _environment() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _VARIABLES}
-    os.environ.update(_VARIABLES)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

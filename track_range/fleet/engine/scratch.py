@@ -12,6 +12,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from track_range.foundation.processes import is_running
+
 _PREFIX = "track-range-fleet-"
 
 
@@ -35,7 +37,7 @@ def open_scratch(cache_dir: Path | None) -> Path:
     if folder.parent.is_dir():
         for old in folder.parent.glob(f"{_host_prefix()}*"):
             pid = old.name.removeprefix(_host_prefix())
-            if pid.isdigit() and not _is_process(int(pid)):
+            if pid.isdigit() and not is_running(int(pid)):
                 shutil.rmtree(old, ignore_errors=True)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -54,13 +56,3 @@ def _temporary_folder() -> str:
         return tempfile.gettempdir()
     finally:
         tempfile.tempdir = before
-
-
-def _is_process(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True

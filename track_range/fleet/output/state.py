@@ -17,6 +17,7 @@ from track_range.fleet.output.publishing import publish_bytes
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.folder_lock import FolderLock
 from track_range.foundation.files.structured_text import parse_json
+from track_range.foundation.processes import is_running
 
 STATE_FILE = "fleet.json"
 
@@ -78,13 +79,18 @@ class FleetState:
         publish_bytes(out, out.child(STATE_FILE), text.encode())
 
     @property
+    def worker_pids(self) -> tuple[int, ...]:
+        """Processes of the workers that have started."""
+        return tuple(worker["pid"] for worker in self.workers if worker.get("pid"))
+
+    @property
     def is_alive(self) -> bool:
         """Whether the driver is at work, as far as can be seen from here."""
         if self.state != "running":
             return False
         age_s = time.time() - self.heartbeat_s
         if self.host == socket.gethostname():
-            return age_s < _STALE_HERE_S and _is_process(self.pid)
+            return age_s < _STALE_HERE_S and is_running(self.pid)
         return age_s < STALE_S
 
 
@@ -139,13 +145,3 @@ class OutputLock:
         """Release the lock."""
         if self._lock is not None:
             self._lock.release()
-
-
-def _is_process(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
