@@ -1,8 +1,6 @@
 """Remote clips in the local cache of a worker."""
 
 import hashlib
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +9,6 @@ from track_range.fleet.inputs.clip import Clip, FleetInputError
 from track_range.fleet.storage.errors import StorageError
 from track_range.fleet.storage.fetch import fetched
 from track_range.fleet.storage.location import Location
-from track_range.fleet.storage.scratch import scratch_folder
 
 LIMIT = 10**6
 
@@ -113,38 +110,6 @@ def test_name_too_long_for_a_file(bucket, tmp_path):
         assert Path(local.clip.left).suffix == ".mp4"
 
 
-HOLDER = """
-import sys, time
-from pathlib import Path
-from track_range.fleet.storage.scratch import scratch_folder
-with scratch_folder(Path(sys.argv[1])) as folder:
-    (folder / "part").write_bytes(b"x")
-    print("ready", flush=True)
-    time.sleep(60)
-"""
-
-
-def test_folder_of_a_killed_process_is_removed(tmp_path):
-    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE)
-    with process:
-        assert process.stdout.readline().strip() == b"ready"
-        with scratch_folder(tmp_path) as folder:
-            assert len(list(tmp_path.iterdir())) == 2  # that of the living process stays
-            folder.joinpath("x").write_bytes(b"x")
-        process.kill()
-    assert len(list(tmp_path.iterdir())) == 1
-    with scratch_folder(tmp_path):
-        assert len(list(tmp_path.iterdir())) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_file_system_without_locks(tmp_path, monkeypatch):
-    with scratch_folder(tmp_path) as folder:
-        monkeypatch.setattr("track_range.fleet.storage.scratch.is_locked", lambda _: False)
-        with scratch_folder(tmp_path):
-            assert folder.exists()
-
-
 def test_names_of_objects_that_leave_the_folder(bucket, tmp_path):
     import boto3
 
@@ -163,10 +128,3 @@ def test_error_in_a_folder(bucket, tmp_path):
     with pytest.raises(StorageError), fetched(Clip("a", bucket.child("images").address), tmp_path, 1999):
         pass
     assert list(tmp_path.iterdir()) == []
-
-
-def test_other_files_in_the_cache_stay(tmp_path):
-    (tmp_path / "other").mkdir()
-    with scratch_folder(tmp_path):
-        pass
-    assert [path.name for path in tmp_path.iterdir()] == ["other"]

@@ -156,7 +156,7 @@ class _ClipRun:
         """Run the clip with local files, and publish the results."""
         progress, plan = self._progress, self._plan
         settings = clip_settings(plan.options, local.clip)
-        names = () if settings.write == ("csv", "mot", "parquet") and "write" not in plan.options else settings.write
+        names = settings.write if "write" in {**plan.options, **local.clip.settings} else ()
         has_files = plan.has_reports or bool(set(names) - {"parquet"}) or settings.overlay or settings.disparity
         run_folder = folder / "run" if has_files else None
         settings = settings.model_copy(update={"out": run_folder, "write": tuple(set(names) - {"parquet"})})
@@ -209,7 +209,7 @@ class _ClipRun:
             tracks=int(summary["tracks"]["n"]),
             seconds=round(seconds, 6),
             calibration=str(summary["calibration"]),
-            start_utc=str(utc.get("start_utc", utc.get("start", "")) or ""),
+            start_utc=str(utc.get("start") or ""),
             warnings=[self._with_names(note) for note in summary["notes"]],
             stages_ms=summary["stages_ms"],
             coverage={name: values.get("coverage") for name, values in methods.items()},

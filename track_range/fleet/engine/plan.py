@@ -44,8 +44,6 @@ _NOT_HASHED = ("stereo", "mono", "out", "table", "threads")
 _SHARED_FILES = ("detector", "names", "align", "lanes", "curves", "reid")
 """Settings of a run that are, or may be, files which all clips share."""
 
-_BLOCK_BYTES = 1 << 20
-
 
 @dataclass(frozen=True, slots=True)
 class ClipTask:
@@ -232,11 +230,8 @@ def _check_models(settings: RunSettings, files: Mapping[str, Path]) -> None:
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with open_regular(path, UsageError, "a file of the settings") as file:
-        while block := file.read(_BLOCK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _settings_hash(settings: RunSettings, shared: Mapping[str, str], *, has_reports: bool) -> str:

@@ -171,19 +171,21 @@ class WorkerPool:
         return Event(slot, "finished", task, outcome=value)
 
     def _lost(self, slot: Slot, kind: ErrorKind, reason: str) -> Event:
-        self._kill(slot)
+        self._kill(slot, has_ended=kind == "crash")
         task, slot.task = slot.task, None
         node = "" if slot.info is None else slot.info.node
         return Event(slot, "lost", task, error_kind=kind, reason=reason, node=node)
 
-    def _kill(self, slot: Slot) -> None:
+    def _kill(self, slot: Slot, *, has_ended: bool = False) -> None:
+        """End a worker; the number of a process that `has_ended` may be that of another one by now."""
         slot.answer = slot.state_call = None
         with suppress(ray.exceptions.RayError, ValueError):
             ray.kill(slot.actor, no_restart=True)
         # a process that hangs in a library may not follow Ray's request
         if slot.info is not None and slot.info.node == self._cluster.node:
-            with suppress(OSError):
-                os.kill(slot.info.pid, signal.SIGKILL)
+            if not has_ended:
+                with suppress(OSError):
+                    os.kill(slot.info.pid, signal.SIGKILL)
             shutil.rmtree(folder_of(slot.info.pid, self._cache_dir), ignore_errors=True)
 
     def _ask_states(self) -> None:

@@ -1,7 +1,7 @@
 """Fetching of a clip's remote files into a local cache of limited size, for the time in which the clip is processed.
 
-CACHE/SCRATCH/ROLE/name             a file, with the calibration beside the left video: left/video.mp4, left/rig.yaml
-CACHE/SCRATCH/ROLE/parent/name/...  a folder; timestamps.txt beside it: left/parent/timestamps.txt
+CACHE/FOLDER/ROLE/name             a file, with the calibration beside the left video: left/video.mp4, left/rig.yaml
+CACHE/FOLDER/ROLE/parent/name/...  a folder; timestamps.txt beside it: left/parent/timestamps.txt
 """
 
 from __future__ import annotations
@@ -14,16 +14,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from track_range.fleet.inputs.clip import Clip, FleetInputError
 from track_range.fleet.storage.entry import Entry, FileStat, folder_state, is_hidden
 from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.location import Location
-from track_range.fleet.storage.scratch import scratch_folder
 from track_range.foundation.files.input_files import open_regular, shortened
-
-_BLOCK_BYTES = 1 << 20
-"""Size of the blocks that are hashed, bytes."""
 
 _N_CONNECTIONS = 8
 """Files of a folder that are downloaded at a time."""
@@ -83,7 +80,9 @@ def fetched(clip: Clip, cache_folder: Path, limit_bytes: int) -> Iterator[Fetche
         fetch = _Fetch(clip, limit_bytes)
         folder = None
         if fetch.has_remote:
-            folder = stack.enter_context(scratch_folder(cache_folder))
+            with storage_errors(cache_folder, "written"):
+                cache_folder.mkdir(parents=True, exist_ok=True)
+                folder = Path(stack.enter_context(TemporaryDirectory(dir=cache_folder, ignore_cleanup_errors=True)))
             fetch.check_space(folder)
         files = {role: fetch.file(role, folder) for role in fetch.locations}
         yield FetchedClip(_with_paths(clip, files), files)
@@ -204,9 +203,8 @@ def _with_paths(clip: Clip, files: Mapping[str, FetchedFile]) -> Clip:
 
 
 def _file_hash(path: Path) -> str:
-    digest = hashlib.sha256()
-    _update(digest, path)
-    return digest.hexdigest()
+    with storage_errors(path, "read"), open_regular(path, StorageError, "a file of the clip") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _folder_hash(folder: Path, entries: list[Entry]) -> str:
@@ -214,15 +212,8 @@ def _folder_hash(folder: Path, entries: list[Entry]) -> str:
     for entry in entries:
         path = folder / entry.name
         name = entry.name.encode("utf-8", "surrogateescape")
-        digest.update(b"%d:%s%d:" % (len(name), name, path.stat().st_size))
-        _update(digest, path)
+        digest.update(b"%d:%s%s" % (len(name), name, _file_hash(path).encode()))
     return digest.hexdigest()
-
-
-def _update(digest: hashlib._Hash, path: Path) -> None:
-    with storage_errors(path, "read"), open_regular(path, StorageError, "a file of the clip") as file:
-        while block := file.read(_BLOCK_BYTES):
-            digest.update(block)
 
 
 def _is_below(name: str) -> bool:

@@ -11,6 +11,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -46,7 +47,7 @@ _KINDS = (
 )
 
 
-def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> BinaryIO:
+def open_regular(path: Path, error: type[Exception], expected: str, *, max_bytes: int | None = None) -> BufferedReader:
     """A regular file, opened for reading; symbolic links are followed.
 
     Args:
