@@ -6,30 +6,22 @@ import argparse
 import json
 from pathlib import Path
 
-from benchmarks import (
+from benchmarks import mutation, torture
+from benchmarks.accuracy import (
     ablation,
     alignment,
     anonymization,
     appearance,
-    detection,
-    fleet,
-    fleet_faults,
     formats,
     fusion,
     history,
     lanes,
-    memory,
-    mutation,
-    pipeline,
-    ranging,
     recall,
-    server,
-    startup,
     stereo,
-    torture,
     tracking,
-    writers,
 )
+from benchmarks.fleet import faults, throughput
+from benchmarks.speed import detection, memory, pipeline, ranging, server, startup, writers
 
 WORKLOADS = {
     "pipeline": pipeline,
@@ -39,8 +31,8 @@ WORKLOADS = {
     "ablation": ablation,
     "alignment": alignment,
     "anonymization": anonymization,
-    "fleet": fleet,
-    "fleet_faults": fleet_faults,
+    "fleet": throughput,
+    "fleet_faults": faults,
     "formats": formats,
     "fusion": fusion,
     "history": history,

@@ -26,11 +26,11 @@ from track_range.detection.boxes import are_valid_boxes
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, IntArray
 from track_range.tracking import history, motion
-from track_range.tracking.appearance import ColourLayout
+from track_range.tracking.appearance.embeddings import ColourLayout
+from track_range.tracking.appearance.gallery import unit_rows
 from track_range.tracking.association import Assignment, Classes, are_compatible, iou_cost
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.confidence_threshold import ConfidenceThreshold, ConfidenceThresholdSettings
-from track_range.tracking.gallery import unit_rows
 from track_range.tracking.history import PredictionGates
 from track_range.tracking.motion import MotionNoise
 from track_range.tracking.process_noise import ProcessNoiseScale, ProcessNoiseSettings

@@ -13,7 +13,7 @@ from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.tracking import history, motion
-from track_range.tracking.gallery import Gallery
+from track_range.tracking.appearance.gallery import Gallery
 from track_range.tracking.history import BoxHistory
 from track_range.tracking.motion import MotionNoise
 

@@ -19,9 +19,9 @@ from track_range.detection.formats.video_labels.kitti import KittiLabels, read_k
 from track_range.detection.formats.video_labels.mot import MotRows, read_mot
 from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.sequences.find import find_sequences
-from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
-from track_range.tracking.evaluation import TrackingCounts
-from track_range.tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.tracking.evaluation.scores import TrackingCounts
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 SETS = ("kitti-car", "kitti-person", "mot15", "mot17")
 """Names of the data sets."""

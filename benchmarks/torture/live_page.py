@@ -43,7 +43,7 @@ _REQUESTS: dict[str, tuple[bytes, tuple[bytes, ...]]] = {
 
 
 def run_server(folder: Path, seed: int, n_cases: int, n_jobs: int) -> Iterator[Case]:
-    """Cases of runs with a live page that gets hostile requests; `benchmarks.server` measures slow readers."""
+    """Cases of runs with a live page that gets hostile requests; `benchmarks.speed.server` measures slow readers."""
     simulate(folder / "drive", n_frames=_N_FRAMES)
     for number in range(n_cases):
         random = Random(f"{seed}-{number}")

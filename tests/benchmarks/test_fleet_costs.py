@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fleet_costs import (
+from benchmarks.fleet.costs import (
     ASSUMED,
     BEGIN,
     END,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.formats.video_labels.kitti import read_kitti
-from track_range.tracking.appearance import ColourLayout, ColourLayoutSettings, has_appearance
+from track_range.tracking.appearance.embeddings import ColourLayout, ColourLayoutSettings, has_appearance
 
 RED, BLUE, GREY = (40, 40, 200), (200, 60, 40), (110, 110, 110)
 LAYOUT = ColourLayout()

@@ -6,8 +6,8 @@ import numpy as np
 
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.detection.formats.video_labels.mot import MotRows
-from track_range.tracking.benchmark_rules import kitti_cleaned, mot_cleaned
-from track_range.tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.benchmark_rules import kitti_cleaned, mot_cleaned
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 
 def kitti(*rows):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.detection.detections import Detections
-from track_range.tracking.appearance import ColourLayout
+from track_range.tracking.appearance.embeddings import ColourLayout
 from track_range.tracking.association import Classes
 from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker

@@ -11,9 +11,9 @@ from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.formats.video_labels.mot import MotRows, read_mot
 from track_range.tracking.confidence_threshold import ConfidenceThresholdSettings
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
-from track_range.tracking.evaluation import TrackingScores, evaluate_tracks
+from track_range.tracking.evaluation.scores import TrackingScores, evaluate_tracks
+from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.history import PredictionGates
-from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 CAR, PERSON = ROAD_CLASSES.index("car"), ROAD_CLASSES.index("person")
 

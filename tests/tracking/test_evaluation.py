@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from track_range.detection.formats.video_labels.mot import read_mot
-from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
-from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.evaluation.scores import TrackingCounts, evaluate_tracks
+from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 WHEEL_DATA = Path(motmetrics.__file__).parent / "data"
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_range.tracking.frame_shift import frame_shift, frame_shift_note
+from track_range.tracking.evaluation.frame_shift import frame_shift, frame_shift_note
 
 
 def moving(n_frames=60, n_tracks=3, speed_px=3.0):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.tracking.gallery import Gallery, unit_rows
+from track_range.tracking.appearance.gallery import Gallery, unit_rows
 
 EAST, NORTH, WEST = np.float32([[1, 0]]), np.float32([[0, 1]]), np.float32([[-1, 0]])
 UNKNOWN = np.zeros((1, 2), np.float32)

@@ -11,7 +11,7 @@ from onnx import TensorProto, helper, numpy_helper
 from tests.detection.onnx_models import write_model
 from track_range.detection.formats.video_labels.kitti import read_kitti
 from track_range.detection.models.onnx_session import ModelError, Runtime
-from track_range.tracking.reid import ReidModel
+from track_range.tracking.appearance.reid import ReidModel
 
 ONE_THREAD = Runtime(device="cpu", n_threads=1)
 MEAN, STD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])

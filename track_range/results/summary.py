@@ -26,9 +26,9 @@ from track_range.ranging.evaluation.truth import Truth
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.output_files import write_text
 from track_range.results.truth import MatchedTruth, boxes_px
-from track_range.tracking.benchmark_rules import MIN_HEIGHT_PX
-from track_range.tracking.evaluation import evaluate_tracks
-from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.evaluation.benchmark_rules import MIN_HEIGHT_PX
+from track_range.tracking.evaluation.scores import evaluate_tracks
+from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 
 def range_scores(columns: Columns, matched: MatchedTruth | None, methods: Collection[str]) -> dict[str, Any]:

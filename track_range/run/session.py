@@ -25,7 +25,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline.pipeline import Pipeline
 from track_range.run.pipeline.throughput import FrameMeter
 from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
-from track_range.tracking.frame_shift import frame_shift_note
+from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.video.recording import Recording
 
 _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "av", "scipy")

@@ -30,12 +30,12 @@ from track_range.sequences.find import (
     paired,
 )
 from track_range.sequences.settings import TrackEvaluationSettings, TruthFormat
-from track_range.tracking.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
-from track_range.tracking.evaluation import TrackingCounts
-from track_range.tracking.frame_shift import frame_shift_note
-from track_range.tracking.motmetrics_comparison import motmetrics_figures
-from track_range.tracking.similarity import Similarity
-from track_range.tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES, kitti_cleaned, mot_cleaned
+from track_range.tracking.evaluation.frame_shift import frame_shift_note
+from track_range.tracking.evaluation.motmetrics_comparison import motmetrics_figures
+from track_range.tracking.evaluation.scores import TrackingCounts
+from track_range.tracking.evaluation.similarity import Similarity
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 _BENCHMARKS = ("mot", "kitti")
 """Formats of ground truth with rules for boxes that are ignored."""

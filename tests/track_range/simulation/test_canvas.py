@@ -6,7 +6,7 @@ import pytest
 from track_range.simulation.render.canvas import Canvas
 from track_range.simulation.render.face_table import FaceTable, joined_tables
 from track_range.simulation.render.texture_store import TextureStore
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(100.0, 100.0, 49.5, 29.5, 100, 60)

@@ -7,8 +7,8 @@ import pytest
 from track_range.simulation.camera.masks import masks_of
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.world.bodies import BUILDERS
-from track_range.simulation.world.faces import Part
+from track_range.simulation.world.bodies.faces import Part
+from track_range.simulation.world.bodies.road_users import BUILDERS
 from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, TOWARDS_RAD, RoadUser, Scene
 
 RIG = kitti_like_rig(width_px=620, height_px=188)

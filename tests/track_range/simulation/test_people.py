@@ -8,8 +8,8 @@ from track_range.detection.boxes import iou
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.simulation.render.canvas import OPAQUE_ALPHA
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
-from track_range.simulation.world.bodies import body_of
-from track_range.simulation.world.faces import lid, loft, ring
+from track_range.simulation.world.bodies.faces import lid, loft, ring
+from track_range.simulation.world.bodies.road_users import body_of
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.scene import SIZE_HWL_M, RoadUser
 from track_range.simulation.world.truth import visible_objects

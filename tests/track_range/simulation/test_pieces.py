@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from track_range.simulation.render.face_table import FaceTable
 from track_range.simulation.render.pieces import CUTS, DEPTH_RATIO, NEAR_M, projected, visible_pieces
 from track_range.simulation.render.texture_store import TextureStore
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
 CAMERA = PinholeCamera(500.0, 500.0, 320.0, 120.0, 640, 240)

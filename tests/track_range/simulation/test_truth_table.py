@@ -8,7 +8,7 @@ import pytest
 from track_range.simulation.drive import DriveOptions, write_drive
 from track_range.simulation.render.renderer import Renderer, kitti_like_rig
 from track_range.simulation.render.surface import Surface, centre_depth_m, first_depths_m
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 from track_range.simulation.world.road_shape import slope_rotation, yaw_rotation
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.stereo.geometry.camera import PinholeCamera

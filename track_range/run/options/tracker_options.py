@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from track_range.detection.models.onnx_session import Runtime
-from track_range.tracking.reid import ReidModel
+from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.tracker import TrackerOptions
 
 

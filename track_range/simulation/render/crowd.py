@@ -11,7 +11,7 @@ from track_range.foundation.arrays import FloatArray, IntArray
 from track_range.simulation.render.canvas import Canvas
 from track_range.simulation.render.face_table import FaceTable
 from track_range.simulation.render.texture_store import TextureStore
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 
 
 class Crowd:

@@ -9,7 +9,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.simulation.render.texture_store import TextureStore
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 
 
 @dataclass(frozen=True, slots=True)

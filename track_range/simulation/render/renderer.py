@@ -23,10 +23,10 @@ from track_range.simulation.render.night import lamps_of, night_image
 from track_range.simulation.render.street import FAR_M, Street
 from track_range.simulation.render.surface import Surface
 from track_range.simulation.render.texture_store import TextureStore
-from track_range.simulation.world.bodies import body_of
+from track_range.simulation.world.bodies.road_users import body_of
 from track_range.simulation.world.road_shape import CameraPose
 from track_range.simulation.world.scene import Scene
-from track_range.simulation.world.scenery import sky_picture
+from track_range.simulation.world.textures.scenery import sky_picture
 from track_range.simulation.world.truth import corners_m
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.rig import StereoRig

@@ -11,9 +11,9 @@ from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.simulation.render.face_table import FaceTable
 from track_range.simulation.render.texture_store import TextureStore
 from track_range.simulation.world.road_shape import RoadShape
-from track_range.simulation.world.scenery import tree_picture
 from track_range.simulation.world.surroundings import Row, Surroundings
-from track_range.simulation.world.textures import plain, value_noise
+from track_range.simulation.world.textures.scenery import tree_picture
+from track_range.simulation.world.textures.surfaces import plain, value_noise
 
 VISIBLE_M = 130.0
 """Distance up to which objects are drawn."""

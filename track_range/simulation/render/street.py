@@ -17,8 +17,8 @@ from track_range.simulation.render.face_table import FaceTable, joined_tables
 from track_range.simulation.render.roadside import Roadside
 from track_range.simulation.render.texture_store import TextureStore
 from track_range.simulation.world.road_shape import STRAIGHT, RoadShape
-from track_range.simulation.world.scenery import ground_picture, houses_picture, rail_picture, woods_picture
 from track_range.simulation.world.surroundings import PERIOD_M, SURROUNDINGS
+from track_range.simulation.world.textures.scenery import ground_picture, houses_picture, rail_picture, woods_picture
 
 FAR_M = 260.0
 """Distance up to which the street is drawn."""

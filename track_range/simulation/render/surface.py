@@ -13,7 +13,7 @@ import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, Image
 from track_range.simulation.render.canvas import OPAQUE_ALPHA
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 from track_range.stereo.geometry.camera import PinholeCamera
 
 N_GRID = 15

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from track_range.simulation.world.faces import Face
+from track_range.simulation.world.bodies.faces import Face
 
 TEXELS_PER_M = 12
 """Resolution of the shadow's texture."""

@@ -16,7 +16,7 @@ from track_range.report.tables import Column, Grid, figure, grid_of
 from track_range.results.output_files import write_text
 from track_range.sequences.evaluation import COUNTS, evaluate_tracks
 from track_range.sequences.settings import TrackEvaluationSettings
-from track_range.tracking.motmetrics_comparison import REASONS
+from track_range.tracking.evaluation.motmetrics_comparison import REASONS
 
 _HEADS = "HOTA DetA AssA LocA MOTA MOTP IDF1 IDsw FP FN Frag MT ML".split()
 """Metrics shown, by their usual names; keys of the results in lower case."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_range.simulation.world.faces import Colour, Face, Vector, coloured_face, shaded
-from track_range.simulation.world.painting import SEAM, clip, fill, pane, polygon, shade_rows, wheel
-from track_range.simulation.world.plates import with_plate
+from track_range.simulation.world.bodies.faces import Colour, Face, Vector, coloured_face, shaded
+from track_range.simulation.world.bodies.plates import with_plate
 from track_range.simulation.world.shadows import shadow
+from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, polygon, shade_rows, wheel
 
 PAINTS: tuple[Colour, ...] = (
     (205, 206, 205),

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.simulation.world.faces import Face, Part, Vector, coloured_face
-from track_range.simulation.world.painting import Box, number_plate
+from track_range.simulation.world.bodies.faces import Face, Part, Vector, coloured_face
+from track_range.simulation.world.textures.painting import Box, number_plate
 
 RECESS_M = 0.001
 """Depth of a plate below the surface that it is cut out of, so that it is inside the 3-D box."""

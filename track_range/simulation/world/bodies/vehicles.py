@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_range.simulation.world.faces import Colour, Extent, Face, block
-from track_range.simulation.world.painting import SEAM, clip, fill, pane, shade_rows, wheel
-from track_range.simulation.world.plates import with_plate
+from track_range.simulation.world.bodies.faces import Colour, Extent, Face, block
+from track_range.simulation.world.bodies.plates import with_plate
 from track_range.simulation.world.shadows import shadow
+from track_range.simulation.world.textures.painting import SEAM, clip, fill, pane, shade_rows, wheel
 
 VAN_PAINTS: tuple[Colour, ...] = ((208, 208, 206), (200, 202, 204), (128, 126, 122), (110, 66, 40), (44, 40, 140))
 CARGO_PAINTS: tuple[Colour, ...] = ((204, 204, 200), (190, 192, 190), (150, 96, 52), (60, 110, 60))

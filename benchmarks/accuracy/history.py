@@ -35,11 +35,11 @@ from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.tracking.association import min_cost_matching
-from track_range.tracking.benchmark_rules import KITTI_TYPES
 from track_range.tracking.deepsort import DeepSortSettings, DeepSortTracker
-from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.evaluation.benchmark_rules import KITTI_TYPES
+from track_range.tracking.evaluation.scores import TrackingCounts
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 from track_range.tracking.history import BoxHistory, Form, PredictionGates, smoothed
-from track_range.tracking.tracked_boxes import TrackedBoxes
 
 FORMS: tuple[Form, ...] = ("median-of-steps", "step-of-medians")
 """Forms of the prediction."""

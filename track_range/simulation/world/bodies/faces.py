@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.simulation.world.textures import cut_outside, plain
+from track_range.simulation.world.textures.surfaces import cut_outside, plain
 
 Colour = tuple[float, ...]
 """Blue, green, red, 0 to 255."""

@@ -37,7 +37,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.ready_model import ready_model
 from track_range.simulation.camera.masks import masks_of
-from track_range.simulation.world.faces import Part
+from track_range.simulation.world.bodies.faces import Part
 from track_range.simulation.world.truth import visible_objects
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.deepsort import DeepSortTracker

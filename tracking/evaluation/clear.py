@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from track_range.tracking.similarity import Similarity
+from track_range.tracking.evaluation.similarity import Similarity
 
 MIN_IOU = 0.5
 """Minimum IoU of a match."""

@@ -5,7 +5,7 @@
     cos(a, b) = sum sqrt(a_i b_i)
 
 is Bhattacharyya's coefficient of the histograms (as in RootSIFT, Arandjelovic and Zisserman, 2012). The
-embeddings of tracks are kept in `track_range.tracking.gallery`.
+embeddings of tracks are kept in `track_range.tracking.appearance.gallery`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from track_range.detection.boxes import are_valid_boxes, share_inside
 from track_range.detection.detections import Descriptors
 from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
-from track_range.tracking.gallery import unit_rows
+from track_range.tracking.appearance.gallery import unit_rows
 
 MIN_SIDE_PX = 4.0
 """Minimum width and height of a box with an embedding."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.simulation.world.surroundings import PAVEMENT, PERIOD_M, Surroundings
-from track_range.simulation.world.textures import GLASS_BGR, opaque, value_noise
+from track_range.simulation.world.textures.surfaces import GLASS_BGR, opaque, value_noise
 
 Picture = npt.NDArray[np.float32]
 """(H, W, 3) colours of a texture while it is painted."""

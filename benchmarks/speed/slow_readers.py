@@ -1,4 +1,4 @@
-"""Slow readers of a live page: `python -m benchmarks.slow_readers PORT N` until it is ended.
+"""Slow readers of a live page: `python -m benchmarks.speed.slow_readers PORT N` until it is ended.
 
 Each of N connections requests the stream and reads 1 kB per second; a refused or closed one is opened again a second
 later.

@@ -30,7 +30,7 @@ from typing import Any
 
 from rich.console import Console
 
-from benchmarks import fleet_costs
+from benchmarks.fleet import costs
 from benchmarks.inputs.drives import LoopedDrive, add_drive_options, looped
 from benchmarks.plain_tables import figure_text, plain_table
 from track_range.fleet.output.state import read_state
@@ -69,12 +69,12 @@ def measure(options: Namespace) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
             figures[name] = parts[name](options, Path(folder))
         _print_part(name, figures[name])
-    inputs = fleet_costs.measured(list(figures.values()))
+    inputs = costs.measured(list(figures.values()))
     if options.docs is not None:
-        known = fleet_costs.inputs_in(options.docs.read_text(encoding="utf-8"))
-        fleet_costs.replace_tables(options.docs, {**known, **inputs})
-    elif fleet_costs.is_complete(inputs):
-        print(fleet_costs.cost_tables(inputs))
+        known = costs.inputs_in(options.docs.read_text(encoding="utf-8"))
+        costs.replace_tables(options.docs, {**known, **inputs})
+    elif costs.is_complete(inputs):
+        print(costs.cost_tables(inputs))
     return figures
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from track_range.detection.boxes import iou
 from track_range.foundation.arrays import FloatArray, IntArray
-from track_range.tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 
 @dataclass(frozen=True, slots=True)

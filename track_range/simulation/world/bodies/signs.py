@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from track_range.foundation.arrays import Image
-from track_range.simulation.world.faces import Face, block
-from track_range.simulation.world.painting import clip, fill, polygon
+from track_range.simulation.world.bodies.faces import Face, block
+from track_range.simulation.world.textures.painting import clip, fill, polygon
 
 POLE_M = 4.0
 """Length of the pole; longer than the height of any sign, since the ground hides its lower end."""

@@ -41,7 +41,7 @@ from benchmarks.peers.peer_trackers import PEERS, Array
 from track_range.detection.detections import Detections
 from track_range.sequences.tracking import track_sequence
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
-from track_range.tracking.evaluation import TrackingCounts
+from track_range.tracking.evaluation.scores import TrackingCounts
 
 
 @dataclass(frozen=True, slots=True)

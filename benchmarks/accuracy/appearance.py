@@ -38,12 +38,12 @@ from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.arrays import FloatArray, Image, IntArray
 from track_range.sequences.tracking import track_sequence
 from track_range.simulation.camera.playback import HIDDEN
-from track_range.tracking.appearance import ColourLayout
+from track_range.tracking.appearance.embeddings import ColourLayout
+from track_range.tracking.appearance.reid import ReidModel
 from track_range.tracking.camera_motion import CameraMotion
 from track_range.tracking.deepsort import AppearanceSettings, DeepSortSettings, DeepSortTracker
-from track_range.tracking.evaluation import TrackingCounts, evaluate_tracks
-from track_range.tracking.reid import ReidModel
-from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.evaluation.scores import TrackingCounts, evaluate_tracks
+from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 from track_range.tracking.tracker import AppearanceModel
 from track_range.tracking.tracks import Tracks
 

@@ -23,7 +23,7 @@ from track_range.detection.boxes import iou, share_inside
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.detection.formats.video_labels.mot import MotRows
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
-from track_range.tracking.tracked_boxes import TrackedBoxes
+from track_range.tracking.evaluation.tracked_boxes import TrackedBoxes
 
 _MIN_IOU = 0.5
 """Minimum IoU of a match."""

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from track_range.simulation.world.cars import car
-from track_range.simulation.world.faces import Face
-from track_range.simulation.world.people import cyclist, motorcyclist, pedestrian
+from track_range.simulation.world.bodies.cars import car
+from track_range.simulation.world.bodies.faces import Face
+from track_range.simulation.world.bodies.people import cyclist, motorcyclist, pedestrian
+from track_range.simulation.world.bodies.signs import traffic_light, traffic_sign
+from track_range.simulation.world.bodies.vehicles import bus, truck, van
 from track_range.simulation.world.scene import RoadUser
-from track_range.simulation.world.signs import traffic_light, traffic_sign
-from track_range.simulation.world.vehicles import bus, truck, van
 
 BUILDERS: dict[str, Callable[[np.random.Generator, tuple[float, float, float]], list[Face]]] = {
     "Car": car,

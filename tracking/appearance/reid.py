@@ -16,8 +16,8 @@ import numpy as np
 from track_range.detection.detections import Descriptors
 from track_range.detection.models.onnx_session import ModelError, OnnxSession, Runtime
 from track_range.foundation.arrays import FloatArray, FloatArray32, Image, check_shape
-from track_range.tracking.appearance import has_appearance
-from track_range.tracking.gallery import unit_rows
+from track_range.tracking.appearance.embeddings import has_appearance
+from track_range.tracking.appearance.gallery import unit_rows
 
 OPEN_INPUT_HW = (256, 128)
 """(height, width) for a network with a dynamic input size: the usual input for the re-identification of people."""

@@ -1,4 +1,4 @@
-"""Scores of the package motmetrics for the same boxes, and why some differ from `track_range.tracking.clear`.
+"""Scores of the package motmetrics for the same boxes, and why some differ from `evaluation.clear`.
 
 Both use the boxes that count under the benchmark's rules (`benchmark_rules`), and match at an IoU of at least 0.5.
 `clear` agrees with TrackEval, as published by KITTI and MOTChallenge; motmetrics follows Bernardin and Stiefelhagen,
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
-from track_range.tracking.clear import MIN_IOU
-from track_range.tracking.similarity import Similarity
+from track_range.tracking.evaluation.clear import MIN_IOU
+from track_range.tracking.evaluation.similarity import Similarity
 
 _METRICS: Mapping[str, str] = {
     "mota": "mota",

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from track_range.foundation.arrays import FloatArray
-from track_range.tracking.similarity import Similarity
+from track_range.tracking.evaluation.similarity import Similarity
 
 ALPHAS: FloatArray = np.linspace(0.05, 0.95, 19)
 """IoU thresholds a."""

@@ -60,7 +60,7 @@ def measure(options: Namespace) -> dict[str, Any]:
 
 @contextmanager
 def _slow_readers(port: int, n_readers: int) -> Iterator[None]:
-    process = subprocess.Popen([sys.executable, "-m", "benchmarks.slow_readers", str(port), str(n_readers)])
+    process = subprocess.Popen([sys.executable, "-m", "benchmarks.speed.slow_readers", str(port), str(n_readers)])
     try:
         yield
     finally:

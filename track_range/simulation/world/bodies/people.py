@@ -8,7 +8,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from track_range.simulation.world.faces import (
+from track_range.simulation.world.bodies.faces import (
     Colour,
     Extent,
     Face,
@@ -22,9 +22,9 @@ from track_range.simulation.world.faces import (
     ring,
     rings_across,
 )
-from track_range.simulation.world.plates import plate_face
+from track_range.simulation.world.bodies.plates import plate_face
 from track_range.simulation.world.shadows import shadow
-from track_range.simulation.world.textures import RUBBER_BGR, cut_outside, paint_box, paint_wheel
+from track_range.simulation.world.textures.surfaces import RUBBER_BGR, cut_outside, paint_box, paint_wheel
 
 TOPS: tuple[Colour, ...] = (
     (44, 36, 120),

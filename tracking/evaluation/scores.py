@@ -14,10 +14,10 @@ import numpy as np
 from track_range.detection.boxes import iou, share_inside
 from track_range.foundation.arrays import BoolArray
 from track_range.tracking.association import min_cost_matching
-from track_range.tracking.clear import MIN_IOU, ClearCounts, count_clear
-from track_range.tracking.hota import HotaCounts, count_hota
-from track_range.tracking.similarity import Similarity
-from track_range.tracking.tracked_boxes import IgnoreRegions, TrackedBoxes
+from track_range.tracking.evaluation.clear import MIN_IOU, ClearCounts, count_clear
+from track_range.tracking.evaluation.hota import HotaCounts, count_hota
+from track_range.tracking.evaluation.similarity import Similarity
+from track_range.tracking.evaluation.tracked_boxes import IgnoreRegions, TrackedBoxes
 
 _MIN_SHARE_IGNORED = 0.5
 """Minimum fraction of an unmatched result box inside an ignore region for which it is dropped."""

@@ -26,7 +26,7 @@ import pyarrow as pa
 from pyarrow import parquet
 from rich.console import Console
 
-from benchmarks.fleet import worker_pids
+from benchmarks.fleet.throughput import worker_pids
 from benchmarks.plain_tables import figure_text, plain_table
 
 PARTS = ("kills", "corrupt", "driver")

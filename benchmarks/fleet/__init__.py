@@ -1,0 +1,1 @@
+"""Workloads on fleets of recordings: throughput, costs and faults."""

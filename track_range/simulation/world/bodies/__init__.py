@@ -1,0 +1,1 @@
+"""Bodies of road users, signs and plates, made of textured faces."""

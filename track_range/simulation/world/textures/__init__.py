@@ -1,0 +1,1 @@
+"""Textures of vehicles, roads and scenery."""

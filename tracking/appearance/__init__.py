@@ -1,0 +1,1 @@
+"""Appearance of tracked objects: embeddings, the gallery of each track, and re-identification networks."""
