@@ -1,0 +1,1 @@
+"""Readers of telemetry inside video files; `embedded` in `embedded.py` tries them."""

@@ -1,0 +1,1 @@
+"""Readers of telemetry in files beside a video."""

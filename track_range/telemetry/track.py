@@ -1,0 +1,63 @@
+"""TelemetryTrack: the samples of speed and position that a recording carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from track_range.foundation.arrays import FloatArray, check_shape
+
+Clock = Literal["video", "utc", "local"]
+"""What the times of samples are: seconds from the first frame of the video, or since 1970 in UTC or in local time."""
+
+GPS_SPEED_SIGMA_MPS = 0.2
+"""Standard deviation of the speed over ground of GPS receivers in m/s, which they derive from the Doppler shift;
+datasheets of u-blox's M8 to M10 state 0.05 m/s at the median, and dashcams round to 1 km/h or 0.1 kn."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TelemetryTrack:
+    """Samples of a recording in the order of the file, as they are in it: nothing is checked or filtered.
+
+    A sample without a fix stays in the track, with NaN as speed, course and position.
+
+    Attributes:
+        time_s: (N,) finite times in seconds, of the clock `clock`.
+        speed_mps: (N,) horizontal speed, >= 0; NaN = no fix.
+        course_rad: (N,) direction of motion, clockwise from north; NaN = unknown.
+        latitude_deg: (N,) NaN = unknown.
+        longitude_deg: (N,) NaN = unknown.
+        utc_s: (N,) date and time of each sample in seconds since 1970, NaN = unknown. Equal to `time_s` if `clock` is
+            "utc" or "local"; with `clock` "video" it is the receiver's clock, which the checks use.
+        source: origin of the samples, for notes, such as "GoPro GPMF" or "drive.gpx".
+        clock: meaning of `time_s`.
+        speed_sigma_mps: standard deviation of the speed.
+        has_own_speed: whether the file states speeds; False if they are derived from positions.
+        notes: messages for the user from the reader.
+    """
+
+    time_s: FloatArray
+    speed_mps: FloatArray
+    source: str
+    clock: Clock
+    course_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+    latitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    longitude_deg: FloatArray = field(default_factory=lambda: np.empty(0))
+    utc_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    speed_sigma_mps: float = GPS_SPEED_SIGMA_MPS
+    has_own_speed: bool = True
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.time_s)
+        for name in ("course_rad", "latitude_deg", "longitude_deg", "utc_s"):
+            if not len(getattr(self, name)) and n:
+                is_clock = name == "utc_s" and self.clock != "video"
+                object.__setattr__(self, name, self.time_s.copy() if is_clock else np.full(n, np.nan))
+        for name in ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s"):
+            check_shape(name, getattr(self, name), (n,))
+
+    def __len__(self) -> int:
+        return len(self.time_s)
