@@ -2,6 +2,7 @@
 
 Parts:
     throughput  one worker pinned to a core, two workers, a loop of ordinary runs
+    cores       two ordinary runs at the same time, each pinned to a core, against one: what the machine itself gains
     mono        one camera, pinned
     memory      100 short clips in one worker
     driver      a manifest of many rows with a stub
@@ -25,6 +26,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +38,7 @@ from benchmarks.plain_tables import figure_text, plain_table
 from track_range.fleet.output.state import read_state
 from track_range.fleet.storage.location import Location
 
-PARTS = ("throughput", "mono", "memory", "driver")
+PARTS = ("throughput", "cores", "mono", "memory", "driver")
 """Parts by default; `gpu` is another one."""
 
 _POLL_S = 0.5
@@ -59,6 +61,7 @@ def measure(options: Namespace) -> dict[str, Any]:
     """Figures of each part; prints the tables, and replaces those of --docs."""
     parts: dict[str, Callable[[Namespace, Path], dict[str, Any]]] = {
         "throughput": _throughput,
+        "cores": _cores,
         "mono": _mono,
         "memory": _memory,
         "driver": _driver,
@@ -135,6 +138,30 @@ def _throughput(options: Namespace, folder: Path) -> dict[str, Any]:
         "start_s": one.rows[0]["end_s"] - one.rows[0]["wall_s"] - one.start_s,
         "stereo_mb_per_s": _mb_per_s([drive.left, drive.right], one.rows[0]["seconds"]),
     }
+
+
+def _cores(options: Namespace, folder: Path) -> dict[str, Any]:
+    """Rate of runs without a fleet on both cores, relative to one core; cores share caches, memory and clock."""
+    drive = looped(options.drive, folder, n_frames=options.frames)
+    arguments = ["--detector", str(options.detector), "--no-sgbm", "--threads", "1"]
+    one_s: list[float] = []
+    two_s: list[float] = []
+    for i in range(max(3, options.clips // 4)):  # alternating, since the speed of machines changes
+        for cores, durations_s in (((0,), one_s), ((0, 1), two_s)):
+            start_s = time.perf_counter()
+            runs = [
+                subprocess.Popen(
+                    _run_command(drive, folder / f"{i}-{len(cores)}-{core}", arguments),
+                    stdout=subprocess.DEVNULL,
+                    preexec_fn=partial(os.sched_setaffinity, 0, {core}),
+                )
+                for core in cores
+            ]
+            statuses = [run.wait() for run in runs]
+            if any(statuses):
+                raise RuntimeError("a run failed; its message is above.")
+            durations_s.append(time.perf_counter() - start_s)
+    return {"runs": len(one_s), "two_to_one": 2 * statistics.median(one_s) / statistics.median(two_s)}
 
 
 def _mono(options: Namespace, folder: Path) -> dict[str, Any]:
@@ -266,10 +293,13 @@ def _loop(drive: LoopedDrive, out: Path, n_clips: int, arguments: Sequence[str])
     """Duration of ordinary runs one after the other, each in its own process with all cores, s."""
     start_s = time.perf_counter()
     for i in range(n_clips):
-        command = [sys.executable, "-m", "track_range", "--stereo", str(drive.left), str(drive.right)]
-        command += ["--rig", str(drive.rig), "--out", str(out / str(i)), "--no-overlay", "--write", "parquet"]
-        subprocess.run([*command, *arguments], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(_run_command(drive, out / str(i), arguments), check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - start_s
+
+
+def _run_command(drive: LoopedDrive, out: Path, arguments: Sequence[str]) -> list[str]:
+    command = [sys.executable, "-m", "track_range", "--stereo", str(drive.left), str(drive.right)]
+    return [*command, "--rig", str(drive.rig), "--out", str(out), "--no-overlay", "--write", "parquet", *arguments]
 
 
 def _mb_per_s(videos: Sequence[Path], duration_s: float) -> float:

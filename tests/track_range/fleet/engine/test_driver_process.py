@@ -19,7 +19,7 @@ from track_range.fleet.storage.location import Location
 
 pytestmark = pytest.mark.slow
 
-PROJECT = Path(__file__).resolve().parents[3]
+PROJECT = Path(__file__).resolve().parents[4]
 
 
 def start(tmp_path, n_clips, **options):
