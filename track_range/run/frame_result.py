@@ -13,6 +13,7 @@ from track_range.detection.lanes.lines import LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.filtering.collision_course import PassingOffsets
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.warning.warnings import Warnings
 from track_range.stereo.geometry.frames import Frame
 from track_range.tracking.tracks import Tracks
 
@@ -37,6 +38,7 @@ class FrameResult:
         lanes: lines of the ego lane; None if no lane detector ran.
         candidates: all detections of the frame, of all classes and with low scores; None = not needed.
         misses: lateral offset of each track at its time to collision; None if it was not estimated.
+        warnings: probability of contact and alarm of each track; None if they were not estimated.
     """
 
     frame: Frame
@@ -51,6 +53,7 @@ class FrameResult:
     lanes: LaneLines | None = None
     misses: PassingOffsets | None = None
     candidates: Detections | None = None
+    warnings: Warnings | None = None
 
     @property
     def index(self) -> int:

@@ -1,0 +1,1 @@
+"""Collision warning: probability of contact of each track, and the alarm with hysteresis."""

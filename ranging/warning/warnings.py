@@ -1,0 +1,23 @@
+"""Warnings: probability of contact and state of the alarm of each track of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from track_range.foundation.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Warnings:
+    """Collision warnings of one frame, in the order of its N tracks.
+
+    Attributes:
+        probability: (N,) probability of contact within the horizon, 0..1; NaN = unknown.
+        active: (N,) whether an alarm is on.
+        path_offset_m: (N,) lateral offset of the object's centre from the middle of the ego path, positive = right;
+            NaN = unknown.
+    """
+
+    probability: FloatArray
+    active: BoolArray
+    path_offset_m: FloatArray

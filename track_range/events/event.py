@@ -1,0 +1,84 @@
+"""Event: something that happened on a drive, and the settings of its detection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+EventKind = Literal[
+    "forward_collision", "close_following", "hard_approach", "cut_in", "pedestrian_on_path", "near_miss"
+]
+
+EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
+"""Kinds of events, in the order of the documentation."""
+
+WARNING_KINDS: tuple[EventKind, ...] = ("forward_collision", "cut_in", "pedestrian_on_path")
+"""Kinds of events that can contain a collision warning."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that happened on a drive; times are seconds from the first frame, NaN = unknown or none.
+
+    Attributes:
+        kind: one of `EVENT_KINDS`.
+        start_s: time at which it started.
+        peak_s: time of its most critical frame.
+        end_s: time at which it ended.
+        warning_s: time of the collision warning; NaN = no warning.
+        frame: number of the most critical frame.
+        track_id: identity of the object; of its last track if the tracker changed it.
+        class_name: road class of the object.
+        min_distance_m: smallest distance of the object.
+        min_distance_sigma_m: standard deviation of that distance.
+        min_ttc_s: smallest time to collision.
+        closing_mps: largest closing speed.
+        ego_mps: speed of the ego vehicle at the peak.
+        probability: largest probability of contact, 0..1.
+        reason: what happened in one sentence.
+        headway_s: smallest headway, distance / ego speed.
+    """
+
+    kind: EventKind
+    start_s: float
+    peak_s: float
+    end_s: float
+    warning_s: float
+    frame: int
+    track_id: int
+    class_name: str
+    min_distance_m: float
+    min_distance_sigma_m: float
+    min_ttc_s: float
+    closing_mps: float
+    ego_mps: float
+    probability: float
+    reason: str
+    headway_s: float
+
+
+EVENT_COLUMNS = (
+    *("kind", "start_s", "peak_s", "end_s", "warning_s", "frame", "track_id", "class"),
+    *("min_distance_m", "min_distance_sigma_m", "min_ttc_s", "closing_mps", "ego_mps", "probability", "reason"),
+    "headway_s",
+)
+"""Columns of events.csv, in order; `class` is `Event.class_name`, the others have the names of its attributes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventSettings:
+    """Thresholds of the events.
+
+    Attributes:
+        close_headway_s: headway below which following is close.
+        min_following_s: shortest duration of close following.
+        min_following_mps: smallest ego speed of close following.
+        hard_approach_mps2: deceleration needed to avoid a contact above which an approach is hard.
+        max_gap_s: longest interruption of an event; tracks of one object with a shorter gap are merged.
+    """
+
+    close_headway_s: float = 1.0
+    min_following_s: float = 1.0
+    min_following_mps: float = 5.0
+    hard_approach_mps2: float = 4.0
+    max_gap_s: float = 1.0
