@@ -22,6 +22,7 @@ from tests.documented_commands import (
     track_range_commands,
 )
 from track_range.cli.app import app
+from track_range.events.event import EVENT_COLUMNS, EVENT_KINDS
 from track_range.results.columns import result_columns
 from track_range.results.summary_shape import _Summary
 from track_range.results.writers import result_names
@@ -104,6 +105,12 @@ def test_columns_are_documented():
     table = PAGES["docs/results.md"].partition("## tracks.csv")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| `(\w+)` \| ([^|]*)\|", table, re.MULTILINE)
     assert [(name, unit.strip()) for name, unit in rows] == [(column.name, column.unit) for column in result_columns()]
+
+
+def test_event_columns_are_documented():
+    table = PAGES["docs/results.md"].partition("## events.csv")[2].partition("\n## ")[0]
+    assert tuple(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == EVENT_COLUMNS
+    assert [kind for kind in EVENT_KINDS if f"`{kind}`" not in table] == []
 
 
 def test_result_files_are_documented():

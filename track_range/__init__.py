@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from track_range.detection.evaluation import evaluate_detections as evaluate_detections
     from track_range.detection.formats.errors import LabelFileError as LabelFileError
     from track_range.detection.models.onnx_session import ModelError as ModelError
+    from track_range.events.event import Event as Event
+    from track_range.events.files import EventFileError as EventFileError
+    from track_range.events.files import read_events as read_events
     from track_range.foundation.errors import ConfigError as ConfigError
     from track_range.foundation.errors import UsageError as UsageError
     from track_range.foundation.errors import UserError as UserError
@@ -69,7 +72,9 @@ _MODULE_OF = {
     "RunSettings": "run.settings",
     "FrameResult": "run.frame_result",
     "open_recording": "video.recording",
+    "read_events": "events.files",
     # types
+    "Event": "events.event",
     "Frame": "stereo.geometry.frames",
     "Detections": "detection.detections",
     "Tracks": "tracking.tracks",
@@ -110,6 +115,7 @@ _MODULE_OF = {
     "RigError": "stereo.geometry.rig",
     "ModelError": "detection.models.onnx_session",
     "LabelFileError": "detection.formats.errors",
+    "EventFileError": "events.files",
     "MethodError": "ranging.method",
     "TrackerError": "tracking.registry",
     "WriterError": "results.writers",

@@ -63,9 +63,10 @@ def test_toy_writer_in_a_run(tmp_path, mono_run):
     with registered_writer(NAME, JsonLinesWriter):
         status, printed, complaint = mono_run("  write: [csv, jsonl]")
         assert status == 0, complaint
-        assert "report.html, tracks.csv, frames.jsonl, summary.json" in printed
+        assert "report.html, events.csv, events.parquet, tracks.csv, frames.jsonl, summary.json" in printed
         names = {path.name for path in (tmp_path / "out").iterdir()}
-        assert names == {"tracks.csv", "frames.jsonl", "summary.json", "settings.yaml", "report.html"}
+        always = {"events.csv", "events.parquet", "summary.json", "settings.yaml", "report.html"}
+        assert names == {"tracks.csv", "frames.jsonl", *always}
         lines = [json.loads(line) for line in (tmp_path / "out/frames.jsonl").read_text().splitlines()]
         assert [line.get("frame") for line in lines] == [0, 1, 2, None]
         assert lines[-1] == {"focal_px": 60.0, "fps": pytest.approx(10.0), "frames": 3}

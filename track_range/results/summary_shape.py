@@ -44,6 +44,13 @@ class _Alignment(_Figures):
     is_applied: Any = None
 
 
+class _Events(_Section):
+    n: Figure = None
+    hours: Figure = None
+    by_kind: dict[str, Figure] = {}
+    worst: dict[str, Any] | None = None
+
+
 class _Utc(_Section):
     start: Text = None
     source: Text = None
@@ -78,6 +85,7 @@ class _Summary(_Section):
     settings: dict[str, Any] = {}
     versions: dict[str, Any] = {}
     tracks: _Tracks | None = None
+    events: _Events | None = None
     alignment: _Alignment | None = None
     learnt_scale: _LearntScale | None = None
     files: dict[str, Text] = {}

@@ -32,7 +32,10 @@ ENTRY_POINT_GROUP = "track_range.result_writers"
 DEFAULT_WRITERS = ("csv", "mot", "parquet")
 """Writers of a run without `--write`."""
 
-_RUN_FILES = ("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html")
+_RUN_FILES = (
+    *("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html"),
+    *("events.csv", "events.parquet"),
+)
 """Files that a run writes besides those of its writers."""
 
 

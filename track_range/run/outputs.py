@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from track_range.events.event import Event
+from track_range.events.files import EventFiles
 from track_range.foundation.errors import UserError
 from track_range.overlay.outputs import pictures, video_format
 from track_range.overlay.result_video import ResultVideo
@@ -72,6 +74,7 @@ class RunFolder:
         overlay = folder / self.videos["overlay"] if "overlay" in self.videos else None
         info = replace(session.info, overlay=overlay)
         with ExitStack() as opening:
+            self._events = opening.enter_context(EventFiles(folder, info.provenance.metadata()))
             self._writers = opening.enter_context(OpenWriters(settings.write, info, folder))
             self._videos_open = opening.enter_context(ExitStack())
             self._videos = [
@@ -81,7 +84,8 @@ class RunFolder:
                 for name, draw in drawn.items()
             ]
             self._open = opening.pop_all()
-        self.files = (*self.videos.values(), "report.html", *self._writers.files, "summary.json", "settings.yaml")
+        rows = (*self._events.files, *self._writers.files)
+        self.files = (*self.videos.values(), "report.html", *rows, "summary.json", "settings.yaml")
 
     def __enter__(self) -> Self:
         return self
@@ -120,6 +124,15 @@ class RunFolder:
         self._n_frames += 1
         self._prepared.report_frames(self._n_frames)
 
+    def add_events(self, events: Sequence[Event]) -> None:
+        """Add events that have ended to events.csv.
+
+        Raises:
+            OutputError: they cannot be written.
+        """
+        with self._session.pipeline.clock.stage("write"):
+            self._events.add(events)
+
     def discard_last(self) -> None:
         """Remove the rows of the last frame."""
         self._writers.discard_last()
@@ -133,7 +146,7 @@ class RunFolder:
         self._videos_open.close()
 
     def finish(self, summary: Mapping[str, Any], columns: Columns) -> None:
-        """Write summary.json, report.html and the Markdown tables, and close the files of the rows.
+        """Write summary.json, report.html, the events and the Markdown tables, and close the files of the rows.
 
         If a file cannot be written, the others are.
 
@@ -147,6 +160,7 @@ class RunFolder:
         settings = self._session.settings
         shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
         steps = [
+            partial(self._events.finish, self._session.events),
             partial(write_summary, self.folder / "summary.json", summary),
             partial(write_report, self.folder / "report.html", {**summary, "settings": shown}, columns),
             partial(self._writers.close, summary),

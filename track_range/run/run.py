@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from track_range.detection.detector import Detector
+    from track_range.events.event import Event
     from track_range.run.opened_detectors import OpenedDetectors
     from track_range.stereo.geometry.camera import PinholeCamera
     from track_range.stereo.geometry.rig import StereoRig
@@ -307,11 +308,13 @@ class Run:
                     if files is not None:
                         files.write(result)
                     try:
-                        session.add(result)
+                        ended = session.add(result)
                     except BaseException:
                         if files is not None:
                             files.discard_last()
                         raise
+                    if files is not None:
+                        files.add_events(ended)
                 advance()
                 yield result
 
@@ -329,6 +332,7 @@ class Run:
     def _finish(self, files: RunFolder | None) -> None:
         """Compute the summary of the run, and finish its files."""
         session, rows = self.session, self.session.table.to_columns()
+        session.finish_events()
         matched = None if session.truth is None else matched_truth(rows, session.truth)
         self._summary = {**session.summary(rows, matched), "files": {} if files is None else files.videos}
         if files is not None:
@@ -419,6 +423,11 @@ class Run:
         if self._summary is None:
             raise RuntimeError("expected a finished run: iterate it, close() it, or call write(), before its summary")
         return self._summary
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Events so far that have ended; of a finished run all events, in the order of their starts."""
+        return self.session.events
 
     def to_arrow(self) -> pa.Table:
         """Rows so far, one per track and frame, with the columns of tracks.csv; null = not measured."""

@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from track_range.events.event import Event
+from track_range.events.finder import EventFinder
+from track_range.events.summary import events_section
 from track_range.foundation.arrays import IntArray
 from track_range.overlay.outputs import missing_outputs, pictures
 from track_range.ranging.evaluation.truth import Truth
@@ -51,6 +54,9 @@ class RunSession:
         pipeline: stages of the run.
         meter: rate and latency of the results.
         table: rows of the finished frames.
+        finder: finds the events in them.
+        events: events that have ended; after `finish_events` all events, in the order of their starts.
+        has_all_events: whether `finish_events` was called.
         frame_index: numbers of the finished frames.
         methods: names of the distances that were measured in any finished frame.
         starts_s: time of the first finished frame.
@@ -69,6 +75,9 @@ class RunSession:
     pipeline: Pipeline
     meter: FrameMeter
     table: RunTable = field(default_factory=RunTable)
+    finder: EventFinder = field(default_factory=EventFinder)
+    events: tuple[Event, ...] = ()
+    has_all_events: bool = False
     frame_index: list[int] = field(default_factory=list)
     methods: set[str] = field(default_factory=set)
     starts_s: float = 0.0
@@ -78,18 +87,36 @@ class RunSession:
     stopped_by: BaseException | None = None
     frame_notes: tuple[str, ...] = ()
 
-    def add(self, result: FrameResult) -> None:
-        """Add a finished frame.
+    def add(self, result: FrameResult) -> tuple[Event, ...]:
+        """Add a finished frame, and return the events that ended before it.
 
         Raises:
             OutputError: its rows cannot be stored.
         """
+        ended = self.finder.update(result)
         self.table.append(result)
+        self.events += ended
         self.last_s = result.time_s
         if not self.frame_index:
             self.starts_s = self.last_s
         self.frame_index.append(result.index)
         self.methods.update(result.ranges)
+        return ended
+
+    def finish_events(self) -> None:
+        """End the search for events after the last frame: `events` then contains those in progress as well.
+
+        A second call does nothing.
+        """
+        if not self.has_all_events:
+            self.events, self.has_all_events = self.finder.finish(), True
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the finished frames in seconds, that of the last one included."""
+        if not self.frame_index:
+            return 0.0
+        return self.last_s - self.starts_s + (1 / self.source.fps if self.source.fps else 0.0)
 
     @property
     def info(self) -> RunInfo:
@@ -195,6 +222,7 @@ class RunSession:
             "stages_ms": stage_times_ms(self.pipeline.clock.busy_s, n_frames),
             **range_scores(columns, matched, self.methods),
             "tracks": track_scores(columns, self.truth, np.array(self.frame_index, np.int64)),
+            "events": events_section(self.events, self.seconds),
             "calibration": calibration.kind,
             "focal_px": source.camera.fx_px,
             "baseline_m": source.rig.baseline_m if source.rig else None,

@@ -191,9 +191,6 @@ class _ClipRun:
 
     def _with_summary(self, summary: Mapping[str, Any], n_rows: int, run: Run) -> ClipRecord:
         session = run.session
-        fps = session.source.fps or 0.0
-        n_frames = int(summary["frames"])
-        seconds = session.last_s - session.starts_s + (1 / fps if fps else 0.0) if n_frames else 0.0
         methods: Mapping[str, Mapping[str, Any]] = summary["methods"]
         figures = {
             name: {figure: values[figure] for figure in _FIGURES if _is_number(values.get(figure))}
@@ -204,10 +201,10 @@ class _ClipRun:
         return replace(
             self._record,
             status="done",
-            frames=n_frames,
+            frames=int(summary["frames"]),
             rows=n_rows,
             tracks=int(summary["tracks"]["n"]),
-            seconds=round(seconds, 6),
+            seconds=round(session.seconds, 6),
             calibration=str(summary["calibration"]),
             start_utc=str(utc.get("start") or ""),
             warnings=[self._with_names(note) for note in summary["notes"]],
