@@ -41,6 +41,12 @@ _MAX_TIME_S = 1e10
 _UNITS = {"speed_mps": 1.0, "speed_kmh": _MPS_PER_KMH}
 """Factor from each speed column to m/s."""
 
+TABLE_SIGMA_MPS = 0.2
+"""Standard deviation of the speeds in a CSV or in oxts files in m/s, which state none: that of GPS receivers."""
+
+_CONSTANT_SIGMA_MPS = 1.0
+"""Standard deviation of a constant speed in m/s; assumed: a speed that a person reads from a speedometer."""
+
 _OXTS_FORWARD = 8
 """Index of the forward speed vf in a line of KITTI oxts."""
 
@@ -60,11 +66,15 @@ class EgoSpeed:
         time_s: (N,) increasing, seconds from the video's first frame; a single sample at -inf is a constant speed.
         speed_mps: (N,) along the camera's axis, negative = backwards.
         source: where the samples come from, for notes.
+        speed_sigma_mps: standard deviation of the samples.
+        time_sigma_s: standard deviation of the time offset that all samples share.
     """
 
     time_s: FloatArray
     speed_mps: FloatArray
     source: str
+    speed_sigma_mps: float = TABLE_SIGMA_MPS
+    time_sigma_s: float = 0.0
 
     def at(self, time_s: float) -> float:
         """Speed at `time_s` in m/s, NaN = unknown."""
@@ -77,6 +87,19 @@ class EgoSpeed:
         if is_between and self.time_s[after] - self.time_s[after - 1] > _MAX_GAP_S:
             return math.nan
         return float(np.interp(time_s, self.time_s, self.speed_mps))
+
+    def sigma_at(self, time_s: float) -> float:
+        """Standard deviation of `at(time_s)` in m/s, NaN where the speed is unknown.
+
+        sigma^2 = sigma_v^2 + (a sigma_t)^2, with the acceleration a between the neighbouring samples.
+        """
+        if math.isnan(self.at(time_s)):
+            return math.nan
+        if len(self.time_s) == 1 or not self.time_sigma_s:
+            return self.speed_sigma_mps
+        after = int(np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1))
+        step_mps, step_s = (float(values[after] - values[after - 1]) for values in (self.speed_mps, self.time_s))
+        return math.hypot(self.speed_sigma_mps, step_mps / step_s * self.time_sigma_s)
 
     def note(self, last_s: float) -> str | None:
         """Note for the user on a video with its last frame at `last_s`; None if the samples cover all of it."""
@@ -98,7 +121,8 @@ def open_ego_speed(text: str) -> EgoSpeed:
     kmh = number(text)
     if math.isnan(kmh) and text.strip().lower() != "nan":
         return _from_path(Path(text))
-    return EgoSpeed(np.array([-np.inf]), _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed"), f"{kmh:g} km/h")
+    speed_mps = _plausible(np.array([kmh]) * _MPS_PER_KMH, "--ego-speed")
+    return EgoSpeed(np.array([-np.inf]), speed_mps, f"{kmh:g} km/h", _CONSTANT_SIGMA_MPS)
 
 
 def _from_path(path: Path) -> EgoSpeed:

@@ -96,6 +96,7 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("closing_sigma_mps", "m/s", lambda result: result.closing_sigma_mps),
         ResultColumn("ttc_sigma_s", "s", lambda result: result.ttc_sigma_s),
         ResultColumn("utc", "s", lambda result: np.full(len(result.tracks), result.utc_s), decimals=6),
+        ResultColumn("ego_mps", "m/s", lambda result: np.full(len(result.tracks), result.ego_mps)),
     )
     names = {column.name for column in columns}
     return (*columns, *(column for column in _method_columns() if column.name not in names))

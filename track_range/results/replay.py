@@ -31,6 +31,7 @@ def frames_of_rows(
     """
     time_s = _Times(columns, fps)
     utc_s = columns.get("utc", np.full(len(columns["frame"]), np.nan))  # files of earlier versions have none
+    ego_mps = columns.get("ego_mps", np.full(len(columns["frame"]), np.nan))
     measured = [name for name in methods_with_sigma() if name in set(methods)]
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
@@ -50,6 +51,7 @@ def frames_of_rows(
             ttc_s=columns["ttc_s"][rows],
             ttc_sigma_s=columns["ttc_sigma_s"][rows],
             xyz_m=np.stack([columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1),
+            ego_mps=float(ego_mps[first]) if last > first else math.nan,
         )
 
 

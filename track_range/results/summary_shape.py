@@ -57,6 +57,14 @@ class _Utc(_Section):
     uncertainty_s: Figure = None
 
 
+class _EgoSpeed(_Section):
+    source: Text = None
+    offset_s: Figure = None
+    offset_sigma_s: Figure = None
+    median_mps: Figure = None
+    coverage: Figure = None
+
+
 class _LearntScale(_Figures):
     n_tracks: Annotated[float, Field(strict=True)]
     baseline_m: Annotated[float, Field(strict=True)]
@@ -70,6 +78,7 @@ class _Summary(_Section):
     frames: Figure = None
     starts_s: Figure = None
     utc: _Utc | None = None
+    ego_speed: _EgoSpeed | None = None
     wall_s: Figure = None
     frames_per_s: Figure = None
     focal_px: Figure = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from track_range.detection.lanes.nets import open_lane_finder
 from track_range.detection.models.onnx_session import Runtime
 from track_range.foundation.progress import StepProgress, no_progress
-from track_range.ranging.ego_speed import open_ego_speed
+from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
@@ -46,6 +46,7 @@ def open_pipeline(
     size_model: SizeModel,
     *,
     tracker: Tracker | None = None,
+    ego_speed: EgoSpeed | None = None,
 ) -> Pipeline:
     """The pipeline of the settings, with the methods that the source allows.
 
@@ -55,11 +56,11 @@ def open_pipeline(
         boxes: source of the detections.
         size_model: size model of the mono method.
         tracker: replaces the tracker of the settings.
+        ego_speed: speed of the camera; None = unknown.
 
     Raises:
         ModelError: the re-identification or lane network cannot be used.
         TrackerError: the tracker cannot be created.
-        EgoSpeedError: the ego speed cannot be read.
         MethodError: ranging methods of other packages depend on each other in a cycle.
     """
     runtime = Runtime(n_threads=settings.threads, device=settings.device)
@@ -87,7 +88,7 @@ def open_pipeline(
         tracker=tracker or create_tracker(settings.tracker, tracker_options),
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
-        ego_speed=None if settings.ego_speed is None else open_ego_speed(settings.ego_speed),
+        ego_speed=ego_speed,
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
         notes=(*appearance_notes, *method_notes()),

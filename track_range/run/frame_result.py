@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -38,6 +39,8 @@ class FrameResult:
         lanes: lines of the ego lane; None if no lane detector ran.
         candidates: all detections of the frame, of all classes and with low scores; None = not needed.
         misses: lateral offset of each track at its time to collision; None if it was not estimated.
+        ego_mps: speed of the camera along its axis in m/s, negative = backwards; NaN = unknown.
+        ego_sigma_mps: its standard deviation; NaN = unknown.
         warnings: probability of contact and alarm of each track; None if they were not estimated.
     """
 
@@ -53,6 +56,8 @@ class FrameResult:
     lanes: LaneLines | None = None
     misses: PassingOffsets | None = None
     candidates: Detections | None = None
+    ego_mps: float = math.nan
+    ego_sigma_mps: float = math.nan
     warnings: Warnings | None = None
 
     @property

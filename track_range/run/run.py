@@ -43,6 +43,7 @@ from track_range.run.progress import frame_progress, step_progress
 from track_range.run.ready_model import ready_model
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, settings_from
+from track_range.telemetry.speed_source import open_speed
 from track_range.video.recording import Recording
 
 if TYPE_CHECKING:
@@ -210,7 +211,8 @@ class Run:
             truth = None
             if settings.truth is not None:
                 truth = read_truth(settings.truth, calibration.camera, calibration.left_from_reference_m)
-            pipeline = open_pipeline(settings, recording, boxes, curves, tracker=self._tracker)
+            speed = open_speed(settings.ego_speed, recording)
+            pipeline = open_pipeline(settings, recording, boxes, curves, tracker=self._tracker, ego_speed=speed.ego)
             on_error.pop_all()
         meter = FrameMeter(recording.inputs.live)
         return RunSession(
@@ -219,6 +221,7 @@ class Run:
             source=recording,
             truth=truth,
             pipeline=pipeline,
+            speed=speed,
             meter=meter,
             opened_s=opened_s,
         )

@@ -28,6 +28,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline.pipeline import Pipeline
 from track_range.run.pipeline.throughput import FrameMeter
 from track_range.run.settings import RunSettings, absolute_settings, input_files, unused_options, without_folders
+from track_range.telemetry.speed_source import SpeedSource
 from track_range.tracking.evaluation.frame_shift import frame_shift_note
 from track_range.video.recording import Recording
 
@@ -52,12 +53,14 @@ class RunSession:
         source: the opened recording.
         truth: ground truth; None = not given.
         pipeline: stages of the run.
+        speed: ego speed and its origin.
         meter: rate and latency of the results.
         table: rows of the finished frames.
         finder: finds the events in them.
         events: events that have ended; after `finish_events` all events, in the order of their starts.
         has_all_events: whether `finish_events` was called.
         frame_index: numbers of the finished frames.
+        ego_mps: ego speed at the finished frames, NaN = unknown.
         methods: names of the distances that were measured in any finished frame.
         starts_s: time of the first finished frame.
         last_s: time of the last finished frame.
@@ -73,12 +76,14 @@ class RunSession:
     source: Recording
     truth: Truth | None
     pipeline: Pipeline
+    speed: SpeedSource
     meter: FrameMeter
     table: RunTable = field(default_factory=RunTable)
     finder: EventFinder = field(default_factory=EventFinder)
     events: tuple[Event, ...] = ()
     has_all_events: bool = False
     frame_index: list[int] = field(default_factory=list)
+    ego_mps: list[float] = field(default_factory=list)
     methods: set[str] = field(default_factory=set)
     starts_s: float = 0.0
     last_s: float = 0.0
@@ -100,6 +105,7 @@ class RunSession:
         if not self.frame_index:
             self.starts_s = self.last_s
         self.frame_index.append(result.index)
+        self.ego_mps.append(result.ego_mps)
         self.methods.update(result.ranges)
         return ended
 
@@ -149,6 +155,7 @@ class RunSession:
             *boxes,
             *(self.truth.notes if self.truth is not None else ()),
             *self.source.notes,
+            *self.speed.notes,
             *missing_outputs(self.settings, self.source),
             *unused_options(self.settings),
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),
@@ -166,7 +173,7 @@ class RunSession:
     def _without_paths(self, note: str) -> str:
         """A note with the names of the input files instead of their paths, and without the home folder."""
         rig = self.source.calibration.path
-        for path in [*input_files(self.settings), *([] if rig is None else [rig])]:
+        for path in [*input_files(self.settings), *([] if rig is None else [rig]), *self.speed.files]:
             for text in (os.path.realpath(path), str(path)):
                 note = note.replace(text, path.name) if os.sep in text else note
         return note.replace(str(Path.home()), "~")
@@ -217,6 +224,7 @@ class RunSession:
             "frames": n_frames,
             "starts_s": round(self.starts_s, 6),
             "utc": None if source.utc is None else source.utc.summary(),
+            "ego_speed": self.speed.summary(np.array(self.ego_mps)),
             "wall_s": round(self.wall_s, 3),
             "frames_per_s": round(n_frames / self.wall_s, 3) if self.wall_s > 0 else None,
             "stages_ms": stage_times_ms(self.pipeline.clock.busy_s, n_frames),

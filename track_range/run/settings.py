@@ -160,14 +160,15 @@ class RunSettings(Options):
         ),
     ] = None
     ego_speed: Annotated[
-        str | None,
+        str,
         option(
-            "Speed of the camera, for the absolute speeds of objects: a constant in km/h, a CSV with time_s and "
-            "speed_mps or speed_kmh, or KITTI's oxts folder.",
-            metavar="KMH|FILE|DIR",
+            "Speed of the camera, for the absolute speeds of objects: from GPS records in the video or in a file "
+            "beside it (auto), unknown (off), a constant in km/h, a file (CSV, GPX, NMEA, SRT, ...), or KITTI's oxts "
+            "folder.",
+            metavar="auto|off|KMH|FILE|DIR",
             panel=_INPUT,
         ),
-    ] = None
+    ] = "auto"
     truth: Annotated[
         Path | None,
         option(
@@ -384,7 +385,7 @@ class RunSettings(Options):
             parsed_utc(value)
         return value
 
-    @field_validator("align", "lanes", mode="before")
+    @field_validator("align", "lanes", "ego_speed", mode="before")
     @classmethod
     def _off_as_text(cls, value: Any) -> Any:
         """Convert False to "off", because YAML reads an unquoted `off` as false."""

@@ -14,6 +14,7 @@ from track_range.video.bags.bag import is_bag
 from track_range.video.bags.bag_video import BagVideo
 from track_range.video.files.image_folder import ImageFolder
 from track_range.video.files.video_file import VideoFile
+from track_range.video.files.video_part import VideoPart
 from track_range.video.frame import VideoError, VideoFrame
 from track_range.video.names import BagTopic, RecordedName, Segments
 from track_range.video.segments.segmented_video import SegmentedVideo, segment_files
@@ -91,6 +92,16 @@ class VideoReader:
     def bag(self) -> BagVideo | None:
         """The topic of a bag that is read; None = another kind of recording."""
         return self._source if isinstance(self._source, BagVideo) else None
+
+    @property
+    def parts(self) -> tuple[VideoPart, ...]:
+        """The video files, or the folder of images, with their times; none for a topic of a bag."""
+        if isinstance(self._source, SegmentedVideo):
+            return self._source.parts
+        if isinstance(self._source, BagVideo):
+            return ()
+        duration_s = (self._source.n_frames or 0) / self.fps if self.fps else 0.0
+        return (VideoPart(Path(self._source.path), 0.0, duration_s, self.utc),)
 
     @property
     def utc(self) -> UtcStart | None:

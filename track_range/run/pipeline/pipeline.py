@@ -139,8 +139,9 @@ class Pipeline:
         """Result of one frame from its lane lines and boxes; frames must be passed in order."""
         tracks = self._tracks(frame, detections)
         ranges = self._ranges(frame, lanes, tracks)
+        ego_mps, ego_sigma_mps = self._ego_motion(frame.time_s)
         with self.clock.stage("fuse"):
-            motion = self._fused_motion(frame, tracks, ranges)
+            motion = self._fused_motion(frame, tracks, ranges, ego_mps)
             return FrameResult(
                 frame=frame,
                 tracks=tracks,
@@ -156,6 +157,8 @@ class Pipeline:
                 lanes=lanes,
                 misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
                 candidates=candidates,
+                ego_mps=ego_mps,
+                ego_sigma_mps=ego_sigma_mps,
             )
 
     def _with_lanes(self, frames: Iterable[Frame]) -> Iterable[tuple[Frame, LaneLines | None]]:
@@ -200,11 +203,16 @@ class Pipeline:
         self._lanes = lanes
         return ranges
 
-    def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges]) -> FilteredRanges:
+    def _ego_motion(self, time_s: float) -> tuple[float, float]:
+        """Speed of the camera in m/s and its standard deviation; NaN = unknown."""
+        if self.ego_speed is None:
+            return math.nan, math.nan
+        return self.ego_speed.at(time_s), self.ego_speed.sigma_at(time_s)
+
+    def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego_mps: float) -> FilteredRanges:
         """Filtered fused distance and speed of the tracks; adds the fused and filtered distances to `ranges`."""
         fused = self._fusion.fuse(ranges, tracks.track_id, frame.time_s)
         ranges["fused"] = fused.ranges
-        ego_mps = math.nan if self.ego_speed is None else self.ego_speed.at(frame.time_s)
         filtered = self._filters.update(
             ranges, frame.time_s, conditions={"fused": fused.condition}, ego_speed_mps=ego_mps
         )

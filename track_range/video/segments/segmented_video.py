@@ -18,6 +18,7 @@ from track_range.foundation.files.input_files import counted
 from track_range.video.bags.bag import is_bag
 from track_range.video.files.file_state import FileState
 from track_range.video.files.video_file import VideoFile, VideoHeader, count_packets
+from track_range.video.files.video_part import VideoPart
 from track_range.video.frame import TIME_EPSILON_S, VideoError, VideoFrame
 from track_range.video.names import Segments, is_pattern, matching_files
 from track_range.video.segments.repeated_frames import repeated_s
@@ -117,6 +118,16 @@ class SegmentedVideo:
         self.first_time_s = self._starts_s[0]
         counts = [s.header.n_frames or round(s.facts.duration_s * self.fps) for s in self._segments]
         self.n_frames: int | None = sum(counts) or None
+
+    @property
+    def parts(self) -> tuple[VideoPart, ...]:
+        """The files with their times."""
+        utc = self.utc
+        starts_s = [start_s - self.first_time_s for start_s in self._starts_s]
+        return tuple(
+            VideoPart(segment.path, start_s, segment.facts.duration_s, None if utc is None else utc.shifted(start_s))
+            for segment, start_s in zip(self._segments, starts_s, strict=True)
+        )
 
     @property
     def utc(self) -> UtcStart | None:
