@@ -4,6 +4,7 @@ left.mp4, right.mp4     H.264, near lossless; or lossless PNGs in the folders le
 rig.yaml                the cameras                 truth.txt        KITTI tracking labels
 ego_speed.csv           speed at the left frames    truth.csv        exact distances and more (`truth_table.py`)
 detections.txt          simulated detections in KITTI's format (`playback.py`)
+contacts.csv            contacts of the ego vehicle, real and without braking (`contact_table.py`)
 image_2/, image_3/, disp_occ_0/, obj_map/           optional: pairs, disparities and objects in KITTI 2015's layout
 masks/, mask_ids/                                   optional: visible heads and number plates (`masks.py`)
 
@@ -27,6 +28,7 @@ import numpy.typing as npt
 from track_range.detection.formats.video_labels.kitti import KittiLabels
 from track_range.foundation.arrays import FloatArray, Image
 from track_range.results.output_files import make_folder, write_text
+from track_range.simulation.camera.contact_table import contacts_text
 from track_range.simulation.camera.drive_files import (
     ImageWriter,
     disparity_map,
@@ -41,6 +43,7 @@ from track_range.simulation.camera.masks import MaskFolder
 from track_range.simulation.camera.playback import play_back
 from track_range.simulation.camera.truth_table import HEADER, ego_speed_text, truth_rows
 from track_range.simulation.render.renderer import NOISE_GREY, Renderer, kitti_like_rig
+from track_range.simulation.world.contacts import find_contacts
 from track_range.simulation.world.scenarios import make_scenario
 from track_range.simulation.world.truth import joined, visible_objects
 from track_range.stereo.geometry.rig import StereoRig
@@ -91,6 +94,7 @@ class Drive:
     detections: Path
     table: Path
     ego_speed: Path
+    contacts: Path
 
     @classmethod
     def in_folder(cls, folder: Path, *, is_lossless: bool = False) -> Drive:
@@ -104,6 +108,7 @@ class Drive:
             detections=folder / "detections.txt",
             table=folder / "truth.csv",
             ego_speed=folder / "ego_speed.csv",
+            contacts=folder / "contacts.csv",
         )
 
 
@@ -163,6 +168,7 @@ def write_drive(
     write_text(drive.truth, kitti_text(truth))
     write_text(drive.table, HEADER + "".join(recorder.rows))
     write_text(drive.ego_speed, ego_speed_text(scene, [times_s[k] for k in recorder.kept_left]))
+    write_text(drive.contacts, contacts_text(find_contacts(scene, seconds)))
     write_text(drive.detections, kitti_text(detections))
     return drive
 

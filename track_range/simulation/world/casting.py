@@ -1,4 +1,4 @@
-"""Road users for scenarios: single ones, lanes of traffic without collisions, parked cars, pedestrians, signs."""
+"""Parts of scenarios: road users, lanes of traffic without collisions, parked cars, pedestrians, signs, roads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.simulation.world.motion import LaneChange, SpeedChanges
-from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser
+from track_range.simulation.world.road_shape import RoadShape, Wobble
+from track_range.simulation.world.scene import AWAY_RAD, SIZE_HWL_M, SIZE_SPREAD, TOWARDS_RAD, RoadUser, Scene
+
+WOBBLE_RAD = np.radians(0.12)
+"""Root mean square of the pitch; that of the roll is half of it."""
 
 PARKED_SPACING_M = 7.5
 """Distance between parking spaces."""
@@ -16,7 +20,11 @@ PARKED_SPACING_M = 7.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """A `RoadUser` without size and id; see `RoadUser` for the attributes."""
+    """A `RoadUser` without size and id; see `RoadUser` for the attributes.
+
+    Attributes:
+        size_factor: size relative to the mean of its type.
+    """
 
     kind: str
     x_m: float
@@ -26,6 +34,7 @@ class Part:
     speed_changes: SpeedChanges = ()
     lane_change: LaneChange | None = None
     raised_m: float = 0.0
+    size_factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +114,8 @@ def cast(rng: np.random.Generator, parts: Iterable[Part], *, first_id: int = 0) 
     """Road users with consecutive ids and sizes that vary around the mean of their type."""
     users = []
     for track_id, part in enumerate(parts, first_id):
-        height, width, length = np.array(SIZE_HWL_M[part.kind]) * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))
+        mean_m = np.array(SIZE_HWL_M[part.kind]) * part.size_factor
+        height, width, length = mean_m * (1 + SIZE_SPREAD * rng.uniform(-1, 1, 3))
         users.append(
             RoadUser(
                 track_id=track_id,
@@ -120,3 +130,43 @@ def cast(rng: np.random.Generator, parts: Iterable[Part], *, first_id: int = 0) 
             )
         )
     return tuple(users)
+
+
+def scene_of(
+    seed: int, rng: np.random.Generator, parts: list[Part], ego: SpeedChanges, *, surroundings: str, road: RoadShape
+) -> Scene:
+    """The scene of a scenario: its road users with sizes and ids, and an ego car that wobbles on its springs."""
+    return Scene(
+        seed=seed,
+        road_users=cast(rng, parts),
+        ego_speed_changes=ego,
+        road=road,
+        wobble=Wobble(pitch_rad=WOBBLE_RAD, roll_rad=WOBBLE_RAD / 2, seed=seed),
+        surroundings=surroundings,
+    )
+
+
+def random_road(rng: np.random.Generator, *, swing_m: float, hill_m: float, longer: float = 1.0) -> RoadShape:
+    """A road with random phases and 70 to 100 % of the given amplitudes; `longer` is a factor of its periods."""
+    swing, hill, *phases = (float(number) for number in rng.uniform((0.7, 0.7, 0, 0), (1, 1, 2 * np.pi, 2 * np.pi)))
+    return RoadShape(
+        swing_m=swing_m * swing,
+        swing_length_m=320.0 * longer,
+        swing_phase_rad=phases[0],
+        hill_m=hill_m * hill,
+        hill_length_m=300.0 * longer,
+        hill_phase_rad=phases[1],
+    )
+
+
+def oncoming(rng: np.random.Generator, *, x_m: float, speed_mps: float, spacing_m: float, until_m: float) -> list[Part]:
+    """The oncoming traffic of one lane."""
+    flow = Flow(
+        x_m=x_m, speed_mps=speed_mps, spacing_m=spacing_m, heading_rad=TOWARDS_RAD, from_m=30.0, until_m=until_m
+    )
+    return flow.parts(rng)
+
+
+def earlier(changes: SpeedChanges, by_s: float) -> SpeedChanges:
+    """The speed changes shifted to earlier times, as for a vehicle ahead."""
+    return tuple((time_s - by_s, speed_mps) for time_s, speed_mps in changes)

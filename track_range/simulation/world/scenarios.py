@@ -4,6 +4,8 @@ town       a straight street without pitch or roll                  highway   th
 city       a winding street, stop and go, buses, lights, signs      cut-in    a car cuts in closely ahead, and brakes
 crossing   the demo's: people and a cyclist cross the road          queue     stop and go, bumper to bumper
 empty      a country road without road users                        night     the city at night, by headlights
+
+`conflict_scenarios` has those that end in a contact and their harmless twins.
 """
 
 from __future__ import annotations
@@ -13,14 +15,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from track_range.simulation.world.casting import Flow, Part, cast, lights, parked, signs, walkers
+from track_range.simulation.world.casting import (
+    Flow,
+    Part,
+    earlier,
+    lights,
+    oncoming,
+    parked,
+    random_road,
+    scene_of,
+    signs,
+    walkers,
+)
+from track_range.simulation.world.conflict_scenarios import CONFLICTS, TWINS
 from track_range.simulation.world.motion import LaneChange, SpeedChanges, travelled_m
-from track_range.simulation.world.road_shape import RoadShape, Wobble
 from track_range.simulation.world.scenario_names import SCENARIO_NAMES, ScenarioName
 from track_range.simulation.world.scene import TOWARDS_RAD, VIEW_M, Scene, make_scene
-
-WOBBLE_RAD = np.radians(0.12)
-"""Root mean square of the pitch; that of the roll is half of it."""
 
 QUEUE_SPACING_M, QUEUE_DELAY_S = 6.7, 0.8
 """Distance between the centres of cars in a standing queue, and delay of each car relative to the one ahead."""
@@ -51,18 +61,18 @@ def _city(seed: int, seconds: float) -> Scene:
     until_m = way_m + VIEW_M
     crossing_m = way_m + 12.0
     parts = [
-        Part(kind="Car", x_m=0.1, z_m=19.0, speed_changes=_earlier(ego, 0.9)),
-        Part(kind="Motorcycle", x_m=-0.2, z_m=34.0, speed_changes=_earlier(ego, 1.6)),
+        Part(kind="Car", x_m=0.1, z_m=19.0, speed_changes=earlier(ego, 0.9)),
+        Part(kind="Motorcycle", x_m=-0.2, z_m=34.0, speed_changes=earlier(ego, 1.6)),
         Part(kind="Bus", x_m=3.6, z_m=27.0, speed_mps=8.0),
         Part(kind="Cyclist", x_m=4.7, z_m=15.0, speed_mps=4.5),
         *Flow(x_m=3.5, speed_mps=8.0, spacing_m=26.0, from_m=52.0, until_m=until_m).parts(rng),
-        *_oncoming(rng, x_m=-3.5, speed_mps=10.0, spacing_m=34.0, until_m=until_m + 10 * seconds),
+        *oncoming(rng, x_m=-3.5, speed_mps=10.0, spacing_m=34.0, until_m=until_m + 10 * seconds),
         *parked(rng, until_m=until_m, share=0.5, free_m=(crossing_m,)),
         *walkers(rng, until_m=until_m, x_m=9.4),
         *signs(until_m=until_m, x_m=7.9),
         *lights(crossing_m),
     ]
-    return _scene(seed, rng, parts, ego, surroundings="city", road=_road(rng, swing_m=5.0, hill_m=1.0))
+    return scene_of(seed, rng, parts, ego, surroundings="city", road=random_road(rng, swing_m=5.0, hill_m=1.0))
 
 
 def _night(seed: int, seconds: float) -> Scene:
@@ -79,11 +89,13 @@ def _highway(seed: int, seconds: float) -> Scene:
         Part(kind="Van", x_m=0.0, z_m=72.0, speed_changes=ego),
         *Flow(x_m=3.62, speed_mps=24.0, spacing_m=38.0, kinds=_TRUCKS, from_m=16.0, until_m=until_m).parts(rng),
         *Flow(x_m=-3.62, speed_mps=33.0, spacing_m=45.0, kinds=_FAST, from_m=behind_m, until_m=VIEW_M).parts(rng),
-        *_oncoming(rng, x_m=-8.5, speed_mps=31.0, spacing_m=55.0, until_m=until_m + 31 * seconds),
-        *_oncoming(rng, x_m=-12.0, speed_mps=25.0, spacing_m=60.0, until_m=until_m + 25 * seconds),
+        *oncoming(rng, x_m=-8.5, speed_mps=31.0, spacing_m=55.0, until_m=until_m + 31 * seconds),
+        *oncoming(rng, x_m=-12.0, speed_mps=25.0, spacing_m=60.0, until_m=until_m + 25 * seconds),
         *signs(until_m=until_m, x_m=10.6, spacing_m=90.0),
     ]
-    return _scene(seed, rng, parts, ego, surroundings="highway", road=_road(rng, swing_m=9.0, hill_m=2.2, longer=1.6))
+    return scene_of(
+        seed, rng, parts, ego, surroundings="highway", road=random_road(rng, swing_m=9.0, hill_m=2.2, longer=1.6)
+    )
 
 
 def _cut_in(seed: int, seconds: float) -> Scene:
@@ -103,10 +115,12 @@ def _cut_in(seed: int, seconds: float) -> Scene:
         Part(kind="Truck", x_m=3.62, z_m=38.0, speed_mps=21.5),
         *Flow(x_m=3.62, speed_mps=21.5, spacing_m=40.0, kinds=_TRUCKS, from_m=78.0, until_m=until_m).parts(rng),
         *Flow(x_m=-3.62, speed_mps=29.0, spacing_m=50.0, kinds=_FAST, from_m=-6.0 * seconds, until_m=VIEW_M).parts(rng),
-        *_oncoming(rng, x_m=-8.5, speed_mps=29.0, spacing_m=55.0, until_m=until_m + 29 * seconds),
+        *oncoming(rng, x_m=-8.5, speed_mps=29.0, spacing_m=55.0, until_m=until_m + 29 * seconds),
         *signs(until_m=until_m, x_m=10.6, spacing_m=90.0),
     ]
-    return _scene(seed, rng, parts, ego, surroundings="highway", road=_road(rng, swing_m=5.0, hill_m=1.5, longer=1.6))
+    return scene_of(
+        seed, rng, parts, ego, surroundings="highway", road=random_road(rng, swing_m=5.0, hill_m=1.5, longer=1.6)
+    )
 
 
 def _crossing(seed: int, seconds: float) -> Scene:
@@ -136,7 +150,7 @@ def _crossing(seed: int, seconds: float) -> Scene:
         *lights(line_m + 9.0),
         *signs(until_m=until_m, x_m=7.9, first_m=line_m - 3.0),
     ]
-    return _scene(seed, rng, parts, ego, surroundings="city", road=_road(rng, swing_m=2.0, hill_m=0.6))
+    return scene_of(seed, rng, parts, ego, surroundings="city", road=random_road(rng, swing_m=2.0, hill_m=0.6))
 
 
 def _queue(seed: int, seconds: float) -> Scene:
@@ -147,21 +161,21 @@ def _queue(seed: int, seconds: float) -> Scene:
     for x_m, delay_s, first_m in ((0.0, 0.0, 9.5), (3.5, 1.3, 5.5)):
         number, z_m = 1, first_m
         while z_m < VIEW_M:
-            changes = _earlier(ego, QUEUE_DELAY_S * number - delay_s)
+            changes = earlier(ego, QUEUE_DELAY_S * number - delay_s)
             kind = "Van" if rng.uniform() < 0.15 else "Car"
             parts.append(Part(kind=kind, x_m=x_m + float(rng.normal(0, 0.1)), z_m=z_m, speed_changes=changes))
             number += 1
             z_m += QUEUE_SPACING_M + travelled_m(changes, QUEUE_DELAY_S)  # which the next has done already
-    parts += _oncoming(rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m + 8 * seconds)
+    parts += oncoming(rng, x_m=-3.5, speed_mps=8.0, spacing_m=32.0, until_m=until_m + 8 * seconds)
     parts += [*walkers(rng, until_m=until_m, x_m=9.4), *signs(until_m=until_m, x_m=7.9), *lights(34.0)]
-    return _scene(seed, rng, parts, ego, surroundings="city", road=_road(rng, swing_m=3.0, hill_m=0.5))
+    return scene_of(seed, rng, parts, ego, surroundings="city", road=random_road(rng, swing_m=3.0, hill_m=0.5))
 
 
 def _empty(seed: int, seconds: float) -> Scene:
     rng = np.random.default_rng([seed, 16])
     ego: SpeedChanges = ((0, 20), (5, 24), (10, 22), (20, 20))
     parts = signs(until_m=travelled_m(ego, seconds) + VIEW_M, x_m=3.9, spacing_m=70.0)
-    return _scene(seed, rng, parts, ego, surroundings="country", road=_road(rng, swing_m=7.0, hill_m=3.0))
+    return scene_of(seed, rng, parts, ego, surroundings="country", road=random_road(rng, swing_m=7.0, hill_m=3.0))
 
 
 _MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
@@ -173,47 +187,9 @@ _MAKERS: dict[ScenarioName, Callable[[int, float], Scene]] = {
     "queue": _queue,
     "empty": _empty,
     "night": _night,
+    **CONFLICTS,
+    **TWINS,
 }
 
 SCENARIOS: dict[str, Callable[[int, float], Scene]] = {name: _MAKERS[name] for name in SCENARIO_NAMES}
 """Function of each scenario that creates its scene from seed and length in seconds."""
-
-
-def _scene(
-    seed: int, rng: np.random.Generator, parts: list[Part], ego: SpeedChanges, *, surroundings: str, road: RoadShape
-) -> Scene:
-    return Scene(
-        seed=seed,
-        road_users=cast(rng, parts),
-        ego_speed_changes=ego,
-        road=road,
-        wobble=Wobble(pitch_rad=WOBBLE_RAD, roll_rad=WOBBLE_RAD / 2, seed=seed),
-        surroundings=surroundings,
-    )
-
-
-def _road(rng: np.random.Generator, *, swing_m: float, hill_m: float, longer: float = 1.0) -> RoadShape:
-    """A road with random phases and 70 to 100 % of the given amplitudes; `longer` is a factor of its periods."""
-    swing, hill, *phases = (float(number) for number in rng.uniform((0.7, 0.7, 0, 0), (1, 1, 2 * np.pi, 2 * np.pi)))
-    return RoadShape(
-        swing_m=swing_m * swing,
-        swing_length_m=320.0 * longer,
-        swing_phase_rad=phases[0],
-        hill_m=hill_m * hill,
-        hill_length_m=300.0 * longer,
-        hill_phase_rad=phases[1],
-    )
-
-
-def _oncoming(
-    rng: np.random.Generator, *, x_m: float, speed_mps: float, spacing_m: float, until_m: float
-) -> list[Part]:
-    flow = Flow(
-        x_m=x_m, speed_mps=speed_mps, spacing_m=spacing_m, heading_rad=TOWARDS_RAD, from_m=30.0, until_m=until_m
-    )
-    return flow.parts(rng)
-
-
-def _earlier(changes: SpeedChanges, by_s: float) -> SpeedChanges:
-    """The speed changes shifted to earlier times, as for a vehicle ahead."""
-    return tuple((time_s - by_s, speed_mps) for time_s, speed_mps in changes)

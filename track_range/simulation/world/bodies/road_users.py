@@ -9,7 +9,7 @@ import numpy as np
 from track_range.simulation.world.bodies.cars import car
 from track_range.simulation.world.bodies.faces import Face
 from track_range.simulation.world.bodies.people import cyclist, motorcyclist, pedestrian
-from track_range.simulation.world.bodies.signs import traffic_light, traffic_sign
+from track_range.simulation.world.bodies.signs import POLE_M, overhead_sign, traffic_light, traffic_sign
 from track_range.simulation.world.bodies.vehicles import bus, truck, van
 from track_range.simulation.world.scene import RoadUser
 
@@ -27,6 +27,11 @@ BUILDERS: dict[str, Callable[[np.random.Generator, tuple[float, float, float]], 
 
 
 def body_of(user: RoadUser, seed: int) -> list[Face]:
-    """The faces of a road user in its frame; its appearance depends on the seed and its track id."""
+    """The faces of a road user in its frame; its appearance depends on the seed and its track id.
+
+    A traffic sign that is higher than a pole hangs on a gantry.
+    """
     rng = np.random.default_rng([seed, 2, user.track_id])
+    if user.kitti_type == "TrafficSign" and user.raised_m > POLE_M:
+        return overhead_sign(rng, user.size_hwl_m, user.raised_m)
     return BUILDERS[user.kitti_type](rng, user.size_hwl_m)

@@ -1,4 +1,4 @@
-"""Traffic signs and lights: a plate or housing on a pole; the labels do not include the pole."""
+"""Traffic signs and lights: a plate or housing on a pole or gantry; the labels do not include the pole and gantry."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from track_range.simulation.world.textures.painting import clip, fill, polygon
 
 POLE_M = 4.0
 """Length of the pole; longer than the height of any sign, since the ground hides its lower end."""
+
+GANTRY_M = (-6.3, 9.8)
+"""Left and right ends of the beam above a motorway, from the middle of the plate, m; the posts stand there."""
 
 STEEL = (120.0, 122.0, 122.0)
 WHITE, RED, BLUE, YELLOW = (232, 234, 234), (38, 30, 190), (160, 84, 24), (40, 200, 235)
@@ -25,6 +28,21 @@ def traffic_sign(rng: np.random.Generator, size_hwl_m: tuple[float, float, float
     for face in plate.values():
         clip(face.texture, [outline], [])
     return [*plate.values(), *_pole(rng, -length / 2)]
+
+
+def overhead_sign(rng: np.random.Generator, size_hwl_m: tuple[float, float, float], raised_m: float) -> list[Face]:
+    """The faces of a blue direction sign `raised_m` above the road, on a gantry across it."""
+    height, width, length = size_hwl_m
+    half, back = width / 2, -length / 2
+    plate = block(rng, (back, length / 2, 0, height, -half, half), STEEL, contrast=4.0, sides=("front", "back"))
+    _direction(plate["front"].texture)
+    left, right = GANTRY_M
+    beams = [
+        (back - 0.3, back - 0.05, 0.55 * height, 0.55 * height + 0.4, left, right),
+        *((back - 0.3, back - 0.05, -raised_m, 0.55 * height, at - 0.15, at + 0.15) for at in GANTRY_M),
+    ]
+    steel = [block(rng, beam, STEEL, contrast=5.0, sides=("front", "back", "left", "right")) for beam in beams]
+    return [*plate.values(), *(face for beam in steel for face in beam.values())]
 
 
 def traffic_light(rng: np.random.Generator, size_hwl_m: tuple[float, float, float]) -> list[Face]:
