@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.foundation.files.input_files import real_path
+from track_range.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
+from track_range.foundation.files.folder_lock import is_locked
+from track_range.foundation.files.input_files import counted, real_path
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, settings_grid
 from track_range.report.page import write_comparison, write_report
 from track_range.report.tables import Grid
@@ -49,7 +51,7 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
     if out is not None:
         inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
         check_outputs([*pages, out], inputs)
-    missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in run.missing)
+    missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in (*run.missing, *restore_events(run)))
     if len(runs) == 1:
         page = out or runs[0].folder / "report.html"
         _write(page, runs[0])
@@ -58,6 +60,20 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
     compared = _compare(runs, page)
     grids = [*comparison_grids(compared), settings_grid(compared)]
     return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)))
+
+
+def restore_events(run: RunFolder) -> Iterator[str]:
+    """Write events.csv and events.parquet of a run that was killed or lacks them; yields a sentence about it.
+
+    A run in progress is left alone.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    if not run.are_events_replayed or is_locked(run.folder):
+        return
+    write_event_files(run.folder, run.events, run.provenance.metadata())
+    yield f"{EVENTS_FILE} and {EVENTS_PARQUET} were written from the rows: {counted(len(run.events), 'event')}."
 
 
 def _write(path: Path, run: RunFolder) -> None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,10 @@ import numpy.typing as npt
 from pydantic import BaseModel
 
 from track_range.detection.formats.errors import LabelFileError
+from track_range.events.event import Event
+from track_range.events.files import EVENTS_FILE, EventFileError, read_events
+from track_range.events.finder import EventFinder
+from track_range.events.summary import events_section
 from track_range.foundation.arrays import BoolArray
 from track_range.foundation.files.structured_text import read_json, read_yaml
 from track_range.foundation.validation import Number, PositiveNumber, validated
@@ -27,6 +32,8 @@ from track_range.results.formats.csv_file import TABLE_FILE, read_tracks_csv
 from track_range.results.formats.parquet_file import PARQUET_FILE, STREAM_FILE, read_tracks_arrows, read_tracks_parquet
 from track_range.results.output_files import OutputError
 from track_range.results.progress_note import describe_progress
+from track_range.results.provenance import Provenance, settings_hash
+from track_range.results.replay import frames_of_rows
 from track_range.results.summary import range_scores, track_scores
 from track_range.results.summary_shape import valid_summary
 from track_range.results.truth import MatchedTruth, matched_truth, with_truth
@@ -61,6 +68,12 @@ _MAX_SUMMARY_BYTES = 50_000_000
 _MOST_NAMED = 5
 """Maximum number of values of wrong types that a note names."""
 
+_MAX_BEYOND_S = 1.0
+"""Tolerance for events after the last row or the end of the video, s."""
+
+_DEFAULT_FPS, _MAX_FPS = 10.0, 10_000.0
+"""Frame rate where settings.yaml has none, as for folders of images, and largest plausible one."""
+
 _INPUTS = ("mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 """Settings that are inputs of a run."""
 
@@ -73,6 +86,10 @@ class RunFolder:
         folder: folder of the results.
         summary: content of summary.json, or what can be computed from the rows; its notes begin with `missing`.
         columns: rows by column, with `truth_m` and `scored_truth_m` if the ground truth can be read.
+        events: events of the run; those of a killed run, or of one with a damaged events.csv, are found again from
+            the rows.
+        are_events_replayed: whether the events were found again from the rows.
+        provenance: software, model, calibration and settings of the results.
         settings: section `run` of settings.yaml; empty without that file.
         missing: messages about files that are missing or cannot be read.
     """
@@ -82,15 +99,19 @@ class RunFolder:
     columns: Columns
     settings: Sections
     missing: tuple[str, ...]
+    events: tuple[Event, ...] = ()
+    are_events_replayed: bool = False
+    provenance: Provenance = field(default_factory=Provenance)
 
 
-def read_run_folder(folder: Path, *, is_rounded: bool = True) -> RunFolder:
+def read_run_folder(folder: Path, *, is_rounded: bool = True, has_events: bool = True) -> RunFolder:
     """Read the files of a run.
 
     Args:
         folder: folder of the results.
         is_rounded: whether numbers are rounded as in tracks.csv; False = full precision, if the run wrote
             tracks.parquet.
+        has_events: whether the events are read; False = none.
 
     Raises:
         OutputError: the folder does not contain a run, or the file of its rows has other columns.
@@ -113,9 +134,23 @@ def read_run_folder(folder: Path, *, is_rounded: bool = True) -> RunFolder:
     matched = None if truth is None else matched_truth(rows, truth)
     if matched is not None:
         rows = with_truth(rows, matched)
+    events = _events_of(folder, rows, summary, missing) if has_events and summary is not None else None
+    replayed = has_events and events is None
     summary = _summary_from_rows(rows, matched, run) if summary is None else summary
+    if replayed:
+        events = _replayed_events(folder, rows, settings)
+        summary["events"] = events_section(events, _seconds(rows, settings))
     summary = _checked_summary(folder, summary, settings, missing)
-    return RunFolder(folder=folder, summary=summary, columns=rows, settings=run, missing=tuple(missing))
+    return RunFolder(
+        folder=folder,
+        summary=summary,
+        columns=rows,
+        settings=run,
+        missing=tuple(missing),
+        events=events or (),
+        are_events_replayed=replayed,
+        provenance=Provenance.of_inputs(_section(settings, "found"), settings_hash(run)),
+    )
 
 
 def _section(document: Sections, name: str) -> dict[str, Any]:
@@ -158,6 +193,57 @@ def _columns_of(folder: Path, missing: list[str], *, is_rounded: bool) -> dict[s
             return rounded(columns) if is_rounded and name in in_full else columns
     missing.append(f"{TABLE_FILE} is missing, and so is {PARQUET_FILE}: there are no charts of tracks.")
     return None
+
+
+def _events_of(folder: Path, rows: Columns, summary: Sections, missing: list[str]) -> tuple[Event, ...] | None:
+    """Events of a finished run; none of a run of an earlier version, None if the file is missing or damaged."""
+    path = folder / EVENTS_FILE
+    section = _section(summary, "events")
+    if not path.exists() and not section:
+        return ()
+    try:
+        events = read_events(path)
+    except EventFileError as error:
+        missing.append(f"{EVENTS_FILE} cannot be read, so events were found again from the rows ({error})")
+        return None
+    hours, starts_s = (
+        value if isinstance(value, int | float) else 0.0 for value in (section.get("hours"), summary.get("starts_s"))
+    )
+    last_s = max(float(np.max(rows["time_s"], initial=0.0)), starts_s + 3600 * hours)
+    inside = tuple(event for event in events if event.start_s <= last_s + _MAX_BEYOND_S)
+    if n_beyond := len(events) - len(inside):
+        missing.append(
+            f"{n_beyond} of {len(events)} events of {EVENTS_FILE} start after the end of the video at {last_s:.1f} s "
+            "and were ignored."
+        )
+    return inside
+
+
+def _replayed_events(folder: Path, rows: Columns, settings: Sections) -> tuple[Event, ...]:
+    """Events found again from the rows, in full precision if the folder contains a file with them."""
+    path = next((folder / name for name in (PARQUET_FILE, STREAM_FILE) if (folder / name).is_file()), None)
+    if path is not None:
+        with suppress(OutputError):  # the rounded rows are used
+            rows = read_run_rows(path, [])
+    order = np.argsort(rows["frame"], kind="stable")
+    rows = {name: values[order] for name, values in rows.items()}
+    finder = EventFinder()
+    frames = np.unique(rows["frame"]).astype(np.int64).tolist()
+    for result in frames_of_rows(rows, frames, methods_measured(rows), _fps(settings)):
+        finder.update(result)
+    return finder.finish()
+
+
+def _fps(settings: Sections) -> float:
+    """Nominal frame rate from settings.yaml; that of folders of images if it is unknown."""
+    fps = _section(settings, "found").get("fps")
+    return float(fps) if isinstance(fps, int | float) and 0 < fps <= _MAX_FPS else _DEFAULT_FPS
+
+
+def _seconds(rows: Columns, settings: Sections) -> float:
+    """Duration of the video in which there are rows, in seconds."""
+    time_s = rows["time_s"]
+    return float(np.ptp(time_s)) + 1 / _fps(settings) if len(time_s) else 0.0
 
 
 def _truth_of(run: Sections, detected: Sections, missing: list[str]) -> Truth | None:

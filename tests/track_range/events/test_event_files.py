@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.track_range.events.event_builder import event
 from track_range.events import files
 from track_range.events.event import EVENT_COLUMNS, EVENT_KINDS, Event
 from track_range.events.files import (
@@ -29,30 +30,8 @@ CONTRACT = (
 )
 
 
-def event(**changes):
-    values = {
-        "kind": "forward_collision",
-        "start_s": 1.5,
-        "peak_s": 2.25,
-        "end_s": 3.0,
-        "warning_s": 1.75,
-        "frame": 22,
-        "track_id": 7,
-        "class_name": "car",
-        "min_distance_m": 8.125,
-        "min_distance_sigma_m": 0.25,
-        "min_ttc_s": 1.5,
-        "closing_mps": 6.0,
-        "ego_mps": 14.0,
-        "probability": 0.75,
-        "reason": "car ahead, closing",
-    }
-    others = {field.name: math.nan for field in dataclasses.fields(Event) if field.name not in values}
-    return Event(**{**others, **values, **changes})
-
-
 def values(one):
-    """Attributes of an event; None = NaN."""
+    """Attributes of an event, where None stands in for NaN."""
     return {key: None if value != value else value for key, value in dataclasses.asdict(one).items()}
 
 

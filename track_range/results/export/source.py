@@ -73,7 +73,7 @@ def open_run(folder: Path) -> RunSource:
     Raises:
         OutputError: the folder does not contain a run.
     """
-    run = read_run_folder(folder, is_rounded=False)
+    run = read_run_folder(folder, is_rounded=False, has_events=False)
     detected: Any = {}
     recorded_hash: Any = None
     if os.path.isfile(folder / "settings.yaml"):
