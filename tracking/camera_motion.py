@@ -18,25 +18,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from track_range.detection.boxes import are_valid_boxes
-from track_range.foundation.arrays import BoolArray, FloatArray, Image, check_shape
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
 from track_range.foundation.robust_statistics import MAD_TO_SIGMA
+from track_range.foundation.sparse_flow import (
+    are_masked,
+    grid_corners,
+    masked_cells,
+    n_halvings_to,
+    small_grey,
+    tracked_corners,
+)
 
-FeatureArray = npt.NDArray[np.float32]
 ComplexArray = npt.NDArray[np.complex128]
-
-_CELL_PX = 8
-"""Side of the cells of the mask of boxes, small pixels: boxes grow by up to one cell, so that few windows overlap."""
-
-_GRID_PX = 8
-"""Side of the squares of the half-size image with one feature each: 16 small pixels, two cells."""
-
-_MIN_EIGENVALUE = 1e-5
-"""Minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
 
 _MIN_SIDE_PX = 32
 """Smallest side of a small image that has room for windows."""
@@ -98,7 +94,7 @@ class _View:
 
     image_hw: tuple[int, int]
     grey: Image
-    features: FeatureArray
+    features: FloatArray32
 
 
 class CameraMotion:
@@ -124,88 +120,28 @@ class CameraMotion:
         check_shape("xyxy_px", xyxy_px, (None, 4))
         before, self._before = self._before, None
         image_hw = (image.shape[0], image.shape[1])
-        n_halved = (max(image_hw) // (self._settings.long_side_px + 1)).bit_length()
+        n_halved = n_halvings_to(self._settings.long_side_px, image_hw)
         if min(image_hw) >> n_halved < _MIN_SIDE_PX:
             return np.eye(2, 3)
-        grey = _small_grey(image, n_halved)
-        is_masked = _masked_cells(xyxy_px, grey.shape, _CELL_PX << n_halved)
-        self._before = _View(image_hw, grey, _features(grey, is_masked, self._settings))
+        grey = small_grey(image, n_halved)
+        is_masked = masked_cells(xyxy_px, grey.shape, n_halved)
+        features = grid_corners(grey, is_masked, self._settings.n_features, min_quality=self._settings.min_quality)
+        self._before = _View(image_hw, grey, features)
         if before is None or before.image_hw != image_hw:
             return np.eye(2, 3)
         before_px, now_px = _tracked(before, grey, is_masked, self._settings)
         return _in_full_pixels(_motion(before_px, now_px, grey.shape, self._settings), 1 << n_halved)
 
 
-def _small_grey(image: Image, n_halved: int) -> Image:
-    """The green channel, halved `n_halved` times by 2x2 means, which prevent aliasing; green is faster than grey."""
-    grey = np.asarray(cv2.extractChannel(image, 1), np.uint8)
-    for _ in range(n_halved):
-        grey = _halved(grey)
-    return grey
-
-
-def _halved(image: Image) -> Image:
-    height, width = image.shape[0] // 2, image.shape[1] // 2
-    even = image[: 2 * height, : 2 * width]
-    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _masked_cells(xyxy_px: FloatArray, grey_hw: tuple[int, ...], cell_px: int) -> BoolArray:
-    """(rows, columns) whether a box touches a cell of the small image, `cell_px` full pixels wide."""
-    n_rows, n_columns = (-(-side // _CELL_PX) for side in grey_hw)
-    cells = (xyxy_px[are_valid_boxes(xyxy_px)] + 0.5) / cell_px
-    cells = np.clip(cells, 0, [n_columns, n_rows, n_columns, n_rows])
-    left, top = np.floor(cells[:, :2]).astype(np.int64).T
-    right, bottom = np.ceil(cells[:, 2:]).astype(np.int64).T
-    steps = np.zeros((n_rows + 1, n_columns + 1), np.int64)
-    for row, column, step in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
-        np.add.at(steps, (row, column), step)
-    return np.asarray(steps.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
-
-
-def _features(grey: Image, is_masked: BoolArray, settings: CameraMotionSettings) -> FeatureArray:
-    """(N, 2) the best corners outside masked cells, at most one per square, in small pixels.
-
-    They are detected at half size, because the tracked windows are large; a grid is faster than OpenCV's sorting.
-    """
-    quality = cv2.cornerMinEigenVal(_halved(grey), 3)
-    n_rows, n_columns = (side // _GRID_PX for side in quality.shape)
-    whole = quality[: n_rows * _GRID_PX, : n_columns * _GRID_PX].reshape(n_rows, _GRID_PX, n_columns, _GRID_PX)
-    squares = whole.swapaxes(1, 2).reshape(-1, _GRID_PX**2)
-    index = squares.argmax(axis=1)
-    best = squares[np.arange(len(squares)), index]
-    y, x = np.divmod(index, _GRID_PX)
-    row, column = np.divmod(np.arange(len(squares)), n_columns)
-    corners = 2 * np.stack([column * _GRID_PX + x, row * _GRID_PX + y], axis=1) + 0.5
-    best[_are_masked(corners, is_masked)] = 0.0
-    chosen = np.argsort(-best, kind="stable")[: settings.n_features]
-    is_corner = best[chosen] > max(settings.min_quality * float(best.max(initial=0.0)), _MIN_EIGENVALUE)
-    return np.asarray(corners[chosen[is_corner]], np.float32)
-
-
-def _are_masked(points: FloatArray, is_masked: BoolArray) -> BoolArray:
-    """(N,) whether a point (N, 2) of the small image lies in a masked cell."""
-    cells = (points / _CELL_PX).astype(np.int64)
-    return np.asarray(is_masked[cells[:, 1], cells[:, 0]])
-
-
 def _tracked(
     before: _View, grey: Image, is_masked: BoolArray, settings: CameraMotionSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Features tracked into an unmasked part of this frame: (N, 2) small pixels in the previous frame and this one."""
-    if len(before.features) == 0:
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    side, stop = settings.window_px, (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
-    start = np.empty_like(before.features)
-    points, status, _ = cv2.calcOpticalFlowPyrLK(
-        before.grey, grey, before.features, start, winSize=(side, side), maxLevel=settings.n_halvings, criteria=stop
+    points, is_tracked = tracked_corners(
+        before.grey, grey, before.features, window_px=settings.window_px, n_levels=settings.n_halvings
     )
-    before_px, now_px = before.features.astype(np.float64), np.asarray(points, np.float64).reshape(-1, 2)
-    height, width = grey.shape
-    is_inside = (now_px >= 0).all(axis=1) & (now_px[:, 0] <= width - 1) & (now_px[:, 1] <= height - 1)
-    is_tracked = is_inside & (status.reshape(-1) > 0)
-    is_tracked[is_tracked] = ~_are_masked(now_px[is_tracked], is_masked)
-    return before_px[is_tracked], now_px[is_tracked]
+    is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
+    return before.features[is_tracked].astype(np.float64), points[is_tracked].astype(np.float64)
 
 
 def _motion(

@@ -1,0 +1,1 @@
+"""Visual odometry: rotation and speed of the camera from its images."""

@@ -1,0 +1,135 @@
+"""Sparse optical flow on small grey images: corners in a grid, a mask of boxes, and pyramidal Lucas-Kanade.
+
+Tracking uses it to move predicted boxes with the background; odometry measures the motion of the camera with it. Pixels
+are those of the small image, with pixel centres at integers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image
+
+_CELL_PX = 8
+"""Side of the cells of the mask of boxes, small pixels: boxes grow by up to one cell, so that few windows overlap."""
+
+_GRID_PX = 8
+"""Side of the squares of the half-size image with one feature each: 16 small pixels, two cells."""
+
+_MIN_EIGENVALUE = 1e-5
+"""Minimum corner quality (OpenCV's smaller eigenvalue), above the noise of a textureless area."""
+
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+"""Stop criteria of Lucas-Kanade: number of iterations and step in px."""
+
+
+def n_halvings_to(long_side_px: int, image_hw: tuple[int, int]) -> int:
+    """Number of halvings after which neither side of an image is longer than `long_side_px`."""
+    return (max(image_hw) // (long_side_px + 1)).bit_length()
+
+
+def small_grey(image: Image, n_halved: int) -> Image:
+    """The green channel, halved `n_halved` times by 2x2 means, which prevent aliasing; green is faster than grey.
+
+    Args:
+        image: (H, W, 3) BGR or (H, W) grey.
+        n_halved: number of halvings.
+    """
+    grey = image if image.ndim == 2 else np.asarray(cv2.extractChannel(image, 1), np.uint8)
+    for _ in range(n_halved):
+        grey = halved(grey)
+    return grey
+
+
+def halved(image: Image) -> Image:
+    """(H // 2, W // 2) means of 2x2 pixels; an odd last row or column is left out."""
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    even = image[: 2 * height, : 2 * width]
+    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def masked_cells(xyxy_px: FloatArray, grey_hw: Sequence[int], n_halved: int) -> BoolArray:
+    """(rows, columns) whether a box touches a cell of the small image; invalid boxes are ignored.
+
+    Args:
+        xyxy_px: (N, 4) boxes in pixels of the full image.
+        grey_hw: height and width of the small image.
+        n_halved: number of halvings between the two.
+    """
+    n_rows, n_columns = (-(-side // _CELL_PX) for side in grey_hw)
+    is_valid = np.isfinite(xyxy_px).all(axis=1) & (xyxy_px[:, 2:] > xyxy_px[:, :2]).all(axis=1)
+    cells = (xyxy_px[is_valid] + 0.5) / (_CELL_PX << n_halved)
+    cells = np.clip(cells, 0, [n_columns, n_rows, n_columns, n_rows])
+    left, top = np.floor(cells[:, :2]).astype(np.int64).T
+    right, bottom = np.ceil(cells[:, 2:]).astype(np.int64).T
+    steps = np.zeros((n_rows + 1, n_columns + 1), np.int64)
+    for row, column, step in ((top, left, 1), (top, right, -1), (bottom, left, -1), (bottom, right, 1)):
+        np.add.at(steps, (row, column), step)
+    return np.asarray(steps.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
+
+
+def are_masked(points: FloatArray | FloatArray32, is_masked: BoolArray) -> BoolArray:
+    """(N,) whether a point (N, 2) of the small image lies in a masked cell."""
+    cells = (points / _CELL_PX).astype(np.int64)
+    return np.asarray(is_masked[cells[:, 1], cells[:, 0]])
+
+
+def grid_corners(grey: Image, is_masked: BoolArray, n_corners: int, *, min_quality: float) -> FloatArray32:
+    """(N, 2) the best corners outside masked cells, at most `n_corners` and one per square of 16 px.
+
+    They are detected at half size, because the tracked windows are large; a grid is faster than OpenCV's sorting.
+
+    Args:
+        grey: (H, W) small image.
+        is_masked: mask of `masked_cells`.
+        n_corners: largest number of corners.
+        min_quality: minimum quality of a corner, as a fraction of the best corner's.
+    """
+    quality = cv2.cornerMinEigenVal(halved(grey), 3)
+    n_rows, n_columns = (side // _GRID_PX for side in quality.shape)
+    whole = quality[: n_rows * _GRID_PX, : n_columns * _GRID_PX].reshape(n_rows, _GRID_PX, n_columns, _GRID_PX)
+    squares = whole.swapaxes(1, 2).reshape(-1, _GRID_PX**2)
+    index = squares.argmax(axis=1)
+    best = squares[np.arange(len(squares)), index]
+    y, x = np.divmod(index, _GRID_PX)
+    row, column = np.divmod(np.arange(len(squares)), n_columns)
+    corners = 2 * np.stack([column * _GRID_PX + x, row * _GRID_PX + y], axis=1) + 0.5
+    best[are_masked(corners, is_masked)] = 0.0
+    chosen = np.argsort(-best, kind="stable")[:n_corners]
+    is_corner = best[chosen] > max(min_quality * float(best.max(initial=0.0)), _MIN_EIGENVALUE)
+    return np.asarray(corners[chosen[is_corner]], np.float32)
+
+
+def tracked_corners(
+    before: Image,
+    now: Image,
+    corners: FloatArray32,
+    *,
+    window_px: int,
+    n_levels: int,
+    start: FloatArray32 | None = None,
+) -> tuple[FloatArray32, BoolArray]:
+    """Corners (N, 2) of one image found in another by pyramidal Lucas-Kanade (Bouguet, 2000), and (N,) which of them.
+
+    Args:
+        before: (H, W) image of the corners.
+        now: (H, W) the other image.
+        corners: (N, 2) points in `before`.
+        window_px: side of the tracked window.
+        n_levels: pyramid levels above the images, for motions larger than the window.
+        start: (N, 2) first guess of the points in `now`; None = the corners.
+    """
+    if len(corners) == 0:
+        return np.zeros((0, 2), np.float32), np.zeros(0, bool)
+    flags = 0 if start is None else cv2.OPTFLOW_USE_INITIAL_FLOW
+    guess = np.empty_like(corners) if start is None else start.copy()
+    points, status, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, corners, guess, winSize=(window_px, window_px), maxLevel=n_levels, criteria=_STOP, flags=flags
+    )
+    now_px = np.asarray(points, np.float32).reshape(-1, 2)
+    height, width = now.shape
+    is_inside = (now_px >= 0).all(axis=1) & (now_px[:, 0] <= width - 1) & (now_px[:, 1] <= height - 1)
+    return now_px, np.asarray(is_inside & (status.reshape(-1) > 0))
