@@ -38,10 +38,10 @@ from track_range.detection.formats.errors import LabelFileError
 from track_range.detection.formats.limits import MAX_COORDINATE_PX, MAX_DISTANCE_M, MAX_FRAME, MAX_ID
 from track_range.detection.formats.table_checks import check_identities
 from track_range.detection.formats.video_labels.csv_labels import DONT_CARE
-from track_range.detection.formats.video_labels.xml_events import parse_xml
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
 from track_range.foundation.files.input_files import counted, open_regular, quoted, shortened
 from track_range.foundation.files.numeric_text import number
+from track_range.foundation.files.xml_events import parse_xml
 
 MAX_CVAT_BYTES = 500_000_000
 """Size limit, bytes: about two million boxes."""
