@@ -16,7 +16,7 @@ from track_range.run.pipeline.prefetch import lower_thread_priority
 from track_range.run.pipeline.stage_clock import StageClock
 from track_range.video.writing.video_writer import MAX_HELD_FRAMES, VideoWriter
 
-_QUANTIZER = 28
+QUANTIZER = 28
 """Constant quantizer of H.264, visually equal to crf 23; 2.7 ms and 57 kB per frame of KITTI 0003 (3.3 ms, 72 kB)."""
 
 _MAX_LAG_S, _MAX_LAG_FRAMES = 1.0, 5
@@ -49,7 +49,7 @@ class ResultVideo:
             VideoError: the file cannot be written.
         """
         width_px, height_px = form.size_px
-        self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=form.fps, quantizer=_QUANTIZER)
+        self._writer = VideoWriter(path, width_px=width_px, height_px=height_px, fps=form.fps, quantizer=QUANTIZER)
         self._picture = draw
         self._clock = clock
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=path.stem, initializer=lower_thread_priority)

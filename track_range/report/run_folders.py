@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from track_range.events.clips import CLIPS_FOLDER, write_clips
 from track_range.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.input_files import counted, real_path
@@ -27,24 +28,28 @@ class WrittenReport:
         grids: tables of a comparison; none for a single run.
         missing: messages about files that are missing in a folder.
         notes: reasons why the runs may not be comparable; none for a single run.
+        clips: clips of events that were written.
     """
 
     page: Path
     grids: tuple[Grid, ...]
     missing: tuple[str, ...]
     notes: tuple[str, ...]
+    clips: tuple[Path, ...] = ()
 
 
-def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
+def report(folders: Sequence[Path], out: Path | None = None, *, has_clips: bool = False) -> WrittenReport:
     """Write report.html into the folder of each run and, for several runs, a page that compares them.
 
     Args:
         folders: result folders of runs; duplicates are ignored.
         out: page of a single run instead of the one in its folder, or page of the comparison (None = comparison.html
             in the current folder).
+        has_clips: whether a clip of each event is cut from the overlay.
 
     Raises:
-        OutputError: a folder contains no run, or a page cannot be written or would overwrite an input.
+        OutputError: a folder contains no run, or a page or clip cannot be written or would overwrite an input.
+        VideoError: the overlay of a run is missing or cannot be read, for clips.
     """
     runs = [read_run_folder(folder) for folder in {real_path(folder): folder for folder in folders}.values()]
     pages = [run.folder / "report.html" for run in runs] if len(runs) > 1 else []
@@ -52,14 +57,23 @@ def report(folders: Sequence[Path], out: Path | None = None) -> WrittenReport:
         inputs = (run.folder / name for run in runs for name in result_names() if name != "report.html")
         check_outputs([*pages, out], inputs)
     missing = tuple(f"{run.folder}: {sentence}" for run in runs for sentence in (*run.missing, *restore_events(run)))
+    clips = tuple(clip for run in runs for clip in _clips(run)) if has_clips else ()
     if len(runs) == 1:
         page = out or runs[0].folder / "report.html"
         _write(page, runs[0])
-        return WrittenReport(page, (), missing, ())
+        return WrittenReport(page, (), missing, (), clips)
     page = out or Path("comparison.html")
     compared = _compare(runs, page)
     grids = [*comparison_grids(compared), settings_grid(compared)]
-    return WrittenReport(page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)))
+    return WrittenReport(
+        page, tuple(grid for grid in grids if grid.rows), missing, tuple(comparison_notes(compared)), clips
+    )
+
+
+def _clips(run: RunFolder) -> tuple[Path, ...]:
+    """Write a clip of each event of a run."""
+    starts_s = float(run.summary.get("starts_s") or 0.0)
+    return write_clips(run.folder / "overlay.mp4", run.events, run.folder / CLIPS_FOLDER, starts_s=starts_s)
 
 
 def restore_events(run: RunFolder) -> Iterator[str]:

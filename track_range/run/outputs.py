@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from track_range.events.clips import CLIPS_FOLDER, remove_clips, write_clips
 from track_range.events.event import Event
 from track_range.events.files import EventFiles
 from track_range.foundation.errors import UserError
@@ -65,6 +66,7 @@ class RunFolder:
         settings, recording, clock = session.settings, session.source, session.pipeline.clock
         earlier = [name for name in result_names() if name != PROGRESS_FILE]
         clear_results(folder, earlier, except_for=input_files(settings))
+        remove_clips(folder / CLIPS_FOLDER)
         prepared.confirm()
         prepared.report(PROCESSING)
         save_settings(settings, folder / "settings.yaml", detected=session.detected())
@@ -159,8 +161,11 @@ class RunFolder:
         """
         settings = self._session.settings
         shown = {key: value for key, value in absolute_settings(settings).items() if value not in ([], {})}
-        steps = [
-            partial(self._events.finish, self._session.events),
+        steps: list[Callable[[], object]] = [partial(self._events.finish, self._session.events)]
+        if settings.clips and "overlay" in self.videos:
+            overlay, clips = self.folder / self.videos["overlay"], self.folder / CLIPS_FOLDER
+            steps.append(partial(write_clips, overlay, self._session.events, clips, starts_s=self._session.starts_s))
+        steps += [
             partial(write_summary, self.folder / "summary.json", summary),
             partial(write_report, self.folder / "report.html", {**summary, "settings": shown}, columns),
             partial(self._writers.close, summary),

@@ -320,6 +320,14 @@ class RunSettings(Options):
     overlay: Annotated[bool, option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay", panel=_OUTPUT)] = (
         True
     )
+    clips: Annotated[
+        bool,
+        option(
+            "Short video of each event in the folder clips, cut from overlay.mp4: from 3 s before its start to 2 s "
+            "after its end.",
+            panel=_OUTPUT,
+        ),
+    ] = False
     disparity: Annotated[
         bool,
         option(
@@ -423,6 +431,13 @@ class RunSettings(Options):
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
             raise ValueError("give --rig or --focal-px, not both")
+        check_tracker(self.tracker, self.reid)
+        return self
+
+    @model_validator(mode="after")
+    def _possible_videos(self) -> Self:
+        if self.clips and not self.overlay:
+            raise ValueError("--clips cuts its videos from overlay.mp4: it cannot be combined with --no-overlay")
         if self.overlay_disparity and (self.stereo is None or not self.sgbm or not self.overlay):
             raise ValueError(
                 "--overlay-disparity shows dense stereo below the overlay: it requires --stereo, and cannot be "
@@ -432,7 +447,6 @@ class RunSettings(Options):
             raise ValueError(
                 "--disparity shows dense stereo: it requires --stereo, and cannot be combined with --no-sgbm"
             )
-        check_tracker(self.tracker, self.reid)
         return self
 
     @property

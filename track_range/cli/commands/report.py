@@ -27,16 +27,22 @@ class ReportOptions(Options):
             metavar="FILE",
         ),
     ] = None
+    clips: Annotated[
+        bool,
+        option("Short video of each event, cut from overlay.mp4 into the folder clips of each run."),
+    ] = False
 
 
 def _report(options: ReportOptions) -> None:
-    written = report(options.folders, options.out)
+    written = report(options.folders, options.out, has_clips=options.clips)
     for sentence in written.missing:
         print_line(console, sentence)
     for grid in written.grids:
         print_grid(console, grid)
     print_notes(console, written.notes)
     others = "; the report.html of each run was rewritten" if len(set(options.folders)) > 1 else ""
+    if options.clips:
+        print_line(console, f"Clips of events: {len(written.clips)}")
     print_line(console, f"Open {written.page} in a browser{others}.")
 
 

@@ -35,7 +35,7 @@ REFUSED: Mapping[str, str] = {
 OWN = ("out", "threads", "rig")
 """Options of a run that are options of a fleet with another meaning."""
 
-_OUTPUTS = ("write", "overlay", "disparity", "overlay_disparity")
+_OUTPUTS = ("write", "overlay", "clips", "disparity", "overlay_disparity")
 """Options of a run for its outputs, which a fleet does not take from the settings.yaml of a run."""
 
 _NOT_HASHED = ("stereo", "mono", "out", "table", "threads")
