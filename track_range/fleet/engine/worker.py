@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import platform
 import resource
@@ -121,10 +122,13 @@ def limit_threads(n_threads: int) -> None:
 
 
 def return_free_memory() -> None:
-    """Return the free memory of this process to the operating system, where the C library is glibc.
+    """Return the memory that this process no longer needs to the operating system, where the C library is glibc.
 
-    Its heaps, one for each thread, otherwise grow with every clip, to more than three times the memory of a run.
+    PyAV's frames refer to themselves, so that they and the images beside them stay until Python looks for such cycles,
+    which it rarely does by itself; the free parts of the heaps, one for each thread, stay for ever. Together they make
+    a worker grow by 20 to 45 MB per clip.
     """
+    gc.collect()
     try:
         ctypes.CDLL(None).malloc_trim(0)
     except (OSError, AttributeError, TypeError):  # another C library

@@ -116,8 +116,8 @@ def read_clips(out: Location) -> pa.Table:
         FleetError: clips.parquet is damaged, or of a newer version.
         StorageError: the storage cannot be read.
     """
-    table = _compiled(out)
     rows = _journal_rows(out, _journal_names(out))
+    table = _compiled(out)  # read last: a row leaves the journal when it is in the table
     return (merged_table(table, rows) if rows else table).sort_by("clip")
 
 
@@ -270,7 +270,8 @@ def _compiled(out: Location) -> pa.Table:
     if not location.exists():
         return records_table([])
     try:
-        table = parquet.read_table(io.BytesIO(location.read_bytes()))
+        # one thread and no data set, which would take three times the memory of the table
+        table = parquet.ParquetFile(io.BytesIO(location.read_bytes())).read(use_threads=False)
         version = int((table.schema.metadata or {}).get(b"track_range.fleet_schema_version", b""))
         table.column("clip"), table.column("settings_hash")
     except (ArrowException, OSError, ValueError, LookupError) as error:

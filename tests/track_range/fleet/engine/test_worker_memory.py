@@ -1,10 +1,19 @@
 from __future__ import annotations
 
 import platform
+import weakref
 
 import pytest
 
 from track_range.fleet.engine.worker import resident_bytes, return_free_memory
+
+
+class Frame:
+    """An object that refers to itself, as PyAV's frames do."""
+
+    def __init__(self) -> None:
+        self.owner = self
+
 
 BLOCK_BYTES, N_BLOCKS = 4096, 20_000
 
@@ -18,3 +27,11 @@ def test_free_memory_is_returned() -> None:
     return_free_memory()
     assert before - resident_bytes() > BLOCK_BYTES * N_BLOCKS / 2
     assert len(last) == BLOCK_BYTES
+
+
+def test_objects_that_refer_to_themselves_are_freed() -> None:
+    frame = Frame()
+    reference = weakref.ref(frame)
+    del frame
+    return_free_memory()
+    assert reference() is None
