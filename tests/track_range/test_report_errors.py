@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from track_range.report.errors import SCATTER_POINTS, calibration_curves, error_curves, median_by_distance
+from track_range.report.content.errors import SCATTER_POINTS, calibration_curves, error_curves, median_by_distance
 
 BANDS = [
     {"from_m": 5.0, "to_m": 10.0, "mean_relative_error_pct": 3.0},

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from track_range.report.series import LINE_POINTS, MOST_CELLS, packed, thinned, track_records
+from track_range.report.content.series import LINE_POINTS, MOST_CELLS, packed, thinned, track_records
 from track_range.results.columns import methods_measured
 
 
@@ -57,6 +57,7 @@ def test_track_record() -> None:
         {
             "id": 1,
             "name": "car",
+            "colour": "#537eff",
             "n": 3,
             "from_s": 0.0,
             "to_s": 0.2,

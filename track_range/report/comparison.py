@@ -8,7 +8,7 @@ from typing import Any
 
 from track_range.overlay.colours import OTHER_COLOURS, method_colours
 from track_range.report import tables
-from track_range.report.errors import band_line
+from track_range.report.content.errors import band_line
 from track_range.report.sentences import flattened, run_name
 from track_range.report.tables import Cell, Column, Cost, Grid, figure, grid_of
 

@@ -19,13 +19,18 @@ from urllib.parse import quote
 import jinja2
 import numpy as np
 
+from track_range.events.event import Event
 from track_range.overlay.colours import colour_of_each
 from track_range.report import tables
 from track_range.report.comparison import ComparedRun, comparison_grids, comparison_notes, error_lines, settings_grid
-from track_range.report.errors import calibration_curves, error_curves
+from track_range.report.content.errors import calibration_curves, error_curves
+from track_range.report.content.events import event_records, hidden_events_note, shown_events
+from track_range.report.content.road import camera_of_rows, road_columns
+from track_range.report.content.series import track_records
+from track_range.report.content.timeline import timeline
 from track_range.report.grids import accuracy_grids, mot_grid, speed_grids, stage_bars
+from track_range.report.headlines import headlines, run_line
 from track_range.report.sentences import cards, geometry_sentences, run_name, settings_groups, sigma_sentences
-from track_range.report.series import track_records
 from track_range.results.columns import Columns, methods_measured
 from track_range.results.output_files import write_text
 
@@ -33,7 +38,23 @@ _FILTERED = "_kf"
 """Ending of the names of filtered methods, which are hidden at first where the unfiltered method is shown."""
 
 
-def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> None:
+_SCRIPTS = (
+    "elements",
+    "theme_and_tables",
+    "drawing",
+    "tracks",
+    "birds_eye",
+    "timeline",
+    "playback",
+    "run_charts",
+    "start",
+)
+"""Parts of the script of all pages, in the order of their execution."""
+
+
+def write_report(
+    path: Path, summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] | None = None
+) -> None:
     """Write the report of a run atomically.
 
     Args:
@@ -41,11 +62,12 @@ def write_report(path: Path, summary: Mapping[str, Any], columns: Columns) -> No
         summary: content of summary.json.
         columns: tracks.csv by column, NaN = empty, with the ground truth (`results.truth`) where there is one; zero
             rows without tracks.
+        events: events of the run; None = unknown, the page is then without them.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    _write_page(path, report_page(summary, columns))
+    _write_page(path, report_page(summary, columns, events))
 
 
 def write_comparison(path: Path, runs: Sequence[ComparedRun]) -> None:
@@ -62,25 +84,48 @@ def _write_page(path: Path, page: str) -> None:
     write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
 
 
-def report_page(summary: Mapping[str, Any], columns: Columns) -> str:
-    """HTML of the report of a run."""
+def report_page(summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] | None = None) -> str:
+    """HTML of the report of a run; `events`: see `write_report`."""
+    columns = {**columns, **road_columns(columns)}
+    shown = None if events is None else shown_events(events)
+    content = run_content(summary, columns, shown or ())
+    accuracy, mot = accuracy_grids(summary), mot_grid(summary.get("tracks") or {})
+    speed, geometry = speed_grids(summary), geometry_sentences(summary)
+    sections = {
+        "overview": "Overview",
+        "tracks": "Distance over time",
+        "accuracy": "Accuracy" if content["errors"] else "Coverage",
+        "errors": "Errors by distance" if content["errors"] else "",
+        "sigma": "Uncertainty" if content["calibration"] else "",
+        "tracking": "Tracking" if len(mot.rows) > 1 else "",
+        "speed": "Speed",
+        "geometry": "Calibration" if geometry else "",
+        "settings": "Settings",
+    }
+    span_s = content["timeline"]["to_s"] - content["timeline"]["from_s"]
     return rendered(
         "report.html.j2",
         title=run_name(summary),
+        subtitle=run_line(summary, columns, span_s),
+        sections={anchor: name for anchor, name in sections.items() if name},
+        headlines=headlines(columns, events),
+        events=None if shown is None else event_records(shown),
+        events_note=hidden_events_note(events or (), shown or ()),
+        has_road=any("x" in track for track in content["tracks"]),
         cards=list(cards(summary)),
         notes=summary.get("notes") or [],
         video=video_link(summary),
         truth=summary.get("truth"),
-        accuracy=accuracy_grids(summary),
-        speed=speed_grids(summary),
+        accuracy=accuracy,
+        speed=speed,
         stages=stage_bars(summary),
-        mot=mot_grid(summary.get("tracks") or {}),
+        mot=mot,
         mot_classes=(summary.get("tracks") or {}).get("classes") or [],
         sigma_sentences=sigma_sentences(summary),
-        geometry=geometry_sentences(summary),
+        geometry=geometry,
         n_tracks=len(np.unique(columns["track_id"])),
         settings=list(settings_groups(summary)),
-        content=embedded(run_content(summary, columns)),
+        content=embedded(content),
     )
 
 
@@ -97,8 +142,8 @@ def comparison_page(runs: Sequence[ComparedRun]) -> str:
     )
 
 
-def run_content(summary: Mapping[str, Any], columns: Columns) -> dict[str, Any]:
-    """Data for the script of the page."""
+def run_content(summary: Mapping[str, Any], columns: Columns, events: Sequence[Event] = ()) -> dict[str, Any]:
+    """Data for the script of the page; columns with `road_columns` where they are known."""
     errors, calibration = error_curves(columns, summary), calibration_curves(columns, summary)
     names = [*dict.fromkeys([*methods_measured(columns), *errors, *calibration])]
     colours = colour_of_each(names)
@@ -109,7 +154,19 @@ def run_content(summary: Mapping[str, Any], columns: Columns) -> dict[str, Any]:
         "signed": any(curve["points"][0] for curve in errors.values()),
         "calibration": calibration,
         "starts_s": video_starts_s(summary),
+        "timeline": timeline(columns, summary),
+        "events": event_records(events),
+        "camera": _camera(columns),
     }
+
+
+def _camera(columns: Columns) -> dict[str, float] | None:
+    """Focal length in px, and slopes x / z of the left and the right edge of the image; None = unknown."""
+    camera = camera_of_rows(columns)
+    if camera is None:
+        return None
+    left, right = (round((edge_px - camera.cx_px) / camera.fx_px, 4) for edge_px in (0, camera.width_px - 1))
+    return {"focal_px": round(camera.fx_px, 1), "left": left, "right": right}
 
 
 def _is_shown_first(name: str, names: Sequence[str]) -> bool:
@@ -148,9 +205,15 @@ def rendered(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    script, style = _packaged("report.js"), _packaged("report.css")
+    script, style = packaged_script(), _packaged("report.css")
     checksum = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return environment.get_template(template).render(script=script, style=style, script_checksum=checksum, **values)
+
+
+def packaged_script() -> str:
+    """The script of all pages: its parts in one scope."""
+    parts = "\n".join(_packaged(f"script/{name}.js") for name in _SCRIPTS)
+    return f'"use strict";\n(() => {{\n{parts}}})();\n'
 
 
 def _packaged(name: str) -> str:

@@ -167,7 +167,13 @@ class RunFolder:
             steps.append(partial(write_clips, overlay, self._session.events, clips, starts_s=self._session.starts_s))
         steps += [
             partial(write_summary, self.folder / "summary.json", summary),
-            partial(write_report, self.folder / "report.html", {**summary, "settings": shown}, columns),
+            partial(
+                write_report,
+                self.folder / "report.html",
+                {**summary, "settings": shown},
+                columns,
+                self._session.events,
+            ),
             partial(self._writers.close, summary),
         ]
         if settings.table is not None:

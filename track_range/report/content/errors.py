@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import erfinv
 
 from track_range.foundation.arrays import FloatArray
-from track_range.report.series import column, thinned
+from track_range.report.content.series import column, thinned
 from track_range.report.tables import WITHIN_1_SIGMA, WITHIN_2_SIGMA, figure
 from track_range.results.columns import Columns, methods_measured
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray, IntArray
+from track_range.overlay.colours import track_colour
 from track_range.results.columns import Columns, methods_measured
 
 LINE_POINTS = 1200
@@ -22,8 +23,22 @@ LINE_POINTS = 1200
 MOST_CELLS = 1_800_000
 """Maximum count of numbers in a page, at three to four bytes each; 2,000 tracks of 30 frames have 0.9 million."""
 
-TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS = 1000.0, 100.0, 10.0
-"""Resolution of times, distances and speeds."""
+TICKS_PER_S, TICKS_PER_M, TICKS_PER_MPS, TICKS_PER_TTC_S = 1000.0, 100.0, 10.0, 100.0
+"""Resolution of times, distances, speeds and times to collision."""
+
+
+_SERIES = (
+    ("truth_m", "truth", TICKS_PER_M),
+    ("closing_mps", "closing", TICKS_PER_MPS),
+    ("road_x_m", "x", TICKS_PER_M),
+    ("width_m", "w", TICKS_PER_M),
+    ("shown_ttc_s", "ttc", TICKS_PER_TTC_S),
+    ("passing_m", "pass", TICKS_PER_M),
+    ("passing_sigma_m", "pass_s", TICKS_PER_M),
+    ("contact_probability", "p", 100.0),
+    ("warning", "warning", 1.0),
+)
+"""Column, key in the page and resolution of the series of a track besides its distances."""
 
 
 def column(columns: Columns, name: str, rows: BoolArray | IntArray | slice = slice(None)) -> FloatArray:
@@ -45,10 +60,11 @@ def packed(values: FloatArray, ticks_per_unit: float) -> str:
 def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
     """Data of each track for the page, longest track first; series without values are omitted.
 
-    Keys: id, name (class), n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, truth, closing;
-    observed ("1101": the third box was predicted; missing = all observed); m and s: distance and sigma by method.
+    Keys: id, name (class), colour, n (frames), from_s, to_s; near_m, ttc_s, error_pct (None = unknown); t, and the
+    keys of `_SERIES`; observed ("1101": the third box was predicted; missing = all observed); m and s: distance and
+    sigma by method.
     """
-    row_sets = _rows_by_track(columns)
+    row_sets = rows_by_track(columns)
     limit = _longest_line([len(rows) for rows in row_sets], n_series=_n_series(columns))
     methods = methods_measured(columns)
     for rows in row_sets:
@@ -57,7 +73,7 @@ def track_records(columns: Columns) -> Iterator[dict[str, Any]]:
         yield {**_properties(track), **_series({name: values[shown] for name, values in track.items()}, methods)}
 
 
-def _rows_by_track(columns: Columns) -> list[IntArray]:
+def rows_by_track(columns: Columns) -> list[IntArray]:
     """Rows of each track in the order of time, longest track first."""
     track_id = columns["track_id"]
     if not len(track_id):
@@ -68,7 +84,11 @@ def _rows_by_track(columns: Columns) -> list[IntArray]:
 
 
 def _n_series(columns: Columns) -> int:
-    return 3 + sum(name in columns for method in methods_measured(columns) for name in (f"{method}_m", _sigma(method)))
+    return (
+        3
+        + sum(name in columns for name, _, _ in _SERIES)
+        + sum(name in columns for method in methods_measured(columns) for name in (f"{method}_m", _sigma(method)))
+    )
 
 
 def _sigma(method: str) -> str:
@@ -96,6 +116,7 @@ def _properties(track: Columns) -> dict[str, Any]:
     return {
         "id": int(track["track_id"][0]),
         "name": str(names[np.argmax(counts)]),
+        "colour": "#{2:02x}{1:02x}{0:02x}".format(*track_colour(int(track["track_id"][0]))),
         "n": len(time_s),
         "from_s": round(float(time_s[0]), 3),
         "to_s": round(float(time_s[-1]), 3),
@@ -112,7 +133,7 @@ def _rounded(values: FloatArray, reduce: Any) -> float | None:
 
 def _series(track: Columns, methods: list[str]) -> dict[str, Any]:
     series: dict[str, Any] = {"t": packed(column(track, "time_s"), TICKS_PER_S), "m": {}, "s": {}}
-    for name, key, ticks in (("truth_m", "truth", TICKS_PER_M), ("closing_mps", "closing", TICKS_PER_MPS)):
+    for name, key, ticks in _SERIES:
         values = column(track, name)
         series |= {key: packed(values, ticks)} if np.isfinite(values).any() else {}
     observed = column(track, "observed") != 0

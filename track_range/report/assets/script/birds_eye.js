@@ -1,0 +1,174 @@
+// Bird's-eye view: positions of the tracks to scale, with their uncertainty, their trails and their courses.
+
+const EGO_HALF_WIDTH_M = 0.9; // as in the collision course of the program
+const TRAIL_S = 3, COURSE_S = 4;
+const TTC_AMBER_S = 4, TTC_RED_S = 2; // as in the overlay
+const RANGES_M = [15, 30, 60, 90, 120, 180];
+const MAX_ON_ROAD = 40, MAX_LABELS = 8;
+
+const roadView = byId("road-view");
+let range_m = RANGES_M[1];
+
+// Position of a track in a row: x to the right and z forward in m, sigma of z; null = unknown.
+function positionAt(track, row) {
+  const { m, s, x } = series(track);
+  if (!x || !Number.isFinite(x[row])) return null;
+  const name = m.fused && Number.isFinite(m.fused[row]) ? "fused" : "fused_kf";
+  const z = m[name] ? m[name][row] : NaN;
+  return Number.isFinite(z) && z > 0 ? { x: x[row], z, sigma: s[name] ? s[name][row] : NaN } : null;
+}
+
+// Course of a track relative to the camera: time to collision, offset there and its sigma, and whether it may hit.
+function courseAt(track, row) {
+  const { ttc, pass, pass_s, w } = series(track);
+  if (!ttc || !Number.isFinite(ttc[row]) || !pass || !Number.isFinite(pass[row])) return null;
+  const sigma = Number.isFinite(pass_s[row]) ? pass_s[row] : 0;
+  const mayHit = Math.abs(pass[row]) <= EGO_HALF_WIDTH_M + w[row] / 2 + sigma;
+  return { ttc: ttc[row], offset: pass[row], sigma, mayHit };
+}
+
+function alarmOf(track, row, course) {
+  const { warning } = series(track);
+  if (warning) return warning[row] > 0 ? "red" : "";
+  if (!course || !course.mayHit) return "";
+  return course.ttc < TTC_RED_S ? "red" : course.ttc < TTC_AMBER_S ? "amber" : "";
+}
+
+// The smallest range that contains nine tenths of the positions: the scale does not change while the video plays.
+function usualRange() {
+  const all = [];
+  for (const track of tracks) {
+    const { t } = series(track);
+    const step = Math.max(1, Math.floor(t.length / 50));
+    for (let row = 0; row < t.length; row += step) {
+      const position = positionAt(track, row);
+      if (position) all.push(position.z);
+    }
+  }
+  const far_m = all.length ? quantile(all, 0.9) : 0;
+  return RANGES_M.find((limit) => limit >= Math.max(20, far_m)) || RANGES_M[RANGES_M.length - 1];
+}
+
+function roadScale() {
+  const width = roadView.clientWidth, height = roadView.clientHeight, bottom = height - 26;
+  const px_per_m = (bottom - 8) / range_m;
+  return { width, height, px_per_m, toX: (x) => width / 2 + x * px_per_m, toY: (z) => bottom - z * px_per_m };
+}
+
+function drawRoad() {
+  const { width, height, px_per_m, toX, toY } = roadScale();
+  const svg = shape("svg", { viewBox: `0 0 ${width} ${height}`, role: "img" });
+  if (content.camera) {
+    const far = 2 * range_m, { left, right } = content.camera;
+    svg.append(shape("path", { class: "view", d: `M${toX(0)} ${toY(0)}L${toX(left * far)} ${toY(far)}H${toX(right * far)}Z` }));
+  }
+  svg.append(shape("rect", { class: "path", x: toX(-EGO_HALF_WIDTH_M), y: 0, width: 2 * EGO_HALF_WIDTH_M * px_per_m, height: toY(0) }));
+  const { at, decimals } = ticks(0, range_m, Math.max(3, height / 90));
+  for (const z of at.slice(1)) {
+    svg.append(shape("line", { class: "grid", x1: 0, x2: width, y1: toY(z), y2: toY(z) }));
+    svg.append(shape("text", { class: "scale", x: 4, y: Math.max(12, toY(z) - 3) }, `${z.toFixed(decimals)} m`));
+  }
+  const half = Math.max(4, EGO_HALF_WIDTH_M * px_per_m);
+  svg.append(shape("path", { class: "ego", d: `M${toX(0)} ${toY(0) - half}L${toX(0) + half} ${toY(0) + 1.6 * half}H${toX(0) - half}Z` }));
+  const moving = shape("g", { class: "moving" });
+  svg.append(moving);
+  roadView.replaceChildren(svg);
+  roadView.moving = moving;
+  showRoad();
+}
+
+// Tracks at the current time, nearest first.
+function onRoad() {
+  return tracks
+    .filter((track) => track.from_s <= now_s + 0.001 && now_s <= track.to_s + 0.2)
+    .map((track) => ({ track, row: rowAt(track, now_s) }))
+    .filter(({ row }) => row >= 0)
+    .map((user) => ({ ...user, position: positionAt(user.track, user.row) }))
+    .filter(({ position }) => position)
+    .sort((a, b) => a.position.z - b.position.z)
+    .slice(0, MAX_ON_ROAD);
+}
+
+function showRoad() {
+  if (!roadView || !roadView.moving) return;
+  const scale = roadScale(), users = onRoad();
+  const active = new Set(activeEvents().map((index) => events[index].track_id));
+  let n_labels = 0;
+  const groups = users.map((user) => {
+    const course = courseAt(user.track, user.row), alarm = alarmOf(user.track, user.row, course);
+    const isLabelled = user.position.z < range_m && (alarm || active.has(user.track.id) || n_labels < MAX_LABELS);
+    if (isLabelled) n_labels++;
+    return drawUser(user, course, alarm, isLabelled, active.has(user.track.id), scale);
+  });
+  roadView.moving.replaceChildren(...groups.reverse()); // the nearest is drawn last
+  const svg = roadView.firstElementChild;
+  svg.dataset.time = now_s.toFixed(3);
+  svg.setAttribute("aria-label", `Bird's-eye view at ${now_s.toFixed(1)} s: ${users.slice(0, 6).map(wordsOnRoad).join("; ") || "no road users"}`);
+}
+
+function wordsOnRoad({ track, position }) {
+  const side = Math.abs(position.x) < 0.5 ? "" : `, ${Math.abs(position.x).toFixed(1)} m to the ${position.x < 0 ? "left" : "right"}`;
+  return `${titleOf(track)} ${position.z.toFixed(1)} m ahead${side}`;
+}
+
+function drawUser({ track, row, position }, course, alarm, isLabelled, isActive, { width, px_per_m, toX, toY }) {
+  const { t, w } = series(track);
+  const group = shape("g", { class: `user ${alarm}${isActive ? " active" : ""}`, "data-track": track.id, style: `--c: ${track.colour}` });
+  const [x, y] = [toX(position.x), toY(position.z)];
+  let trail = "";
+  for (let i = row; i >= 0 && t[row] - t[i] <= TRAIL_S; i--) {
+    const past = positionAt(track, i);
+    if (past) trail += `${trail ? "L" : "M"}${toX(past.x).toFixed(1)} ${toY(past.z).toFixed(1)}`;
+  }
+  group.append(shape("path", { class: "trail", d: trail }));
+  if (course) group.append(...drawCourse(position, course, { toX, toY, px_per_m }));
+  if (Number.isFinite(position.sigma)) {
+    const ray = Math.hypot(1, position.x / position.z);
+    const across_m = (content.camera ? position.z / content.camera.focal_px : 0) + 0.02 * (w ? w[row] : 0); // of the box centre, as in the collision course
+    const angle = (Math.atan2(position.x, position.z) * 180) / Math.PI;
+    group.append(shape("ellipse", {
+      class: "sigma-area", cx: x, cy: y, rx: Math.max(1.5, across_m * px_per_m), ry: Math.max(1.5, Math.min(position.sigma * ray, range_m) * px_per_m),
+      transform: `rotate(${angle.toFixed(1)} ${x.toFixed(1)} ${y.toFixed(1)})`,
+    }));
+  }
+  const half = w && Number.isFinite(w[row]) ? Math.min(2.5, w[row] / 2) * px_per_m : 0;
+  group.append(shape("line", { class: "width", x1: x - half, x2: x + half, y1: y, y2: y }));
+  if (alarm || isActive) group.append(shape("circle", { class: "ring", cx: x, cy: y, r: 8 }));
+  const isPredicted = track.observed && track.observed[row] === "0";
+  group.append(shape("circle", { class: isPredicted ? "dot predicted" : "dot", cx: x, cy: y, r: 4 }));
+  if (isLabelled && x > -10 && x < width + 10) {
+    const isRight = x > 0.62 * width;
+    group.append(shape("text", { x: x + (isRight ? -11 : 11), y: y + 4, "text-anchor": isRight ? "end" : "start" }, `${titleOf(track)} ${position.z.toFixed(position.z < 9.95 ? 1 : 0)} m`));
+  }
+  return group;
+}
+
+// Constant velocity: after t seconds the object is at x + (offset - x) t / ttc, z (1 - t / ttc).
+function drawCourse({ x, z }, { ttc, offset, sigma, mayHit }, { toX, toY, px_per_m }) {
+  const share = Math.min(1, COURSE_S / ttc);
+  const end = [toX(x + (offset - x) * share), toY(z * (1 - share))], start = [toX(x), toY(z)];
+  const half = Math.max(1, sigma * share * px_per_m);
+  const direction = Math.atan2(end[1] - start[1], end[0] - start[0]);
+  const tip = (turn) => `${(end[0] - 8 * Math.cos(direction + turn)).toFixed(1)} ${(end[1] - 8 * Math.sin(direction + turn)).toFixed(1)}`;
+  const [to, from] = [end, start].map((point) => point.map((value) => value.toFixed(1)).join(" "));
+  const kind = mayHit ? "course hit" : "course";
+  return [
+    shape("path", { class: `${kind} spread`, d: `M${from}L${(end[0] - half).toFixed(1)} ${end[1].toFixed(1)}H${(end[0] + half).toFixed(1)}Z` }),
+    shape("path", { class: kind, d: `M${from}L${to}` }),
+    shape("path", { class: `${kind} tip`, d: `M${tip(0.4)}L${to}L${tip(-0.4)}` }),
+  ];
+}
+
+function startRoad() {
+  byId("road").hidden = false;
+  range_m = usualRange();
+  const zoom = (step) => {
+    range_m = RANGES_M[Math.min(RANGES_M.length - 1, Math.max(0, RANGES_M.indexOf(range_m) + step))];
+    byId("zoom-in").disabled = range_m === RANGES_M[0];
+    byId("zoom-out").disabled = range_m === RANGES_M[RANGES_M.length - 1];
+    drawRoad();
+  };
+  byId("zoom-in").addEventListener("click", () => zoom(-1));
+  byId("zoom-out").addEventListener("click", () => zoom(1));
+  new ResizeObserver(() => { if (roadView.clientHeight > 60) drawRoad(); }).observe(roadView);
+}

@@ -1,0 +1,1 @@
+"""Data that the report embeds for the script of its page."""
