@@ -43,10 +43,7 @@ _COMPILE_S, _COMPILE_SHARE = 10.0, 20.0
 _ROWS_PER_GROUP = 10_000
 """Rows per row group of clips.parquet, about 7 MB in memory."""
 
-_MAX_SORTED = 50_000
-"""Largest number of rows that are sorted, which takes as much memory as the table: about 1 kB per row."""
-
-_MAX_NEWER = 5000
+_MAX_NEWER = 3000
 """Rows in memory that are not compiled, of about 5 kB each."""
 
 _N_CONNECTIONS = 16
@@ -248,18 +245,21 @@ def write_clips(out: Location, table: pa.Table, *, is_sorted: bool = False) -> N
     Args:
         out: folder of the results.
         table: the rows.
-        is_sorted: whether they are written in the order of the clips, unless they are very many.
+        is_sorted: whether they are written in the order of the clips.
 
     Raises:
         StorageError: it cannot be written.
     """
     import pyarrow as pa
+    import pyarrow.compute as pc
     from pyarrow import parquet
 
-    if is_sorted and table.num_rows <= _MAX_SORTED:
-        table = table.sort_by("clip")
+    order = pc.sort_indices(table["clip"]) if is_sorted else None
     stream = pa.BufferOutputStream()
-    parquet.write_table(table, stream, compression="zstd", row_group_size=_ROWS_PER_GROUP)
+    with parquet.ParquetWriter(stream, table.schema, compression="zstd") as writer:
+        for start in range(0, max(1, table.num_rows), _ROWS_PER_GROUP):  # a sorted table would be a second one
+            group = slice(start, start + _ROWS_PER_GROUP)
+            writer.write_table(table[group] if order is None else table.take(order[group]))
     publish_bytes(out, out.child(CLIPS_FILE), stream.getvalue().to_pybytes())
 
 
