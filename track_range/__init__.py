@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from track_range.api.evaluation import evaluate_events as evaluate_events
     from track_range.api.evaluation import evaluate_ranges as evaluate_ranges
     from track_range.api.evaluation import evaluate_stereo as evaluate_stereo
     from track_range.api.evaluation import evaluate_tracks as evaluate_tracks
@@ -94,6 +95,7 @@ _MODULE_OF = {
     "load_rig": "api.parts",
     "Overlay": "overlay.annotator",
     # evaluation
+    "evaluate_events": "api.evaluation",
     "evaluate_ranges": "api.evaluation",
     "evaluate_stereo": "api.evaluation",
     "evaluate_tracks": "api.evaluation",

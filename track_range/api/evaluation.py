@@ -7,6 +7,8 @@ from typing import Any
 
 from track_range.calibration.settings import StereoEvaluationSettings
 from track_range.calibration.stereo_evaluation import evaluate_stereo as _evaluate_stereo
+from track_range.events.evaluation.evaluate import evaluate_events as _evaluate_events
+from track_range.events.evaluation.settings import EventEvaluationSettings
 from track_range.ranging.evaluation.labelled_ranges import evaluate_ranges as _evaluate_ranges
 from track_range.ranging.evaluation.settings import RangeEvaluationSettings
 from track_range.sequences.evaluation import evaluate_tracks as _evaluate_tracks
@@ -61,3 +63,18 @@ def evaluate_tracks(truth: str | Path, results: str | Path, **options: Any) -> d
         MotFormatError, LabelFileError: a file cannot be used.
     """
     return _evaluate_tracks(TrackEvaluationSettings.of({"truth": truth, "results": results, **options}))
+
+
+def evaluate_events(events: str | Path, truth: str | Path, **options: Any) -> dict[str, Any]:
+    """Hits, misses, false alarms and lead times of warnings or events; as `track-range evaluate events --json`.
+
+    Args:
+        events: events.csv or events.parquet of a run, or its folder.
+        truth: contacts (contacts.csv of a simulated drive), or labelled events with the columns of events.csv.
+        options: options of the command: `tracks="run/tracks.csv"`, `boxes="truth.csv"`, `hours=2.5`, `min_lead_s=0.8`.
+
+    Raises:
+        UsageError: an option is unknown or invalid.
+        EventFileError, OutputError, LabelFileError: a file cannot be used.
+    """
+    return _evaluate_events(EventEvaluationSettings.of({"events": events, "truth": truth, **options}))

@@ -89,7 +89,9 @@ COMMANDS = {
             "track-range track det.txt --tracker sort --out tracks",
         ),
     ),
-    "evaluate": Lazy("track_range.cli.commands.evaluate", "Evaluate tracks, distances, detectors or stereo matchers."),
+    "evaluate": Lazy(
+        "track_range.cli.commands.evaluate", "Evaluate tracks, distances, events, detectors or stereo matchers."
+    ),
     "fit": Lazy(
         "track_range.cli.commands.fit",
         "Fit the size curves of the mono method to labelled images from your camera.",

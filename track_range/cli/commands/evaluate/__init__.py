@@ -1,4 +1,4 @@
-"""`track-range evaluate`: errors of tracks, distances, detectors and stereo matchers against labels."""
+"""`track-range evaluate`: errors of tracks, distances, events, detectors and stereo matchers against labels."""
 
 from __future__ import annotations
 
@@ -35,6 +35,16 @@ app = lazy_app(
             examples=(
                 "track-range evaluate ranges --labels label_02/ --calib calib/",
                 "track-range evaluate ranges --labels label_02/ --calib calib/ --noise-px 2",
+            ),
+        ),
+        "events": Lazy(
+            "track_range.cli.commands.evaluate.events",
+            "Hits, misses, false alarms and lead times of collision warnings.",
+            "The ground truth is contacts or labelled events. A contact is hit by a warning on its object at least "
+            "0.8 s before it.",
+            (
+                "track-range evaluate events --events drive-1/events.csv \\\n      --truth drive/contacts.csv",
+                "track-range evaluate events --events drive-1 --truth labels.csv",
             ),
         ),
     },

@@ -1,0 +1,1 @@
+"""Evaluation of collision warnings against contacts, and of events against labelled events."""

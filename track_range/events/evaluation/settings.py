@@ -1,0 +1,59 @@
+"""Options of `track-range evaluate events`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from track_range.foundation.options import Options, option
+
+MIN_LEAD_S = 0.8
+"""Shortest time from a warning to the contact for a hit, s: a reaction time of a driver."""
+
+
+class EventEvaluationSettings(Options):
+    """Events and their ground truth."""
+
+    events: Annotated[
+        Path, option("Events of a run: events.csv or events.parquet, or the folder of the run.", metavar="FILE|DIR")
+    ]
+    truth: Annotated[
+        Path,
+        option(
+            "Contacts with the columns object_id,class,contact_s, such as contacts.csv of `track-range simulate`, or "
+            "labelled events with the columns of events.csv."
+        ),
+    ]
+    tracks: Annotated[
+        Path | None,
+        option("Tracks of the run, tracks.csv or tracks.parquet (default: that beside the events)."),
+    ] = None
+    boxes: Annotated[
+        Path | None,
+        option(
+            "Labels of the objects in every frame, with the ids of the contacts: a CSV with the columns of truth.csv, "
+            "KITTI, COCO, CVAT or YOLO (default: truth.csv or truth.txt beside the contacts)."
+        ),
+    ] = None
+    hours: Annotated[
+        float | None,
+        option(
+            "Duration of the video in hours, for the rate of false alarms (default: from summary.json or the tracks "
+            "beside the events).",
+            metavar="H",
+            gt=0,
+            le=1e6,
+            allow_inf_nan=False,
+        ),
+    ] = None
+    min_lead_s: Annotated[
+        float,
+        option(
+            "Shortest time in seconds from a warning to the contact for a hit.",
+            flag="--min-lead",
+            metavar="S",
+            ge=0,
+            le=60,
+            allow_inf_nan=False,
+        ),
+    ] = MIN_LEAD_S
