@@ -29,6 +29,8 @@ def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | 
     for box in movie.top[:64]:
         if box.kind not in (b"free", b"skip") or box.end - box.start < 16:
             continue
+        if not read_at(file, box.start + 4, 4).strip(b"\0 ").isalnum():
+            continue
         content = read_at(file, box.start, min(box.end - box.start, MAX_GPS_BYTES))
         parts = {part.kind: content[part.start : part.end] for part in boxes(content)}
         if b"gps " in parts and (found := parse_stamped(parts[b"gps "], parts.get(b"sttm", b""), str(path))):

@@ -72,10 +72,13 @@ def _is_clock(hour: int, minute: int, second: int) -> bool:
 
 
 def _flags(block: bytes, offset: int) -> tuple[str, str, str] | None:
-    """Status and hemispheres at `offset`, such as "ANE"; a void record has only the V. None = they are others."""
+    """Status and hemispheres at `offset`, such as "ANE"; a void record has only the V. None = they are others.
+
+    A status of 0 with hemispheres counts as valid: it is a byte that some firmwares do not fill in.
+    """
     flags = block[offset : offset + 3].decode("latin-1")
-    if re.fullmatch("A[NS][EW]", flags):
-        return flags[0], flags[1], flags[2]
+    if re.fullmatch("[A\0][NS][EW]", flags):
+        return "A", flags[1], flags[2]
     return ("V", "", "") if re.fullmatch("V[^A-MO-RT-Z]..?|V[NS].?", flags, re.DOTALL) else None
 
 
@@ -99,28 +102,40 @@ def _short(block: bytes) -> FreeGps | None:
     In the variant with text coordinates (E-ACE B44, base64, encrypted), speed and course are at 0x54.
     """
     for extra in (0, 48):
+        dated = _dated(block, 0x10 + extra)
         flags = _flags(block, 0x28 + extra)
-        hour, minute, second, year, month, day = _ints(block, 0x10 + extra, 6)
-        if flags is None or not (_is_clock(hour, minute, second) and 1 <= month <= 12 and 1 <= day <= 31):
+        if flags is None or dated is None:
             continue
-        utc_s = date_s(year, month, day, hour, minute, second)
         texts = block[0x2C + extra : 0x40 + extra], block[0x40 + extra : 0x54 + extra]
         if all(re.fullmatch(rb"[A-Za-z0-9+/.]{6,20}={0,2}\0*", text) for text in texts):
             speed_mps, course_deg = _float(block, 0x54 + extra) * MPS_PER_KNOT, _float(block, 0x58 + extra)
-            return _one(utc_s, flags[0] == "A", speed_mps, course_deg)
-        return _floats(block, utc_s, flags, 0x2C + extra)
+            return _one(dated[0], flags[0] == "A", speed_mps, course_deg)
+        return _floats(block, dated, flags, 0x2C + extra)
     return None
 
 
-def _floats(block: bytes, utc_s: float, flags: tuple[str, str, str], offset: int) -> FreeGps:
+def _dated(block: bytes, offset: int) -> tuple[float, str] | None:
+    """Date and time of the integers hour to second and year to day, and their byte order; None = they are none.
+
+    Numbers are little-endian in all known firmwares; a date is valid in one order only.
+    """
+    for order in "<>":
+        hour, minute, second, year, month, day = struct.unpack_from(f"{order}6I", block, offset)
+        if _is_clock(hour, minute, second) and 1 <= month <= 12 and 1 <= day <= 31 and year < 2200:
+            return date_s(year, month, day, hour, minute, second), order
+    return None
+
+
+def _floats(block: bytes, dated: tuple[float, str], flags: tuple[str, str, str], offset: int) -> FreeGps:
     """Latitude, longitude, speed and course as floating-point numbers from `offset`."""
+    latitude, longitude, knots, course_deg = struct.unpack_from(f"{dated[1]}4f", block, offset)
     return _one(
-        utc_s,
+        dated[0],
         flags[0] == "A",
-        _float(block, offset + 8) * MPS_PER_KNOT,
-        _float(block, offset + 12),
-        degrees(_float(block, offset), flags[1]),
-        degrees(_float(block, offset + 4), flags[2]),
+        knots * MPS_PER_KNOT,
+        course_deg,
+        degrees(latitude, flags[1]),
+        degrees(longitude, flags[2]),
     )
 
 
@@ -130,20 +145,17 @@ def _long(block: bytes) -> FreeGps | None:
     Cameras with the mark "IQS" have integers: 1e-7 degrees and cm/s. Akaso V1 and Redtiger have encrypted coordinates
     from 0x50, and a speed of unknown unit at 0x60.
     """
-    flags = _flags(block, 0x48)
-    hour, minute, second, year, month, day = _ints(block, 0x30, 6)
-    if flags is None or not (_is_clock(hour, minute, second) and 1 <= month <= 12 and 1 <= day <= 31):
+    flags, dated = _flags(block, 0x48), _dated(block, 0x30)
+    if flags is None or dated is None:
         return None
-    utc_s = date_s(year, month, day, hour, minute, second)
     if block[0x10:0x13] == b"IQS":
         position_deg = [abs(_int(block, place) / 1e7) for place in (0x4C, 0x50)]
-        signs = [-1 if hemisphere in "SW" else 1 for hemisphere in (flags[1] or "N", flags[2] or "E")]
+        signs = [-1 if hemisphere in ("S", "W") else 1 for hemisphere in flags[1:]]
         latitude_deg, longitude_deg = (sign * value for sign, value in zip(signs, position_deg, strict=True))
-        return _one(utc_s, flags[0] == "A", _int(block, 0x54) / 100, math.nan, latitude_deg, longitude_deg)
+        return _one(dated[0], flags[0] == "A", _int(block, 0x54) / 100, math.nan, latitude_deg, longitude_deg)
     if flags[0] == "A" and block[0x4B:0x50] == bytes(5) and any(block[0x50:0x60]):
-        sample = Sample(math.nan, utc_s, _float(block, 0x60) * MPS_PER_KMH, math.nan)
-        return FreeGps((sample,), "unknown")
-    return _floats(block, utc_s, flags, 0x4C)
+        return FreeGps((Sample(math.nan, dated[0], _float(block, 0x60) * MPS_PER_KMH),), "unknown")
+    return _floats(block, dated, flags, 0x4C)
 
 
 def _spread(block: bytes) -> FreeGps | None:

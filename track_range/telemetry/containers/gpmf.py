@@ -15,20 +15,21 @@ import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from track_range.foundation.arrays import FloatArray
+from track_range.foundation.arrays import BoolArray, FloatArray
 from track_range.telemetry.containers.mp4_boxes import Movie, read_samples
 from track_range.telemetry.containers.samples import MAX_SAMPLES, Sample, date_s, track
 from track_range.telemetry.track import TelemetryTrack
 
-MAX_PAYLOAD_BYTES = 8_000_000
+MAX_PAYLOAD_BYTES = 1_000_000
 """Size limit of a payload, which covers about one second; GoPro's have 10 to 100 kB."""
 
-MAX_BARE_BYTES = 256_000_000
+MAX_BARE_BYTES = 64_000_000
 """Size limit of a file of payloads alone."""
 
 MIN_FIX = 2
@@ -36,6 +37,12 @@ MIN_FIX = 2
 
 MAX_DOP = 10.0
 """Dilution of precision above which positions count as poor, the scale's usual upper end; GoPro recommends 5."""
+
+NO_FIX_DOP = 99.99
+"""Dilution of precision that GoPro writes without a fix (GPSP 9999)."""
+
+MAX_ENTRIES = 20_000
+"""Largest number of entries read on one level; a payload has about 500."""
 
 _RATE_HZ = 18.0
 """Nominal rate of GPS5, for payloads without a duration."""
@@ -121,13 +128,15 @@ def gps_rows(content: bytes) -> Iterator[GpsRows]:
         for part, part_kind, part_start, part_end, _, _ in _entries(content, start, end):
             if part == "DVID" and part_end - part_start >= 4:
                 device = int.from_bytes(content[part_start : part_start + 4], "big")
-            elif part == "STRM" and part_kind == "\0":
+            elif part == "STRM" and part_kind == "\0" and content.find(b"GPS", part_start, part_end) >= 0:
                 yield from _stream_rows(content, part_start, part_end, device)
 
 
 def _entries(content: bytes, start: int, end: int) -> Iterator[tuple[str, str, int, int, int, int]]:
     """Key, type, start and end of the values, size of a row and number of rows of each entry."""
-    while start + 8 <= end:
+    for _ in range(MAX_ENTRIES):
+        if start + 8 > end:
+            return
         name, kind, row_bytes, n_rows = struct.unpack_from(">4scBH", content, start)
         n_bytes = row_bytes * n_rows
         if not name.strip(b"\0"):
@@ -157,6 +166,8 @@ def _stream_rows(content: bytes, start: int, end: int, device: int) -> Iterator[
 
 def _describe(stream: _Stream, key: str, value: bytes, kind: str) -> None:
     """Store an entry that describes the rows after it."""
+    if key not in ("SCAL", "TYPE", "GPSF", "GPSP", "GPSU"):
+        return
     numbers = _numbers(value, kind)
     if key == "SCAL":
         stream.scale = numbers if len(numbers) and (numbers != 0).all() else np.ones(1)
@@ -181,15 +192,20 @@ def _numbers(value: bytes, kind: str) -> FloatArray:
 
 def _complex_rows(value: bytes, types: str, row_bytes: int) -> FloatArray:
     """(N, M) rows of an entry with one type per column, such as "lllllllSS" or "l[7]S[2]"."""
-    letters = re.sub(r"(.)\[(\d{1,2})\]", lambda match: match[1] * int(match[2]), types.strip("\0 "))
-    if not letters or any(letter not in _TYPES for letter in letters):
+    letters = re.sub(r"(.)\[(\d{1,2})\]", lambda match: match[1] * int(match[2]), types.strip("\0 ")[:64])
+    if not 0 < len(letters) <= 64 or any(letter not in _TYPES for letter in letters):
         return np.empty((0, 0))
-    dtype = np.dtype([(str(i), _TYPES[letter]) for i, letter in enumerate(letters)])
+    dtype = _row_type(letters)
     if dtype.itemsize != row_bytes:
         return np.empty((0, 0))
     rows = np.frombuffer(value, dtype=dtype, count=len(value) // row_bytes)
     columns = [rows[str(i)].astype(float) / _FIXED_POINT.get(letter, 1.0) for i, letter in enumerate(letters)]
     return np.stack(columns, axis=1)
+
+
+@cache
+def _row_type(letters: str) -> np.dtype[Any]:
+    return np.dtype([(str(i), _TYPES[letter]) for i, letter in enumerate(letters)])
 
 
 def _gps5(numbers: FloatArray, stream: _Stream, device: int) -> Iterator[GpsRows]:
@@ -234,7 +250,7 @@ def _track(payloads: list[tuple[float, float, list[GpsRows]]], clock: str) -> Te
         n = len(rows.values)
         utc_s = _all_utc_s(rows, starts_s[index + 1] if index + 1 < len(parts) else math.nan)
         time_s = start_s + np.arange(n) / n * duration_s if clock == "video" else utc_s
-        has_fix = rows.fix >= MIN_FIX
+        has_fix = _has_fix(rows)
         n_poor += int((has_fix & (rows.dop > MAX_DOP)).sum())
         for i in range(n):
             latitude_deg, longitude_deg, _, speed_mps, _ = rows.values[i] if has_fix[i] else (math.nan,) * 5
@@ -258,8 +274,13 @@ def _best_stream(all_rows: list[GpsRows]) -> tuple[str, int] | None:
     counts: dict[tuple[str, int], tuple[int, str, int]] = {}
     for rows in all_rows:
         n_fixes, _, n = counts.get((rows.key, rows.device), (0, "", 0))
-        counts[rows.key, rows.device] = (n_fixes + int((rows.fix >= MIN_FIX).sum()), rows.key, n + len(rows.values))
+        counts[rows.key, rows.device] = (n_fixes + int(_has_fix(rows).sum()), rows.key, n + len(rows.values))
     return max(counts, key=lambda stream: counts[stream]) if counts else None
+
+
+def _has_fix(rows: GpsRows) -> BoolArray:
+    """(N,) whether the receiver had a fix: without one GoPro repeats or extrapolates the last."""
+    return (rows.fix >= MIN_FIX) & ~(rows.dop >= NO_FIX_DOP)
 
 
 def _all_utc_s(rows: GpsRows, next_s: float) -> FloatArray:

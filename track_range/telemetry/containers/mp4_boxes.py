@@ -28,6 +28,12 @@ MAX_BOXES = 200_000
 MAX_TABLE_ROWS = 10_000_000
 """Largest number of samples of a track: 46 hours at 60 frames per second."""
 
+MAX_EQUAL_SAMPLES = 1_000_000
+"""Largest number of samples of one size, which a table of a few bytes can announce."""
+
+MAX_TRACKS = 32
+"""Largest number of tracks read; cameras with several lenses have up to ten."""
+
 _CONTAINERS = {b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"udta"}
 _FULL_BOX = 4
 """Bytes of version and flags at the start of a full box."""
@@ -105,10 +111,10 @@ def read_movie(file: BinaryIO) -> Movie | None:
         return Movie(top, n_bytes=n_bytes)
     content = read_at(file, place.start, place.end - place.start)
     inner: dict[bytes, bytes] = {}
-    tracks = []
+    tracks: list[Track | None] = []
     scale = _timescale(_first(content, b"mvhd"))
     for box in boxes(content):
-        if box.kind == b"trak":
+        if box.kind == b"trak" and len(tracks) < MAX_TRACKS:
             tracks.append(_track(content[box.start : box.end], scale))
         elif box.kind == b"udta":
             for part in boxes(content, box.start, box.end):
@@ -129,9 +135,17 @@ def read_at(file: BinaryIO, offset: int, n_bytes: int) -> bytes:
 def read_samples(
     file: BinaryIO, track: Track, indices: Sequence[int] | IntArray, max_bytes: int
 ) -> Iterator[tuple[int, bytes]]:
-    """Index and first `max_bytes` of samples of a track."""
+    """Index and first `max_bytes` of samples of a track; the end once more bytes were read than the file has.
+
+    That happens only in damaged files, where samples overlap.
+    """
+    budget = os.fstat(file.fileno()).st_size
     for index in indices:
-        yield int(index), read_at(file, int(track.offsets[index]), min(int(track.sizes[index]), max_bytes))
+        content = read_at(file, int(track.offsets[index]), min(int(track.sizes[index]), max_bytes))
+        budget -= len(content)
+        if budget < 0:
+            return
+        yield int(index), content
 
 
 def boxes(content: bytes, start: int = 0, end: int | None = None) -> Iterator[Box]:
@@ -213,7 +227,7 @@ def _sizes(table: bytes) -> IntArray:
     if len(box) >= 12:
         size, n = struct.unpack_from(">II", box, _FULL_BOX)
         if size:
-            return np.full(min(n, MAX_TABLE_ROWS), size, dtype=np.int64)
+            return np.full(min(n, MAX_EQUAL_SAMPLES), size, dtype=np.int64)
         return _integers(box, 12, n, ">u4")
     box = _first(table, b"stz2")
     if len(box) >= 12 and box[7] in (8, 16):

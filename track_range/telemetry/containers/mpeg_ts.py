@@ -24,6 +24,12 @@ _SYNC = 0x47
 _PACKETS_PER_READ = 40_000
 """Packets read at once, 7.5 MB."""
 
+_MAX_LOST = 1000
+"""Largest number of times that synchronisation is found again in a file."""
+
+_SEARCHED_BYTES = 4096
+"""Bytes in which synchronisation is looked for before the next packets are tried."""
+
 _PROBED_BYTES = 48_000_000
 """Bytes at the start of a file in which a record must be found; about ten seconds of 4K video."""
 
@@ -99,35 +105,31 @@ def _difference(pts: int, first: int) -> int:
 
 def _packets(file: BinaryIO, n_bytes: int) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
     """Place and (N, 188) packets of successive parts of the file; lost synchronisation is found again."""
-    place, offset = 0, n_bytes - 188
-    while True:
-        content = read_at(file, place, n_bytes * _PACKETS_PER_READ)
-        rows = np.frombuffer(content, np.uint8)[: len(content) // n_bytes * n_bytes].reshape(-1, n_bytes)[:, offset:]
-        lost = np.flatnonzero(rows[:, 0] != _SYNC)
-        n = int(lost[0]) if len(lost) else len(rows)
-        if n:
-            yield place, rows[:n]
-        place += n * n_bytes
-        if not len(lost):
-            if len(content) < n_bytes * _PACKETS_PER_READ:
+    place, offset, n_lost = 0, n_bytes - 188, 0
+    while content := read_at(file, place, n_bytes * _PACKETS_PER_READ):
+        start = 0
+        while len(content) - start >= n_bytes:
+            part = content[start : start + (len(content) - start) // n_bytes * n_bytes]
+            rows = np.frombuffer(part, np.uint8).reshape(-1, n_bytes)[:, offset:]
+            lost = np.flatnonzero(rows[:, 0] != _SYNC)
+            n = int(lost[0]) if len(lost) else len(rows)
+            yield place + start, rows[:n]
+            start += n * n_bytes
+            if len(lost):
+                n_lost += 1
+                start = _next_sync(content, start + 1, n_bytes, offset)
+            if n_lost > _MAX_LOST:
                 return
-            continue
-        place = _next_sync(content, n * n_bytes, n_bytes, offset) + place - n * n_bytes
+        place += max(start, 1)
 
 
 def _next_sync(content: bytes, start: int, n_bytes: int, offset: int) -> int:
-    """Place after `start` in a content from which three packets follow; its end if there is none."""
-    marks = np.frombuffer(content, np.uint8) == _SYNC
-    n = len(marks) - 2 * n_bytes - offset
-    if n > start + 1:
-        found = np.flatnonzero(
-            marks[start + 1 + offset : n + offset]
-            & marks[start + 1 + offset + n_bytes : n + offset + n_bytes]
-            & marks[start + 1 + offset + 2 * n_bytes : n + offset + 2 * n_bytes]
-        )
-        if len(found):
-            return start + 1 + int(found[0])
-    return max(len(content), start + 1)
+    """Place of the next two packets in a content from `start` on; the end of the part searched if there are none."""
+    end = min(len(content) - n_bytes - offset, start + _SEARCHED_BYTES)
+    for place in range(start, end):
+        if content[place + offset] == _SYNC == content[place + offset + n_bytes]:
+            return place
+    return max(end, start)
 
 
 def _read(packets: npt.NDArray[np.uint8], scan: _Scan) -> None:

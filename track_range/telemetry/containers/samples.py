@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from track_range.foundation.arrays import FloatArray
 from track_range.telemetry.positions import speed_from_positions
 from track_range.telemetry.sidecars.units import MPS_PER_UNIT
 from track_range.telemetry.track import GPS_SPEED_SIGMA_MPS, Clock, TelemetryTrack
@@ -24,8 +25,14 @@ _UNIT_TOLERANCE = 0.06
 """Largest relative difference of speeds to those from positions at which a unit counts as confirmed; the units are 15 %
 apart or more."""
 
+_PACE_TOLERANCE = 0.1
+"""Largest relative difference between the pace of a track and that of the receiver's clock."""
+
 _MIN_MOVING = 5
 """Smallest number of moving samples that confirm a unit."""
+
+_COURSE_AGREEMENT = 0.3
+"""Largest relative difference between the speed from positions and the stated one at which the course is used."""
 
 _MOVING_MPS = 3.0
 """Speed above which a sample is moving: the noise of positions is small against it."""
@@ -83,6 +90,8 @@ def track(
         found = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=source, clock=clock)
         return replace(found, notes=notes) if found else None
     speed_mps[speed_mps < 0] = np.nan
+    if not np.isfinite(course_deg).any():
+        course_deg = _course_from_positions(time_s, speed_mps, latitude_deg, longitude_deg)
     return TelemetryTrack(
         time_s=time_s,
         speed_mps=speed_mps,
@@ -95,6 +104,21 @@ def track(
         speed_sigma_mps=speed_sigma_mps,
         notes=notes,
     )
+
+
+def on_receiver_clock(samples: Sequence[Sample]) -> list[Sample]:
+    """Samples with their times scaled to the pace of the receiver's clock where the two differ by more than 10 %.
+
+    For tracks without a video, of which the times may be nominal.
+    """
+    known = [sample for sample in samples if math.isfinite(sample.utc_s)]
+    if len(known) < 2 or known[-1].time_s <= known[0].time_s:
+        return list(samples)
+    pace = (known[-1].utc_s - known[0].utc_s) / (known[-1].time_s - known[0].time_s)
+    steps_s = np.diff([sample.utc_s for sample in known])
+    if abs(pace - 1) <= _PACE_TOLERANCE or not (steps_s > 0).all():
+        return list(samples)
+    return [sample.at(sample.time_s * pace) for sample in samples]
 
 
 def in_known_unit(samples: Sequence[Sample], unit: Unit) -> tuple[list[Sample], tuple[str, ...]]:
@@ -132,6 +156,24 @@ def _confirmed_factor(samples: Sequence[Sample]) -> float | None:
     ratio = float(np.median(moved.speed_mps[is_moving] / stated_mps[is_moving]))
     factors = [factor / MPS_PER_UNIT["km/h"] for factor in MPS_PER_UNIT.values()]
     return next((factor for factor in factors if abs(ratio / factor - 1) <= _UNIT_TOLERANCE), None)
+
+
+def _course_from_positions(
+    time_s: FloatArray, speed_mps: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
+) -> FloatArray:
+    """(N,) course in degrees from the positions where they agree with the stated speed; NaN elsewhere."""
+    course_deg = np.full(len(time_s), np.nan)
+    moved = speed_from_positions(time_s, latitude_deg, longitude_deg, time_s, source="", clock="video")
+    if moved is None or (np.diff(moved.time_s) <= 0).any():
+        return course_deg
+    is_known = np.isfinite(moved.course_rad)
+    if not is_known.any():
+        return course_deg
+    east, north = (np.interp(time_s, moved.time_s[is_known], f(moved.course_rad[is_known])) for f in (np.sin, np.cos))
+    speed_of_positions = np.interp(time_s, moved.time_s, moved.speed_mps)
+    agrees = (speed_mps > 1) & (np.abs(speed_of_positions - speed_mps) < np.maximum(1, _COURSE_AGREEMENT * speed_mps))
+    course_deg[agrees] = np.degrees(np.arctan2(east, north))[agrees]
+    return course_deg
 
 
 def date_s(year: float, month: float, day: float, hour: float, minute: float, second: float) -> float:

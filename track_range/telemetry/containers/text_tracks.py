@@ -17,7 +17,16 @@ from track_range.telemetry.containers.free_gps import parse_free_gps
 from track_range.telemetry.containers.ligogps import parse_ligo_text
 from track_range.telemetry.containers.mp4_boxes import Movie, Track, read_samples
 from track_range.telemetry.containers.nmea_text import has_rmc, rmc_samples
-from track_range.telemetry.containers.samples import MAX_SAMPLES, Sample, Unit, date_s, degrees, in_known_unit, track
+from track_range.telemetry.containers.samples import (
+    MAX_SAMPLES,
+    Sample,
+    Unit,
+    date_s,
+    degrees,
+    in_known_unit,
+    on_receiver_clock,
+    track,
+)
 from track_range.telemetry.sidecars.units import MPS_PER_UNIT
 from track_range.telemetry.track import TelemetryTrack
 
@@ -63,6 +72,8 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
     found = rmc_samples(texts, str(path)) if reader is _no_own else [reader(text) for text in texts]
     samples = [sample.at(time_s) for sample, time_s in zip(found, times_s, strict=True) if sample]
     name, unit = _FORMS[reader]
+    if movie.video is None:
+        samples = on_receiver_clock(samples)
     checked, notes = in_known_unit(samples, unit)
     return track(checked, name, notes=notes)
 
@@ -87,7 +98,7 @@ def _reader(text: bytes) -> Callable[[bytes], Sample | None] | None:
 
 
 def _no_own(_text: bytes) -> Sample | None:
-    """Stands for RMC sentences, which are read together."""
+    """None: RMC sentences are read together, by `rmc_samples`."""
     return None
 
 
@@ -163,7 +174,7 @@ def _rove(text: bytes) -> Sample | None:
     if not math.isfinite(utc_s) or not all(math.isfinite(value) for value in (latitude, longitude)):
         return None
     if latitude == _NO_COORDINATE or longitude == _NO_COORDINATE or speed == 0xFFFF:
-        return Sample(utc_s=utc_s)
+        return Sample()  # its time is that of the camera, in another time zone
     is_plain = abs(latitude) <= 90 and abs(longitude) <= 180 and len(text) == 40
     return Sample(
         math.nan,
