@@ -35,6 +35,8 @@ class TelemetryTrack:
         clock: meaning of `time_s`.
         speed_sigma_mps: standard deviation of the speed.
         has_own_speed: whether the file states speeds; False if they are derived from positions.
+        states_unit: whether the format or the file states the unit of its speeds; otherwise it is checked against the
+            positions.
         notes: messages for the user from the reader.
     """
 
@@ -48,6 +50,7 @@ class TelemetryTrack:
     utc_s: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_sigma_mps: float = GPS_SPEED_SIGMA_MPS
     has_own_speed: bool = True
+    states_unit: bool = True
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

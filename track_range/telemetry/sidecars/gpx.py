@@ -59,6 +59,7 @@ def read_gpx(path: Path) -> TelemetryTrack:
             longitude_deg=longitude_deg,
             source=path.name,
             clock="utc",
+            states_unit=False,
         )
     track = speed_from_positions(utc_s, latitude_deg, longitude_deg, utc_s, source=path.name, clock="utc")
     if track is None:

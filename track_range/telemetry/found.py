@@ -1,0 +1,161 @@
+"""found_telemetry: telemetry of the files of a recording on the clock of the recording, in a fixed order of preference.
+
+    inside the video file  >  beside it, with its name: GPX, NMEA, SRT, CSV, 70mai's and BlackVue's logs
+
+Telemetry that cannot be used is a note, and the next file is tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from track_range.telemetry.checks import usable
+from track_range.telemetry.containers.embedded import embedded
+from track_range.telemetry.errors import TelemetryError
+from track_range.telemetry.sidecars.reading import read_sidecar, sidecar_names
+from track_range.telemetry.track import TelemetryTrack
+from track_range.telemetry.video_clock import VideoClock, on_video_clock
+from track_range.video.files.video_part import VideoPart
+
+_MAX_NOTES = 3
+"""Largest number of messages about telemetry that is not used."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundTelemetry:
+    """Telemetry of a recording.
+
+    Attributes:
+        track: samples in seconds from the first frame of the recording; None = none can be used.
+        sigma_s: standard deviation of their time offset.
+        notes: messages for the user.
+        files: the files that were read, besides the videos.
+    """
+
+    track: TelemetryTrack | None = None
+    sigma_s: float = 0.0
+    notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
+
+
+Read = Callable[[VideoPart], tuple[TelemetryTrack, Path] | None]
+"""Reader of the telemetry of one video file; None = it has none."""
+
+
+def candidates(parts: Sequence[VideoPart]) -> Iterator[FoundTelemetry]:
+    """Telemetry of a recording from each source that has any, best first; without a track where none can be used."""
+    for read in (_inside, _beside):
+        found = _of_parts(parts, read)
+        if found.track is not None or found.notes:
+            yield found
+
+
+def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
+    """Telemetry of a file that the user names, for the whole recording.
+
+    Raises:
+        TelemetryError: it cannot be used.
+    """
+    first = parts[0]
+    whole_s = max(part.start_s + part.duration_s for part in parts) if first.duration_s else 0.0
+    recording = replace(first, duration_s=whole_s)
+    is_sidecar = path.suffix.lower() in (".gpx", ".srt", ".csv", ".nmea", ".txt", ".gps")
+    track = read_sidecar(path, first.path.name, whole_s) if is_sidecar else embedded(path)
+    if track is None:
+        raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
+    clock = _checked(track, path, recording)
+    return FoundTelemetry(track=clock.track, sigma_s=clock.sigma_s, notes=(*clock.track.notes, *clock.notes), files=(path,))
+
+
+def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
+    if not part.path.is_file():
+        return None
+    track = embedded(part.path)
+    if track is None:
+        return None
+    name = part.path.name
+    return replace(track, source=track.source if name in track.source else f"{track.source} in {name}"), part.path
+
+
+def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
+    """The first usable file beside a video; the error of the first unusable one if there is none."""
+    problem: TelemetryError | None = None
+    for name in sidecar_names(part.path.name):
+        path = part.path.parent / name
+        if not path.is_file() or path == part.path:
+            continue
+        try:
+            track = read_sidecar(path, part.path.name, part.duration_s)
+            if track is not None:
+                _checked(track, path, part)  # another file may be better
+                return track, path
+        except TelemetryError as error:
+            problem = problem or error
+    if problem is not None:
+        raise problem
+    return None
+
+
+def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> VideoClock:
+    """A track without wild samples on the clock of its video.
+
+    Raises:
+        TelemetryError: it cannot be used; with the path.
+    """
+    try:
+        return on_video_clock(usable(track), part)
+    except TelemetryError as error:
+        text = str(error)
+        raise TelemetryError(text if text.startswith(str(path)) else f"{path.parent / text}") from error
+
+
+def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
+    """Telemetry of all video files from one source."""
+    tracks: list[TelemetryTrack] = []
+    notes: list[str] = []
+    files: list[Path] = []
+    sigma_s = 0.0
+    for part in parts:
+        try:
+            found = read(part)
+            if found is None:
+                continue
+            track, path = found
+            clock = _checked(track, path, part)
+        except TelemetryError as error:
+            notes.append(f"Telemetry is not used: {error}")
+            continue
+        tracks.append(replace(clock.track, time_s=clock.track.time_s + part.start_s))
+        notes += [*clock.track.notes, *clock.notes]
+        sigma_s = max(sigma_s, clock.sigma_s)
+        files += [path] if path != part.path else []
+    shown = tuple(dict.fromkeys(notes))[:_MAX_NOTES]
+    if not tracks:
+        return FoundTelemetry(notes=shown)
+    return FoundTelemetry(track=_joined(tracks), sigma_s=sigma_s, notes=shown, files=tuple(files))
+
+
+def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
+    """Tracks of successive files as one; where two overlap, the later one begins after the earlier one."""
+    first = tracks[0]
+    if len(tracks) == 1:
+        return first
+    names = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    last_s = -np.inf
+    for track in tracks:
+        later = track.time_s > last_s
+        for name in names:
+            columns[name].append(getattr(track, name)[later])
+        last_s = max(last_s, float(track.time_s[-1]))
+    others = len(tracks) - 1
+    return replace(
+        first,
+        **{name: np.concatenate(values) for name, values in columns.items()},
+        source=f"{first.source} and {others} other file{'' if others == 1 else 's'}",
+        speed_sigma_mps=max(track.speed_sigma_mps for track in tracks),
+    )
