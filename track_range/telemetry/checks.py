@@ -39,10 +39,10 @@ def usable(track: TelemetryTrack) -> TelemetryTrack:
     """The track in the order of time, without wild samples, which become NaN.
 
     Raises:
-        TelemetryError: no fix, wild positions or speeds, or a clock that jumps. The message begins with the source.
+        TelemetryError: no fix, wild positions or speeds, or a clock that jumps.
     """
     if not len(track) or not np.isfinite(track.speed_mps).any():
-        raise TelemetryError(f"{track.source}: the receiver had no fix.")
+        raise TelemetryError("the receiver had no fix.")
     _check_clock(track)
     track = _in_order(track)
     _check_positions(track)
@@ -54,20 +54,19 @@ def _check_clock(track: TelemetryTrack) -> None:
     """Raise an error if the clock of the receiver jumps."""
     dated = np.isfinite(track.utc_s) & (track.utc_s > 0)
     if track.clock == "video":
-        difference_s = (track.utc_s - track.time_s)[dated]
-        jump_s = float(np.ptp(difference_s)) if len(difference_s) else 0.0
+        jump_s = float(np.abs(np.diff((track.utc_s - track.time_s)[dated])).max(initial=0.0))
         if jump_s > _MAX_CLOCK_STEP_S:
-            raise TelemetryError(f"{track.source}: its clock jumps by {_duration(jump_s)}.")
+            raise TelemetryError(f"its clock jumps by {_duration(jump_s)}.")
         return
     steps_s = np.diff(track.time_s)
     back_s = -float(steps_s.min(initial=0.0))
     if back_s > _MAX_BACKWARD_S:
-        raise TelemetryError(f"{track.source}: its clock jumps back by {_duration(back_s)}.")
+        raise TelemetryError(f"its clock jumps back by {_duration(back_s)}.")
     gaps_s = steps_s[steps_s > _HOUR_S / 2]
     hours = np.rint(gaps_s / _HOUR_S)
     is_jump = (hours >= 1) & (np.abs(gaps_s - hours * _HOUR_S) <= _HOUR_TOLERANCE_S)
     if is_jump.any():
-        raise TelemetryError(f"{track.source}: its clock jumps by {_duration(float(gaps_s[is_jump][0]))}.")
+        raise TelemetryError(f"its clock jumps by {_duration(float(gaps_s[is_jump][0]))}.")
 
 
 def _duration(seconds: float) -> str:
@@ -96,7 +95,7 @@ def _check_positions(track: TelemetryTrack) -> None:
         return
     is_outside = known & ((np.abs(lat) > 90) | (np.abs(lon) > 180))
     if is_outside.sum() > _MAX_SHARE * known.sum():
-        raise TelemetryError(f"{track.source}: its positions are not on the Earth.")
+        raise TelemetryError("its positions are not on the Earth.")
     inside = np.flatnonzero(known & ~is_outside)
     index = inside[thinned(track.time_s[inside])]
     if len(index) < 2:
@@ -104,7 +103,7 @@ def _check_positions(track: TelemetryTrack) -> None:
     north_m, east_m = steps_m(lat[index], lon[index])
     is_fast = np.hypot(north_m, east_m) > MAX_SPEED_MPS * np.diff(track.time_s[index])
     if is_fast.sum() > max(1.0, _MAX_SHARE * len(is_fast)) or (is_fast.all() and len(is_fast)):
-        raise TelemetryError(f"{track.source}: its positions jump.")
+        raise TelemetryError("its positions jump.")
 
 
 def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
@@ -125,12 +124,10 @@ def _with_unit(track: TelemetryTrack) -> TelemetryTrack:
     ratio = float(np.median(positions.speed_mps[moving] / stated[moving]))
     unit = min(MPS_PER_UNIT, key=lambda name: abs(math.log(MPS_PER_UNIT[name] / ratio)))
     if abs(MPS_PER_UNIT[unit] / ratio - 1) > _UNIT_TOLERANCE:
-        raise TelemetryError(
-            f"{track.source}: its speeds contradict its positions by a factor of {1 / ratio:.2g}, which is no unit."
-        )
+        raise TelemetryError(f"its speeds contradict its positions by a factor of {1 / ratio:.2g}, which is no unit.")
     if unit == "m/s":
         return track
-    note = f"{track.source}: its speeds are in {unit} instead of m/s, as the positions show; they were converted."
+    note = f"its speeds are in {unit} instead of m/s, as the positions show; they were converted."
     return replace(track, speed_mps=track.speed_mps * MPS_PER_UNIT[unit], notes=(*track.notes, note))
 
 
@@ -145,7 +142,7 @@ def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
     is_wild = known & ((speed_mps > MAX_SPEED_MPS) | (speed_mps < 0))
     if is_wild.sum() > _MAX_SHARE * known.sum():
         raise TelemetryError(
-            f"{track.source}: expected speeds of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, found "
+            f"expected speeds of at most {MAX_SPEED_MPS * 3.6:.0f} km/h, found "
             f"{float(np.nanmax(np.abs(speed_mps))) * 3.6:.4g} km/h; the unit may be another one."
         )
     speed_mps = np.where(is_wild, np.nan, speed_mps)
@@ -153,5 +150,5 @@ def _without_wild_speeds(track: TelemetryTrack) -> TelemetryTrack:
     index = good[thinned(track.time_s[good])]
     rate = np.abs(np.diff(speed_mps[index])) / np.diff(track.time_s[index])
     if (rate > _MAX_ACCELERATION_MPS2).sum() > max(1.0, _MAX_SHARE * len(rate)):
-        raise TelemetryError(f"{track.source}: its speeds jump.")
+        raise TelemetryError("its speeds jump.")
     return replace(track, speed_mps=speed_mps)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from track_range.telemetry.checks import usable
+from track_range.telemetry.checks import selected, usable
 from track_range.telemetry.containers.embedded import embedded
 from track_range.telemetry.errors import TelemetryError
 from track_range.telemetry.sidecars.reading import read_sidecar, sidecar_names
@@ -68,7 +68,12 @@ def named_telemetry(path: Path, parts: Sequence[VideoPart]) -> FoundTelemetry:
     if track is None:
         raise TelemetryError(f"{path}: expected speeds or positions with times, found none.")
     clock = _checked(track, path, recording)
-    return FoundTelemetry(track=clock.track, sigma_s=clock.sigma_s, notes=(*clock.track.notes, *clock.notes), files=(path,))
+    return FoundTelemetry(
+        track=clock.track,
+        sigma_s=clock.sigma_s,
+        notes=tuple(f"{path.name}: {note}" for note in (*clock.track.notes, *clock.notes)),
+        files=(path,),
+    )
 
 
 def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
@@ -77,8 +82,7 @@ def _inside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
     track = embedded(part.path)
     if track is None:
         return None
-    name = part.path.name
-    return replace(track, source=track.source if name in track.source else f"{track.source} in {name}"), part.path
+    return track, part.path
 
 
 def _beside(part: VideoPart) -> tuple[TelemetryTrack, Path] | None:
@@ -109,8 +113,7 @@ def _checked(track: TelemetryTrack, path: Path, part: VideoPart) -> VideoClock:
     try:
         return on_video_clock(usable(track), part)
     except TelemetryError as error:
-        text = str(error)
-        raise TelemetryError(text if text.startswith(str(path)) else f"{path.parent / text}") from error
+        raise TelemetryError(f"{path}: {'' if track.source == path.name else f'{track.source}: '}{error}") from error
 
 
 def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
@@ -129,8 +132,9 @@ def _of_parts(parts: Sequence[VideoPart], read: Read) -> FoundTelemetry:
         except TelemetryError as error:
             notes.append(f"Telemetry is not used: {error}")
             continue
-        tracks.append(replace(clock.track, time_s=clock.track.time_s + part.start_s))
-        notes += [*clock.track.notes, *clock.notes]
+        source = track.source if path != part.path else f"{track.source} in {path.name}"
+        tracks.append(replace(clock.track, time_s=clock.track.time_s + part.start_s, source=source))
+        notes += [f"{path.name}: {note}" for note in (*clock.track.notes, *clock.notes)]
         sigma_s = max(sigma_s, clock.sigma_s)
         files += [path] if path != part.path else []
     shown = tuple(dict.fromkeys(notes))[:_MAX_NOTES]
@@ -144,18 +148,19 @@ def _joined(tracks: Sequence[TelemetryTrack]) -> TelemetryTrack:
     first = tracks[0]
     if len(tracks) == 1:
         return first
-    names = ("time_s", "speed_mps", "course_rad", "latitude_deg", "longitude_deg", "utc_s")
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    last_s = -np.inf
+    last_s, later = -np.inf, list[TelemetryTrack]()
     for track in tracks:
-        later = track.time_s > last_s
-        for name in names:
-            columns[name].append(getattr(track, name)[later])
+        later.append(selected(track, track.time_s > last_s))
         last_s = max(last_s, float(track.time_s[-1]))
     others = len(tracks) - 1
     return replace(
         first,
-        **{name: np.concatenate(values) for name, values in columns.items()},
+        time_s=np.concatenate([track.time_s for track in later]),
+        speed_mps=np.concatenate([track.speed_mps for track in later]),
+        course_rad=np.concatenate([track.course_rad for track in later]),
+        latitude_deg=np.concatenate([track.latitude_deg for track in later]),
+        longitude_deg=np.concatenate([track.longitude_deg for track in later]),
+        utc_s=np.concatenate([track.utc_s for track in later]),
         source=f"{first.source} and {others} other file{'' if others == 1 else 's'}",
         speed_sigma_mps=max(track.speed_sigma_mps for track in tracks),
     )

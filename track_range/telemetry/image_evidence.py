@@ -97,6 +97,4 @@ def _extremes_mps(ego: EgoSpeed, time_s: float) -> tuple[float, float]:
 
 def _resized(camera: PinholeCamera, width_px: int, height_px: int) -> PinholeCamera:
     """The camera for images of another size, which the rectification or a crop of the pair changes."""
-    return PinholeCamera(
-        camera.fx_px, camera.fy_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px
-    )
+    return PinholeCamera(camera.fx_px, camera.fy_px, (width_px - 1) / 2, (height_px - 1) / 2, width_px, height_px)

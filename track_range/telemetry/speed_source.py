@@ -1,6 +1,6 @@
 """open_speed: the ego speed of a run, from its setting and from the telemetry of its recording.
 
-    --ego-speed auto    ego_speed.csv or oxts beside the video  >  inside the video  >  beside it, with its name
+--ego-speed auto    ego_speed.csv or oxts beside the video  >  inside the video  >  beside it, with its name
 """
 
 from __future__ import annotations
@@ -182,9 +182,7 @@ def _automatic(parts: Sequence[VideoPart], motion: Motion, notes: tuple[str, ...
     return SpeedSource(notes=notes)
 
 
-def _with_images(
-    found: FoundTelemetry, track: TelemetryTrack, motion: MotionSeries
-) -> tuple[SpeedSource, str | None]:
+def _with_images(found: FoundTelemetry, track: TelemetryTrack, motion: MotionSeries) -> tuple[SpeedSource, str | None]:
     """Ego speed with the time offset that the images show, and what they show against it; None = nothing."""
     known = np.isfinite(track.speed_mps)
     offset = estimated_offset(motion, track.time_s, track.speed_mps, track.course_rad)

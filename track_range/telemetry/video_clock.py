@@ -66,7 +66,7 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> VideoClock:
         part: the video file; `start_s` is not used.
 
     Raises:
-        TelemetryError: the times do not fit the video, or cannot be matched; the message begins with the source.
+        TelemetryError: the times do not fit the video, or cannot be matched.
     """
     if track.clock == "video":
         return VideoClock(track, VIDEO_SIGMA_S)
@@ -85,21 +85,18 @@ def on_video_clock(track: TelemetryTrack, part: VideoPart) -> VideoClock:
         ]
     if not fits:
         raise TelemetryError(
-            f"{track.source}: its times, {_span(track)}, are not those of the video, which starts "
+            f"its times, {_span(track)}, are not those of the video, which starts "
             f"{_text(part.utc.start_s)}: another day, or another drive."
         )
     fits = _best(fits, track.time_s)
     if len(fits) > 1:
         raise TelemetryError(
-            f"{track.source}: the start of the video is not known well enough to match the times; give it with "
-            "--start-utc."
+            "the start of the video is not known well enough to match the times; give it with --start-utc."
         )
     zone_s, start_s = fits[0]
     notes: tuple[str, ...] = ()
     if zone_s and not is_local:
-        notes = (
-            f"{track.source}: its times differ from those of the video by a time zone; {zone_s / 3600:+g} h added.",
-        )
+        notes = (f"its times differ from those of the video by a time zone; {zone_s / 3600:+g} h added.",)
     return VideoClock(replace(track, time_s=track.time_s + zone_s - start_s, clock="video"), _CLOCK_SIGMA_S, notes)
 
 
@@ -139,12 +136,10 @@ def _from_start(track: TelemetryTrack, part: VideoPart) -> VideoClock:
     tolerance_s = max(_EQUAL_LENGTH_S, _EQUAL_LENGTH_SHARE * part.duration_s)
     if not part.duration_s or not math.isfinite(length_s) or abs(length_s - part.duration_s) > tolerance_s:
         raise TelemetryError(
-            f"{track.source}: the video states no date and time with which its times could be matched; give that of "
+            "the video states no date and time with which its times could be matched; give that of "
             "the first frame with --start-utc."
         )
-    note = (
-        f"{track.source}: the video states no date and time; both have the same length and are taken to start together."
-    )
+    note = "the video states no date and time; both have the same length and are taken to start together."
     return VideoClock(replace(track, time_s=track.time_s - track.time_s[0], clock="video"), _CLOCK_SIGMA_S, (note,))
 
 

@@ -80,7 +80,7 @@ def read_csv(path: Path) -> TelemetryTrack | None:
                 f"{path}: expected a unit in the heading {_shown(named)}, found none; rename it to speed_mps or "
                 "speed_kmh."
             )
-        notes = (f"{path.name}: the speeds have no unit; compared with the positions they are in {unit}.",)
+        notes = (f"the speeds have no unit; compared with the positions they are in {unit}.",)
     course = _columns(table, _COURSE)
     return TelemetryTrack(
         time_s=time_s[known],

@@ -359,6 +359,9 @@ class _Reading:
                 self.log.stopped_by = error.strerror or str(error)
                 yield None
                 return
+            except IndexError:  # PyAV does not know a stream that begins later, as in transport streams of dashcams
+                packets = self.container.demux(self.stream)
+                continue
             if packet is None:
                 return
             if packet.size and not packet.is_discard:
