@@ -17,7 +17,18 @@ from typing import Any, Self
 from track_range.foundation.schema_version import METADATA_PREFIX, SCHEMA_VERSION
 
 _NOT_HASHED = frozenset(
-    ("out", "table", "write", "mcap_profile", "mcap_images", "overlay", "clips", "disparity", "overlay_disparity")
+    (
+        "out",
+        "table",
+        "write",
+        "mcap_profile",
+        "mcap_images",
+        "overlay",
+        "clips",
+        "keep_gps",
+        "disparity",
+        "overlay_disparity",
+    )
 )
 """Settings of the output files, which do not affect the rows."""
 

@@ -34,7 +34,7 @@ DEFAULT_WRITERS = ("csv", "mot", "parquet")
 
 _RUN_FILES = (
     *("summary.json", "settings.yaml", "progress.json", "overlay.mp4", "disparity.mp4", "report.html"),
-    *("events.csv", "events.parquet"),
+    *("events.csv", "events.parquet", "telemetry.csv"),
 )
 """Files that a run writes besides those of its writers."""
 

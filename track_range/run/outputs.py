@@ -27,6 +27,7 @@ from track_range.run.frame_result import FrameResult
 from track_range.run.prepared_folder import PreparedFolder
 from track_range.run.session import RunSession
 from track_range.run.settings import RunSettings, absolute_settings, input_files, save_settings
+from track_range.telemetry.position_file import TELEMETRY_FILE, write_positions
 
 
 def check_folder(settings: RunSettings, folder: Path) -> None:
@@ -65,7 +66,7 @@ class RunFolder:
         self.folder, self._prepared, self._session = folder, prepared, session
         settings, recording, clock = session.settings, session.source, session.pipeline.clock
         earlier = [name for name in result_names() if name != PROGRESS_FILE]
-        clear_results(folder, earlier, except_for=input_files(settings))
+        clear_results(folder, earlier, except_for=[*input_files(settings), *session.speed.files])
         remove_clips(folder / CLIPS_FOLDER)
         prepared.confirm()
         prepared.report(PROCESSING)
@@ -87,7 +88,9 @@ class RunFolder:
             ]
             self._open = opening.pop_all()
         rows = (*self._events.files, *self._writers.files)
-        self.files = (*self.videos.values(), "report.html", *rows, "summary.json", "settings.yaml")
+        has_positions = settings.keep_gps and session.speed.track is not None
+        positions = (TELEMETRY_FILE,) if has_positions else ()
+        self.files = (*self.videos.values(), "report.html", *rows, *positions, "summary.json", "settings.yaml")
 
     def __enter__(self) -> Self:
         return self
@@ -176,6 +179,9 @@ class RunFolder:
             ),
             partial(self._writers.close, summary),
         ]
+        if settings.keep_gps and (track := self._session.speed.track) is not None:
+            times = {"first_s": self._session.starts_s, "last_s": self._session.last_s}
+            steps.append(partial(write_positions, self.folder / TELEMETRY_FILE, track, **times))
         if settings.table is not None:
             steps.append(partial(write_text, settings.table, markdown(summary)))
         errors = []

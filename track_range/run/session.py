@@ -36,6 +36,9 @@ _LIBRARIES = ("track-range", "numpy", "opencv-python-headless", "onnxruntime", "
 _INPUTS = ("left", "right", "mono", "rig", "focal_px", "detector", "detections", "curves", "truth")
 
 
+_NO_POSITIONS = "--keep-gps: the recording has no telemetry with positions that can be used."
+"""Note of a run with --keep-gps without positions."""
+
 ANONYMIZED = (
     "Anonymized: the heads of detected or tracked people and riders and the number plates of such vehicles are covered "
     "in all images of the results. What is not detected is not covered: check the videos before you share them."
@@ -156,6 +159,7 @@ class RunSession:
             *(self.truth.notes if self.truth is not None else ()),
             *self.source.notes,
             *self.speed.notes,
+            *([_NO_POSITIONS] if self.settings.keep_gps and self.speed.track is None else []),
             *missing_outputs(self.settings, self.source),
             *unused_options(self.settings),
             *([f"Stopped early, after {len(self.frame_index)} frames."] if self.stopped_by else []),

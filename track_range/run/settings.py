@@ -317,6 +317,14 @@ class RunSettings(Options):
     table: Annotated[
         Path | None, option("Markdown file for the tables of the run.", metavar="FILE.md", panel=_OUTPUT)
     ] = None
+    keep_gps: Annotated[
+        bool,
+        option(
+            "Positions of the recording in the results, telemetry.csv; without this option there are none.",
+            flag="--keep-gps",
+            panel=_OUTPUT,
+        ),
+    ] = False
     overlay: Annotated[bool, option("Annotated video, overlay.mp4.", flag="--overlay/--no-overlay", panel=_OUTPUT)] = (
         True
     )
@@ -431,6 +439,8 @@ class RunSettings(Options):
             raise ValueError("give --detector or --detections, not both")
         if self.rig is not None and self.focal_px is not None:
             raise ValueError("give --rig or --focal-px, not both")
+        if self.keep_gps and self.anonymize:
+            raise ValueError("give --keep-gps or --anonymize, not both: positions show where people live")
         check_tracker(self.tracker, self.reid)
         return self
 

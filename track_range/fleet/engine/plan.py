@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -21,6 +22,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.ranging.size_models.curve import load_curves
 from track_range.run.options.detector_options import DetectorOptions, open_detector
 from track_range.run.settings import RunSettings, read_settings, settings_from
+from track_range.telemetry.speed_source import AUTO, OFF
 
 REFUSED: Mapping[str, str] = {
     "stereo": "the recordings are arguments: `track-range fleet run DIR --pattern '{clip}_left.mp4,{clip}_right.mp4'`",
@@ -35,7 +37,7 @@ REFUSED: Mapping[str, str] = {
 OWN = ("out", "threads", "rig")
 """Options of a run that are options of a fleet with another meaning."""
 
-_OUTPUTS = ("write", "overlay", "clips", "disparity", "overlay_disparity")
+_OUTPUTS = ("write", "keep_gps", "overlay", "clips", "disparity", "overlay_disparity")
 """Options of a run for its outputs, which a fleet does not take from the settings.yaml of a run."""
 
 _NOT_HASHED = ("stereo", "mono", "out", "table", "threads")
@@ -197,9 +199,11 @@ def _validated(options: Mapping[str, Any]) -> RunSettings:
 
 def _check_ego_speed(options: Mapping[str, Any]) -> None:
     value = options.get("ego_speed")
-    if value is not None and number(str(value)) != number(str(value)):
+    text = {True: "on", False: "off", None: AUTO}.get(value, str(value))
+    if text not in (AUTO, OFF) and math.isnan(number(text)):
         raise UsageError(
-            "--ego-speed: expected a number of km/h for all clips; give files in the column ego_speed of a manifest."
+            "--ego-speed: expected auto, off, or a number of km/h for all clips; give files in the column ego_speed of "
+            "a manifest."
         )
 
 

@@ -9,11 +9,14 @@ from track_range.fleet.storage.entry import FileStat
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.numeric_text import number
+from track_range.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME, sidecar_names
 
 FILE_SETTINGS = frozenset(("rig", "truth", "detections", "curves"))
 """Settings of a clip that are files."""
 
-_FILE_OR_WORD_SETTINGS: Mapping[str, frozenset[str]] = {"ego_speed": frozenset(), "align": frozenset(("auto", "off"))}
+_AUTO_OR_OFF = frozenset(("auto", "off"))
+
+_FILE_OR_WORD_SETTINGS: Mapping[str, frozenset[str]] = {"ego_speed": _AUTO_OR_OFF, "align": _AUTO_OR_OFF}
 """Settings of a clip that are a file, a number, or one of these words."""
 
 CLIP_SETTINGS = (
@@ -27,6 +30,9 @@ CLIP_SETTINGS = (
 
 RIG_NAMES = ("rig.yaml", "calib.txt")
 """Calibration files that a run uses if they lie beside the left video, in order of precedence."""
+
+TELEMETRY_ROLE = "telemetry_"
+"""Beginning of the roles of telemetry beside the left video, which a run finds by its place."""
 
 _TIMESTAMPS = "timestamps.txt"
 """File with the times of the images in a folder, which may lie beside the folder (KITTI)."""
@@ -65,8 +71,8 @@ class Clip:
     def files(self, stat: Callable[[Location], FileStat | None] = Location.stat) -> dict[str, str]:
         """All files on which the results depend, by role.
 
-        These are the named files, a calibration file beside the left video, and the timestamps.txt beside a folder of
-        images.
+        These are the named files, a calibration file and telemetry beside the left video, and the timestamps.txt
+        beside a folder of images.
 
         Args:
             stat: looks a file up; `FolderListings.stat` does it with fewer requests.
@@ -88,7 +94,25 @@ class Clip:
             stamps = None if parent is None else _first([parent.child(_TIMESTAMPS)], stat)
             if stamps is not None:
                 files[f"{role}_timestamps"] = stamps.address
+        if self.settings.get("ego_speed", "auto") == "auto":
+            files.update(_telemetry(videos["left"], is_folder="left" in folders, stat=stat))
         return files
+
+
+def _telemetry(video: Location, *, is_folder: bool, stat: Callable[[Location], FileStat | None]) -> dict[str, str]:
+    """Addresses of the files and folders of telemetry beside a video, by role: telemetry_0, telemetry_1 ..."""
+    if (parent := video.parent) is None:
+        return {}
+    places = [parent.child(TABLE_NAME), parent.child(OXTS_NAME)]
+    if not is_folder:
+        places += [parent.child(name) for name in sidecar_names(video.name)]
+    named = [place for place in places if place.address != video.address]
+    found = [
+        place.address for place in named if (status := stat(place)) and status.is_folder == (place.name == OXTS_NAME)
+    ]
+    if any(address == places[1].address for address in found) and _first([parent.child(_TIMESTAMPS)], stat) is not None:
+        found.append(parent.child(_TIMESTAMPS).address)
+    return {f"{TELEMETRY_ROLE}{index}": address for index, address in enumerate(found)}
 
 
 def may_be_folder(video: Location) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from track_range.fleet.inputs.clip import Clip
+from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip
 from track_range.fleet.storage.listings import FolderListings
 from track_range.fleet.storage.location import Location
 from track_range.foundation.errors import UserError
@@ -127,7 +127,7 @@ class _Check:
             state = self.listings.state(location)
             if state is None:
                 self.problems.append(f"{location}: no such file; expected {_TITLES.get(role, f'the {role} file')}.")
-            elif state.size == 0:
+            elif state.size == 0 and not role.startswith(TELEMETRY_ROLE):
                 self.problems.append(f"{location}: the {'folder' if state.is_folder else 'file'} is empty.")
             else:
                 n_bytes += max(state.size, 0)

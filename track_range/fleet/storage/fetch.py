@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from track_range.fleet.inputs.clip import Clip, FleetInputError
+from track_range.fleet.inputs.clip import TELEMETRY_ROLE, Clip, FleetInputError
 from track_range.fleet.storage.entry import Entry, FileStat, folder_state, is_hidden
 from track_range.fleet.storage.errors import StorageError, storage_errors
 from track_range.fleet.storage.location import Location
@@ -171,6 +171,8 @@ class _Fetch:
         if video != role:
             return self._place(video).parent / _safe_name(self.locations[role])
         location = self.locations[role]
+        if role.startswith(TELEMETRY_ROLE):
+            return self._place("left").parent / _safe_name(location)
         if role == "rig" and self._is_beside_left():
             left = self._place("left")
             return (left if location.parent == self.locations["left"] else left.parent) / _safe_name(location)
