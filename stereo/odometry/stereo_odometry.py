@@ -1,0 +1,403 @@
+r"""StereoOdometry: motion of a rectified pair from corners with disparities, one frame after another.
+
+    left t-1 --LK--> left t        m: ray of a corner, d: its disparity, rho = d / (fx B): its inverse depth
+       |                           R, t: motion `now_from_before`
+       LK
+       v                           p' = pi(R m + t rho)
+    right t-1
+
+1. Corners outside the boxes of road users get disparities: block matching on a quarter of the size, then Lucas-Kanade.
+2. Lucas-Kanade finds them in the next left image, from where the previous motion predicts them.
+3. The motion that most corners agree with, among those of random triples, is the start (RANSAC). For a small rotation w
+   a triple is a linear system, exact in t: p' (m + w x m + t rho)_z = (m + w x m + t rho)_xy.
+4. Gauss-Newton minimises the reprojection errors, weighted by Tukey's function and the inverse of their variance
+   noise^2 + disparity_noise^2 |d p' / d d|^2, so that uncertain depths have little weight.
+
+The static scene is assumed to have the most corners outside the boxes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from track_range.foundation.arrays import BoolArray, FloatArray, FloatArray32, Image, check_shape
+from track_range.foundation.sparse_flow import (
+    are_masked,
+    grid_corners,
+    halved,
+    masked_cells,
+    n_halvings_to,
+    small_grey,
+    tracked_corners,
+)
+from track_range.stereo.alignment.model import Alignment
+from track_range.stereo.geometry.frames import Frame, whole_image
+from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.ego_motion import EgoMotion
+
+_TUKEY = 4.685
+"""Residual, in standard deviations, above which the weight is 0 (95 % efficiency with normal noise)."""
+
+_N_ROUNDS = 5
+"""Rounds of Gauss-Newton; the last one changes the translation by less than 1 mm."""
+
+_N_TRIPLES = 40
+"""Random triples of corners: with half of them static, one of 40 is all static with a probability of 99.5 %."""
+
+_CHI2_MEDIAN = 1.386
+"""Median of the chi-squared distribution with 2 degrees of freedom."""
+
+_MAX_DISTANCE2 = 9.0
+"""Largest squared Mahalanobis distance of a static corner; 1.1 % of the static ones have a larger one."""
+
+_MIN_RATIO = 0.05
+"""Smallest ratio of the depths now and before; a nearer point leaves the image."""
+
+_BLOCK_PX = 9
+"""Side of the blocks of the coarse matcher, pixels of the quarter-size image."""
+
+_MIN_SIDE_PX = 64
+"""Smallest side of a small image that has room for windows in its halved copy."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoOdometrySettings:
+    """Settings of feature tracking, noise, and limits of reliable motions; pixels are those of the small image.
+
+    Attributes:
+        long_side_px: the images are halved until neither side is longer.
+        n_features: largest number of corners.
+        min_quality: minimum quality of a corner, as a fraction of the best corner's.
+        window_px: side of the tracked window.
+        n_levels: pyramid levels above the small image for tracking over time.
+        n_levels_predicted: the same with a predicted motion.
+        noise_px: standard deviation of a corner tracked over time.
+        disparity_noise_px: standard deviation of a disparity.
+        max_row_px: largest difference of rows between left and right.
+        min_disparity_px: smallest disparity.
+        nearest_m: nearest point of the scene; sets the largest disparity.
+        min_features: minimum number of static corners.
+        min_static_share: minimum fraction of static corners among those tracked with a disparity.
+        max_sigma_mps: largest standard deviation of a reliable speed.
+        max_relative_sigma: the same as a fraction of the speed; one of the two suffices.
+        scale_sigma: relative error of all speeds, from calibration and subpixel bias.
+        max_acceleration_mps2: largest change of the speed per second between two frames.
+        max_still_mps: largest speed of a camera at rest.
+        max_gap_s: longest time between two frames.
+    """
+
+    long_side_px: int = 640
+    n_features: int = 300
+    min_quality: float = 0.001
+    window_px: int = 9
+    n_levels: int = 4
+    n_levels_predicted: int = 2
+    noise_px: float = 0.15
+    disparity_noise_px: float = 0.15
+    max_row_px: float = 0.75
+    min_disparity_px: float = 0.5
+    nearest_m: float = 3.2
+    min_features: int = 20
+    min_static_share: float = 0.35
+    max_sigma_mps: float = 0.5
+    max_relative_sigma: float = 0.05
+    scale_sigma: float = 0.005
+    max_acceleration_mps2: float = 15.0
+    max_still_mps: float = 0.15
+    max_gap_s: float = 0.6
+
+
+class _View(NamedTuple):
+    """Time, small left image, (N, 2) corners and (N,) disparities of one frame, in small pixels."""
+
+    time_s: float
+    left: Image
+    corners: FloatArray32
+    disparity_px: FloatArray
+
+
+class RigidMotion(NamedTuple):
+    """Motion `now_from_before`: (3, 3) rotation R and (3,) translation t in metres."""
+
+    rotation: FloatArray
+    translation_m: FloatArray
+
+    def moved(self, rays: FloatArray, inverse_depth: FloatArray) -> FloatArray:
+        """(N, 3) R m + t rho of rays (N, 3) with inverse depths (N,) in 1/m: the points scaled by rho."""
+        return np.asarray(rays @ self.rotation.T + inverse_depth[:, None] * self.translation_m)
+
+
+AT_REST = RigidMotion(np.eye(3), np.zeros(3))
+
+
+class MotionFit(NamedTuple):
+    """A motion fitted to N points.
+
+    Attributes:
+        motion: the motion.
+        covariance: (6, 6) of rotation and translation.
+        by_offset: (6,) change of rotation and translation per common error of all inverse depths, in 1/m.
+        is_static: (N,) which points agree with it.
+    """
+
+    motion: RigidMotion
+    covariance: FloatArray
+    by_offset: FloatArray
+    is_static: BoolArray
+
+
+class StereoOdometry:
+    """Measures the motion of a rectified pair; the state belongs to the instance.
+
+    Args:
+        rig: the rectified pair.
+        alignment: correction of its disparities; None = not measured.
+        settings: None = the defaults.
+
+    Raises:
+        ValueError: the rig is not rectified.
+    """
+
+    source = "stereo odometry"
+
+    def __init__(
+        self, rig: StereoRig, alignment: Alignment | None = None, settings: StereoOdometrySettings | None = None
+    ) -> None:
+        if not rig.is_rectified:
+            raise ValueError("rig: expected a rectified pair")
+        self._rig = rig
+        self._alignment = alignment or Alignment()
+        self._settings = settings or StereoOdometrySettings()
+        self._image_hw = rig.left.height_px, rig.left.width_px
+        self._n_halved = n_halvings_to(self._settings.long_side_px, self._image_hw)
+        self._focal_px = rig.left.fx_px / (1 << self._n_halved)
+        self._alignment_sigma_px = self._alignment.residual_px / (1 << self._n_halved)
+        self._coarse = _CoarseMatcher(self._focal_px * rig.baseline_m / self._settings.nearest_m / 2)
+        self._before: _View | None = None
+        self._last_mps: tuple[float, float] | None = None  # time and speed
+        self._motion = AT_REST
+        self._rng = np.random.default_rng(0)
+
+    def update(self, frame: Frame, xyxy_px: FloatArray) -> EgoMotion:
+        """Motion since the previous frame; unknown for the first one, after a gap, and where it is not reliable.
+
+        Args:
+            frame: the rectified images.
+            xyxy_px: (N, 4) boxes of road users in the left image.
+
+        Raises:
+            ValueError: an argument has another shape.
+        """
+        check_shape("xyxy_px", xyxy_px, (None, 4))
+        if frame.right is None:
+            raise ValueError("frame: expected a pair, got one image")
+        check_shape("left", frame.left[:, :, 0] if frame.left.ndim == 3 else frame.left, self._image_hw)
+        before, self._before = self._before, None
+        if min(self._image_hw) >> self._n_halved < _MIN_SIDE_PX:
+            return EgoMotion()
+        left, right = (small_grey(image, self._n_halved) for image in (frame.left, whole_image(frame.right)))
+        is_masked = masked_cells(xyxy_px, left.shape, self._n_halved)
+        self._before = self._view(frame.time_s, left, right, is_masked)
+        if before is None or not 0 < frame.time_s - before.time_s <= self._settings.max_gap_s:
+            return EgoMotion()
+        return self._ego_motion(before, self._before, is_masked)
+
+    def _view(self, time_s: float, left: Image, right: Image, is_masked: BoolArray) -> _View:
+        """Corners of the left image that are also found in the right one."""
+        settings = self._settings
+        corners = grid_corners(left, is_masked, settings.n_features, min_quality=settings.min_quality)
+        coarse_px = self._coarse.disparities(left, right, corners)
+        is_known = np.isfinite(coarse_px)
+        corners = corners[is_known]
+        start = corners - np.stack([coarse_px[is_known], np.zeros(len(corners))], axis=1).astype(np.float32)
+        matches, is_matched = tracked_corners(
+            left, right, corners, window_px=settings.window_px, n_levels=1, start=start
+        )
+        disparity_px, row_px = (corners - matches).astype(np.float64).T
+        is_matched &= (np.abs(row_px) <= settings.max_row_px) & (disparity_px >= settings.min_disparity_px)
+        corners, disparity_px = corners[is_matched], self._aligned(corners[is_matched], disparity_px[is_matched])
+        return _View(time_s, left, corners, disparity_px)
+
+    def _aligned(self, corners: FloatArray32, disparity_px: FloatArray) -> FloatArray:
+        """(N,) disparities corrected by the alignment, which counts in full pixels."""
+        factor = 1 << self._n_halved
+        x_px, sigma_px = factor * corners[:, 0].astype(np.float64) + (factor - 1) / 2, np.zeros(len(corners))
+        full_px, _ = self._alignment.corrected(disparity_px * factor, sigma_px, x_px=x_px, camera=self._rig.left)
+        return full_px / factor
+
+    def _ego_motion(self, before: _View, now: _View, is_masked: BoolArray) -> EgoMotion:
+        settings, dt_s = self._settings, now.time_s - before.time_s
+        rays = self._rays(before.corners)
+        inverse_depth = before.disparity_px / (self._focal_px * self._rig.baseline_m)
+        predicted = self._pixels(self._motion.moved(rays, inverse_depth)).astype(np.float32)
+        points, is_tracked = tracked_corners(
+            before.left,
+            now.left,
+            before.corners,
+            window_px=settings.window_px,
+            n_levels=settings.n_levels if self._motion is AT_REST else settings.n_levels_predicted,
+            start=np.where(np.isfinite(predicted), predicted, before.corners),
+        )
+        is_tracked[is_tracked] = ~are_masked(points[is_tracked], is_masked)
+        self._motion = AT_REST
+        if is_tracked.sum() < settings.min_features:
+            return EgoMotion()
+        fit = fit_motion(
+            rays[is_tracked],
+            inverse_depth[is_tracked],
+            self._rays(points[is_tracked]),
+            noise=settings.noise_px / self._focal_px,
+            inverse_depth_noise=settings.disparity_noise_px / (self._focal_px * self._rig.baseline_m),
+            rng=self._rng,
+        )
+        if fit.is_static.sum() < settings.min_features or fit.is_static.mean() < settings.min_static_share:
+            return EgoMotion()
+        return self._checked(fit, now.time_s, dt_s)
+
+    def _checked(self, fit: MotionFit, time_s: float, dt_s: float) -> EgoMotion:
+        """Speed and yaw rate of a motion; unknown if it is uncertain or implausible."""
+        settings = self._settings
+        forward_m = -float(fit.motion.rotation[:, 2] @ fit.motion.translation_m)  # z of the displacement -R^T t
+        speed_mps = forward_m / dt_s
+        offset = self._alignment_sigma_px / (self._focal_px * self._rig.baseline_m)
+        sigma_mps = math.hypot(
+            math.sqrt(fit.covariance[5, 5]) / dt_s, fit.by_offset[5] * offset / dt_s, settings.scale_sigma * speed_mps
+        )
+        if not sigma_mps <= max(settings.max_sigma_mps, settings.max_relative_sigma * abs(speed_mps)):
+            return EgoMotion()
+        last, self._last_mps = self._last_mps, (time_s, speed_mps)
+        if last is not None and time_s - last[0] <= settings.max_gap_s:
+            limit_mps = settings.max_acceleration_mps2 * (time_s - last[0]) + 3 * sigma_mps
+            if abs(speed_mps - last[1]) > limit_mps:
+                return EgoMotion()
+        self._motion = fit.motion
+        yaw_rad = -float(cv2.Rodrigues(fit.motion.rotation)[0][1, 0])
+        return EgoMotion(speed_mps, sigma_mps, yaw_rad / dt_s, abs(speed_mps) <= settings.max_still_mps)
+
+    def _rays(self, points: FloatArray32) -> FloatArray:
+        """(N, 3) rays of points (N, 2) of the small image."""
+        factor = 1 << self._n_halved
+        return self._rig.left.rays(factor * points.astype(np.float64) + (factor - 1) / 2)
+
+    def _pixels(self, xyz: FloatArray) -> FloatArray:
+        """(N, 2) points of the small image, NaN behind the camera."""
+        factor = 1 << self._n_halved
+        return (self._rig.left.project(xyz) - (factor - 1) / 2) / factor
+
+
+class _CoarseMatcher:
+    """Disparities by block matching on the halved small images (OpenCV's StereoBM), for the start of Lucas-Kanade."""
+
+    def __init__(self, max_disparity_px: float) -> None:
+        """The matcher for disparities up to `max_disparity_px` of the halved images."""
+        self._n_disparities = 16 * max(1, math.ceil(max_disparity_px / 16))
+        self._matcher = cv2.StereoBM.create(self._n_disparities, _BLOCK_PX)
+        self._matcher.setTextureThreshold(5)
+        self._matcher.setUniquenessRatio(5)
+
+    def disparities(self, left: Image, right: Image, corners: FloatArray32) -> FloatArray:
+        """(N,) disparities of corners (N, 2) of the small left image, small pixels; NaN = unknown."""
+        pad = self._n_disparities
+        images = [cv2.copyMakeBorder(halved(image), 0, 0, pad, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+        steps = self._matcher.compute(*images)[:, pad:]
+        column = np.clip((corners[:, 0] - 0.5) / 2 + 0.5, 0, steps.shape[1] - 1).astype(int)
+        row = np.clip((corners[:, 1] - 0.5) / 2 + 0.5, 0, steps.shape[0] - 1).astype(int)
+        disparity_px = steps[row, column] / 8.0  # sixteenths of pixels of half the size
+        return np.where(disparity_px >= 0, disparity_px, np.nan)
+
+
+def fit_motion(
+    rays: FloatArray,
+    inverse_depth: FloatArray,
+    now: FloatArray,
+    *,
+    noise: float,
+    inverse_depth_noise: float,
+    rng: np.random.Generator,
+) -> MotionFit:
+    """Motion of the camera from N points with inverse depths.
+
+    Args:
+        rays: (N, 3) rays m with z = 1 in the previous frame.
+        inverse_depth: (N,) rho in 1/m.
+        now: (N, 3) rays p' with z = 1 in this frame.
+        noise: standard deviation of p', rad.
+        inverse_depth_noise: standard deviation of rho, 1/m.
+        rng: for the triples.
+    """
+    motion = _of_triples(rays, inverse_depth, now, noise=noise, inverse_depth_noise=inverse_depth_noise, rng=rng)
+    for _ in range(_N_ROUNDS):
+        residual, jacobian, by_depth = _reprojection(motion, rays, inverse_depth, now)
+        variance = noise**2 + inverse_depth_noise**2 * (by_depth**2).sum(axis=0)
+        distance2 = (residual**2).sum(axis=0) / variance
+        spread2 = max(1.0, float(np.median(distance2)) / _CHI2_MEDIAN)
+        weight = np.maximum(1 - distance2 / (_TUKEY**2 * spread2), 0.0) ** 2 / variance
+        weighted = jacobian * weight
+        information = np.asarray((weighted @ jacobian.transpose(0, 2, 1)).sum(axis=0), np.float64)
+        information += 1e-9 * np.trace(information) * np.eye(6)
+        step = -np.linalg.solve(information, np.einsum("ajn,an->j", weighted, residual))
+        motion = RigidMotion(_rotation(step[:3]) @ motion.rotation, motion.translation_m + step[3:])
+    by_offset = np.asarray(-np.linalg.solve(information, np.einsum("ajn,an->j", weighted, by_depth)), np.float64)
+    covariance = np.asarray(np.linalg.inv(information) * spread2, np.float64)
+    return MotionFit(motion, covariance, by_offset, np.asarray(distance2 <= _MAX_DISTANCE2 * spread2))
+
+
+def _rotation(vector: FloatArray) -> FloatArray:
+    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+
+
+def _reprojection(
+    motion: RigidMotion, rays: FloatArray, inverse_depth: FloatArray, now: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(2, N) reprojection errors of x and y, and their derivatives: (2, 6, N) by w and t, (2, N) by inverse depth.
+
+    With q = R m + t rho and u = R m:  d q = w x u + rho dt + t drho,  d (q_x / q_z) = (d q_x - x d q_z) / q_z.
+    """
+    u_x, u_y, u_z = motion.rotation @ rays.T
+    t_x, t_y, t_z = motion.translation_m.tolist()
+    z = np.maximum(u_z + t_z * inverse_depth, _MIN_RATIO)
+    x, y = (u_x + t_x * inverse_depth) / z, (u_y + t_y * inverse_depth) / z
+    zero = np.zeros(len(z))
+    by_x = [-x * u_y, u_z + x * u_x, -u_y, inverse_depth, zero, -x * inverse_depth]
+    by_y = [-u_z - y * u_y, y * u_x, u_x, zero, inverse_depth, -y * inverse_depth]
+    jacobian = np.array([by_x, by_y]) / z
+    by_depth = np.array([t_x - x * t_z, t_y - y * t_z]) / z
+    return np.array([x, y]) - now[:, :2].T, jacobian, by_depth
+
+
+def _of_triples(
+    rays: FloatArray,
+    inverse_depth: FloatArray,
+    now: FloatArray,
+    *,
+    noise: float,
+    inverse_depth_noise: float,
+    rng: np.random.Generator,
+) -> RigidMotion:
+    """The motion of a random triple of points, or rest, that has the smallest robust cost over all points."""
+    x, y, rho = now[:, 0], now[:, 1], inverse_depth
+    m_x, m_y = rays[:, 0], rays[:, 1]
+    zero = np.zeros(len(x))
+    columns = np.array(
+        [
+            [-x * m_y, 1 + x * m_x, -m_y, rho, zero, -x * rho],
+            [-1 - y * m_y, y * m_x, m_x, zero, rho, -y * rho],
+        ]
+    )
+    moved = np.array([x - m_x, y - m_y])
+    triples = rng.integers(0, len(x), (_N_TRIPLES, 3))
+    systems = columns[:, :, triples].transpose(2, 0, 3, 1).reshape(_N_TRIPLES, 6, 6)
+    right = moved[:, triples].transpose(1, 0, 2).reshape(_N_TRIPLES, 6, 1)
+    transposed = systems.transpose(0, 2, 1)
+    solutions = np.linalg.solve(transposed @ systems + 1e-12 * np.eye(6), transposed @ right)[:, :, 0]
+    solutions = np.concatenate([np.zeros((1, 6)), solutions])
+    error2 = ((solutions @ columns - moved[:, None]) ** 2).sum(axis=0)
+    depth_change = 1.0 + solutions[:, 5:] * rho  # the equations are multiplied by z' / z
+    variance = (depth_change * noise) ** 2 + (solutions[:, 3:] ** 2).sum(axis=1)[:, None] * inverse_depth_noise**2
+    best = solutions[int(np.argmin(np.minimum(error2 / variance, _MAX_DISTANCE2).sum(axis=1)))]
+    return RigidMotion(_rotation(best[:3]), best[3:])
