@@ -11,7 +11,7 @@ from track_range.events.event import Event
 from track_range.foundation.arrays import BoolArray
 from track_range.report import tables
 from track_range.report.content.events import kind_counts, object_words, time_words
-from track_range.report.content.road import may_hit
+from track_range.report.content.road import is_on_course
 from track_range.report.content.series import column
 from track_range.results.columns import Columns
 
@@ -79,7 +79,7 @@ def _nearest_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
 
 def _collision_headline(columns: Columns, is_user: BoolArray) -> dict[str, Any]:
     ttc_s = column(columns, "ttc_s")
-    rows = np.flatnonzero(is_user & np.isfinite(ttc_s) & may_hit(columns) & _is_closing(columns))
+    rows = np.flatnonzero(is_user & np.isfinite(ttc_s) & is_on_course(columns) & _is_closing(columns))
     if not len(rows):
         return _headline("No collision course", "no road user approached the path of the camera's vehicle")
     row = int(rows[np.argmin(ttc_s[rows])])

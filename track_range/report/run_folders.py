@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from track_range.events.clips import CLIPS_FOLDER, write_clips
+from track_range.events.event import Event
 from track_range.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
 from track_range.foundation.files.folder_lock import is_locked
 from track_range.foundation.files.input_files import counted, real_path
@@ -94,7 +95,12 @@ def _write(path: Path, run: RunFolder) -> None:
     files = run.summary["files"]
     if real_path(path.parent) != real_path(run.folder):  # links are relative to the page
         files = {key: _relative(run.folder / str(name), path.parent) for key, name in files.items()}
-    write_report(path, {**run.summary, "files": files}, run.columns)
+    write_report(path, {**run.summary, "files": files}, run.columns, known_events(run))
+
+
+def known_events(run: RunFolder) -> tuple[Event, ...] | None:
+    """Events of a run; None for a run of a version without events."""
+    return run.events if run.events or run.are_events_replayed or run.summary.get("events") else None
 
 
 def _relative(path: Path, start: Path) -> str:

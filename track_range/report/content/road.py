@@ -32,6 +32,9 @@ COURSE_S = 8.0
 WINDOW_S = 0.8
 """Duration in s of the positions from which a course is computed: at least eight frames at 10 Hz."""
 
+_LIKELY = 0.5
+"""Smallest probability of contact of an object that is more likely to hit than to pass."""
+
 _MIN_POSITIONS = 4
 """Minimum number of positions of a course."""
 
@@ -54,8 +57,10 @@ _MAX_RESIDUAL = 0.02
 def road_columns(columns: Columns) -> dict[str, FloatArray]:
     """Additional columns of rows with positions: (N,) each, NaN = unknown; none if the camera cannot be recovered.
 
-    Keys: `road_x_m`, position to the right of the camera; `width_m`, width of the box; and where the time to collision
-    `shown_ttc_s` is at most `COURSE_S`: `passing_m` and `passing_sigma_m`, lateral offset of the object at that time.
+    They are in m and s, and have no names NAME_m, which are distances of methods.
+
+    Keys: `road_x`, position to the right of the camera; `box_width`, width of the box; and where the time to collision
+    `shown_ttc` is at most `COURSE_S`: `passing` and `passing_sigma`, lateral offset of the object at that time.
     """
     camera = camera_of_rows(columns)
     if camera is None:
@@ -68,17 +73,17 @@ def road_columns(columns: Columns) -> dict[str, FloatArray]:
     width_m = (boxes[:, 2] - boxes[:, 0]) * m_per_px
     is_whole = (boxes[:, 0] > _BORDER_PX) & (boxes[:, 2] < camera.width_px - 1 - _BORDER_PX)
     road = {
-        "road_x_m": x_m,
-        "width_m": width_m,
-        "shown_ttc_s": np.where(ttc_s <= COURSE_S, ttc_s, np.nan),
-        "passing_m": np.full(len(x_m), np.nan),
-        "passing_sigma_m": np.full(len(x_m), np.nan),
+        "road_x": x_m,
+        "box_width": width_m,
+        "shown_ttc": np.where(ttc_s <= COURSE_S, ttc_s, np.nan),
+        "passing": np.full(len(x_m), np.nan),
+        "passing_sigma": np.full(len(x_m), np.nan),
     }
     sigma_m = _CENTRE_SIGMA_PX * m_per_px + _CENTRE_SIGMA_SHARE * width_m
     is_measured = is_whole & np.isfinite(x_m) & (column(columns, "observed") != 0)
     for rows in rows_by_track(columns):
-        road["passing_m"][rows], road["passing_sigma_m"][rows] = _courses(
-            columns["time_s"][rows], x_m[rows], sigma_m[rows], is_measured[rows], road["shown_ttc_s"][rows]
+        road["passing"][rows], road["passing_sigma"][rows] = _courses(
+            columns["time_s"][rows], x_m[rows], sigma_m[rows], is_measured[rows], road["shown_ttc"][rows]
         )
     return road
 
@@ -106,11 +111,19 @@ def camera_of_rows(columns: Columns) -> PinholeCamera | None:
     return PinholeCamera(1 / per_px, 1 / per_px, cx_px, 0.0, width_px=width_px, height_px=1)
 
 
-def may_hit(columns: Columns) -> BoolArray:
-    """(N,) False for rows of tracks that will pass the ego vehicle; True also where the course is unknown."""
-    reach_m = EGO_HALF_WIDTH_M + column(columns, "width_m") / 2 + column(columns, "passing_sigma_m")
-    passes: BoolArray = np.abs(column(columns, "passing_m")) > reach_m
-    return ~passes
+def is_on_course(columns: Columns) -> BoolArray:
+    """(N,) whether the object is more likely to hit the ego vehicle than to pass it.
+
+    By the probability of contact where the rows have one, else by the lateral offset; without a camera all are.
+    """
+    probability = column(columns, "contact_probability")
+    if np.isfinite(probability).any():
+        return probability >= _LIKELY
+    if "passing" not in columns:
+        return np.ones(len(columns["time_s"]), np.bool_)
+    reach_m = EGO_HALF_WIDTH_M + column(columns, "box_width") / 2
+    hits: BoolArray = np.abs(column(columns, "passing")) <= reach_m
+    return hits
 
 
 def _courses(

@@ -93,13 +93,11 @@ function showRoad() {
   if (!roadView || !roadView.moving) return;
   const scale = roadScale(), users = onRoad();
   const active = new Set(activeEvents().map((index) => events[index].track_id));
-  let n_labels = 0;
   const groups = users.map((user) => {
     const course = courseAt(user.track, user.row), alarm = alarmOf(user.track, user.row, course);
-    const isLabelled = user.position.z < range_m && (alarm || active.has(user.track.id) || n_labels < MAX_LABELS);
-    if (isLabelled) n_labels++;
-    return drawUser(user, course, alarm, isLabelled, active.has(user.track.id), scale);
+    return drawUser(user, course, alarm, active.has(user.track.id), scale);
   });
+  drawLabels(users, groups, scale);
   roadView.moving.replaceChildren(...groups.reverse()); // the nearest is drawn last
   const svg = roadView.firstElementChild;
   svg.dataset.time = now_s.toFixed(3);
@@ -111,9 +109,10 @@ function wordsOnRoad({ track, position }) {
   return `${titleOf(track)} ${position.z.toFixed(1)} m ahead${side}`;
 }
 
-function drawUser({ track, row, position }, course, alarm, isLabelled, isActive, { width, px_per_m, toX, toY }) {
+function drawUser({ track, row, position }, course, alarm, isActive, { px_per_m, toX, toY }) {
   const { t, w } = series(track);
   const group = shape("g", { class: `user ${alarm}${isActive ? " active" : ""}`, "data-track": track.id, style: `--c: ${track.colour}` });
+  group.isUrgent = Number(Boolean(alarm) || isActive);
   const [x, y] = [toX(position.x), toY(position.z)];
   let trail = "";
   for (let i = row; i >= 0 && t[row] - t[i] <= TRAIL_S; i--) {
@@ -136,11 +135,24 @@ function drawUser({ track, row, position }, course, alarm, isLabelled, isActive,
   if (alarm || isActive) group.append(shape("circle", { class: "ring", cx: x, cy: y, r: 8 }));
   const isPredicted = track.observed && track.observed[row] === "0";
   group.append(shape("circle", { class: isPredicted ? "dot predicted" : "dot", cx: x, cy: y, r: 4 }));
-  if (isLabelled && x > -10 && x < width + 10) {
-    const isRight = x > 0.62 * width;
-    group.append(shape("text", { x: x + (isRight ? -11 : 11), y: y + 4, "text-anchor": isRight ? "end" : "start" }, `${titleOf(track)} ${position.z.toFixed(position.z < 9.95 ? 1 : 0)} m`));
-  }
   return group;
+}
+
+// Names and distances of the nearest tracks and of those with an alarm or event, where they do not cover each other.
+function drawLabels(users, groups, { width, toX, toY }) {
+  const order = users.map((_, i) => i).sort((a, b) => groups[b].isUrgent - groups[a].isUrgent || a - b);
+  const placed = [];
+  for (const i of order) {
+    const { track, position } = users[i], [x, y] = [toX(position.x), toY(position.z)];
+    if (placed.length >= MAX_LABELS || y < 10 || x < -10 || x > width + 10) continue;
+    const text = `${titleOf(track)}  ${position.z.toFixed(position.z < 9.95 ? 1 : 0)} m`, length = 6.6 * text.length;
+    const boxes = [x + 11, x - 11 - length].map((left) => ({ left, right: left + length, y }));
+    const isFree = (box) => box.left > 0 && box.right < width && placed.every((other) => box.right < other.left || box.left > other.right || Math.abs(box.y - other.y) > 13);
+    const box = boxes.find(isFree);
+    if (!box) continue;
+    placed.push(box);
+    groups[i].append(shape("text", { x: box === boxes[0] ? x + 11 : x - 11, y: y + 4, "text-anchor": box === boxes[0] ? "start" : "end" }, text));
+  }
 }
 
 // Constant velocity: after t seconds the object is at x + (offset - x) t / ttc, z (1 - t / ttc).
