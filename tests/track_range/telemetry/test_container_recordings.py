@@ -19,9 +19,9 @@ KNOT = 1852 / 3600
 
 
 def read(shared_data: Path, name: str) -> TelemetryTrack:
-    found = embedded(shared_data / "telemetry" / name)
-    assert found is not None
-    return found
+    content = embedded(shared_data / "telemetry" / name)
+    assert content is not None
+    return content
 
 
 def points(path: Path) -> list[dict[str, str]]:
@@ -47,8 +47,8 @@ def test_gopro_points(shared_data: Path, name: str, n: int) -> None:
 def test_gopro_dates(shared_data: Path, name: str) -> None:
     rows = points(shared_data / "telemetry" / "gopro" / f"{name}.csv")
     track = read(shared_data, f"gopro/{name}.bin")
-    wanted_key = "GPS9" if name == "hero11" else "GPS5"
-    expected = [datetime.fromisoformat(row["time"]).timestamp() for row in rows if row["name"] == wanted_key]
+    key = "GPS9" if name == "hero11" else "GPS5"
+    expected = [datetime.fromisoformat(row["time"]).timestamp() for row in rows if row["name"] == key]
     assert track.clock == "utc"
     # the rows of a payload are spread over its true duration here, and at 18 Hz there
     assert np.abs(track.time_s - expected).max() < 0.06
@@ -130,10 +130,10 @@ def test_tables_agree_with_pyav(shared_data: Path) -> None:
         for packet in container.demux():
             if packet.size:
                 packets[packet.stream.index].append((float(packet.pts * packet.time_base), packet.size, packet.pos))
-    compared = [(track, found) for track, found in zip(movie.tracks, packets.values(), strict=True) if found]
+    compared = [(track, content) for track, content in zip(movie.tracks, packets.values(), strict=True) if content]
     assert len(compared) >= 3
-    for track, found in compared:
-        time_s, sizes, offsets = np.array(found).T
+    for track, content in compared:
+        time_s, sizes, offsets = np.array(content).T
         assert track.sizes.tolist() == sizes.tolist()
         assert track.offsets.tolist() == offsets.tolist()
         assert track.time_s == pytest.approx(time_s, abs=1e-3)

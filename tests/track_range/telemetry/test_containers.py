@@ -104,9 +104,9 @@ def test_camm_positions_only(read: Callable[[bytes], TelemetryTrack | None], wit
 
 @pytest.mark.parametrize("record", [short_record(), long_record(), short_record(order=">"), long_record(order=">")])
 def test_free_gps_layouts(record: bytes) -> None:
-    found = parse_free_gps(free_gps(record))
-    assert found is not None
-    (sample,) = found.samples
+    content = parse_free_gps(free_gps(record))
+    assert content is not None
+    (sample,) = content.samples
     assert sample.speed_mps == pytest.approx(48.59 * KNOT, abs=1e-4)
     assert (sample.course_deg, sample.latitude_deg, sample.longitude_deg) == (7, 50, 30)
     assert sample.utc_s == 1634139477
@@ -115,15 +115,15 @@ def test_free_gps_layouts(record: bytes) -> None:
 @pytest.mark.parametrize("flags", [b"V00", b"V\0\0", b"VNE"])
 def test_free_gps_void(flags: bytes) -> None:
     for record in (short_record(flags=flags), long_record(flags=flags)):
-        found = parse_free_gps(free_gps(record))
-        assert found is not None
-        assert math.isnan(found.samples[0].speed_mps)
+        content = parse_free_gps(free_gps(record))
+        assert content is not None
+        assert math.isnan(content.samples[0].speed_mps)
 
 
 def test_free_gps_missing_status() -> None:
-    found = parse_free_gps(free_gps(short_record(flags=b"\0NE")))
-    assert found is not None
-    assert found.samples[0].speed_mps == pytest.approx(48.59 * KNOT, abs=1e-4)
+    content = parse_free_gps(free_gps(short_record(flags=b"\0NE")))
+    assert content is not None
+    assert content.samples[0].speed_mps == pytest.approx(48.59 * KNOT, abs=1e-4)
 
 
 def test_free_gps_further_layouts() -> None:
@@ -152,11 +152,11 @@ def test_free_gps_further_layouts() -> None:
         (nextbase, 25.0),
         (azdome, 25.0),
     ):
-        found = parse_free_gps(free_gps(record))
-        assert found is not None
-        assert found.samples[0].speed_mps == pytest.approx(speed_mps, abs=1e-4)
-        assert found.samples[0].latitude_deg == pytest.approx(50)
-        assert found.samples[0].longitude_deg == pytest.approx(30)
+        content = parse_free_gps(free_gps(record))
+        assert content is not None
+        assert content.samples[0].speed_mps == pytest.approx(speed_mps, abs=1e-4)
+        assert content.samples[0].latitude_deg == pytest.approx(50)
+        assert content.samples[0].longitude_deg == pytest.approx(30)
 
 
 def test_free_gps_unknown_unit(read: Callable[[bytes], TelemetryTrack | None]) -> None:

@@ -33,8 +33,8 @@ def read_blackvue(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | 
             continue
         content = read_at(file, box.start, min(box.end - box.start, MAX_GPS_BYTES))
         parts = {part.kind: content[part.start : part.end] for part in boxes(content)}
-        if b"gps " in parts and (found := parse_stamped(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
-            return found
+        if b"gps " in parts and (telemetry := parse_stamped(parts[b"gps "], parts.get(b"sttm", b""), str(path))):
+            return telemetry
     return None
 
 
@@ -46,10 +46,10 @@ def parse_stamped(content: bytes, start: bytes, source: str) -> TelemetryTrack |
         start: content of the box `sttm`; b"" = there is none.
         source: name of the file, for messages.
     """
-    found = [match.groups() for match in _SENTENCE.finditer(content)][:MAX_SAMPLES]
-    if not found:
+    stamped = [match.groups() for match in _SENTENCE.finditer(content)][:MAX_SAMPLES]
+    if not stamped:
         return None
-    stamps_ms = [int(stamp) for stamp, _ in found]
+    stamps_ms = [int(stamp) for stamp, _ in stamped]
     first_ms = stamps_ms[0]
     stated_ms = [int.from_bytes(start[:8], "big"), int.from_bytes(start[:8], "little")]
     stated_ms = [stamp for stamp in stated_ms if abs(stamp - first_ms) <= _MAX_START_DIFFERENCE_MS]
@@ -57,7 +57,7 @@ def parse_stamped(content: bytes, start: bytes, source: str) -> TelemetryTrack |
         first_ms = stated_ms[0]
     samples = [
         replace(sample, time_s=(stamp_ms - first_ms) / 1000)
-        for stamp_ms, sample in zip(stamps_ms, rmc_samples([text for _, text in found], source), strict=True)
+        for stamp_ms, sample in zip(stamps_ms, rmc_samples([text for _, text in stamped], source), strict=True)
         if sample
     ]
     return track(samples, "BlackVue")

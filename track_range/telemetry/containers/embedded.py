@@ -56,10 +56,10 @@ def _first_with_fix(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack 
     without_fix = None
     for read in READERS:
         try:
-            found = read(file, movie, path)
+            telemetry = read(file, movie, path)
         except (ValueError, IndexError, OverflowError, struct.error):  # damaged in a way that no check foresees
             continue
-        if found and np.isfinite(found.speed_mps).any():
-            return found
-        without_fix = without_fix or found
+        if telemetry and np.isfinite(telemetry.speed_mps).any():
+            return telemetry
+        without_fix = without_fix or telemetry
     return without_fix

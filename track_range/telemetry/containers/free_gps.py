@@ -1,4 +1,4 @@
-"""Records of dashcams with Novatek and related chips, `freeGPS `: many layouts, told apart by fixed characters.
+"""Records of dashcams with Novatek and related chips, `freeGPS `: many layouts, which differ in fixed characters.
 
 Layouts and units as ExifTool's documentation of QuickTime streams lists them (exiftool.org), and as
 sergei.nz/extracting-gps-data-from-viofo-a119-and-other-novatek-powered-cameras describes the first. Offsets count from
@@ -41,9 +41,9 @@ class FreeGps:
 def parse_free_gps(block: bytes) -> FreeGps | None:
     """Content of a box; None = the layout is unknown. Records with RMC sentences are read elsewhere."""
     for layout in _LAYOUTS:
-        found = layout(block.ljust(_PADDED_BYTES, b"\0"))
-        if found is not None:
-            return found
+        content = layout(block.ljust(_PADDED_BYTES, b"\0"))
+        if content is not None:
+            return content
     return None
 
 

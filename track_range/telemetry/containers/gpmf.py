@@ -102,9 +102,9 @@ def read_gpmf(file: BinaryIO, movie: Movie, _path: Path) -> TelemetryTrack | Non
     for index, content in read_samples(file, source, range(len(source)), MAX_PAYLOAD_BYTES):
         if index == _PROBED_PAYLOADS and not n_rows:
             return None
-        found = list(gps_rows(content))
-        n_rows += sum(len(rows.values) for rows in found)
-        payloads.append((source.time_s[index] - movie.start_s, source.durations_s[index], found))
+        streams = list(gps_rows(content))
+        n_rows += sum(len(rows.values) for rows in streams)
+        payloads.append((source.time_s[index] - movie.start_s, source.durations_s[index], streams))
         if n_rows > MAX_SAMPLES:
             break
     return _track(payloads, "video")
@@ -239,10 +239,10 @@ def _utc_s(text: str) -> float:
 
 def _track(payloads: list[tuple[float, float, list[GpsRows]]], clock: str) -> TelemetryTrack | None:
     """Telemetry of the payloads' start, duration and rows."""
-    chosen = _best_stream([rows for _, _, found in payloads for rows in found])
+    chosen = _best_stream([rows for _, _, streams in payloads for rows in streams])
     if chosen is None:
         return None
-    parts = [(s, d, rows) for s, d, found in payloads for rows in found if (rows.key, rows.device) == chosen]
+    parts = [(s, d, rows) for s, d, streams in payloads for rows in streams if (rows.key, rows.device) == chosen]
     starts_s = [float(rows.utc_s[0]) for _, _, rows in parts]
     samples: list[Sample] = []
     n_poor = 0

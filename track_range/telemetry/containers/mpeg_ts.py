@@ -84,14 +84,14 @@ def read_mpeg_ts(file: BinaryIO, path: Path) -> TelemetryTrack | None:
         if (place > _PROBED_BYTES and not has_record) or len(scan.records) > MAX_BLOCKS:
             break
     scan.records += [(pts, bytes(content)) for pts, content in scan.open.values()]
-    found = sorted(((pts, _block(content)) for pts, content in scan.records if _is_record(content)), key=_stamp)
-    if not found:
+    blocks = sorted(((pts, _block(content)) for pts, content in scan.records if _is_record(content)), key=_stamp)
+    if not blocks:
         return None
     first = scan.first_pts or 0
-    times_s = np.array([_difference(pts, first) / _PTS_HZ for pts, _ in found])
+    times_s = np.array([_difference(pts, first) / _PTS_HZ for pts, _ in blocks])
     if scan.first_pts is None or not (np.diff(times_s) >= 0).all():
-        times_s = np.arange(len(found), dtype=float)
-    return track_of_blocks([block for _, block in found], times_s, path)
+        times_s = np.arange(len(blocks), dtype=float)
+    return track_of_blocks([block for _, block in blocks], times_s, path)
 
 
 def _stamp(record: tuple[int, bytes]) -> int:

@@ -38,16 +38,16 @@ _CIPHER_MARK = b"4W`b]S<"
 def read_novatek(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack | None:
     """Telemetry of the boxes `freeGPS ` of a movie; None = there are none that can be read."""
     for places in (_indexed(movie), _top_level(movie), _between_samples(file, movie)):
-        found = []
+        blocks = []
         for place in places:
             block = read_at(file, place, MAX_BLOCK_BYTES)
             if block[4:12] == _MARK:
-                found.append((place, _own_part(block)))
-            if len(found) >= MAX_BLOCKS:
+                blocks.append((place, _own_part(block)))
+            if len(blocks) >= MAX_BLOCKS:
                 break
-        if found:
-            times_s = _block_times_s(np.array([place for place, _ in found]), movie)
-            return track_of_blocks([block for _, block in found], times_s, path)
+        if blocks:
+            times_s = _block_times_s(np.array([place for place, _ in blocks]), movie)
+            return track_of_blocks([block for _, block in blocks], times_s, path)
     return _seventymai_table(file, movie)
 
 
@@ -131,8 +131,8 @@ def track_of_blocks(blocks: Sequence[bytes], times_s: FloatArray, path: Path) ->
     """
     plain = [_deciphered(block) for block in blocks]
     if any(map(has_rmc, plain)):
-        found = [sample or Sample() for sample in rmc_samples(plain, str(path))]
-        return track(_timed(((sample,) for sample in found), times_s), "freeGPS records")
+        sentences = [sample or Sample() for sample in rmc_samples(plain, str(path))]
+        return track(_timed(((sample,) for sample in sentences), times_s), "freeGPS records")
     records = [parse_free_gps(block) for block in blocks]
     known = [record for record in records if record]
     if not known:

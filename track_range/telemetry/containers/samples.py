@@ -87,8 +87,8 @@ def track(
     is_wild = (np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)
     latitude_deg[is_wild] = longitude_deg[is_wild] = np.nan
     if not has_own_speed:
-        found = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=source, clock=clock)
-        return replace(found, notes=notes) if found else None
+        derived = speed_from_positions(time_s, latitude_deg, longitude_deg, utc_s, source=source, clock=clock)
+        return replace(derived, notes=notes) if derived else None
     speed_mps[speed_mps < 0] = np.nan
     if not np.isfinite(course_deg).any():
         course_deg = _course_from_positions(time_s, speed_mps, latitude_deg, longitude_deg)

@@ -75,9 +75,9 @@ def _message(content: bytes, video: Track) -> Sample | None:
 def _size_bytes(description: bytes) -> int:
     """Bytes of the size before each NAL unit, from the box `avcC` or `hvcC`; usually 4."""
     for name, place in ((b"avcC", 4), (b"hvcC", 21)):
-        found = description.find(name)
-        if found >= 0 and found + 4 + place < len(description):
-            return (description[found + 4 + place] & 3) + 1
+        start = description.find(name)
+        if start >= 0 and start + 4 + place < len(description):
+            return (description[start + 4 + place] & 3) + 1
     return 4
 
 

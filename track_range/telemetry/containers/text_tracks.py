@@ -48,9 +48,9 @@ def read_text_tracks(file: BinaryIO, movie: Movie, path: Path) -> TelemetryTrack
     """Telemetry of the first track of a movie with readable records; None = there is none."""
     for part in movie.tracks:
         if part.handler in _HANDLERS or part.format in _FORMATS:
-            found = _read_track(file, movie, part, path)
-            if found:
-                return found
+            telemetry = _read_track(file, movie, part, path)
+            if telemetry:
+                return telemetry
     return None
 
 
@@ -69,8 +69,8 @@ def _read_track(file: BinaryIO, movie: Movie, part: Track, path: Path) -> Teleme
             texts.append(text)
     if reader is None:
         return None
-    found = rmc_samples(texts, str(path)) if reader is _no_own else [reader(text) for text in texts]
-    samples = [sample.at(time_s) for sample, time_s in zip(found, times_s, strict=True) if sample]
+    read = rmc_samples(texts, str(path)) if reader is _no_own else [reader(text) for text in texts]
+    samples = [sample.at(time_s) for sample, time_s in zip(read, times_s, strict=True) if sample]
     name, unit = _FORMS[reader]
     if movie.video is None:
         samples = on_receiver_clock(samples)
@@ -133,8 +133,8 @@ def _kingslim(text: bytes) -> Sample | None:
     """Kingslim D4: the short layout of `freeGPS` records without header."""
     if not re.match(rb".{24}[AV][NS0][EW0]", text, re.DOTALL) or len(text) < 44:
         return None
-    found = parse_free_gps(bytes(16) + text)
-    return found.samples[0] if found else None
+    record = parse_free_gps(bytes(16) + text)
+    return record.samples[0] if record else None
 
 
 def _vantrue(text: bytes) -> Sample | None:
