@@ -55,7 +55,12 @@ def clip_name(number: int, event: Event) -> str:
         number: number of the event's row in events.csv, from 1.
         event: the event.
     """
-    return f"{number:02}-{event.kind}-{event.track_id}.mp4"
+    return video_name(number, event.kind, event.track_id)
+
+
+def video_name(number: int, kind: str, track_id: int) -> str:
+    """File name of the clip of an event of this number, kind and track; see `clip_name`."""
+    return f"{number:02}-{kind}-{track_id}.mp4"
 
 
 def write_clips(

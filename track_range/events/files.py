@@ -230,7 +230,30 @@ def read_events(path: str | Path, *, needed: Sequence[str] = NEEDED_COLUMNS) -> 
             finite or not plausible, or an event that ends before its start.
     """
     path = Path(path)
-    cells, place_of = _parquet_cells(path) if path.suffix.lower() == ".parquet" else _csv_cells(path)
+    if path.suffix.lower() == ".parquet":
+        check_regular(path, EventFileError, "the events.parquet of a run", max_bytes=MAX_TABLE_BYTES)
+        return events_in_parquet(path, path, needed=needed)
+    return _events(path, *_csv_cells(path), needed)
+
+
+def events_in_parquet(source: Any, name: object, *, needed: Sequence[str] = NEEDED_COLUMNS) -> tuple[Event, ...]:
+    """Events of an events.parquet; see `read_events`.
+
+    Args:
+        source: path, or open file of pyarrow.
+        name: name of the file, for messages.
+        needed: columns that the file must have.
+
+    Raises:
+        EventFileError: as in `read_events`.
+    """
+    return _events(name, *_parquet_cells(source, name), needed)
+
+
+def _events(
+    path: object, cells: Mapping[str, list[Any]], place_of: Callable[[int], str], needed: Sequence[str]
+) -> tuple[Event, ...]:
+    """Events in the cells of a file by column; `place_of` returns the file and row of a row's number, for messages."""
     if missing := [name for name in needed if name not in cells]:
         raise EventFileError(f"{path}: expected events with the columns {','.join(needed)}, found no {missing[0]}.")
     rows = range(len(cells["kind"]))
@@ -250,13 +273,12 @@ def _csv_cells(path: Path) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
     return cells, lambda row: f"{path}, line {table.lines[row]}"
 
 
-def _parquet_cells(path: Path) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
+def _parquet_cells(source: Any, path: object) -> tuple[dict[str, list[Any]], Callable[[int], str]]:
     """Values of an events.parquet by column, and the place of each row."""
     from pyarrow import ArrowException, parquet
 
-    check_regular(path, EventFileError, "the events.parquet of a run", max_bytes=MAX_TABLE_BYTES)
     try:
-        with parquet.ParquetFile(path) as file:
+        with parquet.ParquetFile(source) as file:
             check_schema_version(path, file.schema_arrow.metadata, EventFileError)
             if file.metadata.num_rows > _MAX_ROWS:
                 raise ValueError(f"{file.metadata.num_rows} events, more than {_MAX_ROWS}")

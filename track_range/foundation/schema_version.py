@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 SCHEMA_VERSION = 1
 """Version of the result files; increased when a column, key or unit changes its meaning or is removed."""
@@ -21,7 +20,7 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int | None:
     return int(text[:_MAX_DIGITS]) if text.isdigit() else None
 
 
-def check_schema_version(path: Path, metadata: Mapping[bytes, bytes] | None, error: type[Exception]) -> None:
+def check_schema_version(path: object, metadata: Mapping[bytes, bytes] | None, error: type[Exception]) -> None:
     """Check that a Parquet file or Arrow stream is not of a newer version; one without a version is accepted.
 
     Args:

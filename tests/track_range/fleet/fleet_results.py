@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,10 @@ import numpy as np
 import pyarrow as pa
 
 from track_range.detection.classes import ROAD_CLASSES
+from track_range.events.event import Event
+from track_range.events.files import write_events_parquet
 from track_range.fleet.engine.clip_run import write_tracks
-from track_range.fleet.output.data_set import ClipTable, publish_files, publish_record, publish_tracks
+from track_range.fleet.output.data_set import ClipTable, publish_events, publish_files, publish_record, publish_tracks
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.output.state import FleetState
 from track_range.fleet.storage.location import Location
@@ -91,11 +95,17 @@ def done_record(name: str, **more: Any) -> ClipRecord:
     return ClipRecord(clip=name, status="done", **values)
 
 
-def write_clip(out: Location, record: ClipRecord, table: pa.Table, scratch: Path) -> None:
-    """Publish a complete clip, as a worker does."""
+def write_clip(
+    out: Location, record: ClipRecord, table: pa.Table, scratch: Path, events: Sequence[Event] | None = None
+) -> None:
+    """Publish a complete clip, as a worker does; None = as an earlier version, without events."""
     file = scratch / "tracks.parquet"
     write_tracks(file, table, {"track_range.clip": record.clip})
     publish_tracks(out, record.clip, file)
+    if events is not None:
+        write_events_parquet(scratch / "events.parquet", events, {})
+        publish_events(out, record.clip, scratch / "events.parquet")
+        record = replace(record, events=len(events))
     publish_record(out, record.row())
 
 

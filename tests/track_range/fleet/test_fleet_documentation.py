@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 import yaml
 
 from tests.documented_commands import PAGES, PROJECT, python_blocks
+from tests.track_range.events.event_builder import event
 from tests.track_range.fleet.fleet_results import done_record, rows_table, track_rows, write_clip, write_fleet
 from track_range.fleet.inputs.clip import CLIP_SETTINGS
 from track_range.fleet.inputs.listing import clips_of
@@ -29,7 +31,8 @@ def results(tmp_path, monkeypatch):
     write_fleet(out, tmp_path)
     for number, name in enumerate(("0001", "0002")):
         table = rows_table(track_rows(7, "car", near_m=8.0 + number, x_m=0.0, utc_s=None))
-        write_clip(out, done_record(name), table, tmp_path)
+        events = [event(probability=0.5 + number / 4), event(kind="near_miss", warning_s=math.nan)]
+        write_clip(out, done_record(name), table, tmp_path, events)
     ClipTable(out).compile()
     monkeypatch.chdir(tmp_path)
     return fleet_figures(out).figures
@@ -45,12 +48,19 @@ def run_block(word):
 
 def test_duckdb_queries(results):
     pytest.importorskip("duckdb")
-    names = run_block("duckdb")
+    names = run_block("closest = duckdb")
     rows = names["closest"].fetchall()
     ranked = [(row["clip"], row["track_id"], row["distance_m"]) for row in results["closest"]]
     assert {vehicle for vehicle, *_ in rows} == {"van"}
     assert sorted(row[1:] for row in rows if row[1:] in ranked) == sorted(ranked)
     assert names["failures"].fetchall() == [("input", 1)]
+
+
+def test_query_of_events(results):
+    pytest.importorskip("duckdb")
+    ((vehicle, per_hour, clip, probability),) = run_block("warnings = duckdb")["warnings"].fetchall()
+    assert (vehicle, clip, probability) == ("van", "0002", 0.75)
+    assert per_hour == pytest.approx(2 / results["video_h"])
 
 
 def test_pandas_queries(results):

@@ -20,12 +20,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from track_range.events.clips import CLIPS_FOLDER
+from track_range.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.fleet.engine.fingerprint import content_hash, fingerprint
 from track_range.fleet.engine.limits import plausible_s
 from track_range.fleet.engine.plan import ClipProgress, ClipTask, FleetPlan, Outcome
 from track_range.fleet.inputs.clip import Clip
 from track_range.fleet.inputs.dry_run import check_clips
-from track_range.fleet.output.data_set import TRACKS_FILE, publish_files, publish_record, publish_tracks
+from track_range.fleet.output.data_set import (
+    TRACKS_FILE,
+    publish_clips_of_events,
+    publish_events,
+    publish_files,
+    publish_record,
+    publish_tracks,
+)
 from track_range.fleet.output.file_names import FileNames
 from track_range.fleet.output.record import ClipRecord
 from track_range.fleet.storage.errors import StorageError
@@ -174,11 +183,16 @@ class _ClipRun:
         table = run.session.table.to_arrow(is_rounded=False)
         metadata = {**run.session.provenance.metadata(), **self._metadata()}
         write_tracks(folder / TRACKS_FILE, table, metadata)
+        write_events_parquet(folder / EVENTS_PARQUET, run.events, metadata)
         self._record = self._with_summary(summary, table.num_rows, run)
         files = {} if run_folder is None else _published_files(run_folder, has_report=plan.has_reports)
         with _publishing():
             publish_tracks(self._out, self._clip.name, folder / TRACKS_FILE)
+            publish_events(self._out, self._clip.name, folder / EVENTS_PARQUET)
             publish_files(self._out, self._clip.name, files)
+            if settings.clips and run_folder is not None:
+                clips = sorted((run_folder / CLIPS_FOLDER).glob("*.mp4"))
+                publish_clips_of_events(self._out, self._clip.name, clips)
             self._record = self._with_times(self._record)
             publish_record(self._out, self._record.row())
 
@@ -204,6 +218,7 @@ class _ClipRun:
             frames=int(summary["frames"]),
             rows=n_rows,
             tracks=int(summary["tracks"]["n"]),
+            events=len(run.events),
             seconds=round(session.seconds, 6),
             calibration=str(summary["calibration"]),
             start_utc=str(utc.get("start") or ""),
@@ -258,7 +273,9 @@ def write_tracks(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> No
 
 def _published_files(folder: Path, *, has_report: bool) -> dict[str, Path]:
     """Files of a run by name, without those that contain paths of this machine, and the report only if requested."""
-    left_out = {"settings.yaml", TRACKS_FILE} | (set() if has_report else {"report.html", "summary.json"})
+    left_out = {"settings.yaml", TRACKS_FILE, EVENTS_PARQUET} | (
+        set() if has_report else {"report.html", "summary.json"}
+    )
     return {
         file.name: file
         for file in sorted(folder.iterdir())

@@ -4,6 +4,7 @@
     OUT/clips.parquet                       one row per clip, compiled from the journal now and then
     OUT/journal/NAME.json                   row of a clip that is newer than clips.parquet
     OUT/tracks/clip=NAME/tracks.parquet     rows of a clip
+    OUT/events/clip=NAME/events.parquet     events of a clip
     OUT/runs/clip=NAME/...                  other files of a clip
     OUT/unfinished/...                      files that are being written
 
@@ -24,6 +25,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
+from track_range.events.clips import CLIPS_FOLDER
+from track_range.events.files import EVENTS_PARQUET
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.publishing import publish_bytes, publish_file
 from track_range.fleet.output.record import SCHEMA_VERSION, Row, merged_table, records_table
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 CLIPS_FILE, JOURNAL, TRACKS, RUNS, TRACKS_FILE = "clips.parquet", "journal", "tracks", "runs", "tracks.parquet"
+EVENTS = "events"
 
 _COMPILE_S, _COMPILE_SHARE = 10.0, 20.0
 """Shortest time between two compilations, s, and relative to the time that one takes."""
@@ -73,6 +77,35 @@ def publish_tracks(out: Location, name: str, file: Path) -> None:
         StorageError: they cannot be written.
     """
     publish_file(out, tracks_location(out, name), file)
+
+
+def events_location(out: Location, name: str) -> Location:
+    """Location of the events of a clip."""
+    return out.child(EVENTS, partition(name), EVENTS_PARQUET)
+
+
+def publish_events(out: Location, name: str, file: Path) -> None:
+    """Publish the events of a clip; they count once its record is published.
+
+    Raises:
+        StorageError: they cannot be written.
+    """
+    publish_file(out, events_location(out, name), file)
+
+
+def publish_clips_of_events(out: Location, name: str, files: Sequence[Path]) -> None:
+    """Publish the videos of the events of a clip, and remove those of an earlier result.
+
+    Raises:
+        StorageError: one of them cannot be written or removed.
+    """
+    folder = out.child(RUNS, partition(name), CLIPS_FOLDER)
+    for file in files:
+        publish_file(out, folder.child(file.name), file)
+    names = {file.name for file in files}
+    for entry in list(folder.list()) if folder.exists() else ():
+        if entry.name not in names:
+            folder.child(entry.name).remove()
 
 
 def publish_files(out: Location, name: str, files: Mapping[str, Path]) -> None:

@@ -37,6 +37,7 @@ class ClipRecord:
         frames: number of frames.
         rows: number of rows in tracks.parquet.
         tracks: number of tracks.
+        events: number of events; None = a result of an earlier version, without a file of events.
         seconds: duration of the processed video, s.
         wall_s: time for the clip in the worker, s.
         overhead_s: part of `wall_s` that is not the run: fetching, hashing, publishing.
@@ -67,6 +68,7 @@ class ClipRecord:
     frames: int | None = None
     rows: int | None = None
     tracks: int | None = None
+    events: int | None = None
     seconds: float | None = None
     wall_s: float | None = None
     overhead_s: float | None = None

@@ -6,20 +6,30 @@ Parts that are missing or damaged are named, and the figures are those of the re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from track_range.events.files import EventFileError, events_in_parquet
 from track_range.fleet.errors import FleetError
-from track_range.fleet.output.data_set import CLIPS_FILE, RUNS, partition, read_clips, read_journal, tracks_location
+from track_range.fleet.output.data_set import (
+    CLIPS_FILE,
+    RUNS,
+    events_location,
+    partition,
+    read_clips,
+    read_journal,
+    tracks_location,
+)
 from track_range.fleet.output.state import FleetState, read_state
 from track_range.fleet.output.status import state_text
 from track_range.fleet.report import clip_figures
 from track_range.fleet.report.clip_columns import ClipColumns
 from track_range.fleet.report.clip_figures import Figures
+from track_range.fleet.report.event_figures import EventFigures, ranked_rows
 from track_range.fleet.report.track_figures import (
     EDGES_M,
     TrackFigures,
@@ -34,6 +44,8 @@ from track_range.foundation.files.structured_text import parse_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+_Item = TypeVar("_Item")
 
 _N_READERS = 8
 """Files that are read at a time; each clip takes memory for its rows meanwhile."""
@@ -81,11 +93,11 @@ def fleet_figures(
         content = f"only a damaged {CLIPS_FILE}" if problems else "neither fleet.json nor clips"
         raise FleetError(f"{out}: expected the results of `track-range fleet run`, found {content}.")
     done = clips.done
-    tracks = _tracks(out, done, problems, progress)
+    tracks, events = _rows(out, done, problems, progress)
+    starts_utc_s = dict(zip(done.texts("clip"), done.utc_s("start_utc").tolist(), strict=True))
     column = clip_figures.group_column(clips, group)
     if group is not None and column is None:
         problems.append(f"clips.parquet: expected a column {shortened(group)} for --by; all clips are one group.")
-    ranked = [*tracks.closest, *tracks.collisions]
     figures = {
         "out": str(out),
         "written_utc": datetime.now(UTC).strftime("%Y-%m-%d %H:%M"),
@@ -99,6 +111,9 @@ def fleet_figures(
         "classes": _classes(tracks, done),
         "hours": _hours(tracks, done),
         "coverage": _coverage(tracks),
+        "event_kinds": events.by_kind(clip_figures.work_figures(done)["video_h"]),
+        "warnings": events.n_warnings,
+        "events": ranked_rows(events.worst, starts_utc_s),
         "closest": [asdict(item) for item in tracks.closest],
         "collisions": [asdict(item) for item in tracks.collisions],
         "errors": clip_figures.error_figures(done),
@@ -109,8 +124,11 @@ def fleet_figures(
         "stages_ms": clip_figures.stage_figures(done),
         "nodes": clip_figures.node_figures(done),
     }
-    names = {item.clip for item in ranked}
-    return FleetFigures(figures, _published(out, names), _starts_s(done, names, state))
+    ranked = [*(item.clip for item in (*tracks.closest, *tracks.collisions)), *(item.clip for item in events.worst)]
+    files = {name: list(LINKED_FILES) for name in ranked}
+    for item in events.worst:
+        files[item.clip].append(item.video)
+    return FleetFigures(figures, _published(out, files), _starts_s(done, set(files), state))
 
 
 def _clips(out: Location, problems: list[str]) -> pa.Table:
@@ -122,25 +140,27 @@ def _clips(out: Location, problems: list[str]) -> pa.Table:
         return read_journal(out)
 
 
-def _tracks(
+def _rows(
     out: Location, done: ClipColumns, problems: list[str], progress: Callable[[int, int | None], None]
-) -> TrackFigures:
-    """Figures of the rows of all complete clips; problems with their files are added to `problems`."""
-    total, n_problems = TrackFigures(), 0
-    names = done.texts("clip")
+) -> tuple[TrackFigures, EventFigures]:
+    """Figures of the rows and events of all complete clips; problems with their files are added to `problems`."""
+    tracks, events, n_problems = TrackFigures(), EventFigures(), 0
+    clips = list(zip(done.texts("clip"), done.numbers("events").tolist(), strict=True))
     with ThreadPoolExecutor(_N_READERS) as threads:
-        for i, (figures, problem) in enumerate(_mapped(threads, lambda name: _of_clip(out, name), names)):
-            total.add(figures)
-            n_problems += bool(problem)
-            if problem and n_problems <= _MAX_PROBLEMS:
-                problems.append(problem)
-            progress(i + 1, len(names))
+        for i, (of_tracks, of_events, more) in enumerate(_mapped(threads, lambda clip: _of_clip(out, *clip), clips)):
+            tracks.add(of_tracks)
+            events.add(of_events)
+            for problem in more:
+                n_problems += 1
+                if n_problems <= _MAX_PROBLEMS:
+                    problems.append(problem)
+            progress(i + 1, len(clips))
     if n_problems > _MAX_PROBLEMS:
-        problems.append(f"{n_problems - _MAX_PROBLEMS} more files of tracks are missing or damaged.")
-    return total
+        problems.append(f"{n_problems - _MAX_PROBLEMS} more files of tracks or events are missing or damaged.")
+    return tracks, events
 
 
-def _mapped(threads: ThreadPoolExecutor, function: Callable[[str], Any], items: list[str]) -> Iterator[Any]:
+def _mapped(threads: ThreadPoolExecutor, function: Callable[[_Item], Any], items: list[_Item]) -> Iterator[Any]:
     """Results of a function in the order of the items, a few of them in advance."""
     remaining = iter(items)
     futures = [threads.submit(function, item) for item in islice(remaining, 4 * _N_READERS)]
@@ -150,7 +170,35 @@ def _mapped(threads: ThreadPoolExecutor, function: Callable[[str], Any], items: 
         yield result
 
 
-def _of_clip(out: Location, name: str) -> tuple[TrackFigures, str]:
+def _of_clip(out: Location, name: str, n_events: float) -> tuple[TrackFigures, EventFigures, list[str]]:
+    """Figures of the rows and events of a clip, and the problems with its files in one sentence each.
+
+    Args:
+        out: results of the fleet.
+        name: name of the clip.
+        n_events: number of its events; NaN = unknown, and without a file.
+    """
+    tracks, problem = _tracks_of_clip(out, name)
+    events, other_problem = _events_of_clip(out, name) if n_events > 0 else (EventFigures(), "")
+    return tracks, events, [text for text in (problem, other_problem) if text]
+
+
+def _events_of_clip(out: Location, name: str) -> tuple[EventFigures, str]:
+    """Figures of the events of a clip, and the problem with its file in one sentence; "" = none."""
+    location = events_location(out, name)
+    try:
+        system, path = location.arrow()
+        with system.open_input_file(path) as stream:
+            return EventFigures.of(name, events_in_parquet(stream, location)), ""
+    except FileNotFoundError:
+        return EventFigures(), f"{location}: the file is missing; clips.parquet lists events of the clip."
+    except EventFileError as error:
+        return EventFigures(), str(error)
+    except OSError as error:
+        return EventFigures(), f"{location}: expected the events of a clip, found a damaged file ({_reason(error)})."
+
+
+def _tracks_of_clip(out: Location, name: str) -> tuple[TrackFigures, str]:
     """Figures of the rows of a clip, and the problem with its file in one sentence; "" = none."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
@@ -227,13 +275,13 @@ def _coverage(tracks: TrackFigures) -> list[Figures]:
     ]
 
 
-def _published(out: Location, names: set[str]) -> dict[str, tuple[str, ...]]:
-    """Files of clips that exist."""
-    return {name: tuple(_existing(out.child(RUNS, partition(name)))) for name in sorted(names)}
+def _published(out: Location, files: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
+    """Those of the files of clips that exist."""
+    return {name: tuple(_existing(out.child(RUNS, partition(name)), names)) for name, names in sorted(files.items())}
 
 
-def _existing(folder: Location) -> Iterator[str]:
-    for name in LINKED_FILES:
+def _existing(folder: Location, names: Sequence[str]) -> Iterator[str]:
+    for name in names:
         try:
             if folder.child(name).exists():
                 yield name

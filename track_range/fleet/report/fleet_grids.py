@@ -26,10 +26,12 @@ class Links:
     Attributes:
         report: of the report of its clip.
         overlay: of the overlay at its moment.
+        event: of the video of an event, or of the overlay at its moment.
     """
 
     report: _Link = _no_link
     overlay: _Link = _no_link
+    event: _Link = _no_link
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,14 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
             "Share of the observed boxes with a distance of the method. Bands of the filtered fused distance.",
             (_coverage_grid(figures["coverage"]),),
             "No box has a distance.",
+        ),
+        Section(
+            "events",
+            "Events",
+            "The most severe events of all clips: warnings first, then the largest probability of contact, the "
+            "shortest time to collision, the smallest distance.",
+            (_event_kind_grid(figures["event_kinds"]), _event_grid(figures["events"], links)),
+            "No clip has events.",
         ),
         Section(
             "closest",
@@ -122,9 +132,11 @@ def fleet_sections(figures: Figures, links: Links | None = None) -> list[Section
             "The runs have no notes.",
         ),
     ]
+    replaced = ("closest", "collisions") if figures["events"] else ()
     return [
         Section(part.anchor, part.title, part.text, tuple(grid for grid in part.grids if grid.rows), part.absence)
         for part in sections
+        if part.anchor not in replaced
     ]
 
 
@@ -145,6 +157,38 @@ def _hour_grid(rows: Sequence[_Row]) -> Grid:
         per_hour = [row["tracks"][name] / row["video_h"] if row["video_h"] > 0 else None for row in rows]
         columns.append(Column(name, per_hour, "{:.0f}"))
     return grid_of("Tracks per hour of video, by hour of the day", "hour UTC", names, columns)
+
+
+def _event_kind_grid(rows: Sequence[_Row]) -> Grid:
+    columns = [
+        Column("events", _values(rows, "events"), "{:.0f}"),
+        Column("per hour of video", _values(rows, "per_hour")),
+    ]
+    return grid_of("Events by kind", "kind", _texts(rows, "kind"), columns)
+
+
+def _event_grid(rows: Sequence[_Row], links: Links) -> Grid:
+    measures = (
+        ("contact %", "probability", "{:.0%}"),
+        ("TTC s", "min_ttc_s", "{:.1f}"),
+        ("distance m", "min_distance_m", "{:.1f}"),
+        (f"{SIGMA} m", "min_distance_sigma_m", "{:.2f}"),
+        ("closing m/s", "closing_mps", "{:.1f}"),
+    )
+    headings = ("clip", "event", "track", "class", *(heading for heading, _, _ in measures), "at s", "UTC")
+    cells = tuple(
+        (
+            Cell(row["clip"], link=links.report(row)),
+            Cell(row["kind"]),
+            Cell(str(row["track_id"])),
+            Cell(row["class"]),
+            *(Cell(_text(row[key], pattern)) for _, key, pattern in measures),
+            Cell(f"{row['peak_s']:.1f}", link=links.event(row)),
+            Cell(utc_text(row["utc_s"])),
+        )
+        for row in rows
+    )
+    return Grid("Most severe events", headings, cells)
 
 
 def _coverage_grid(rows: Sequence[_Row]) -> Grid:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from track_range.events.clips import CLIPS_FOLDER, video_name
 from track_range.fleet.output.data_set import RUNS, partition
 from track_range.fleet.report.clip_figures import Figures
 from track_range.fleet.report.fleet_figures import FleetFigures
@@ -59,6 +60,7 @@ def fleet_cards(figures: Figures) -> list[dict[str, str]]:
         card("clips failed", clips["failed"], ""),
         card("hours of video", f"{figures['video_h']:.2f}", ""),
         card("tracks", figures["tracks"], f"{figures['rows']} rows"),
+        card("events", sum(row["events"] for row in figures["event_kinds"]), f"{figures['warnings']} with a warning"),
         card("clips per hour", None if rate is None else f"{rate:.0f}", "in the last run"),
         card("speed of a worker", None if speed is None else f"{speed:.2f}", "seconds of video per second"),
     ]
@@ -103,11 +105,17 @@ def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
             return ""
         return address("/".join([*base, RUNS, partition(row["clip"]), name])) + fragment
 
-    def overlay(row: Figures) -> str:
-        time_s = row["time_s"] - fleet.starts_s.get(row["clip"], 0.0)
+    def at_moment(row: Figures, moment_s: float) -> str:
+        time_s = moment_s - fleet.starts_s.get(row["clip"], 0.0)
         return link(row, "overlay.mp4", f"#t={max(0.0, time_s - _LEAD_S):.1f}")
 
-    return Links(report=lambda row: link(row, "report.html"), overlay=overlay)
+    def event(row: Figures) -> str:
+        video = f"{CLIPS_FOLDER}/{video_name(row['number'], row['kind'], row['track_id'])}"
+        return link(row, video) or at_moment(row, row["start_s"])
+
+    return Links(
+        report=lambda row: link(row, "report.html"), overlay=lambda row: at_moment(row, row["time_s"]), event=event
+    )
 
 
 def relative_address(out: Location, page: Location) -> list[str] | None:
