@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges, time_to_collision
 from track_range.ranging.ranges import Ranges
 
@@ -70,7 +71,8 @@ class PaperFilter:
         variances = (variance, 0 * rate_variance, rate_variance)
         ttc_s, ttc_sigma_s = time_to_collision(distance_m, rate_mps, variances=variances)
         ranges = Ranges(measured.track_id, distance_m, np.sqrt(variance))
-        return FilteredRanges(ranges, rate_mps, np.sqrt(rate_variance), ttc_s, ttc_sigma_s)
+        state = ConstantVelocity(distance_m, rate_mps, *variances)
+        return FilteredRanges(ranges, rate_mps, np.sqrt(rate_variance), ttc_s, ttc_sigma_s, state)
 
 
 def _kalman_filter(first_m: float) -> Any:

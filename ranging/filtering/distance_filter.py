@@ -236,7 +236,12 @@ class DistanceFilters:
         ttc_s, ttc_sigma_s = time_to_collision(state.x, rate_mps, variances=(state.P_xx, state.P_xv, state.P_vv))
         return {
             name: FilteredRanges(
-                Ranges(track_id, state.x[i], sigma_m[i]), rate_mps[i], rate_sigma_mps[i], ttc_s[i], ttc_sigma_s[i]
+                Ranges(track_id, state.x[i], sigma_m[i]),
+                rate_mps[i],
+                rate_sigma_mps[i],
+                ttc_s[i],
+                ttc_sigma_s[i],
+                ConstantVelocity(state.x[i], state.v[i], state.P_xx[i], state.P_xv[i], state.P_vv[i]),
             )
             for i, name in enumerate(self._methods)
         }

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.foundation.arrays import FloatArray
+from track_range.foundation.constant_velocity import ConstantVelocity
 from track_range.ranging.ranges import Ranges
 
 MIN_CLOSING_MPS = 0.3
@@ -23,6 +24,8 @@ class FilteredRanges:
         rate_sigma_mps: (N,) standard deviation of the rate, and of the closing speed `-rate_mps`.
         ttc_s: (N,) time to collision, distance / closing speed; NaN = not closing, or the rate is unknown.
         ttc_sigma_s: (N,) standard deviation of `ttc_s`, to first order.
+        state: distance and rate in m and m/s, (N,) each, with the covariance of their independent errors; also where
+            the rate is too uncertain to be reported.
     """
 
     ranges: Ranges
@@ -30,6 +33,7 @@ class FilteredRanges:
     rate_sigma_mps: FloatArray
     ttc_s: FloatArray
     ttc_sigma_s: FloatArray
+    state: ConstantVelocity
 
 
 def time_to_collision(

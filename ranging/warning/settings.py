@@ -12,17 +12,61 @@ class WarningSettings:
     Attributes:
         horizon_s: a contact within this time counts.
         on_probability: an alarm starts when the probability of contact is at least this for `min_on_s`.
+        person_probability: the same for people, whose lateral motion is less certain.
         off_probability: an alarm ends when the probability has been below this for `min_off_s`.
         min_on_s: shortest time above `on_probability` before an alarm.
         min_off_s: shortest time below `off_probability` before the end of an alarm.
         min_closing_mps: smallest closing speed of an alarm.
         min_track_s: shortest time for which a track has been known.
+        cut_in_headway_s: headway below which a vehicle that cuts in starts an alarm, even if it is not slower.
+        cut_in_ahead_s: a vehicle cuts in if it was beside the path and will be in it after this time.
+        cut_in_probability: smallest probability that it will be in the path.
+        max_cut_in_mps: largest speed at which it may draw away.
+        front_m: distance from the camera to the front of the ego vehicle.
+        ego_width_m: width of the ego vehicle.
+        ego_length_m: length of the ego vehicle.
+        manoeuvre_s: time constant with which accelerations end.
+        acceleration_mps2: standard deviation of the relative acceleration until contact.
+        person_acceleration_mps2: standard deviation of the lateral acceleration of people.
+        vehicle_acceleration_mps2: that of all others.
+        min_deceleration_mps2: smallest deceleration, after `reaction_s`, that avoids the contact, for an alarm.
+        reaction_s: time before the driver brakes.
+        yaw_sigma_rad_s: standard deviation of the yaw rate of the ego vehicle, where it is known.
+        unknown_lateral_mps2: standard deviation of its lateral acceleration, where the yaw rate is not known.
+        min_lateral_jerk_mps3: smallest standard deviation of the lateral jerk of the ego path.
+        bend_rate_hz: ratio of the standard deviations of lateral jerk and recent lateral acceleration on winding roads.
+        lateral_speed_mps: prior standard deviation of the lateral speed of vehicles relative to the ego path.
+        static_lateral_mps: the same of static objects.
+        oncoming_lateral_mps: the same of oncoming vehicles.
+        person_lateral_mps: the same of people.
     """
 
-    horizon_s: float = 3.0
-    on_probability: float = 0.5
+    horizon_s: float = 3.5
+    on_probability: float = 0.7
+    person_probability: float = 0.6
     off_probability: float = 0.25
     min_on_s: float = 0.2
     min_off_s: float = 0.5
     min_closing_mps: float = 1.5
     min_track_s: float = 0.5
+    cut_in_headway_s: float = 0.6
+    cut_in_ahead_s: float = 1.0
+    cut_in_probability: float = 0.8
+    max_cut_in_mps: float = 1.5
+    front_m: float = 1.5
+    ego_width_m: float = 1.8
+    ego_length_m: float = 4.2
+    manoeuvre_s: float = 3.0
+    acceleration_mps2: float = 0.7
+    person_acceleration_mps2: float = 0.2
+    vehicle_acceleration_mps2: float = 0.3
+    min_deceleration_mps2: float = 1.5
+    reaction_s: float = 1.0
+    yaw_sigma_rad_s: float = 0.005
+    unknown_lateral_mps2: float = 0.4
+    min_lateral_jerk_mps3: float = 0.12
+    bend_rate_hz: float = 0.4
+    lateral_speed_mps: float = 1.0
+    static_lateral_mps: float = 0.15
+    oncoming_lateral_mps: float = 0.3
+    person_lateral_mps: float = 1.5

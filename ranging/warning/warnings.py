@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
 
 from track_range.foundation.arrays import BoolArray, FloatArray
 
@@ -21,3 +24,13 @@ class Warnings:
     probability: FloatArray
     active: BoolArray
     path_offset_m: FloatArray
+
+    @classmethod
+    def unknown(cls, n: int) -> Self:
+        """Warnings of n tracks without a known probability."""
+        nan = np.full(n, np.nan)
+        return cls(nan, np.zeros(n, np.bool_), nan)
+
+    def select(self, rows: slice) -> Warnings:
+        """The warnings in these rows."""
+        return Warnings(self.probability[rows], self.active[rows], self.path_offset_m[rows])

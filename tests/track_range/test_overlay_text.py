@@ -53,7 +53,7 @@ def test_predicted_track_shows_its_filtered_distance() -> None:
 
 
 def test_closing_speed_and_its_bar() -> None:
-    spans = [closing_span(6.2, ttc_s, 11) for ttc_s in (1.9, 3.6, 6.0, 12.0)]
+    spans = [closing_span(6.2, ttc_s, 11, alarm=alarm_colour(ttc_s)) for ttc_s in (1.9, 3.6, 6.0, 12.0)]
     texts = [f"TTC {ttc_s:.1f} s  closing 6.2 m/s" for ttc_s in (1.9, 3.6, 6.0, 12.0)]
     assert [span.text for span in spans if span] == texts
     assert [span.fill for span in spans if span] == [RED, AMBER, CALM, CALM]

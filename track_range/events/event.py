@@ -27,7 +27,7 @@ class Event:
         end_s: time at which it ended.
         warning_s: time of the collision warning; NaN = no warning.
         frame: number of the most critical frame.
-        track_id: identity of the object; of its last track if the tracker changed it.
+        track_id: identity of the object at the peak.
         class_name: road class of the object.
         min_distance_m: smallest distance of the object.
         min_distance_sigma_m: standard deviation of that distance.
@@ -67,18 +67,30 @@ EVENT_COLUMNS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventSettings:
-    """Thresholds of the events.
+    """Thresholds of the events; definitions, not fitted.
 
     Attributes:
+        front_m: distance from the camera to the front of the ego vehicle.
+        max_gap_s: longest interruption of an event; tracks of one object with a shorter gap are merged.
         close_headway_s: headway below which following is close.
         min_following_s: shortest duration of close following.
-        min_following_mps: smallest ego speed of close following.
+        min_ego_mps: smallest ego speed of close following and cut-ins; below, traffic is dense.
+        cut_in_headway_s: headway below which a vehicle that enters the ego path cuts in.
+        cut_in_s: time after which a vehicle that has entered the path no longer cuts in.
         hard_approach_mps2: deceleration needed to avoid a contact above which an approach is hard.
-        max_gap_s: longest interruption of an event; tracks of one object with a shorter gap are merged.
+        near_miss_ttc_s: time to collision below which an avoided contact is a near miss.
+        near_miss_probability: smallest probability of contact of a near miss.
+        near_miss_gap_m: smallest gap to the object after a near miss; a smaller one may be a contact.
     """
 
+    front_m: float = 1.5
+    max_gap_s: float = 1.0
     close_headway_s: float = 1.0
     min_following_s: float = 1.0
-    min_following_mps: float = 5.0
+    min_ego_mps: float = 5.0
+    cut_in_headway_s: float = 1.0
+    cut_in_s: float = 4.0
     hard_approach_mps2: float = 4.0
-    max_gap_s: float = 1.0
+    near_miss_ttc_s: float = 1.0
+    near_miss_probability: float = 0.5
+    near_miss_gap_m: float = 0.5

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
@@ -48,6 +52,25 @@ def validated(model: type[_Model], content: Any, source: object, error: type[Exc
         key, problem = first_problem(reason)
         place = f"'{key}': " if key else ""
         raise error(f"{source}: {place}{problem}.") from reason
+
+
+_Settings = TypeVar("_Settings")
+
+
+def chosen_numbers(settings: type[_Settings], chosen: Mapping[str, Any]) -> _Settings:
+    """Settings of a dataclass with numbers only: the defaults, updated with `chosen` values by name.
+
+    Raises:
+        ValueError: an unknown name, or a value that is not a finite number of at least 0.
+    """
+    known = [field.name for field in fields(settings)]  # type: ignore[arg-type]  # every dataclass has fields
+    for name, value in chosen.items():
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise ValueError(f"unknown setting {quoted(name)}" + (f"; did you mean {near[0]}?" if near else ""))
+        if isinstance(value, bool) or not isinstance(value, int | float) or not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"{name}: expected a number of at least 0, found {quoted(value)}")
+    return settings(**chosen)
 
 
 def first_problem(error: ValidationError) -> tuple[str, str]:

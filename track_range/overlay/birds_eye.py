@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from track_range.foundation.arrays import FloatArray, Image
-from track_range.overlay.colours import BLACK, GREY, WHITE, alarm_colour, track_colour
+from track_range.overlay.colours import BLACK, GREY, WHITE, track_colour, warning_colour
 from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -163,7 +163,7 @@ class BirdsEye:
 
     def _draw_track(self, inset: Image, result: FrameResult, row: int, *, centre: Point, bar: Sequence[Point]) -> None:
         colour, radius = track_colour(int(result.tracks.track_id[row])), max(2, round(inset.shape[0] / 60))
-        alarm = alarm_colour(float(result.ttc_s[row]), may_hit=result.may_hit(row))
+        alarm = warning_colour(result, row)
         is_observed = bool(result.tracks.observed[row])
         cv2.circle(inset, centre, radius + 2, BLACK if alarm is None else alarm, -1, cv2.LINE_AA)
         if not is_observed:

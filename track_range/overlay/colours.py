@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from track_range.ranging.registry import methods
+from track_range.run.frame_result import FrameResult
 
 Bgr = tuple[int, int, int]
 
@@ -27,6 +28,9 @@ OTHER_COLOURS = ("#c44e9c", "#9c8c0a", "#1496ab", "#d1495b")
 
 TTC_AMBER_S, TTC_RED_S = 4.0, 2.0
 """Times to collision in seconds below which tracks are marked in amber and red."""
+
+AMBER_PROBABILITY = 0.25
+"""Probability of contact from which tracks are marked in amber."""
 
 LUMA_MIN = 0.5
 """Smallest luma (0..1) of the colour of a track; darker text is hard to read on the background of labels."""
@@ -61,6 +65,18 @@ def alarm_colour(ttc_s: float, *, may_hit: bool = True) -> Bgr | None:
     if ttc_s < TTC_RED_S:
         return RED
     return AMBER if ttc_s < TTC_AMBER_S else None
+
+
+def warning_colour(result: FrameResult, row: int) -> Bgr | None:
+    """Red during the collision warning of a track, amber while a contact is possible, else None.
+
+    Results without warnings have the colours of their times to collision.
+    """
+    if result.warnings is None:
+        return alarm_colour(float(result.ttc_s[row]), may_hit=result.may_hit(row))
+    if result.warnings.active[row]:
+        return RED
+    return AMBER if result.warnings.probability[row] >= AMBER_PROBABILITY else None
 
 
 def method_colours() -> dict[str, str]:

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from track_range.overlay.colours import AMBER, CALM, GREY, WHITE, Bgr, alarm_colour, track_colour
+from track_range.overlay.colours import AMBER, CALM, GREY, WHITE, Bgr, track_colour, warning_colour
 from track_range.ranging.registry import methods
 from track_range.run.frame_result import FrameResult
 
@@ -112,20 +112,30 @@ def label_lines(result: FrameResult, row: int, *, class_names: Sequence[str], si
     if figures:
         lines.append([Span("  ".join(figures), small_px, REGULAR, GREY)])
     closing = closing_span(
-        float(result.closing_mps[row]), float(result.ttc_s[row]), small_px, may_hit=result.may_hit(row)
+        float(result.closing_mps[row]),
+        float(result.ttc_s[row]),
+        small_px,
+        alarm=warning_colour(result, row),
+        may_hit=result.may_hit(row),
     )
     return [*lines, [closing]] if closing else lines
 
 
-def closing_span(closing_mps: float, ttc_s: float, size_px: int, *, may_hit: bool = True) -> Span | None:
-    """Time to collision and closing speed on a bar, amber or red if urgent; None for objects that do not approach.
+def closing_span(
+    closing_mps: float, ttc_s: float, size_px: int, *, alarm: Bgr | None = None, may_hit: bool = True
+) -> Span | None:
+    """Time to collision and closing speed on a bar; None for objects that do not approach.
 
-    Objects that will pass by have no bar.
+    Args:
+        closing_mps: closing speed.
+        ttc_s: time to collision; NaN = unknown.
+        size_px: font size.
+        alarm: colour of the bar if the track is marked, amber or red.
+        may_hit: False for objects that will pass by, which have no bar.
     """
     if not closing_mps > CLOSING_SHOWN_MPS:
         return None
     speed = f"closing {closing_mps:.1f} m/s"
-    alarm = alarm_colour(ttc_s, may_hit=may_hit)
     text = f"{'TTC' if may_hit else 'passes in'} {ttc_s:.1f} s  {speed}" if ttc_s < TTC_SHOWN_S else speed
     filled = min(1.0, 1 - ttc_s / BAR_S) if may_hit and ttc_s < BAR_S else 0.0
     return Span(text, size_px, REGULAR if alarm is None else BOLD, WHITE, alarm or CALM, filled)

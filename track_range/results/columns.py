@@ -17,6 +17,7 @@ import numpy.typing as npt
 from track_range.detection.classes import ROAD_CLASSES
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.registry import methods
+from track_range.ranging.warning.warnings import Warnings
 from track_range.run.frame_result import FrameResult
 
 Columns = Mapping[str, npt.NDArray[Any]]
@@ -97,6 +98,9 @@ def result_columns() -> tuple[ResultColumn, ...]:
         ResultColumn("ttc_sigma_s", "s", lambda result: result.ttc_sigma_s),
         ResultColumn("utc", "s", lambda result: np.full(len(result.tracks), result.utc_s), decimals=6),
         ResultColumn("ego_mps", "m/s", lambda result: np.full(len(result.tracks), result.ego_mps)),
+        ResultColumn("contact_probability", "", lambda result: _warnings(result).probability),
+        ResultColumn("warning", "", lambda result: _warnings(result).active, "flag"),
+        ResultColumn("path_offset_m", "m", lambda result: _warnings(result).path_offset_m),
     )
     names = {column.name for column in columns}
     return (*columns, *(column for column in _method_columns() if column.name not in names))
@@ -136,6 +140,10 @@ def _method_columns() -> Iterator[ResultColumn]:
         for name in (method.name, *([f"{method.name}_kf"] if method.is_filtered else [])):
             yield _distance(name)
             yield _sigma(name)
+
+
+def _warnings(result: FrameResult) -> Warnings:
+    return Warnings.unknown(len(result.tracks)) if result.warnings is None else result.warnings
 
 
 def _distance(method: str) -> ResultColumn:

@@ -9,6 +9,7 @@ import numpy as np
 
 from track_range.detection.classes import map_to_road_classes
 from track_range.ranging.ranges import Ranges
+from track_range.ranging.warning.warnings import Warnings
 from track_range.results.columns import Columns, methods_with_sigma
 from track_range.results.truth import boxes_px
 from track_range.run.frame_result import FrameResult
@@ -32,6 +33,7 @@ def frames_of_rows(
     time_s = _Times(columns, fps)
     utc_s = columns.get("utc", np.full(len(columns["frame"]), np.nan))  # files of earlier versions have none
     ego_mps = columns.get("ego_mps", np.full(len(columns["frame"]), np.nan))
+    warnings = _warnings(columns)
     measured = [name for name in methods_with_sigma() if name in set(methods)]
     class_id = map_to_road_classes([str(name) for name in columns["class"]])
     track_id, boxes = columns["track_id"].astype(np.int64), boxes_px(columns)
@@ -52,7 +54,16 @@ def frames_of_rows(
             ttc_sigma_s=columns["ttc_sigma_s"][rows],
             xyz_m=np.stack([columns["x_m"][rows], columns["y_m"][rows], columns["fused_m"][rows]], axis=1),
             ego_mps=float(ego_mps[first]) if last > first else math.nan,
+            warnings=None if warnings is None else warnings.select(rows),
         )
+
+
+def _warnings(columns: Columns) -> Warnings | None:
+    """Warnings of all rows; None in files of earlier versions, which have none."""
+    if "contact_probability" not in columns or "warning" not in columns:
+        return None
+    path_offset_m = columns.get("path_offset_m", np.full(len(columns["frame"]), np.nan))
+    return Warnings(columns["contact_probability"], columns["warning"] > 0, path_offset_m)
 
 
 class _Times:

@@ -9,12 +9,14 @@ from track_range.ranging.ego_speed import EgoSpeed
 from track_range.ranging.method import MethodContext
 from track_range.ranging.registry import create_rangers, method_notes
 from track_range.ranging.size_models.size_model import SizeModel
+from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.run.box_source import BoxSource
 from track_range.run.options.tracker_options import open_tracker_options
 from track_range.run.pipeline.pipeline import LIVE_DEPTHS, Pipeline, QueueDepths
 from track_range.run.settings import RunSettings
 from track_range.stereo.alignment.model import Alignment
 from track_range.stereo.geometry.rig import StereoRig
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.registry import create_tracker
 from track_range.tracking.tracker import Tracker
 from track_range.video.pairs.uncalibrated import ASSUMED_BASELINE_M
@@ -89,6 +91,8 @@ def open_pipeline(
         rangers=create_rangers(context),
         lane_finder=open_lane_finder(settings.lanes, runtime) if context.has_lane_lines else None,
         ego_speed=ego_speed,
+        image_motion=ImageMotionEstimator(source.camera),
+        warning=CollisionWarning(settings.warning_settings),
         shared_sigma=context.focal_sigma,
         depths=LIVE_DEPTHS if source.inputs.live is not None else QueueDepths(),
         notes=(*appearance_notes, *method_notes()),

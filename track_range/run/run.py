@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from rich.console import Console
 
+from track_range.events.finder import EventFinder
 from track_range.foundation.arrays import Image
 from track_range.foundation.errors import ConfigError, UserError
 from track_range.foundation.files.input_files import real_path
@@ -222,6 +223,7 @@ class Run:
             truth=truth,
             pipeline=pipeline,
             speed=speed,
+            finder=EventFinder(settings.event_settings),
             meter=meter,
             opened_s=opened_s,
         )

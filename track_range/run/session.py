@@ -82,7 +82,7 @@ class RunSession:
     speed: SpeedSource
     meter: FrameMeter
     table: RunTable = field(default_factory=RunTable)
-    finder: EventFinder = field(default_factory=EventFinder)
+    finder: EventFinder
     events: tuple[Event, ...] = ()
     has_all_events: bool = False
     frame_index: list[int] = field(default_factory=list)

@@ -13,12 +13,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_serializer, field_validator, model_validator
 
+from track_range.events.event import EventSettings
 from track_range.foundation.errors import ConfigError, UsageError
 from track_range.foundation.files.input_files import quoted
 from track_range.foundation.files.structured_text import read_yaml, yaml_text
 from track_range.foundation.options import Options, option
 from track_range.foundation.schema_version import SCHEMA_VERSION
-from track_range.foundation.validation import first_problem
+from track_range.foundation.validation import chosen_numbers, first_problem
+from track_range.ranging.warning.settings import WarningSettings
 from track_range.results.output_files import write_text
 from track_range.results.provenance import settings_hash
 from track_range.run.options.detector_fields import (
@@ -240,6 +242,17 @@ class RunSettings(Options):
             "Parameters of dense stereo that override those for the rig: fields of SgbmSettings.", is_file_only=True
         ),
     ] = Field(default_factory=dict)
+    warning_options: Annotated[
+        dict[str, Any],
+        option(
+            "Thresholds of the collision warning that override the defaults: fields of WarningSettings.",
+            is_file_only=True,
+        ),
+    ] = Field(default_factory=dict)
+    event_options: Annotated[
+        dict[str, Any],
+        option("Thresholds of the events that override the defaults: fields of EventSettings.", is_file_only=True),
+    ] = Field(default_factory=dict)
     align: Annotated[
         str,
         option(
@@ -426,6 +439,18 @@ class RunSettings(Options):
             SgbmSettings.of(values)
         return values
 
+    @field_validator("warning_options")
+    @classmethod
+    def _known_thresholds(cls, values: dict[str, Any]) -> dict[str, Any]:
+        chosen_numbers(WarningSettings, values)
+        return values
+
+    @field_validator("event_options")
+    @classmethod
+    def _known_event_thresholds(cls, values: dict[str, Any]) -> dict[str, Any]:
+        chosen_numbers(EventSettings, values)
+        return values
+
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if (self.stereo is None) == (self.mono is None):
@@ -466,6 +491,16 @@ class RunSettings(Options):
         if video is None:
             raise ConfigError("expected a video, got none: give --stereo LEFT RIGHT or --mono VIDEO.")
         return video
+
+    @property
+    def warning_settings(self) -> WarningSettings:
+        """Thresholds of the collision warning."""
+        return chosen_numbers(WarningSettings, self.warning_options)
+
+    @property
+    def event_settings(self) -> EventSettings:
+        """Thresholds of the events."""
+        return chosen_numbers(EventSettings, self.event_options)
 
     @property
     def out_dir(self) -> Path:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from track_range.detection.classes import ROAD_CLASSES
-from track_range.overlay.colours import alarm_colour, track_colour
+from track_range.overlay.colours import track_colour, warning_colour
 from track_range.run.frame_result import FrameResult
 from track_range.stereo.geometry.camera import PinholeCamera
 
@@ -97,7 +97,7 @@ def track_objects(result: FrameResult, camera: PinholeCamera) -> Iterator[TrackO
     for i in range(n):
         name, track_id, ttc_s = ROAD_CLASSES[int(tracks.class_id[i])], int(tracks.track_id[i]), float(result.ttc_s[i])
         length_m = _LENGTH_M[name]
-        blue, green, red = alarm_colour(ttc_s, may_hit=result.may_hit(i)) or track_colour(track_id)
+        blue, green, red = warning_colour(result, i) or track_colour(track_id)
         z_m = float(distance_m[i])
         yield TrackObject(
             track_id,

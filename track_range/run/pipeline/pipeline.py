@@ -21,19 +21,22 @@ from track_range.detection.detections import Detections
 from track_range.detection.lanes.lines import LaneFinder, LaneLines
 from track_range.foundation.arrays import FloatArray
 from track_range.ranging.ego_speed import EgoSpeed
-from track_range.ranging.filtering.collision_course import CollisionCourse
+from track_range.ranging.filtering.collision_course import passing_offsets
 from track_range.ranging.filtering.distance_filter import DistanceFilters
 from track_range.ranging.filtering.filtered_ranges import FilteredRanges
+from track_range.ranging.filtering.lateral_motion import LateralFilters
 from track_range.ranging.fusion.fusion import Fusion
 from track_range.ranging.method import checked_ranges
 from track_range.ranging.ranger import Ranger
 from track_range.ranging.ranges import Ranges
 from track_range.ranging.registry import methods
+from track_range.ranging.warning.collision_warning import CollisionWarning
 from track_range.run.frame_result import FrameResult
 from track_range.run.pipeline.prefetch import prefetch
 from track_range.run.pipeline.stage_clock import StageClock
 from track_range.stereo.geometry.camera import PinholeCamera
 from track_range.stereo.geometry.frames import Frame
+from track_range.stereo.odometry.image_motion import ImageMotionEstimator
 from track_range.tracking.registry import checked_tracks
 from track_range.tracking.tracker import Tracker
 from track_range.tracking.tracks import Tracks
@@ -87,6 +90,8 @@ class Pipeline:
         rangers: ranging methods by name, in the order of execution (`registry.create_rangers`).
         lane_finder: detects the lines of the ego lane; None = off.
         ego_speed: speed of the camera; None = unknown.
+        image_motion: yaw rate of the camera, for the path of the ego vehicle; None = unknown.
+        warning: collision warning.
         shared_sigma: relative error shared by all methods, from an uncalibrated focal length.
         depths: queue depths of the threads.
         notes: messages for the user about the parts of the pipeline.
@@ -100,6 +105,8 @@ class Pipeline:
     candidates: Callable[[Frame], Detections] | None = None
     lane_finder: LaneFinder | None = None
     ego_speed: EgoSpeed | None = None
+    image_motion: ImageMotionEstimator | None = None
+    warning: CollisionWarning = field(default_factory=CollisionWarning)
     shared_sigma: float = 0.0
     depths: QueueDepths = field(default_factory=QueueDepths)
     notes: tuple[str, ...] = ()
@@ -110,10 +117,10 @@ class Pipeline:
         default_factory=lambda: {method.name: method.reads for method in methods()}
     )
     _lanes: LaneLines | None = None
-    _course: CollisionCourse = field(init=False)
+    _lateral: LateralFilters = field(init=False)
 
     def __post_init__(self) -> None:
-        self._course = CollisionCourse(self.camera)
+        self._lateral = LateralFilters(self.camera)
 
     def run(self, frames: Iterable[Frame]) -> Generator[FrameResult, None, None]:
         """Results of the frames in order; closing the generator ends the threads."""
@@ -140,8 +147,13 @@ class Pipeline:
         tracks = self._tracks(frame, detections)
         ranges = self._ranges(frame, lanes, tracks)
         ego_mps, ego_sigma_mps = self._ego_motion(frame.time_s)
+        yaw_rad_s = self._yaw_rad_s(frame, detections)
         with self.clock.stage("fuse"):
             motion = self._fused_motion(frame, tracks, ranges, ego_mps)
+            own_mps = motion.state.v + ego_mps if math.isfinite(ego_mps) else 0.0
+            lateral = self._lateral.update(
+                tracks, motion.ranges.distance_m, frame.time_s, yaw_rad_s=yaw_rad_s, own_mps=own_mps
+            )
             return FrameResult(
                 frame=frame,
                 tracks=tracks,
@@ -155,7 +167,10 @@ class Pipeline:
                     (ranger.disparity for ranger in self.rangers.values() if ranger.disparity is not None), None
                 ),
                 lanes=lanes,
-                misses=self._course.update(tracks, motion.ranges.distance_m, motion.ttc_s, frame.time_s),
+                misses=passing_offsets(lateral, motion.ttc_s),
+                warnings=self.warning.update(
+                    tracks, motion, lateral, frame.time_s, ego_mps=ego_mps, yaw_rad_s=yaw_rad_s
+                ),
                 candidates=candidates,
                 ego_mps=ego_mps,
                 ego_sigma_mps=ego_sigma_mps,
@@ -208,6 +223,13 @@ class Pipeline:
         if self.ego_speed is None:
             return math.nan, math.nan
         return self.ego_speed.at(time_s), self.ego_speed.sigma_at(time_s)
+
+    def _yaw_rad_s(self, frame: Frame, detections: Detections) -> float:
+        """Yaw rate of the camera, positive = to the right; NaN = unknown."""
+        if self.image_motion is None:
+            return math.nan
+        with self.clock.stage("motion"):
+            return self.image_motion.update(frame.left, frame.time_s, detections.xyxy_px).yaw_rad_s
 
     def _fused_motion(self, frame: Frame, tracks: Tracks, ranges: dict[str, Ranges], ego_mps: float) -> FilteredRanges:
         """Filtered fused distance and speed of the tracks; adds the fused and filtered distances to `ranges`."""
