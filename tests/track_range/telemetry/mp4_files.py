@@ -16,7 +16,6 @@ class MadeTrack:
     samples: Sequence[bytes]
     ticks: int = 1000
     timescale: int = 1000
-    entry: bytes = b""
 
 
 def box(kind: bytes, *content: bytes) -> bytes:
@@ -46,14 +45,14 @@ def mp4(
 
 
 def _header(kind: bytes, timescale: int) -> bytes:
-    return box(kind, struct.pack(">IIIII", 0, 0, 0, timescale, 0), bytes(12))
+    return box(kind, struct.pack(">IIIII", 0, 0, 0, timescale, 0), bytes(80 if kind == b"mvhd" else 4))
 
 
 def _trak(track: MadeTrack, offsets: list[int]) -> bytes:
     n = len(track.samples)
     table = box(
         b"stbl",
-        box(b"stsd", struct.pack(">II", 0, 1), box(track.format, bytes(8), track.entry)),
+        box(b"stsd", struct.pack(">II", 0, 1), box(track.format, bytes(78 if track.handler == b"vide" else 8))),
         box(b"stts", struct.pack(">IIII", 0, 1, n, track.ticks)),
         box(b"stsc", struct.pack(">IIIII", 0, 1, 1, 1, 1)),
         box(b"stsz", struct.pack(">III", 0, 0, n), *(struct.pack(">I", len(sample)) for sample in track.samples)),

@@ -11,15 +11,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from track_range.telemetry.containers.mp4_boxes import Movie, boxes, read_at
 from track_range.telemetry.containers.nmea_text import rmc_samples
-from track_range.telemetry.containers.samples import MAX_SAMPLES, track
+from track_range.telemetry.containers.samples import MAX_SAMPLES, Sample, track
 from track_range.telemetry.track import TelemetryTrack
 
 MAX_GPS_BYTES = 64_000_000
 """Size limit of the boxes; an hour at 1 Hz has 1.5 MB."""
 
 _SENTENCE = re.compile(rb"\[(\d{10,16})\]\s*(\$[A-Z]{2}RMC,[^\r\n\[]{6,100})")
+_MAX_JITTER_S = 2.0
+"""Largest variation of the time between fix and stamp at which the receiver's clock gives the intervals."""
+
 _MAX_START_DIFFERENCE_MS = 600_000
 """Largest distance between the stamps of the start and of the first sentence: ten minutes, twice a recording."""
 
@@ -60,4 +65,12 @@ def parse_stamped(content: bytes, start: bytes, source: str) -> TelemetryTrack |
         for stamp_ms, sample in zip(stamps_ms, rmc_samples([text for _, text in stamped], source), strict=True)
         if sample
     ]
-    return track(samples, "BlackVue")
+    return track(_without_jitter(samples), "BlackVue")
+
+
+def _without_jitter(samples: list[Sample]) -> list[Sample]:
+    """Samples with the intervals of the receiver's clock: stamps are the times of arrival, up to 0.3 s late."""
+    lags_s = np.array([sample.time_s - sample.utc_s for sample in samples])
+    if not len(lags_s) or not np.isfinite(lags_s).all() or np.ptp(lags_s) > _MAX_JITTER_S:
+        return samples
+    return [sample.at(sample.utc_s + float(np.median(lags_s))) for sample in samples]
