@@ -24,6 +24,7 @@ import numpy as np
 from av.container import InputContainer
 from av.video.stream import VideoStream
 
+from track_range.events.clip_names import clip_name, is_clip_name
 from track_range.events.event import Event
 from track_range.foundation.files.atomic_files import atomic_folder, describe
 from track_range.foundation.files.input_files import check_regular
@@ -31,9 +32,6 @@ from track_range.overlay.result_video import QUANTIZER
 from track_range.results.output_files import OutputError, make_folder
 from track_range.video.frame import VideoError
 from track_range.video.writing.video_writer import VideoWriter
-
-CLIPS_FOLDER = "clips"
-"""Folder of the clips in that of a run."""
 
 BEFORE_S, AFTER_S = 3.0, 2.0
 """Time before the start and after the end of an event that its clip shows, s."""
@@ -43,24 +41,6 @@ MAX_CLIP_S = 30.0
 
 _MUXER_OPTIONS = {"movflags": "+faststart"}
 """The index comes first, so that browsers play the clip while it loads."""
-
-_CLIP_NAME = "[0-9][0-9]*-*-*.mp4"
-"""Pattern of the names of clips."""
-
-
-def clip_name(number: int, event: Event) -> str:
-    """File name of a clip, such as "02-cut_in-17.mp4".
-
-    Args:
-        number: number of the event's row in events.csv, from 1.
-        event: the event.
-    """
-    return video_name(number, event.kind, event.track_id)
-
-
-def video_name(number: int, kind: str, track_id: int) -> str:
-    """File name of the clip of an event of this number, kind and track; see `clip_name`."""
-    return f"{number:02}-{kind}-{track_id}.mp4"
 
 
 def write_clips(
@@ -98,7 +78,7 @@ def write_clips(
     make_folder(folder)
     written = []
     for i, event in enumerate(events):
-        path = folder / clip_name(i + 1, event)
+        path = folder / clip_name(i + 1, event.kind, event.track_id)
         start_s, end_s = clip_interval_s(event)
         if cut_clip(overlay, path, start_s - starts_s, end_s - starts_s):
             written.append(path)
@@ -122,8 +102,9 @@ def remove_clips(folder: Path) -> None:
         OutputError: a clip cannot be removed.
     """
     try:
-        for path in folder.glob(_CLIP_NAME) if folder.is_dir() else ():
-            path.unlink(missing_ok=True)
+        for path in list(folder.iterdir()) if folder.is_dir() else ():
+            if is_clip_name(path.name):
+                path.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder}: clips of an earlier run cannot be removed ({describe(error)}).") from error
     with suppress(OSError):  # other files in it remain

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from track_range.events.clips import CLIPS_FOLDER, write_clips
+from track_range.events.clip_names import CLIPS_FOLDER
+from track_range.events.clips import write_clips
 from track_range.events.event import Event
 from track_range.events.files import EVENTS_FILE, EVENTS_PARQUET, write_event_files
 from track_range.foundation.files.folder_lock import is_locked

@@ -10,7 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from track_range.events.clips import CLIPS_FOLDER, remove_clips, write_clips
+from track_range.events.clip_names import CLIPS_FOLDER
+from track_range.events.clips import remove_clips, write_clips
 from track_range.events.event import Event
 from track_range.events.files import EventFiles
 from track_range.foundation.errors import UserError

@@ -8,7 +8,8 @@ import track_range as tr
 from tests.track_range.events.event_builder import SeenFinder, event
 from tests.track_range.test_run_folder import write_run
 from track_range.events import clips
-from track_range.events.clips import clip_interval_s, clip_name, cut_clip, write_clips
+from track_range.events.clip_names import clip_name
+from track_range.events.clips import clip_interval_s, cut_clip, write_clips
 from track_range.events.files import write_event_files
 from track_range.foundation.errors import UsageError
 from track_range.overlay.result_video import QUANTIZER
@@ -101,9 +102,9 @@ def test_clips_of_events(overlay, tmp_path):
     written = write_clips(overlay, events, tmp_path / "clips", starts_s=1.0)
     assert [path.name for path in written] == ["01-forward_collision-7.mp4", "02-cut_in-7.mp4"]
     assert [frames_of(path)[0] for path in written] == [list(range(6, 59)), list(range(31))]
-    (tmp_path / "clips" / "mine.mp4").touch()
+    (tmp_path / "clips" / "01-own-7.mp4").touch()
     assert write_clips(overlay, (), tmp_path / "clips", starts_s=1.0) == ()
-    assert [path.name for path in (tmp_path / "clips").iterdir()] == ["mine.mp4"]
+    assert [path.name for path in (tmp_path / "clips").iterdir()] == ["01-own-7.mp4"]
 
 
 def test_interval_of_a_long_event():
@@ -111,7 +112,7 @@ def test_interval_of_a_long_event():
     assert clip_interval_s(event(start_s=10, peak_s=100, end_s=200)) == (80, 110)
     assert clip_interval_s(event(start_s=10, peak_s=10, end_s=200)) == (7, 37)
     assert clip_interval_s(event(start_s=10, peak_s=200, end_s=200)) == (172, 202)
-    assert clip_name(123, event()) == "123-forward_collision-7.mp4"
+    assert clip_name(123, "cut_in", 7) == "123-cut_in-7.mp4"
 
 
 def test_overlay_that_cannot_be_cut(tmp_path):
@@ -150,7 +151,7 @@ def test_run_writes_clips(small_drive, tmp_path):
     run.session.finder = SeenFinder()
     run.write(tmp_path)
     written = sorted(path.name for path in (tmp_path / "clips").iterdir())
-    assert written == [clip_name(i + 1, one) for i, one in enumerate(run.events)]
+    assert written == [clip_name(i + 1, one.kind, one.track_id) for i, one in enumerate(run.events)]
     assert frames_of(tmp_path / "clips" / written[0])[2] == pytest.approx(1.2, abs=0.01)
 
 

@@ -31,7 +31,7 @@ CONTRACT = (
 
 
 def values(one):
-    """Attributes of an event, where None stands in for NaN."""
+    """Attributes of an event, with None for NaN."""
     return {key: None if value != value else value for key, value in dataclasses.asdict(one).items()}
 
 

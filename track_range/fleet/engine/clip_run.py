@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from track_range.events.clips import CLIPS_FOLDER
+from track_range.events.clip_names import CLIPS_FOLDER
 from track_range.events.files import EVENTS_PARQUET, write_events_parquet
 from track_range.fleet.engine.fingerprint import content_hash, fingerprint
 from track_range.fleet.engine.limits import plausible_s

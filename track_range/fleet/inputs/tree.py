@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from track_range.events.clip_names import CLIPS_FOLDER, is_clip_name
 from track_range.fleet.storage.entry import Entry, is_hidden
 from track_range.fleet.storage.location import Location
 from track_range.foundation.files.images import IMAGE_SUFFIXES
@@ -20,7 +21,7 @@ _BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 _RESULT_NAMES = frozenset(("overlay.mp4", "disparity.mp4", "run.mcap"))
 """Files that runs write, which are not recordings."""
 
-_FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "runs", "journal", "unfinished")
+_FLEET_STATE, _FLEET_FOLDERS = "fleet.json", ("tracks", "events", "runs", "journal", "unfinished")
 """File and folders in the results of a fleet, which may be below the recordings."""
 
 _BAG_METADATA = "metadata.yaml"
@@ -76,6 +77,7 @@ class FileTree:
             for name in self.files
             if (is_video_name(name) or is_bag_name(name))
             and _last(name) not in _RESULT_NAMES
+            and not (_last(_folder(name)) == CLIPS_FOLDER and is_clip_name(_last(name)))
             and not (is_bag_name(name) and _folder(name) in folders)
         )
         return sorted((*videos, *folders))

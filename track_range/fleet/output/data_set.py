@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
-from track_range.events.clips import CLIPS_FOLDER
+from track_range.events.clip_names import CLIPS_FOLDER
 from track_range.events.files import EVENTS_PARQUET
 from track_range.fleet.errors import FleetError
 from track_range.fleet.output.publishing import publish_bytes, publish_file

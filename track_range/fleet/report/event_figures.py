@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from track_range.events.clips import CLIPS_FOLDER, clip_name
+from track_range.events.clip_names import CLIPS_FOLDER, clip_name
 from track_range.events.event import EVENT_KINDS, Event
 from track_range.events.files import rounded_values
 from track_range.events.summary import severity_key
@@ -33,7 +33,7 @@ class ClipEvent:
     @property
     def video(self) -> str:
         """Name of its video among the files of the clip, if it was written."""
-        return f"{CLIPS_FOLDER}/{clip_name(self.number, self.event)}"
+        return f"{CLIPS_FOLDER}/{clip_name(self.number, self.event.kind, self.event.track_id)}"
 
 
 @dataclass(slots=True)

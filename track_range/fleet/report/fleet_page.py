@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from track_range.events.clips import CLIPS_FOLDER, video_name
+from track_range.events.clip_names import CLIPS_FOLDER, clip_name
 from track_range.fleet.output.data_set import RUNS, partition
 from track_range.fleet.report.clip_figures import Figures
 from track_range.fleet.report.fleet_figures import FleetFigures
@@ -110,7 +110,7 @@ def _links(fleet: FleetFigures, out: Location, page: Location) -> Links:
         return link(row, "overlay.mp4", f"#t={max(0.0, time_s - _LEAD_S):.1f}")
 
     def event(row: Figures) -> str:
-        video = f"{CLIPS_FOLDER}/{video_name(row['number'], row['kind'], row['track_id'])}"
+        video = f"{CLIPS_FOLDER}/{clip_name(row['number'], row['kind'], row['track_id'])}"
         return link(row, video) or at_moment(row, row["start_s"])
 
     return Links(

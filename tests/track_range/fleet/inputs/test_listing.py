@@ -26,6 +26,7 @@ def test_every_recording_of_a_folder(tmp_path, filled):
     filled(tmp_path, "b.MP4", "day 1/a.b.mkv", "day 1/rig.yaml", "day 1/.hidden.mp4", ".trash/c.mp4", "notes.txt")
     filled(tmp_path, "images/000001.png", "images/000002.png", "day 1/thumbnail1.jpg", "day 1/thumbnail2.jpg")
     filled(tmp_path, "bag/metadata.yaml", "bag/bag_0.db3", "bag/bag_1.db3", "x.mcap", "run/overlay.mp4", "run/run.mcap")
+    filled(tmp_path, "run/clips/01-cut_in-7.mp4")
     clips = clips_of([str(tmp_path)], None, None)
     assert [clip.name for clip in clips] == ["b", "bag", "day 1/a.b", "images", "x"]
     assert clips[0] == Clip("b", str(tmp_path / "b.MP4"))
