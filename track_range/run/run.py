@@ -212,7 +212,13 @@ class Run:
             truth = None
             if settings.truth is not None:
                 truth = read_truth(settings.truth, calibration.camera, calibration.left_from_reference_m)
-            speed = open_speed(settings.ego_speed, recording, start_s=settings.start_s, folder_fps=settings.folder_fps)
+            speed = open_speed(
+                settings.ego_speed,
+                recording,
+                start_s=settings.start_s,
+                duration_s=settings.duration_s,
+                folder_fps=settings.folder_fps,
+            )
             pipeline = open_pipeline(settings, recording, boxes, curves, tracker=self._tracker, ego_speed=speed.ego)
             on_error.pop_all()
         meter = FrameMeter(recording.inputs.live)

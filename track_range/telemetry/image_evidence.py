@@ -36,7 +36,9 @@ _STANDING_MPS = 0.3
 """Largest speed in m/s that telemetry states for a car at rest."""
 
 
-def motion_of(video: RecordedName, camera: PinholeCamera, *, start_s: float, folder_fps: float) -> MotionSeries:
+def motion_of(
+    video: RecordedName, camera: PinholeCamera, *, start_s: float, folder_fps: float, span_s: float = SPAN_S
+) -> MotionSeries:
     """Motion of the images of a video from `start_s` on; empty if they cannot be read.
 
     Args:
@@ -44,10 +46,11 @@ def motion_of(video: RecordedName, camera: PinholeCamera, *, start_s: float, fol
         camera: its approximate camera.
         start_s: start in seconds from the first frame.
         folder_fps: frame rate of folders without timestamps.
+        span_s: length of the part to read.
     """
     rows: list[tuple[float, float, float, float]] = []
     try:
-        reader = VideoReader(video, folder_fps=folder_fps, start_s=start_s, duration_s=SPAN_S)
+        reader = VideoReader(video, folder_fps=folder_fps, start_s=start_s, duration_s=span_s)
         if (reader.width_px, reader.height_px) != (camera.width_px, camera.height_px):
             camera = _resized(camera, reader.width_px, reader.height_px)
         estimator, due_s = ImageMotionEstimator(camera), -np.inf

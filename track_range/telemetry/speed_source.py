@@ -20,7 +20,7 @@ from track_range.foundation.files.numeric_text import number
 from track_range.ranging.ego_speed import EgoSpeed, EgoSpeedError, open_ego_speed
 from track_range.telemetry.errors import TelemetryError
 from track_range.telemetry.found import FoundTelemetry, candidates, named_telemetry
-from track_range.telemetry.image_evidence import contradiction, motion_of
+from track_range.telemetry.image_evidence import SPAN_S, contradiction, motion_of
 from track_range.telemetry.sidecars.reading import OXTS_NAME, TABLE_NAME
 from track_range.telemetry.sidecars.speed_csv import is_telemetry_csv
 from track_range.telemetry.time_offset import MotionSeries, TimeOffset, estimated_offset
@@ -31,6 +31,9 @@ from track_range.video.recording import Recording
 
 AUTO, OFF = "auto", "off"
 """Values of --ego-speed that are neither a number nor a path."""
+
+_MIN_SPAN_S = 10.0
+"""Length of the video, s, from which motion is measured for a shorter run."""
 
 _TABLE_COLUMNS = ({"time_s", "speed_mps"}, {"time_s", "speed_kmh"})
 """Columns of a CSV with times of the video, which needs no interpretation."""
@@ -77,13 +80,21 @@ Motion = Callable[[], MotionSeries]
 """Measures the motion of the images when it is first needed."""
 
 
-def open_speed(setting: str, recording: Recording, *, start_s: float = 0.0, folder_fps: float = 10.0) -> SpeedSource:
+def open_speed(
+    setting: str,
+    recording: Recording,
+    *,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    folder_fps: float = 10.0,
+) -> SpeedSource:
     """Ego speed of a run.
 
     Args:
         setting: "auto", "off", a number in km/h, or the path of a file or folder.
         recording: the opened recording.
         start_s: start of the run in seconds from the first frame, from which the motion of the images is measured.
+        duration_s: length of the run; None = to the end.
         folder_fps: frame rate of folders of images without timestamps.
 
     Raises:
@@ -97,7 +108,8 @@ def open_speed(setting: str, recording: Recording, *, start_s: float = 0.0, fold
     def motion() -> MotionSeries:
         if isinstance(reader, LiveReader):
             return _NO_MOTION
-        return motion_of(reader.path, recording.camera, start_s=start_s, folder_fps=folder_fps)
+        span_s = SPAN_S if duration_s is None else min(SPAN_S, max(duration_s, _MIN_SPAN_S))
+        return motion_of(reader.path, recording.camera, start_s=start_s, folder_fps=folder_fps, span_s=span_s)
 
     if setting != AUTO:
         return _named(setting, parts, motion)

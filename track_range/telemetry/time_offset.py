@@ -1,15 +1,18 @@
 """estimated_offset: time by which telemetry lags behind a video, from the motion in its images.
 
-    yaw(t)       = course'(t + o) + n      the yaw rate of the images is that of the course, in the same unit
-    expansion(t) = k v(t + o) + n          the expansion is the speed over a typical depth, 1/k, which is unknown
+    expansion(t) = k v(t + o) (1 + z(t)) + n     the expansion is the speed over a typical depth, 1/k (1 + z) per metre
+    yaw(t)       = q course'(t + o) + n          the yaw rate is that of the course; q absorbs the focal length
 
-o is searched on a grid. With normal noise n of unknown variance, the log likelihood of o is -N/2 log RSS(o), with the
-sum of squared residuals RSS and N independent samples: one per second, since the speeds of GPS are filtered over about
-this time. The mean and the standard deviation of o follow from the product of both likelihoods.
+The typical depth changes along the road: z is a Gauss-Markov process with the standard deviation sigma_z and the time
+constant tau, so that slow changes of the expansion say little about the speed, and fast ones much. o is searched on a
+grid, with the best k and q for each o. The likelihoods of both are multiplied; their mean and standard deviation are
+the result. The noise n of the yaw rate is estimated from its residual, with the time over which it is correlated.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,16 +23,26 @@ MAX_OFFSET_S = 3.0
 """Largest offset in s that is searched: receivers lag by up to 1 s, and clocks in whole seconds by another one."""
 
 _STEP_S = 0.05
+_DEPTH_SIGMA, _DEPTH_TIME_S = 0.3, 2.0
+"""sigma_z and tau in s. The spread of v over expansion in simulated drives (city, seed 1, and queue, seed 2, of 24 s)
+is 0.2 with this time constant; 0.3 gives standard deviations that cover the errors there."""
+
+_MIN_LEVEL_HZ = 0.02
+"""Smallest level of the expansion to which sigma_z applies, 1/s."""
+
 _CORRELATION_S = 1.0
-"""Time between independent samples, s; see above."""
+"""Shortest time between independent samples of the yaw rate, s: that between the fixes of most receivers."""
 
-_MIN_SAMPLES = 20
-"""Smallest number of images for an estimate."""
+_MIN_SAMPLES, _MIN_FIXES = 20, 3
+"""Smallest numbers of images and of samples of the telemetry for an estimate."""
 
-_MIN_CORRELATION = 0.7
+_INTERPOLATION_SHARE = 0.1
+"""Error of an offset from the interpolation between samples, as a share of their interval (queue, seed 2, at 1 Hz)."""
+
+_MIN_CORRELATION = 0.9
 """Smallest correlation between image motion and telemetry at the best offset."""
 
-_MAX_SIGMA_S = 0.3
+_MAX_SIGMA_S = 0.2
 """Largest standard deviation of an offset that is applied, s: below the lag that it corrects."""
 
 _MIN_SPEED_MPS = 2.0
@@ -88,8 +101,8 @@ def estimated_offset(
     yaw_s, yaw_rad_s = _course_rate(time_s, speed_mps, course_rad)
     known = np.isfinite(speed_mps)
     pairs = (
-        _fit(motion.time_s, motion.expansion_hz, time_s[known], speed_mps[known], grid_s, has_scale=True),
-        _fit(motion.time_s, motion.yaw_rad_s, yaw_s, yaw_rad_s, grid_s, has_scale=False),
+        _fit(motion.time_s, motion.expansion_hz, time_s[known], speed_mps[known], grid_s, _depth_likelihood),
+        _fit(motion.time_s, motion.yaw_rad_s, yaw_s, yaw_rad_s, grid_s, _residual_likelihood),
     )
     fits = [fit for fit in pairs if fit is not None]
     if not fits:
@@ -98,7 +111,9 @@ def estimated_offset(
     weight = np.exp(log_likelihood - log_likelihood.max())
     weight /= weight.sum()
     offset_s = float(weight @ grid_s)
-    sigma_s = float(np.sqrt(weight @ (grid_s - offset_s) ** 2 + _STEP_S**2 / 12))
+    step_s = float(np.median(np.diff(time_s[known]))) if known.sum() > 1 else 0.0
+    variance_s2 = float(weight @ (grid_s - offset_s) ** 2) + _STEP_S**2 / 12 + (_INTERPOLATION_SHARE * step_s) ** 2
+    sigma_s = math.sqrt(variance_s2)
     best = int(np.argmax(log_likelihood))
     correlation = max(float(fit[1][best]) for fit in fits)
     is_inside = abs(offset_s) + 2 * sigma_s < MAX_OFFSET_S
@@ -116,10 +131,14 @@ def _course_rate(time_s: FloatArray, speed_mps: FloatArray, course_rad: FloatArr
     return (t[1:] + t[:-1]) / 2, change / np.diff(t)
 
 
+_Likelihood = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+"""(N,) times, (N,) image motion and (G, N) telemetry by offset -> (G,) log likelihood."""
+
+
 def _fit(
-    t: FloatArray, image: FloatArray, at_s: FloatArray, value: FloatArray, grid_s: FloatArray, *, has_scale: bool
+    t: FloatArray, image: FloatArray, at_s: FloatArray, value: FloatArray, grid_s: FloatArray, likelihood: _Likelihood
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Log likelihood and correlation of each offset; None = too few samples, or none changes.
+    """Log likelihood and correlation of each offset; None = too few samples.
 
     Args:
         t: (N,) times of the images.
@@ -127,29 +146,64 @@ def _fit(
         at_s: (M,) times of the telemetry.
         value: (M,) its motion.
         grid_s: (G,) offsets.
-        has_scale: whether the image motion is proportional to the telemetry instead of equal.
+        likelihood: of the image motion given the telemetry.
     """
-    if len(at_s) < 3:
+    if len(at_s) < _MIN_FIXES:
         return None
-    # the same images for all offsets
-    is_used = np.isfinite(image) & (t - MAX_OFFSET_S >= at_s[0]) & (t + MAX_OFFSET_S <= at_s[-1])
-    is_used &= np.array([_is_dense(at_s, time) for time in t.tolist()])
+    is_used = np.isfinite(image) & (t >= at_s[0]) & (t <= at_s[-1])
+    is_used &= np.array([_is_dense(at_s, time) for time in t.tolist()], np.bool_)
     if is_used.sum() < _MIN_SAMPLES:
-        inner = np.isfinite(image) & (t >= at_s[0]) & (t <= at_s[-1])
-        if inner.sum() < _MIN_SAMPLES:
-            return None
-        is_used = inner
+        return None
     t, e = t[is_used], _clipped(image[is_used])
-    n = max((t[-1] - t[0]) / _CORRELATION_S, 1.0)
-    rss, correlation = np.empty(len(grid_s)), np.empty(len(grid_s))
-    for i, offset_s in enumerate(grid_s.tolist()):
-        v = np.interp(t + offset_s, at_s, value)
-        k = float(v @ e / (v @ v)) if has_scale and v @ v > 0 else 1.0
-        rss[i] = float(((e - max(k, 0.0) * v) ** 2).mean())
-        spread = float(e.std() * v.std())
-        correlation[i] = float(((e - e.mean()) * (v - v.mean())).mean()) / spread if spread > 0 else 0.0
+    values = np.array([np.interp(t + offset_s, at_s, value) for offset_s in grid_s.tolist()])
+    centred, e_centred = values - values.mean(axis=1, keepdims=True), e - e.mean()
+    spread = np.sqrt((centred**2).mean(axis=1) * (e_centred**2).mean())
+    correlation = np.divide((centred @ e_centred) / len(e), spread, out=np.zeros(len(grid_s)), where=spread > 1e-9)
+    return likelihood(t, e, values), correlation
+
+
+def _depth_likelihood(t: FloatArray, e: FloatArray, values: FloatArray) -> FloatArray:
+    """Log likelihood of expansions with a changing typical depth; the covariance does not depend on the offset."""
+    width = max(round(_CORRELATION_S / float(np.median(np.diff(t)))), 1)
+    level = np.maximum(np.convolve(np.pad(np.abs(e), width, mode="edge"), np.ones(2 * width + 1), "valid"), 0.0)
+    level = np.maximum(level / (2 * width + 1), _MIN_LEVEL_HZ)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(e, n=2)))) / math.sqrt(6)  # of white noise
+    decay = np.exp(-np.abs(t[:, None] - t[None, :]) / _DEPTH_TIME_S)
+    covariance = (_DEPTH_SIGMA**2 * level[:, None] * level[None, :]) * decay
+    covariance[np.diag_indices(len(t))] += max(noise, 0.02 * float(level.mean())) ** 2
+    inverse = np.linalg.inv(covariance)
+    weighted = values @ inverse
+    square = (weighted * values).sum(axis=1)
+    k = np.maximum((weighted @ e) / np.maximum(square, 1e-12), 0.0)
+    residuals = e - k[:, None] * values
+    return -0.5 * np.asarray(((residuals @ inverse) * residuals).sum(axis=1))
+
+
+def _residual_likelihood(t: FloatArray, e: FloatArray, values: FloatArray) -> FloatArray:
+    """Log likelihood with normal noise of unknown variance, -N/2 log RSS, for N independent samples."""
+    square = (values**2).sum(axis=1)
+    q = np.maximum((values @ e) / np.maximum(square, 1e-12), 0.0)
+    residuals = e - q[:, None] * values
+    rss = (residuals**2).mean(axis=1)
+    independent_s = _correlation_time_s(t, residuals[int(np.argmin(rss))])
+    n = max(float(t[-1] - t[0]) / independent_s, 1.0)
     floor = max(1e-4 * float((e**2).mean()), 1e-12)
-    return -n / 2 * np.log(rss + floor), correlation
+    return -n / 2 * np.asarray(np.log(rss + floor))
+
+
+def _correlation_time_s(t: FloatArray, residual: FloatArray) -> float:
+    """Time between independent samples of a residual, 2 dt (1/2 + sum of its autocorrelation), at least 1 s."""
+    centred = residual - residual.mean()
+    variance, step_s = float((centred**2).mean()), float(np.median(np.diff(t)))
+    if variance <= 0:
+        return _CORRELATION_S
+    total = 0.5
+    for lag in range(1, len(t) // 2):
+        rho = float((centred[lag:] * centred[:-lag]).mean()) / variance
+        if rho <= 0:
+            break
+        total += rho
+    return max(2 * step_s * total, _CORRELATION_S)
 
 
 def _is_dense(at_s: FloatArray, time_s: float) -> bool:
