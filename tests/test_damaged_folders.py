@@ -14,6 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.damaged_text import MAX_MESSAGE, damaged
+from tests.track_range.events.event_builder import event
+from track_range.events.files import events_text
 from track_range.foundation.errors import UserError
 from track_range.foundation.files.structured_text import yaml_text
 from track_range.results.columns import column_names
@@ -45,6 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = list(column_names())
     row = [*ROW, *[""] * (len(names) - len(ROW))]
     (folder / "tracks.csv").write_text(f"{','.join(names)}\n{','.join(row)}\n")
+    (folder / "events.csv").write_text(events_text([event(start_s=0.0, end_s=0.0)]))
     (folder / "timestamps.txt").write_text(TIMES)
     for number in range(3):
         cv2.imwrite(str(folder / f"{number:06d}.png"), np.full((48, 64, 3), 90, np.uint8))
@@ -55,6 +58,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "summary.json": read_run,
     "settings.yaml": read_run,
     "tracks.csv": read_run,
+    "events.csv": read_run,
     "timestamps.txt": read_images,
     "000000.png": read_images,
 }

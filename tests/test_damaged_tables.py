@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tests.damaged_text import check_damaged, damaged
 from tests.detection.darknet_networks import yolov3_tiny
+from tests.track_range.events.event_builder import event
 from track_range.detection.darknet.network import read_network
 from track_range.detection.formats.detection_files import read_detections
 from track_range.detection.formats.image_labels.labelled_images import read_manifest
@@ -16,6 +17,8 @@ from track_range.detection.formats.image_labels.yolo_labels import YoloLabelRead
 from track_range.detection.formats.video_labels.csv_labels import read_csv_labels
 from track_range.detection.formats.video_labels.kitti import read_kitti, read_kitti_image
 from track_range.detection.formats.video_labels.mot import read_mot
+from track_range.events.evaluation.contacts import read_contacts
+from track_range.events.files import events_text, read_events
 from track_range.ranging.ego_speed import open_ego_speed
 from track_range.ranging.evaluation.truth import read_truth
 from track_range.ranging.fitting.box_csv import read_box_csv
@@ -73,6 +76,9 @@ READERS = {
     "oxts": ("0000000000.txt", OXTS, read_oxts),
     "timestamps": ("timestamps.txt", "2011-09-26 13:10:51.16\n2011-09-26 13:10:51.26\n", read_timestamps),
     "boxes": ("boxes.csv", BOXES, read_box_csv),
+    "events": ("events.csv", events_text([event(), event(kind="near_miss", warning_s=np.nan)]), read_events),
+    "contacts": ("contacts.csv", "object_id,class,contact_s\n0,car,5.25\n3,person,7\n", read_contacts),
+    "event labels": ("labels.csv", "kind,start_s,end_s\ncut_in,1,2\nnear_miss,3,4.5\n", read_events),
     "seqinfo.ini": ("seqinfo.ini", INFO, read_info),
     "names": ("names.txt", "car\nbus\nperson\n", lambda path: class_names(str(path))),
     "cfg": ("net.cfg", yolov3_tiny(size_px=(64, 64), n_classes=2, width=16), read_network),

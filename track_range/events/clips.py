@@ -11,6 +11,7 @@ others are copied. If the encoder of another version gives other parameter sets,
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -105,6 +106,8 @@ def remove_clips(folder: Path) -> None:
         for path in list(folder.iterdir()) if folder.is_dir() else ():
             if is_clip_name(path.name):
                 path.unlink(missing_ok=True)
+            elif is_clip_name(path.name[1:].rpartition(".")[0]):  # temporary folder of a run that was killed
+                shutil.rmtree(path, ignore_errors=True)
     except OSError as error:
         raise OutputError(f"{folder}: clips of an earlier run cannot be removed ({describe(error)}).") from error
     with suppress(OSError):  # other files in it remain

@@ -169,6 +169,7 @@ class RunFolder:
         if settings.clips and "overlay" in self.videos:
             overlay, clips = self.folder / self.videos["overlay"], self.folder / CLIPS_FOLDER
             steps.append(partial(write_clips, overlay, self._session.events, clips, starts_s=self._session.starts_s))
+            self.files += (CLIPS_FOLDER,) if self._session.events else ()
         steps += [
             partial(write_summary, self.folder / "summary.json", summary),
             partial(

@@ -103,6 +103,7 @@ def test_clips_of_events(overlay, tmp_path):
     assert [path.name for path in written] == ["01-forward_collision-7.mp4", "02-cut_in-7.mp4"]
     assert [frames_of(path)[0] for path in written] == [list(range(6, 59)), list(range(31))]
     (tmp_path / "clips" / "01-own-7.mp4").touch()
+    (tmp_path / "clips" / ".02-cut_in-7.mp4.x_1").mkdir()  # of a run that was killed
     assert write_clips(overlay, (), tmp_path / "clips", starts_s=1.0) == ()
     assert [path.name for path in (tmp_path / "clips").iterdir()] == ["01-own-7.mp4"]
 
